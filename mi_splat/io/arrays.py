@@ -51,5 +51,5 @@ def load_array(path: Path) -> NDArray[np.generic]:
     except OSError as error:
         raise from_os_error(str(path), expected, error) from error
     except _BROKEN as error:
-        found = " ".join(str(error).split())[:160] or type(error).__name__
-        raise SplatFileError(message(str(path), expected, found, do)) from error
+        got = " ".join(str(error).split())[:160] or type(error).__name__
+        raise SplatFileError(message(str(path), expected, got, do)) from error

@@ -82,11 +82,11 @@ def _remove(entry: os.DirEntry[str]) -> None:
 
 
 def _is_stale(entry: os.DirEntry[str]) -> bool:
-    found = _TEMPORARY.fullmatch(entry.name)
-    if found is None:
+    match = _TEMPORARY.fullmatch(entry.name)
+    if match is None:
         return False
-    if found["host"] == HOST:
-        return not _runs(int(found["process"]))
+    if match["host"] == HOST:
+        return not _runs(int(match["process"]))
     return time.time() - entry.stat(follow_symlinks=False).st_mtime > _STALE_SECONDS
 
 
@@ -175,20 +175,20 @@ def replace_folder(new: str | os.PathLike[str], target: str | os.PathLike[str]) 
 def _put_back(aside: str) -> None:
     """Give the folder in `aside` its name back if nothing has taken it; delete what is then left."""
     for name in os.listdir(aside):
-        place = os.path.join(os.path.dirname(aside), name)
-        if not os.path.lexists(place):
-            os.rename(os.path.join(aside, name), place)
+        target = os.path.join(os.path.dirname(aside), name)
+        if not os.path.lexists(target):
+            os.rename(os.path.join(aside, name), target)
     shutil.rmtree(aside)
 
 
-def _exchange(one: str, other: str) -> bool:
+def _exchange(first: str, second: str) -> bool:
     """Exchange the names of two folders in one step; False where the system or the disk cannot, or will not.
 
     Python has no call for it.
     """
     import ctypes
 
-    names, swap = (os.fsencode(one), os.fsencode(other)), ctypes.c_uint(2)  # RENAME_EXCHANGE and RENAME_SWAP
+    names, swap = (os.fsencode(first), os.fsencode(second)), ctypes.c_uint(2)  # RENAME_EXCHANGE and RENAME_SWAP
     try:
         library = ctypes.CDLL(None)
         if sys.platform == "darwin":
@@ -205,11 +205,11 @@ def sync_folder(folder: str | os.PathLike[str]) -> None:
     Raises:
         OSError: The disk reports that it could not.
     """
-    for place, _, files in os.walk(folder):
-        for path in (os.path.join(place, name) for name in files):
+    for parent, _, files in os.walk(folder):
+        for path in (os.path.join(parent, name) for name in files):
             if os.name != "nt" and not os.path.islink(path):  # there, a file has to be open for writing
                 _sync(path)
-        sync_names(place)
+        sync_names(parent)
 
 
 def sync_names(folder: str | os.PathLike[str]) -> None:

@@ -81,10 +81,10 @@ def _entries(document: Any, path: str) -> list[tuple[str, Fields]]:
 
 def _named(entry: Fields, usual: object) -> tuple[str, Fields]:
     """A camera with its name, or the usual one if it has none."""
-    found = entry.values.get("name", entry.values.get("img_name", usual))
-    if not isinstance(found, str | int):
-        raise entry.bad("name", "a text", found)
-    return str(found), entry
+    name = entry.values.get("name", entry.values.get("img_name", usual))
+    if not isinstance(name, str | int):
+        raise entry.bad("name", "a text", name)
+    return str(name), entry
 
 
 def camera_of(entry: Mapping[str, object], where: str = "camera") -> Camera:

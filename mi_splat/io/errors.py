@@ -47,5 +47,5 @@ def path_name(value: object) -> str:
 
 def from_os_error(path: str, expected: str, error: OSError) -> SplatFileError:
     """The SplatFileError for a failure that the operating system reported."""
-    found = error.strerror or str(error)
-    return SplatFileError(message(path, expected, found, _ADVICE.get(error.errno or 0, "check the disk and try again")))
+    got = error.strerror or str(error)
+    return SplatFileError(message(path, expected, got, _ADVICE.get(error.errno or 0, "check the disk and try again")))

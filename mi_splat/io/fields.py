@@ -29,16 +29,16 @@ class Fields:
     error: type[MiSplatError] = SplatFileError
     do: str = _AGAIN
 
-    def bad(self, name: str, expected: str, found: object, do: str | None = None) -> MiSplatError:
+    def bad(self, name: str, expected: str, got: object, do: str | None = None) -> MiSplatError:
         """The error for a field.
 
         Args:
             name: Name of the field.
             expected: What would have been right.
-            found: What is there.
+            got: What is there.
             do: What to do about it; None for what is done about all of this object.
         """
-        shown = repr(found)
+        shown = repr(got)
         shown = shown if len(shown) <= 60 else f"{shown[:57]}..."
         return self.error(message(f"{self.where}: {name}", expected, shown, self.do if do is None else do))
 
@@ -65,10 +65,10 @@ class Fields:
 
     def number(self, name: str) -> float:
         """A finite number."""
-        found = self.values.get(name)
-        if not math.isfinite(_number(found)):
-            raise self.bad(name, "a finite number", found)
-        return _number(found)
+        value = self.values.get(name)
+        if not math.isfinite(_number(value)):
+            raise self.bad(name, "a finite number", value)
+        return _number(value)
 
     def numbers(self, name: str, low: int, high: int, default: Sequence[float] | None = None) -> list[float]:
         """A list of finite numbers.
@@ -79,43 +79,43 @@ class Fields:
             high: Largest length.
             default: What a missing field means; None if it may not be missing.
         """
-        found = self.values.get(name, default)
-        if isinstance(found, Sequence) and not isinstance(found, str) and low <= len(found) <= high:
-            kept = [_number(item) for item in found]
+        values = self.values.get(name, default)
+        if isinstance(values, Sequence) and not isinstance(values, str) and low <= len(values) <= high:
+            kept = [_number(item) for item in values]
             if all(math.isfinite(item) for item in kept):
                 return kept
-        raise self.bad(name, f"{low} to {high} finite numbers", found)
+        raise self.bad(name, f"{low} to {high} finite numbers", values)
 
     def texts(self, name: str, count: int | None = None) -> list[str]:
         """A list of `count` strings; of any number, also none, if no count is given."""
-        found = self.values.get(name, [])
-        kept = [item for item in found if isinstance(item, str)] if isinstance(found, list) else []
-        if not isinstance(found, list) or len(kept) != len(found) or count not in (None, len(found)):
-            raise self.bad(name, "strings" if count is None else f"{count} strings", found)
+        values = self.values.get(name, [])
+        kept = [item for item in values if isinstance(item, str)] if isinstance(values, list) else []
+        if not isinstance(values, list) or len(kept) != len(values) or count not in (None, len(values)):
+            raise self.bad(name, "strings" if count is None else f"{count} strings", values)
         return kept
 
     def object(self, name: str, default: Mapping[str, object] | None = None) -> Fields:
         """An object."""
-        found = self.values.get(name, default)
-        if not isinstance(found, Mapping):
-            raise self.bad(name, "an object", found)
-        return replace(self, values=found, where=f"{self.where}: {name}")
+        value = self.values.get(name, default)
+        if not isinstance(value, Mapping):
+            raise self.bad(name, "an object", value)
+        return replace(self, values=value, where=f"{self.where}: {name}")
 
     def objects(self, name: str) -> list[Fields]:
         """A list of objects; empty if it is missing."""
-        found = self.values.get(name, [])
-        if not isinstance(found, list) or not all(isinstance(item, Mapping) for item in found):
-            raise self.bad(name, "a list of objects", found)
+        values = self.values.get(name, [])
+        if not isinstance(values, list) or not all(isinstance(item, Mapping) for item in values):
+            raise self.bad(name, "a list of objects", values)
         return [
-            replace(self, values=item, where=f"{self.where}: {name}[{number}]") for number, item in enumerate(found)
+            replace(self, values=item, where=f"{self.where}: {name}[{number}]") for number, item in enumerate(values)
         ]
 
     def rows(self, name: str, count: int, width: int) -> list[list[float]]:
         """A list of `count` lists of `width` finite numbers each."""
-        found = self.values.get(name)
-        if not isinstance(found, list) or len(found) != count:
-            raise self.bad(name, f"{count} lists of {width} finite numbers", found)
-        parts = replace(self, values={f"{name}[{number}]": row for number, row in enumerate(found)})
+        rows = self.values.get(name)
+        if not isinstance(rows, list) or len(rows) != count:
+            raise self.bad(name, f"{count} lists of {width} finite numbers", rows)
+        parts = replace(self, values={f"{name}[{number}]": row for number, row in enumerate(rows)})
         return [parts.numbers(part, width, width) for part in parts.values]
 
     def wholes(self, name: str, low: int, high: int, count: int | None = None) -> list[int]:
@@ -127,12 +127,12 @@ class Fields:
             high: Largest one.
             count: Length of the list.
         """
-        found = self.values.get(name)
-        parts = found if isinstance(found, list) and count in (None, len(found)) else [None]
+        values = self.values.get(name)
+        parts = values if isinstance(values, list) and count in (None, len(values)) else [None]
         kept = [item for item in parts if isinstance(item, int) and not isinstance(item, bool) and low <= item <= high]
         if len(kept) != len(parts):
             how_many = "" if count is None else f"{count} "
-            raise self.bad(name, f"{how_many}whole numbers from {low} to {high}", found)
+            raise self.bad(name, f"{how_many}whole numbers from {low} to {high}", values)
         return kept
 
     def places(self, name: str, count: int) -> list[int]:

@@ -198,24 +198,24 @@ def _put(new: Path, target: Path, *, force: bool, record: str) -> None:
             replace_folder(new, target)
         return
     except SplatFileError:
-        found = "something that another process wrote there meanwhile"
+        got = "something that another process wrote there meanwhile"
     except OSError as error:
-        found = error.strerror or str(error)
+        got = error.strerror or str(error)
     do = f"see {_put_beside(new, target)}, where this result is"
-    raise SplatFileError(message(str(target), "a name that this result can have", found, do))
+    raise SplatFileError(message(str(target), "a name that this result can have", got, do))
 
 
 def _put_beside(new: Path, target: Path) -> Path:
     """Give a finished folder the first free name like that of another one."""
     places = (target.with_name(f"{target.name}-{number}") for number in itertools.count(2))
-    place = next(place for place in places if not os.path.lexists(place))
+    aside = next(aside for aside in places if not os.path.lexists(aside))
     try:
-        os.rename(new, place)
+        os.rename(new, aside)
     except OSError:
-        if not os.path.lexists(place):
+        if not os.path.lexists(aside):
             raise
         return _put_beside(new, target)  # another process took it just now
-    return place
+    return aside
 
 
 def _names_in(folder: Path) -> list[str]:

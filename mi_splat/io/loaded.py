@@ -71,11 +71,11 @@ class Loaded:
         if not len(bad):
             return self.arrays
         which = ", ".join(str(row) for row in bad[:SHOWN].tolist()) + (", ..." if len(bad) > SHOWN else "")
-        found = f"{len(bad)} of {count} that are not (rows {which}; in the first, {self.reason})"
+        got = f"{len(bad)} of {count} that are not (rows {which}; in the first, {self.reason})"
         if on_invalid == "raise":
-            error = SplatFileError(message(path, "valid Gaussians", found, "repair it, or drop them (on_invalid)"))
+            error = SplatFileError(message(path, "valid Gaussians", got, "repair it, or drop them (on_invalid)"))
             raise error.hinted(f"mi-splat convert {path} VALID.ply --drop-invalid")
-        text = message(path, "valid Gaussians", found, "they were left out")
+        text = message(path, "valid Gaussians", got, "they were left out")
         warnings.warn(text, SplatFileWarning, stacklevel=stacklevel + 1)
         keep = np.ones(count, np.bool_)
         keep[bad] = False
@@ -154,8 +154,8 @@ def open_regular(path: str) -> io.FileIO:
     file = io.FileIO(path, opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0)))
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
-        found = "a special file (pipe, socket or device)"
-        raise SplatFileError(message(path, "a splat file", found, "pass the path of a regular file"))
+        got = "a special file (pipe, socket or device)"
+        raise SplatFileError(message(path, "a splat file", got, "pass the path of a regular file"))
     return file
 
 
@@ -180,6 +180,6 @@ def check_count(count: int, size: int, path: str) -> None:
     """
     most = FREE_GAUSSIANS + size
     if count > most:
-        found = f"{count}: this may be a decompression bomb"
+        got = f"{count}: this may be a decompression bomb"
         do = "ask for the splat as a PLY"
-        raise SplatFileError(message(path, f"at most {most} Gaussians in {size} bytes", found, do))
+        raise SplatFileError(message(path, f"at most {most} Gaussians in {size} bytes", got, do))

@@ -42,7 +42,7 @@ def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
     if _HELD.get(key) == threading.get_ident():
         yield
         return
-    missing = [place for place in (Path(key), *Path(key).parents) if not os.path.lexists(place)]
+    missing = [parent for parent in (Path(key), *Path(key).parents) if not os.path.lexists(parent)]
     try:
         os.makedirs(key, exist_ok=True)
         descriptor = _lock(os.path.join(key, LOCK), os.fspath(folder))
@@ -57,8 +57,8 @@ def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
             os.unlink(os.path.join(key, LOCK))
         os.close(descriptor)
         with contextlib.suppress(OSError):  # they are not empty
-            for place in missing:
-                place.rmdir()
+            for parent in missing:
+                parent.rmdir()
 
 
 def check_unlocked(folder: str | os.PathLike[str]) -> None:
@@ -106,21 +106,21 @@ def _take(descriptor: int, folder: str) -> None:
         if error.errno not in _TAKEN:  # a disk without locks
             return
         do = "wait for its end, or pass another folder"
-        expected, found = "a folder that no other process writes into", f"one in use by {_holder(descriptor)}"
-        raise SplatFileError(message(folder, expected, found, do)) from None
+        expected, got = "a folder that no other process writes into", f"one in use by {_holder(descriptor)}"
+        raise SplatFileError(message(folder, expected, got, do)) from None
 
 
 def _this_process() -> dict[str, object]:
     name = os.path.basename(sys.argv[0]) if sys.argv else ""
-    words = ["mi-splat" if name == "__main__.py" else name, *sys.argv[1:]]
+    command = ["mi-splat" if name == "__main__.py" else name, *sys.argv[1:]]
     since = time.strftime("%Y-%m-%d %H:%M:%S")
-    return {"host": platform.node(), "process": os.getpid(), "command": shlex.join(words)[:300], "since": since}
+    return {"host": platform.node(), "process": os.getpid(), "command": shlex.join(command)[:300], "since": since}
 
 
 def _holder(descriptor: int) -> str:
     """Who has the lock, in words, as far as the file says."""
     try:
-        found = DocumentReader().json_object(os.pread(descriptor, 4096, 0), "lock")
-        return f"`{found['command']}`, process {found['process']} on {found['host']}, since {found['since']}"
+        holder = DocumentReader().json_object(os.pread(descriptor, 4096, 0), "lock")
+        return f"`{holder['command']}`, process {holder['process']} on {holder['host']}, since {holder['since']}"
     except (OSError, ValueError, KeyError, TypeError):
         return "another process"

@@ -58,11 +58,11 @@ def not_finite(tensors: Mapping[str, Tensor]) -> str | None:
     return None
 
 
-def check_like(found: Mapping[str, Tensor], wanted: Mapping[str, Tensor], what: str, reader: DocumentReader) -> None:
+def check_like(tensors: Mapping[str, Tensor], wanted: Mapping[str, Tensor], what: str, reader: DocumentReader) -> None:
     """Raise unless some tensors have the names, shapes and kinds of numbers of others.
 
     Args:
-        found: Those of a file.
+        tensors: Those of a file.
         wanted: What they have to be like.
         what: What they are, for messages.
         reader: What is said, and raised.
@@ -71,10 +71,10 @@ def check_like(found: Mapping[str, Tensor], wanted: Mapping[str, Tensor], what: 
         MiSplatError: It is of the reader's class.
     """
     for name, value in wanted.items():
-        there = found.get(name)
+        there = tensors.get(name)
         if there is None or there.shape != value.shape or there.dtype != value.dtype:
             raise reader.broken(f"{what}, {name}", described(there), described(value))
-    if more := sorted(found.keys() - wanted.keys()):
+    if more := sorted(tensors.keys() - wanted.keys()):
         raise reader.broken(what, f"{more[0]} besides", f"the tensors {', '.join(wanted)}"[:160])
 
 
@@ -96,12 +96,12 @@ def read_line(kind: type[_Line], fields: Fields) -> _Line:
     hints = _hints(typing.cast(Hashable, kind))
     if more := sorted(fields.values.keys() - hints.keys()):
         raise fields.bad(more[0], "no such field", fields.values[more[0]])
-    found = {}
+    values = {}
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]
         if field.name in fields.values or field.default is dataclasses.MISSING:
-            found[field.name] = _part(hints[field.name], fields, field.name)
+            values[field.name] = _part(hints[field.name], fields, field.name)
     try:
-        return kind(**found)
+        return kind(**values)
     except InvalidValueError as error:
         raise fields.error(f"{fields.where}: {error}") from error
 

@@ -63,10 +63,10 @@ class DocumentReader:
 
     def json_object(self, data: bytes, where: str) -> dict[str, Any]:
         """The object in a JSON document; see `json_value`."""
-        found = self.json_value(data, where)
-        if not isinstance(found, dict):
-            raise self.broken(where, kind_of(found))
-        return found
+        document = self.json_value(data, where)
+        if not isinstance(document, dict):
+            raise self.broken(where, kind_of(document))
+        return document
 
     def read_json(self, path: Path) -> dict[str, Any]:
         """The object in a JSON file; see `json_value`."""
@@ -78,8 +78,8 @@ class DocumentReader:
 
     def read_toml(self, path: Path) -> dict[str, Any]:
         """The table in a TOML file; see `json_value`."""
-        found: dict[str, Any] = self._parsed(tomllib.loads, self.read_bytes(path), str(path))
-        return found
+        document: dict[str, Any] = self._parsed(tomllib.loads, self.read_bytes(path), str(path))
+        return document
 
     def read_bytes(self, path: Path) -> bytes:
         """The bytes of a file that is not too long.
@@ -106,16 +106,16 @@ class DocumentReader:
         if len(data) > self.most:
             raise self.broken(where, f"{len(data):,}", f"{self.expected} of at most {self.most:,} bytes")
         try:
-            found = parse(data.decode("utf-8-sig"))
+            document = parse(data.decode("utf-8-sig"))
         except RecursionError:
             raise self.broken(where, "more", f"at most {MOST_DEPTH} levels") from None
         except (ValueError, OverflowError) as error:
             raise self.broken(where, str(error)[:_SHOWN] or type(error).__name__) from error
-        fault = _fault(found)
+        fault = _fault(document)
         if fault is not None:
-            place, expected, got = fault
-            raise self.broken(f"{where}: {place}" if place else where, got, expected)
-        return found
+            path_inside, expected, got = fault
+            raise self.broken(f"{where}: {path_inside}" if path_inside else where, got, expected)
+        return document
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -141,29 +141,29 @@ def _fault(document: Any) -> tuple[str, str, str] | None:
     """The first value that is beyond its bounds: where it is, what was expected and what is there."""
     waiting: deque[tuple[str, Any, int]] = deque([("", {"": document}, 0)])
     while waiting:
-        place, values, depth = waiting.popleft()
+        path, values, depth = waiting.popleft()
         if depth > MOST_DEPTH:
-            return place, f"at most {MOST_DEPTH} levels", "more"
+            return path, f"at most {MOST_DEPTH} levels", "more"
         for key, value in values.items() if isinstance(values, dict) else enumerate(values):
             kind = type(value)
             if kind is dict or kind is list:
-                waiting.append((_below(place, key), value, depth + 1))
+                waiting.append((_below(path, key), value, depth + 1))
             elif kind is float:
                 if not math.isfinite(value):
-                    return _below(place, key), "a finite number", repr(value)
+                    return _below(path, key), "a finite number", repr(value)
             elif kind is int:
                 if not -(1 << 63) <= value < 1 << 63:
-                    return _below(place, key), "a whole number of 64 bits", "a larger one"
+                    return _below(path, key), "a whole number of 64 bits", "a larger one"
             elif kind is str and not _is_text(value):
-                return _below(place, key), "Unicode without NUL", repr(value)[:_SHOWN]
+                return _below(path, key), "Unicode without NUL", repr(value)[:_SHOWN]
             if type(key) is str and not _is_text(key):
-                return place, "keys of Unicode without NUL", repr(key)[:_SHOWN]
+                return path, "keys of Unicode without NUL", repr(key)[:_SHOWN]
     return None
 
 
-def _below(place: str, key: object) -> str:
+def _below(path: str, key: object) -> str:
     name = str(key)[:40]
-    return f"{place}/{name}" if place else name
+    return f"{path}/{name}" if path else name
 
 
 _NO_TEXT = re.compile("[\0\ud800-\udfff]")
@@ -174,11 +174,11 @@ def _is_text(value: str) -> bool:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) != len(pairs):
+    values = dict(pairs)
+    if len(values) != len(pairs):
         twice = Counter(name for name, _ in pairs).most_common(1)[0][0]
         raise ValueError(f"the key {twice[:40]!r} twice in one object")
-    return found
+    return values
 
 
 def _whole(text: str) -> int:

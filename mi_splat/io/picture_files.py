@@ -149,6 +149,6 @@ def check_pixels(what: str, width: int, height: int) -> None:
     if width < 1 or height < 1:
         raise PictureFileError(message(what, "a picture with pixels", f"{width} x {height}", "write it again"))
     if width * height > _most:
-        expected, found = f"at most {_most:,} pixels", f"{width * height:,}"
-        error = PictureFileError(message(what, expected, found, "make it smaller, or allow more"))
+        expected, got = f"at most {_most:,} pixels", f"{width * height:,}"
+        error = PictureFileError(message(what, expected, got, "make it smaller, or allow more"))
         raise error.hinted("--max-pixels")

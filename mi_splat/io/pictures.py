@@ -117,6 +117,6 @@ def _mp4(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> bytes:
         command += ["-s", size, "-r", f"{fps:g}", "-i", "-", "-an", "-c:v", "libx264", "-pix_fmt", "yuv420p"]
         done = subprocess.run([*command, str(target)], input=pixels, capture_output=True)
         if done.returncode or not target.is_file():
-            found = " ".join(done.stderr.decode(errors="replace").split()) or f"status {done.returncode}"
-            raise VideoError(message(str(path), "a video out of ffmpeg", found, "end the name in .gif"))
+            got = " ".join(done.stderr.decode(errors="replace").split()) or f"status {done.returncode}"
+            raise VideoError(message(str(path), "a video out of ffmpeg", got, "end the name in .gif"))
         return target.read_bytes()

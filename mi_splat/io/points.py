@@ -99,8 +99,8 @@ def load_points(path: str | os.PathLike[str]) -> PointCloud:
             element = next((element for element in header.elements if element.name == "vertex"), None)
             columns = [] if element is None else [c.name for c in element.properties if not c.length_kind]
             if element is None or not set(_AXES) <= set(columns):
-                found = ", ".join(columns) or "no element named vertex"
-                raise SplatFileError(message(name, "vertices with x, y and z", found, "export the points again"))
+                got = ", ".join(columns) or "no element named vertex"
+                raise SplatFileError(message(name, "vertices with x, y and z", got, "export the points again"))
             locate(file, header, "vertex", name)  # the sizes are right before anything is allocated
             coordinates = np.empty((element.count, 3), np.float32)
             colours = np.full((element.count, 3), _GREY, np.float32)

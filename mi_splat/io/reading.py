@@ -59,8 +59,8 @@ def _reader(kind: str) -> Callable[[io.FileIO, str], Loaded]:
     if kind == ".ply":
         return _read_any_ply
     module, function = _READERS[kind]
-    found: Callable[[io.FileIO, str], Loaded] = getattr(importlib.import_module(module), function)
-    return found
+    reader: Callable[[io.FileIO, str], Loaded] = getattr(importlib.import_module(module), function)
+    return reader
 
 
 def _read_any_ply(file: io.FileIO, path: str) -> Loaded:

@@ -51,7 +51,7 @@ def scene_parts(path: Path, parameters: Mapping[str, object] | None = None) -> S
     """
     reader = _Reader(path, parameters or {})
     reader.read(path, [path.resolve()])
-    return reader.found
+    return reader.parts
 
 
 def check_scene_file(path: Path, parameters: Mapping[str, object] | None = None) -> None:
@@ -74,7 +74,7 @@ class _Reader:
     """Reads a scene file by file, and knows what the files before said of parameters and folders."""
 
     def __init__(self, path: Path, parameters: Mapping[str, object]) -> None:
-        self.found = SceneParts(files=[path])
+        self.parts = SceneParts(files=[path])
         self._scene = f"scene {path}"
         self._values = {name: str(value) for name, value in parameters.items()}
         self._longest = max(map(len, self._values.values()), default=0)
@@ -85,22 +85,22 @@ class _Reader:
         """Add the elements of a file that was included by way of others, and the files that they name."""
         for element in scene_elements(path):
             filled = self._filled(element)
-            self.found.elements.append(Element(element.tag, filled))
-            if len(self.found.elements) > MOST_ELEMENTS:
+            self.parts.elements.append(Element(element.tag, filled))
+            if len(self.parts.elements) > MOST_ELEMENTS:
                 raise self._refused(f"at most {MOST_ELEMENTS:,} elements in all", "more", "split the scene")
             if element.tag == "default":
                 self._values.setdefault(filled.get("name", ""), filled.get("value", ""))
                 self._longest = max(self._longest, len(filled.get("value", "")))
             elif element.tag == "path":
-                named = [place / filled.get("value", "") for place in self._places]
-                self._places[:0] = [place for place in named if os.path.isdir(place)][:1]
+                named = [folder / filled.get("value", "") for folder in self._places]
+                self._places[:0] = [folder for folder in named if os.path.isdir(folder)][:1]
                 if len(self._places) > _MOST_PLACES:
                     raise self._refused(f"at most {_MOST_PLACES} folders to look in", "more", "write fewer <path>")
             else:
                 name = filled.get("value" if element.tag == "string" else "filename", "")
                 places = [path.parent] * (element.tag == "include") + self._places
-                files = [place / name for place in places if os.path.isfile(place / name)]  # of names of any length
-                self.found.files += files[:1]
+                files = [folder / name for folder in places if os.path.isfile(folder / name)]  # of names of any length
+                self.parts.files += files[:1]
                 if files and element.tag == "include":
                     self._include(files[0], chain)
 
@@ -108,7 +108,7 @@ class _Reader:
         """Read a file that is included."""
         inner, self._included = [*chain, file.resolve()], self._included + 1
         if inner[-1] in chain or len(inner) > _LONGEST_CHAIN:
-            names = " includes ".join(one.name for one in inner)
+            names = " includes ".join(path.name for path in inner)
             raise self._refused("files that end somewhere", names, "remove the circle")
         if self._included > MOST_INCLUSIONS:
             raise self._refused(f"at most {MOST_INCLUSIONS:,} inclusions", "more", "write what they hold into one file")

@@ -68,8 +68,8 @@ def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
     """
     losses = write_splat_file(scene, path).losses
     if losses:
-        found = "; ".join(str(loss) for loss in losses)
-        text = message(os.fspath(path), "a scene that fits the format", found, "save it as .ply or .glb to keep all")
+        got = "; ".join(str(loss) for loss in losses)
+        text = message(os.fspath(path), "a scene that fits the format", got, "save it as .ply or .glb to keep all")
         warnings.warn(text, SplatLossWarning, stacklevel=2)
 
 

@@ -62,9 +62,9 @@ def check_texture(path: Path, what: str = "") -> None:
     if head.startswith(_EXR):
         return _check_exr(head, what)
     radiance = head.startswith(_RADIANCE)
-    found = _RESOLUTION.search(head) if radiance else _PFM.match(head)
-    if found is not None:
-        return check_pixels(what, int(found[1]), int(found[2]))
+    match = _RESOLUTION.search(head) if radiance else _PFM.match(head)
+    if match is not None:
+        return check_pixels(what, int(match[1]), int(match[2]))
     if radiance:
         raise _broken(what, "Radiance HDR")
     picture_header(path, what, formats=(*FORMATS, "PPM", "TGA"))
@@ -74,38 +74,38 @@ def check_texture(path: Path, what: str = "") -> None:
 def _check_exr(head: bytes, what: str) -> None:
     """Raise if a part of an OpenEXR picture has too many pixels; several parts are several headers."""
     several = bool(head[5:6] and head[5] & 0x10)
-    place, sizes = 8, list[tuple[int, int]]()
+    offset, sizes = 8, list[tuple[int, int]]()
     try:
-        while not sizes or (several and head[place]):
-            place, size = _exr_part(head, place)
+        while not sizes or (several and head[offset]):
+            offset, size = _exr_part(head, offset)
             sizes.append(size)
     except (ValueError, IndexError, struct.error):
         raise _broken(what, "OpenEXR") from None
     check_pixels(what, sum(width for width, _ in sizes), max(height for _, height in sizes))
 
 
-def _exr_part(head: bytes, place: int) -> tuple[int, tuple[int, int]]:
+def _exr_part(head: bytes, offset: int) -> tuple[int, tuple[int, int]]:
     """Where a header that begins at a place ends, and the width and height of its picture.
 
     Raises:
         ValueError, IndexError, struct.error: It is broken.
     """
     window, channels = None, 0
-    while head[place]:
-        name_end = head.index(b"\0", place)
+    while head[offset]:
+        name_end = head.index(b"\0", offset)
         start = head.index(b"\0", name_end + 1) + 5
         (length,) = struct.unpack_from("<I", head, start - 4)
-        name, end = head[place:name_end], start + length
+        name, end = head[offset:name_end], start + length
         if name == b"dataWindow":
             x0, y0, x1, y1 = struct.unpack_from("<4i", head, start)
             window = (x1 - x0 + 1, y1 - y0 + 1)
         elif name == b"channels":
             while head[start]:
                 start, channels = head.index(b"\0", start) + 1 + _CHANNEL_BYTES, channels + 1
-        place = end
+        offset = end
     if window is None or channels < 1:
         raise ValueError("no window or no channels")
-    return place + 1, (window[0] * -(-channels // _USUAL_CHANNELS), window[1])
+    return offset + 1, (window[0] * -(-channels // _USUAL_CHANNELS), window[1])
 
 
 def _broken(what: str, kind: str) -> PictureFileError:

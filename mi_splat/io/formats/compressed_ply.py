@@ -131,15 +131,15 @@ def morton_order(means: Array) -> NDArray[np.int64]:
 
 def _check(element: Element, names: list[str], kind: str, path: str) -> None:
     """Raise unless an element has properties of these names and this kind, and nothing else."""
-    found = {column.name: column.kind for column in element.properties if not column.length_kind}
-    wrong = [name for name in names if found.get(name) != kind]
+    kinds = {column.name: column.kind for column in element.properties if not column.length_kind}
+    wrong = [name for name in names if kinds.get(name) != kind]
     if wrong or len(element.properties) != len(names):
         got = f"{len(element.properties)} properties" + (f" without such a {wrong[0]}" if wrong else "")
         raise _bad(path, f"{len(names)} properties of kind {kind} in the element {element.name}", got)
 
 
-def _bad(path: str, expected: str, found: str) -> SplatFileError:
-    return SplatFileError(message(path, f"a compressed PLY with {expected}", found, "export the splat again"))
+def _bad(path: str, expected: str, got: str) -> SplatFileError:
+    return SplatFileError(message(path, f"a compressed PLY with {expected}", got, "export the splat again"))
 
 
 def _columns(

@@ -55,14 +55,14 @@ def format_to_read(path: str, head: bytes) -> str:
     Raises:
         SplatFileError: No format fits, or name and mark disagree.
     """
-    named, found = suffix_of(path), by_content(head)
+    named, marked = suffix_of(path), by_content(head)
     named = ".ply" if named == ".compressed.ply" else named
-    if named is None and found is None:
+    if named is None and marked is None:
         raise _unknown(path)
-    if named in (None, found) and found is not None:
-        return found
-    if found is not None and named in (".splat", ".ksplat", META, *_MAGIC.values()):
-        raise SplatFileError(message(path, f"a {named} file", f"the mark of a {found} file", f"rename it to {found}"))
+    if named in (None, marked) and marked is not None:
+        return marked
+    if marked is not None and named in (".splat", ".ksplat", META, *_MAGIC.values()):
+        raise SplatFileError(message(path, f"a {named} file", f"the mark of a {marked} file", f"rename it to {marked}"))
     return str(named)
 
 

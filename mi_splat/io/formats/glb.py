@@ -52,10 +52,10 @@ class Glb:
         """
         accessor = self._accessor(attributes, name)
         kind = _COMPONENTS.get(accessor.whole("componentType", 0, 1 << 16), "")
-        own, form = accessor.whole("count", 1, 1 << 31), accessor.text("type")
-        if form != _TYPES[width] or kind not in kinds or own != count:
-            found = f"{own} {form} of {kind or 'another kind'}"
-            raise accessor.bad(name, f"{count} {_TYPES[width]} of {' or '.join(kinds)}", found)
+        elements, form = accessor.whole("count", 1, 1 << 31), accessor.text("type")
+        if form != _TYPES[width] or kind not in kinds or elements != count:
+            got = f"{elements} {form} of {kind or 'another kind'}"
+            raise accessor.bad(name, f"{count} {_TYPES[width]} of {' or '.join(kinds)}", got)
         if "sparse" in accessor.values:
             raise accessor.bad("sparse", "a plain accessor", "a sparse one")
         view = self.views[accessor.whole("bufferView", 0, len(self.views) - 1)]
@@ -67,8 +67,8 @@ class Glb:
         step = view.whole("byteStride", 1, 252, record.itemsize * width)
         if step < record.itemsize * width or inside + (count - 1) * step + record.itemsize * width > length:
             raise accessor.bad("count", f"elements inside of the {length} bytes of their view", count)
-        place = (count, width), record, self.buffer, start + inside, (step, record.itemsize)
-        return _plain(np.ndarray(*place), kind if accessor.values.get("normalized") is True else "")
+        layout = (count, width), record, self.buffer, start + inside, (step, record.itemsize)
+        return _plain(np.ndarray(*layout), kind if accessor.values.get("normalized") is True else "")
 
     def _accessor(self, attributes: Fields, name: str) -> Fields:
         if name not in attributes.values:
@@ -97,24 +97,24 @@ def open_glb(data: bytes, path: str) -> Glb:
         raise SplatFileError(message(path, "a binary glTF", f"{len(data)} bytes, {data[:4]!r}", _AGAIN))
     _, version, length = _HEADER.unpack_from(data)
     if version != 2 or length != len(data):
-        found = f"version {version} and {length} bytes"
-        raise SplatFileError(message(path, f"glTF of version 2 and {len(data)} bytes", found, _AGAIN))
-    place, chunks = _HEADER.size, list[tuple[bytes, int, int]]()
-    while place < len(data) and len(chunks) < 16:
-        size, kind = _CHUNK.unpack_from(data, place) if len(data) - place >= _CHUNK.size else (len(data), b"")
-        place += _CHUNK.size
-        if size > len(data) - place:
+        got = f"version {version} and {length} bytes"
+        raise SplatFileError(message(path, f"glTF of version 2 and {len(data)} bytes", got, _AGAIN))
+    offset, chunks = _HEADER.size, list[tuple[bytes, int, int]]()
+    while offset < len(data) and len(chunks) < 16:
+        size, kind = _CHUNK.unpack_from(data, offset) if len(data) - offset >= _CHUNK.size else (len(data), b"")
+        offset += _CHUNK.size
+        if size > len(data) - offset:
             raise SplatFileError(message(path, "chunks inside of the file", f"one of {size} bytes", _AGAIN))
-        chunks.append((kind, place, size))
-        place += size
+        chunks.append((kind, offset, size))
+        offset += size
     if not chunks or chunks[0][0] != b"JSON":
         raise SplatFileError(message(path, "a JSON chunk first", chunks[0][0] if chunks else "none", _AGAIN))
     _, start, size = chunks[0]
     root = parse(data[start : start + size], path, limit=_JSON_LIMIT)
     buffers = root.objects("buffers")
     if len(buffers) != 1 or "uri" in buffers[0].values:
-        found = f"{len(buffers)}, or another file"
-        raise root.bad("buffers", "one buffer inside of the file", found, "pack it into one .glb")
+        got = f"{len(buffers)}, or another file"
+        raise root.bad("buffers", "one buffer inside of the file", got, "pack it into one .glb")
     binary = next(((start, size) for kind, start, size in chunks[1:2] if kind == b"BIN\0"), (0, 0))
     used = buffers[0].whole("byteLength", 1, binary[1])
     values = memoryview(data)[binary[0] : binary[0] + used]
@@ -130,7 +130,7 @@ def glb_bytes(columns: Mapping[str, NDArray[np.generic]], extension: str, proper
         properties: What the extension says.
     """
     views, accessors, parts = list[dict[str, object]](), list[dict[str, object]](), list[bytes]()
-    place = 0
+    offset = 0
     for name, values in columns.items():
         kind = values.dtype.str[1:]
         part = np.ascontiguousarray(values, "<" + kind).tobytes()
@@ -145,10 +145,10 @@ def glb_bytes(columns: Mapping[str, NDArray[np.generic]], extension: str, proper
             accessor["normalized"] = True
         if name == "POSITION":
             accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
-        views.append({"buffer": 0, "byteOffset": place, "byteLength": values.nbytes, "target": 34962})
+        views.append({"buffer": 0, "byteOffset": offset, "byteLength": values.nbytes, "target": 34962})
         accessors.append(accessor)
         parts.append(part)
-        place += len(part)
+        offset += len(part)
     primitive = {
         "attributes": {name: number for number, name in enumerate(columns)},
         "mode": 0,
@@ -163,9 +163,9 @@ def glb_bytes(columns: Mapping[str, NDArray[np.generic]], extension: str, proper
         "meshes": [{"primitives": [primitive]}],
         "accessors": accessors,
         "bufferViews": views,
-        "buffers": [{"byteLength": place}],
+        "buffers": [{"byteLength": offset}],
     }
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
-    body = _CHUNK.pack(len(text), b"JSON") + text + _CHUNK.pack(place, b"BIN\0") + b"".join(parts)
+    body = _CHUNK.pack(len(text), b"JSON") + text + _CHUNK.pack(offset, b"BIN\0") + b"".join(parts)
     return _HEADER.pack(b"glTF", 2, _HEADER.size + len(body)) + body

@@ -67,8 +67,8 @@ def read_glb(file: io.FileIO, path: str) -> Loaded:
                 raise SplatFileError(message(path, f"at most {_MOST_PARTS} splats", "more", "merge them"))
             parts.append(_placed(_primitive(document, primitive, extensions.object(EXTENSION)), matrix, path))
     if not parts:
-        found = f"none, but {others} other primitives" if others else "none"
-        raise SplatFileError(message(path, f"a primitive with {EXTENSION}", found, "export the splat again"))
+        got = f"none, but {others} other primitives" if others else "none"
+        raise SplatFileError(message(path, f"a primitive with {EXTENSION}", got, "export the splat again"))
     if others:
         text = message(path, "splats only", f"{others} other primitives", "they were left out")
         warnings.warn(text, SplatFileWarning, stacklevel=4)
@@ -83,8 +83,8 @@ def _primitive(document: Glb, primitive: Fields, extension: Fields) -> Loaded:
         if extension.text(name) != known:
             raise extension.bad(name, repr(known), extension.text(name), f"export the splat with {known}")
     if extension.object("extensions", {}).values:
-        found = ", ".join(extension.object("extensions").values)[:60]
-        raise extension.bad("extensions", "none", found, "export the splat without compression")
+        got = ", ".join(extension.object("extensions").values)[:60]
+        raise extension.bad("extensions", "none", got, "export the splat without compression")
     attributes = primitive.object("attributes")
     count = document.count(attributes, "POSITION")
 

@@ -31,8 +31,8 @@ def placements(root: Fields, meshes: int) -> Iterator[tuple[int, Array]]:
     while waiting:
         number, above = waiting.pop(0)
         node = nodes[number]
-        own = _matrix(node)
-        matrix = above if own is None else above @ own
+        local = _matrix(node)
+        matrix = above if local is None else above @ local
         if "mesh" in node.values:
             yield node.whole("mesh", 0, meshes - 1), matrix
         children = node.places("children", len(nodes))

@@ -34,7 +34,7 @@ _AGAIN = "write or download it again"
 class _Section:
     """Where the data of a section begin, and what its header says."""
 
-    place: int
+    offset: int
     count: int
     capacity: int
     bucket_size: int
@@ -62,12 +62,12 @@ def read_ksplat(file: io.FileIO, path: str) -> Loaded:
     if filled > capacity or capacity > _MOST_SECTIONS or _HEADER_SIZE + capacity * _SECTION_SIZE > len(data):
         raise _bad(path, "headers of sections inside of the file", f"{capacity} of them")
     bounds = (low or -_DEFAULT_SH, high or _DEFAULT_SH)
-    place, sections = _HEADER_SIZE + capacity * _SECTION_SIZE, []
+    offset, sections = _HEADER_SIZE + capacity * _SECTION_SIZE, []
     for number in range(capacity):
         start = _HEADER_SIZE + number * _SECTION_SIZE
-        section = _Section(place, *_SECTION.unpack_from(data, start))
+        section = _Section(offset, *_SECTION.unpack_from(data, start))
         if number < (filled or capacity):
-            place = _end(section, level, len(data), path)
+            offset = _end(section, level, len(data), path)
             sections.append(section)
     if sum(section.count for section in sections) != count:
         raise _bad(path, f"{count} Gaussians in the sections", sum(section.count for section in sections))
@@ -75,8 +75,8 @@ def read_ksplat(file: io.FileIO, path: str) -> Loaded:
     return _joined([_gaussians(data, section, level, bounds, degree, path) for section in sections], degree)
 
 
-def _bad(path: str, expected: str, found: object) -> SplatFileError:
-    return SplatFileError(message(path, expected, found, _AGAIN))
+def _bad(path: str, expected: str, got: object) -> SplatFileError:
+    return SplatFileError(message(path, expected, got, _AGAIN))
 
 
 def _record(level: int, degree: int) -> np.dtype[np.void]:
@@ -94,7 +94,7 @@ def _end(section: _Section, level: int, size: int, path: str) -> int:
     if level and section.buckets and section.storage < 12:
         raise _bad(path, "12 bytes for the centre of a bucket", section.storage)
     buckets = 4 * section.partial + section.storage * section.buckets
-    end = section.place + buckets + _record(level, section.degree).itemsize * section.capacity
+    end = section.offset + buckets + _record(level, section.degree).itemsize * section.capacity
     if end > size:
         raise _bad(path, f"at least {end} bytes", f"{size}: it is truncated")
     if level and section.count and section.full + section.partial > section.buckets:
@@ -106,8 +106,8 @@ def _gaussians(
     data: bytes, section: _Section, level: int, bounds: tuple[float, float], degree: int, path: str
 ) -> tuple[Array, ...]:
     """Means, scales, rotations, opacities and SH of a section."""
-    place = section.place + 4 * section.partial + section.storage * section.buckets
-    rows = np.frombuffer(data, _record(level, section.degree), section.count, place)
+    offset = section.offset + 4 * section.partial + section.storage * section.buckets
+    rows = np.frombuffer(data, _record(level, section.degree), section.count, offset)
     means = rows["means"].astype(np.float64)
     if level and section.count:
         steps = section.steps or _DEFAULT_RANGES[level]
@@ -125,7 +125,7 @@ def _gaussians(
 
 def _centres(data: bytes, section: _Section, path: str) -> Array:
     """(count, 3) centre of the bucket of each Gaussian: full buckets first, then those with sizes of their own."""
-    sizes = np.frombuffer(data, "<u4", section.partial, section.place).astype(np.int64)
+    sizes = np.frombuffer(data, "<u4", section.partial, section.offset).astype(np.int64)
     first = min(section.full * section.bucket_size, section.count)
     indices = np.arange(first) // max(1, section.bucket_size)
     ends = np.cumsum(sizes)
@@ -133,7 +133,7 @@ def _centres(data: bytes, section: _Section, path: str) -> Array:
     if len(beyond) and (not len(ends) or ends[-1] < len(beyond)):
         raise _bad(path, f"buckets for {len(beyond)} Gaussians", int(ends[-1]) if len(ends) else 0)
     indices = np.concatenate([indices, section.full + np.searchsorted(ends, beyond, side="right")])
-    raw = np.frombuffer(data, np.uint8, section.storage * section.buckets, section.place + 4 * section.partial)
+    raw = np.frombuffer(data, np.uint8, section.storage * section.buckets, section.offset + 4 * section.partial)
     if len(indices) and int(indices.max()) >= section.buckets:
         raise _bad(path, f"more than {int(indices.max())} buckets", section.buckets)
     centres: NDArray[np.float32] = np.ascontiguousarray(raw.reshape(section.buckets, -1)[:, :12]).view("<f4")

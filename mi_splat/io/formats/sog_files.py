@@ -53,13 +53,13 @@ def archive_files(data: bytes, path: str) -> Files:
             if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                 raise SplatFileError(message(f"{path}: {name}", "a stored or deflated member", "another", _AGAIN))
             if member.file_size > most:
-                found = f"{member.file_size} bytes"
-                raise SplatFileError(message(f"{path}: {name}", f"at most {most} bytes", found, _AGAIN))
+                got = f"{member.file_size} bytes"
+                raise SplatFileError(message(f"{path}: {name}", f"at most {most} bytes", got, _AGAIN))
             with archive.open(member) as file:
                 plain = file.read(most + 1)
         except KeyError:
-            found = ", ".join(archive.namelist())[:100] or "an empty archive"
-            raise SplatFileError(message(path, f"a member {name}", found, _AGAIN)) from None
+            got = ", ".join(archive.namelist())[:100] or "an empty archive"
+            raise SplatFileError(message(path, f"a member {name}", got, _AGAIN)) from None
         except _ZIP_ERRORS as error:
             raise SplatFileError(message(f"{path}: {name}", "an intact member", str(error)[:100], _AGAIN)) from None
         if len(plain) > most:
@@ -91,13 +91,13 @@ def folder_files(folder: str) -> Files:
 
 def _check_directory(data: bytes, path: str) -> None:
     """Raise unless the end of the archive claims a small directory, which zipfile reads as a whole."""
-    place = data.rfind(b"PK\x05\x06", max(0, len(data) - _END.size - 0xFFFF))
-    if place < 0 or len(data) - place < _END.size:
+    offset = data.rfind(b"PK\x05\x06", max(0, len(data) - _END.size - 0xFFFF))
+    if offset < 0 or len(data) - offset < _END.size:
         raise SplatFileError(message(path, "a zip archive with its directory", "none: it is truncated", _AGAIN))
-    fields = _END.unpack_from(data, place)
-    if fields[4] > _MOST_MEMBERS or fields[5] > _MOST_MEMBERS * 1024 or data[max(0, place - 20) :][:4] == _END64:
-        found = f"{fields[4]} in {fields[5]} bytes"
-        raise SplatFileError(message(path, f"a zip archive of at most {_MOST_MEMBERS} members", found, _AGAIN))
+    fields = _END.unpack_from(data, offset)
+    if fields[4] > _MOST_MEMBERS or fields[5] > _MOST_MEMBERS * 1024 or data[max(0, offset - 20) :][:4] == _END64:
+        got = f"{fields[4]} in {fields[5]} bytes"
+        raise SplatFileError(message(path, f"a zip archive of at most {_MOST_MEMBERS} members", got, _AGAIN))
 
 
 def read_picture(data: bytes, where: str, *, least: int, width: int | None = None) -> NDArray[np.uint8]:
@@ -112,18 +112,18 @@ def read_picture(data: bytes, where: str, *, least: int, width: int | None = Non
     Raises:
         SplatFileError: It is no such picture.
     """
-    found = webp_size(data)
-    if found is None:
+    size = webp_size(data)
+    if size is None:
         raise SplatFileError(message(where, "a lossless WebP picture (VP8L)", repr(data[:16]), "export the SOG again"))
-    pixels = found[0] * found[1]
-    if pixels < least or pixels > min(4 * least + _SPREAD, _MOST_PIXELS) or width not in (None, found[0]):
+    pixels = size[0] * size[1]
+    if pixels < least or pixels > min(4 * least + _SPREAD, _MOST_PIXELS) or width not in (None, size[0]):
         wanted = f"{least} to {min(4 * least + _SPREAD, _MOST_PIXELS)} pixels" + (f", {width} wide" if width else "")
-        raise SplatFileError(message(where, wanted, f"{found[0]} x {found[1]}", "export the SOG again"))
+        raise SplatFileError(message(where, wanted, f"{size[0]} x {size[1]}", "export the SOG again"))
     try:
         picture = load_picture(data, where, formats=("WEBP",))
     except PictureFileError as error:
         raise SplatFileError(str(error)).hinted(error.hint) from None
-    if picture.size != found:
+    if picture.size != size:
         raise SplatFileError(message(where, "an intact WebP picture", f"another size, {picture.size}", _AGAIN))
     return np.asarray(picture.convert("RGBA")).reshape(-1, 4)
 

@@ -47,8 +47,8 @@ def read_spz(file: io.FileIO, path: str) -> Loaded:
             message(path, expected, f"number {content.axes}", "convert it to .ply with the tools of nianticlabs/spz")
         )
     if head.flags & _ANTIALIASED:
-        found = "a splat that was trained with the filter of Mip-Splatting, which is not applied"
-        warnings.warn(message(path, "no antialiasing flag", found, "expect smaller Gaussians to look thicker"),
+        got = "a splat that was trained with the filter of Mip-Splatting, which is not applied"
+        warnings.warn(message(path, "no antialiasing flag", got, "expect smaller Gaussians to look thicker"),
                       SplatFileWarning, stacklevel=4)  # fmt: skip
     count, degree = head.count, min(head.degree, 3)
     if head.degree > degree:

@@ -85,8 +85,8 @@ def pack_container(content: SpzContent) -> bytes:
     return start + table + b"".join(packed)
 
 
-def _bad(path: str, expected: str, found: object, do: str = _AGAIN) -> SplatFileError:
-    return SplatFileError(message(path, expected, found, do))
+def _bad(path: str, expected: str, got: object, do: str = _AGAIN) -> SplatFileError:
+    return SplatFileError(message(path, expected, got, do))
 
 
 def _checked(fields: tuple[int, ...], versions: tuple[int, ...], size: int, path: str) -> SpzHeader:
@@ -96,8 +96,8 @@ def _checked(fields: tuple[int, ...], versions: tuple[int, ...], size: int, path
         expected = f"version {' or '.join(map(str, versions))} in this kind of SPZ file"
         raise _bad(path, expected, head.version, "convert it to .ply with splat-transform")
     if head.degree > 4 or head.bits > 24:
-        found = f"{head.degree} and {head.bits}"
-        raise _bad(path, "an SH degree of 0 to 4 and 0 to 24 bits after the point", found)
+        got = f"{head.degree} and {head.bits}"
+        raise _bad(path, "an SH degree of 0 to 4 and 0 to 24 bits after the point", got)
     check_count(head.count, size, path)
     return head
 
@@ -117,8 +117,8 @@ def _unpack_gzip(data: bytes, path: str) -> SpzContent:
     except zlib.error as error:
         raise _bad(path, "an intact gzip stream", error) from None
     if len(body) < wanted or not stream.eof:
-        found = f"{len(body)} and {'no ' if not stream.eof else ''}end of the stream"
-        raise _bad(path, f"{wanted} bytes for {head.count} Gaussians", found)
+        got = f"{len(body)} and {'no ' if not stream.eof else ''}end of the stream"
+        raise _bad(path, f"{wanted} bytes for {head.count} Gaussians", got)
     if stream.unused_data or (rest and not head.flags & _EXTENDED):
         raise _bad(path, f"{wanted} bytes for {head.count} Gaussians", "more after them")
     return SpzContent(head, _split(body, head), _axes(rest, path))
@@ -128,26 +128,26 @@ def _unpack_zstandard(data: bytes, path: str) -> SpzContent:
     """Version 4: a plain header, and one Zstandard frame for each section."""
     if len(data) < _LONG_HEADER.size:
         raise _bad(path, f"a header of {_LONG_HEADER.size} bytes", f"{len(data)} bytes")
-    _, *fields, streams, place = _LONG_HEADER.unpack_from(data)
+    _, *fields, streams, offset = _LONG_HEADER.unpack_from(data)
     head = _checked(tuple(fields), (4,), len(data), path)
     wanted = [size for size in head.sizes().values() if size]
     if streams not in (len(wanted), len(head.sizes())):
         raise _bad(path, f"{len(wanted)} sections", streams)
     wanted += [0] * (streams - len(wanted))
-    begin = place + streams * _SIZES.size
-    if place < _LONG_HEADER.size or begin > len(data):
-        raise _bad(path, "a table of sections inside of the file", f"its start at byte {place} of {len(data)}")
+    begin = offset + streams * _SIZES.size
+    if offset < _LONG_HEADER.size or begin > len(data):
+        raise _bad(path, "a table of sections inside of the file", f"its start at byte {offset} of {len(data)}")
     parts = []
     for number, size in enumerate(wanted):
-        packed, plain = _SIZES.unpack_from(data, place + number * _SIZES.size)
+        packed, plain = _SIZES.unpack_from(data, offset + number * _SIZES.size)
         if plain != size or packed > len(data) - begin:
-            found = f"{plain} bytes, packed in {packed} of the {len(data) - begin} left"
-            raise _bad(path, f"{size} bytes in section {number}", found)
+            got = f"{plain} bytes, packed in {packed} of the {len(data) - begin} left"
+            raise _bad(path, f"{size} bytes in section {number}", got)
         parts.append(_frame(data[begin : begin + packed], size, path) if size else b"")
         begin += packed
     if begin != len(data):
         raise _bad(path, f"{begin} bytes", f"{len(data)}: something was appended")
-    records = data[_LONG_HEADER.size : place] if head.flags & _EXTENDED else b""
+    records = data[_LONG_HEADER.size : offset] if head.flags & _EXTENDED else b""
     return SpzContent(head, _split(b"".join(parts), head), _axes(records, path))
 
 
@@ -167,27 +167,27 @@ def _frame(packed: bytes, size: int, path: str) -> bytes:
 
 def _split(body: bytes, head: SpzHeader) -> dict[str, NDArray[np.uint8]]:
     """The sections of the decompressed values."""
-    whole, place, sections = np.frombuffer(body, np.uint8), 0, {}
+    whole, offset, sections = np.frombuffer(body, np.uint8), 0, {}
     for name, size in head.sizes().items():
-        sections[name] = whole[place : place + size]
-        place += size
+        sections[name] = whole[offset : offset + size]
+        offset += size
     return sections
 
 
 def _axes(records: bytes, path: str) -> int:
     """The number of the axes that the extensions name, 0 if they name none; other extensions are passed over."""
-    place, axes = 0, 0
-    while place < len(records):
-        if len(records) - place < _RECORD.size:
-            raise _bad(path, "whole extension records", f"{len(records) - place} bytes of one")
-        kind, length = _RECORD.unpack_from(records, place)
-        place += _RECORD.size
-        if length > len(records) - place or (kind == _AXES_RECORD and length != 4):
+    offset, axes = 0, 0
+    while offset < len(records):
+        if len(records) - offset < _RECORD.size:
+            raise _bad(path, "whole extension records", f"{len(records) - offset} bytes of one")
+        kind, length = _RECORD.unpack_from(records, offset)
+        offset += _RECORD.size
+        if length > len(records) - offset or (kind == _AXES_RECORD and length != 4):
             raise _bad(path, "extension records inside of the file", f"one of {length} bytes")
         if kind == _SH_RANGE_RECORD:
             do = "write it again with a released version of the program"
             raise _bad(path, "SH over -1 to 1", "the withdrawn extension SPZ_ADOBE_sh_quantization", do)
         if kind == _AXES_RECORD:
-            (axes,) = struct.unpack_from("<I", records, place)
-        place += length
+            (axes,) = struct.unpack_from("<I", records, offset)
+        offset += length
     return int(axes)

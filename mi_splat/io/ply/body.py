@@ -174,8 +174,8 @@ def _buffered(file: io.FileIO, position: int) -> io.BufferedReader:
     return reader
 
 
-def _mismatch(path: str, where: Header | Element, expected: str, found: str, why: str) -> NoReturn:
+def _mismatch(path: str, where: Header | Element, expected: str, got: str, why: str) -> NoReturn:
     """Raise for a file whose size is not what its header says."""
     elements = where.elements if isinstance(where, Header) else (where,)
     counts = ", ".join(f"{element.count} x {element.name}" for element in elements)
-    raise SplatFileError(message(path, f"{expected} for {counts}", found, f"{why}: {_AGAIN}"))
+    raise SplatFileError(message(path, f"{expected} for {counts}", got, f"{why}: {_AGAIN}"))

@@ -71,8 +71,8 @@ def read_header(file: BinaryIO, path: str) -> Header:
     newline = _newline(start, path)
     end = re.search(re.escape(newline) + rb"end_header[ \t\r]*" + re.escape(newline), start)
     if end is None and len(start) == HEADER_LIMIT:
-        found = f"no end_header in the first {HEADER_LIMIT} bytes"
-        raise SplatFileError(message(path, "a PLY header", found, "check that this is a 3DGS splat file"))
+        got = f"no end_header in the first {HEADER_LIMIT} bytes"
+        raise SplatFileError(message(path, "a PLY header", got, "check that this is a 3DGS splat file"))
     if end is None:
         raise SplatFileError(
             message(path, "a PLY header that ends with end_header", f"the end of the file after {len(start)} bytes",
@@ -87,8 +87,8 @@ def _newline(start: bytes, path: str) -> bytes:
     """The file's own line ending, from its first line."""
     magic = re.match(rb"ply[ \t]*(\r\n|\n|\r)", start)
     if magic is None:
-        found = f"a file that starts with {start[:8]!r}"
-        raise SplatFileError(message(path, "a PLY file (first line 'ply')", found, "pass a 3DGS splat as .ply"))
+        got = f"a file that starts with {start[:8]!r}"
+        raise SplatFileError(message(path, "a PLY file (first line 'ply')", got, "pass a 3DGS splat as .ply"))
     return magic[1]
 
 

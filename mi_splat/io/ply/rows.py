@@ -73,9 +73,9 @@ def unpack(rows: Rows, rest: int, part: Sequence[NDArray[np.float32]]) -> NDArra
     Returns:
         (rows,) which Gaussians are valid.
     """
-    table, place = _table(rows, rest)
+    table, numbers = _table(rows, rest)
     means, scales, rotations, opacities, colours = part
-    values = {name: _columns(table, place, columns) for name, columns in COLUMNS.items()}
+    values = {name: _columns(table, numbers, columns) for name, columns in COLUMNS.items()}
     logits = values["opacities"][:, 0]
     with np.errstate(all="ignore"):  # of a thread; what is not finite is judged below
         means[:] = values["means"]
@@ -83,10 +83,10 @@ def unpack(rows: Rows, rest: int, part: Sequence[NDArray[np.float32]]) -> NDArra
         scales[:] = np.exp(values["scales"], dtype=np.float64).astype(values["scales"].dtype)
         rotations[:] = unit(values["rotations"])
         opacities[:] = (1 / (1 + np.exp(-logits.astype(np.float64)))).astype(logits.dtype)
-        colours[:, 0] = _columns(table, place, DC)
+        colours[:, 0] = _columns(table, numbers, DC)
         for channel in range(3 if rest else 0):
             names = rest_names(rest)[channel * rest // 3 : (channel + 1) * rest // 3]
-            colours[:, 1:, channel] = _columns(table, place, names)
+            colours[:, 1:, channel] = _columns(table, numbers, names)
     return _valid(part, logits)
 
 
@@ -105,9 +105,9 @@ def _table(rows: Rows, rest: int) -> tuple[NDArray[np.floating], dict[str, int]]
     return table, {name: i for i, name in enumerate(names)}
 
 
-def _columns(table: NDArray[np.floating], place: dict[str, int], names: Sequence[str]) -> NDArray[np.floating]:
+def _columns(table: NDArray[np.floating], numbers: dict[str, int], names: Sequence[str]) -> NDArray[np.floating]:
     """(rows, names) values, without a copy if the columns are neighbours in this order."""
-    wanted = [place[name] for name in names]
+    wanted = [numbers[name] for name in names]
     first, last = wanted[0], wanted[0] + len(wanted)
     return table[:, first:last] if wanted == list(range(first, last)) else table[:, wanted]
 
@@ -130,5 +130,5 @@ def describe(row: np.void, rest: int) -> str:
             return f"{name} is {row[name]:g}"
     if all(row[name] == 0 for name in COLUMNS["rotations"]):
         return "the quaternion is zero"
-    found = [round(float(row[name]), 3) for name in COLUMNS["scales"]]
-    return f"log-scales {found} are scales outside of float32's range or above {LARGEST:g}"
+    scales = [round(float(row[name]), 3) for name in COLUMNS["scales"]]
+    return f"log-scales {scales} are scales outside of float32's range or above {LARGEST:g}"

@@ -66,9 +66,9 @@ def write_ply(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
         def store(first: int, rows: Rows) -> None:
             last = first + len(rows)
             if not pack(scene.unchecked(*(value[first:last] for value in tensors)), rows):
-                found = f"others between rows {first} and {last - 1}"
+                got = f"others between rows {first} and {last - 1}"
                 expected = f"values that are finite in float32, up to {LARGEST:g}"
-                raise InvalidValueError(message("scene", expected, found, "remove them"))
+                raise InvalidValueError(message("scene", expected, got, "remove them"))
             with lock:
                 file.seek(len(head) + first * record.itemsize)
                 write_all(file, rows.view(np.uint8).data)
@@ -80,8 +80,8 @@ def _vertices(header: Header, path: str) -> Element:
     """The element with the Gaussians, after a check that it has the properties of one."""
     element = next((element for element in header.elements if element.name == "vertex"), None)
     if element is None:
-        found = ", ".join(element.name for element in header.elements) or "none"
-        raise SplatFileError(message(path, "an element named vertex", found, "pass a 3DGS splat"))
+        got = ", ".join(element.name for element in header.elements) or "none"
+        raise SplatFileError(message(path, "an element named vertex", got, "pass a 3DGS splat"))
     columns = {column.name: column for column in element.properties}
     rest = _rest_count(element)
     if rest not in REST_COUNTS:
@@ -90,16 +90,16 @@ def _vertices(header: Header, path: str) -> Element:
     missing = [name for name in needed_names(rest) if name not in columns]
     if missing:
         more = f" and {len(missing) - SHOWN} more" if len(missing) > SHOWN else ""
-        found = f"no {', '.join(missing[:SHOWN])}{more}"
+        got = f"no {', '.join(missing[:SHOWN])}{more}"
         do = "pass a splat: this may be a point cloud, or a mesh, of which mi-splat capture takes pictures"
-        raise SplatFileError(message(path, "the properties of a 3DGS splat", found, do))
+        raise SplatFileError(message(path, "the properties of a 3DGS splat", got, do))
     for name in needed_names(rest):
         if columns[name].length_kind:
             expected = f"{name} as a single number"
             raise SplatFileError(message(path, expected, f"the list {name}", "export the splat again"))
         if columns[name].kind[0] != "f":
-            found = f"an integer ({columns[name].kind})"
-            raise SplatFileError(message(path, f"{name} as float or double", found, "export the splat uncompressed"))
+            got = f"an integer ({columns[name].kind})"
+            raise SplatFileError(message(path, f"{name} as float or double", got, "export the splat uncompressed"))
     return element
 
 

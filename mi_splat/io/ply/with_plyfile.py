@@ -117,8 +117,8 @@ def _lines(reader: io.BufferedReader, path: str) -> Iterator[bytes]:
     """Lines that are not blank."""
     while line := reader.readline(LINE_LIMIT):
         if len(line) == LINE_LIMIT:
-            found, do = "a longer one", "export it as binary"
-            raise SplatFileError(message(path, f"lines under {LINE_LIMIT} bytes", found, do))
+            got, do = "a longer one", "export it as binary"
+            raise SplatFileError(message(path, f"lines under {LINE_LIMIT} bytes", got, do))
         if not line.isspace():
             yield line
 
@@ -148,10 +148,10 @@ def _refuse(line: bytes, row: int, element: Element, why: str, path: str) -> Non
     """Raise for a line of text that does not parse."""
     fields, expected = line.split(), f"numbers in row {row} of {element.name}"
     if not element.has_lists and len(fields) != len(element.properties):
-        expected, found = f"{len(element.properties)} {expected}", str(len(fields))
+        expected, got = f"{len(element.properties)} {expected}", str(len(fields))
     else:
-        found = f"{line[:60].decode('ascii', 'backslashreplace').strip()!r} ({why})"
-    raise SplatFileError(message(path, expected, found, "export the file again"))
+        got = f"{line[:60].decode('ascii', 'backslashreplace').strip()!r} ({why})"
+    raise SplatFileError(message(path, expected, got, "export the file again"))
 
 
 def _parse(plyfile: ModuleType, data: bytes, count: int, element: Element, order: str) -> Rows:
