@@ -51,10 +51,10 @@ def _bird(rng: np.random.Generator) -> _Bird:
     kind = SPECIES[str(rng.choice(tuple(SPECIES)))]
     tilt = kind.tilt + float(rng.uniform(-8, 8))
     low = bool(rng.random() < 0.2)
-    place = (0.098, 0.022) if low else (0.084, 0.046 + float(rng.uniform(-0.004, 0.008)))
+    head_at = (0.098, 0.022) if low else (0.084, 0.046 + float(rng.uniform(-0.004, 0.008)))
     turn = float(rng.choice((-1, 1)) * rng.uniform(0, 50))
     nod = 32.0 if low else float(rng.uniform(-6, 12))
-    head = translation(place[0], 0, place[1]) @ rotation("y", tilt) @ rotation("z", turn) @ rotation("y", nod)
+    head = translation(head_at[0], 0, head_at[1]) @ rotation("y", tilt) @ rotation("z", turn) @ rotation("y", nod)
     wings = "spread" if rng.random() < 0.3 else "folded"
     return _Bird(
         kind=kind,
@@ -108,10 +108,10 @@ def _trunk(bird: _Bird, noise: Noise) -> Mesh:
         colours = plumage(bird.kind, bird.tint, points, noise)
         colours = face(bird.kind, bird.tint, colours, points @ inverse[:3, :3].T + inverse[:3, 3], noise)
         folded = np.flatnonzero(layer == 1)
-        place = points[folded]
-        span = np.clip((0.066 - place[:, 0]) / 0.18, 0, 1)  # from the shoulder to the tip
-        chord = np.clip((place[:, 2] + 0.03) / 0.07, 0, 1)
-        colours[folded] = wing(bird.kind, bird.tint, span, chord, place, noise)
+        on_wing = points[folded]
+        span = np.clip((0.066 - on_wing[:, 0]) / 0.18, 0, 1)  # from the shoulder to the tip
+        chord = np.clip((on_wing[:, 2] + 0.03) / 0.07, 0, 1)
+        colours[folded] = wing(bird.kind, bird.tint, span, chord, on_wing, noise)
         result: Floats = colours * (1 + 0.08 * noise(points, (0.012, 0.003, 0.003)))[:, None]
         return result
 
@@ -136,8 +136,8 @@ def _spread(bird: _Bird, noise: Noise) -> list[Mesh]:
     x, y = x * np.cos(sweep_back) - y * np.sin(sweep_back), y * np.cos(sweep_back) + x * np.sin(sweep_back)
     y, z = y * np.cos(lift) - z * np.sin(lift), z * np.cos(lift) + y * np.sin(lift)
     vv, uu = np.mgrid[1:0:80j, 0:1:160j].astype(np.float32)
-    place = np.stack([0.2 - 0.2 * vv.ravel(), 0.1 * uu.ravel(), 0 * uu.ravel() + 0.08], 1)
-    texture = wing(bird.kind, bird.tint, uu.ravel() * 0.98, vv.ravel(), place, noise)
+    wing_points = np.stack([0.2 - 0.2 * vv.ravel(), 0.1 * uu.ravel(), 0 * uu.ravel() + 0.08], 1)
+    texture = wing(bird.kind, bird.tint, uu.ravel() * 0.98, vv.ravel(), wing_points, noise)
     texture = np.clip(mix(texture, np.asarray(bird.kind.flight), (0.35 - vv.ravel()) * 3), 0, 1).reshape(80, 160, 3)
     meshes = []
     for side in (1, -1):

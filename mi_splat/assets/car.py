@@ -99,12 +99,12 @@ def _front(s: Proportions, rng: np.random.Generator) -> list[Mesh]:
     return parts
 
 
-def _bulge(place: tuple[float, float], size: tuple[float, float, float], colour: Sequence[float]) -> Mesh:
+def _bulge(position: tuple[float, float], size: tuple[float, float, float], colour: Sequence[float]) -> Mesh:
     """A rounded bar across the car at (x, z)."""
-    outline = rounded_rectangle(size[0], size[1], size[0] * 0.45, corner=4) + np.array((place[0], 0.0))
+    outline = rounded_rectangle(size[0], size[1], size[0] * 0.45, corner=4) + np.array((position[0], 0.0))
     rings = [
         np.concatenate([outline, np.full((len(outline), 1), z)], 1)
-        for z in (place[1] - size[2] / 2, place[1] + size[2] / 2)
+        for z in (position[1] - size[2] / 2, position[1] + size[2] / 2)
     ]
     return loft(np.array(rings), colour)
 

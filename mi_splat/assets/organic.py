@@ -106,9 +106,9 @@ class Noise:
 
     def __call__(self, points: Floats, scale: float | ArrayLike) -> Floats:
         """(N,) noise at points (N, 3); `scale` is the size of a grain in metres, one or per axis."""
-        place = np.mod(points / np.asarray(scale, np.float32), 24).astype(np.float32)
-        base = np.minimum(place.astype(np.int64), 23)
-        f = place - base
+        cells = np.mod(points / np.asarray(scale, np.float32), 24).astype(np.float32)
+        base = np.minimum(cells.astype(np.int64), 23)
+        f = cells - base
         f = f * f * (3 - 2 * f)
         flat = self._lattice.ravel()
         start = (base[:, 0] * 25 + base[:, 1]) * 25 + base[:, 2]
@@ -138,8 +138,8 @@ def spot(points: Floats, centre: ArrayLike, radii: ArrayLike, soft: float = 0.2)
         radii: (3,) radii along the axes, metres.
         soft: Width of the soft rim as a fraction of the radius.
     """
-    place = (points - np.asarray(centre, np.float32)) / np.asarray(radii, np.float32)
-    value: Floats = np.clip((1 - np.linalg.norm(place, axis=1)) / soft + 0.5, 0, 1).astype(np.float32)
+    offset = (points - np.asarray(centre, np.float32)) / np.asarray(radii, np.float32)
+    value: Floats = np.clip((1 - np.linalg.norm(offset, axis=1)) / soft + 0.5, 0, 1).astype(np.float32)
     return value
 
 

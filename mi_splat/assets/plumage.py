@@ -127,40 +127,40 @@ def plumage(kind: Species, tint: float, points: Floats, noise: Noise) -> Floats:
     return result
 
 
-def face(kind: Species, tint: float, colours: Floats, place: Floats, noise: Noise) -> Floats:
+def face(kind: Species, tint: float, colours: Floats, points: Floats, noise: Noise) -> Floats:
     """The colours with the head painted over.
 
     Args:
         kind: Which bird.
         tint: Factor of its colours, near 1.
         colours: (N, 3) sRGB of the plumage.
-        place: (N, 3) points in the frame of the head, metres.
+        points: (N, 3), in the frame of the head, metres.
         noise: For the border of the head.
     """
     s = kind.skull
-    side = place * np.array((1, 0, 1), np.float32) + np.abs(place[:, 1])[:, None] * np.array((0, 1, 0), np.float32)
-    reach = spot(place + 0.004 * noise(place, 0.01)[:, None], (0, 0, 0.1 * s), (1.35 * s, 1.3 * s, 1.3 * s), 0.15)
+    side = points * np.array((1, 0, 1), np.float32) + np.abs(points[:, 1])[:, None] * np.array((0, 1, 0), np.float32)
+    reach = spot(points + 0.004 * noise(points, 0.01)[:, None], (0, 0, 0.1 * s), (1.35 * s, 1.3 * s, 1.3 * s), 0.15)
     colours = mix(colours, np.asarray(kind.head) * tint, reach)
     eye = (0.42 * s, 0.86 * s, 0.22 * s)
     if "ring" in kind.marks:
         colours = mix(colours, (0.92, 0.92, 0.9), spot(side, eye, (0.31 * s,) * 3, 0.2))
     if "face" in kind.marks:
-        mask = spot(place, (0.95 * s, 0, -0.35 * s), (0.95 * s, 1.1 * s, 0.95 * s), 0.15)
+        mask = spot(points, (0.95 * s, 0, -0.35 * s), (0.95 * s, 1.1 * s, 0.95 * s), 0.15)
         colours = mix(colours, kind.breast, mask)
     if "cheek" in kind.marks:
         bare = spot(side, (0.55 * s, 0.85 * s, -0.02 * s), (0.48 * s, 0.5 * s, 0.42 * s), 0.25)
         colours = mix(colours, (0.93, 0.91, 0.88), bare)
     if "crown" in kind.marks:
-        crown = spot(place, (0.75 * s, 0, 0.7 * s), (0.65 * s, 0.75 * s, 0.5 * s), 0.3)
+        crown = spot(points, (0.75 * s, 0, 0.7 * s), (0.65 * s, 0.75 * s, 0.5 * s), 0.3)
         colours = mix(colours, (0.92, 0.80, 0.18), crown)
     if "cere" in kind.marks:
-        colours = mix(colours, (0.9, 0.88, 0.86), spot(place, (1.08 * s, 0, 0.05 * s), (0.3 * s,) * 3, 0.2))
+        colours = mix(colours, (0.9, 0.88, 0.86), spot(points, (1.08 * s, 0, 0.05 * s), (0.3 * s,) * 3, 0.2))
     if "collar" in kind.marks:
         colours = mix(colours, (0.92, 0.92, 0.93), spot(side, (0.6 * s, 0.8 * s, -0.2 * s), (0.6 * s,) * 3, 0.3))
     return mix(colours, (0.04, 0.04, 0.04), 0.75 * spot(side, eye, (0.25 * s,) * 3, 0.3))
 
 
-def wing(kind: Species, tint: float, span: Floats, chord: Floats, place: Floats, noise: Noise) -> Floats:
+def wing(kind: Species, tint: float, span: Floats, chord: Floats, points: Floats, noise: Noise) -> Floats:
     """Colours (N, 3) of a wing.
 
     Args:
@@ -168,7 +168,7 @@ def wing(kind: Species, tint: float, span: Floats, chord: Floats, place: Floats,
         tint: Brightness of this one bird.
         span: (N,) 0 at the shoulder, 1 at the tip.
         chord: (N,) 0 at the trailing (lower) edge, 1 at the leading edge.
-        place: (N, 3) points for noise.
+        points: (N, 3), for noise.
         noise: The noise.
     """
     base = np.broadcast_to(np.asarray(kind.wing, np.float32), (len(span), 3)).astype(np.float32)
@@ -187,7 +187,7 @@ def wing(kind: Species, tint: float, span: Floats, chord: Floats, place: Floats,
     if "white bars" in kind.marks:
         colours = mix(colours, (0.92, 0.92, 0.92), np.abs(span - 0.45) < 0.022)
         colours = mix(colours, (0.08, 0.09, 0.12), (np.mod(span * 16, 1) < 0.25) * (span > 0.5))
-    quills = np.mod(chord * 9 + span * 3 + 0.25 * noise(place, 0.02), 1) < 0.18
-    edges = np.where(span > 0.42, quills, _scales(place, 0.0095) > 0)
+    quills = np.mod(chord * 9 + span * 3 + 0.25 * noise(points, 0.02), 1) < 0.18
+    edges = np.where(span > 0.42, quills, _scales(points, 0.0095) > 0)
     result: Floats = (colours * (1 - 0.24 * edges)[:, None] * tint).astype(np.float32)
     return result

@@ -60,10 +60,10 @@ def tree(rng: np.random.Generator) -> list[Mesh]:
     ]
     if rng.random() < 0.7:
         for _ in range(9):
-            place = rng.normal(0, 1, 3) * (0.75, 0.75, 0.5)
+            offset = rng.normal(0, 1, 3) * (0.75, 0.75, 0.5)
             size = rng.uniform(1.2, 2.2) * tall / 5
             blob = ellipsoid(
-                (size, size, size * 0.85), leaves, centre=(place[0], place[1], tall * 0.72 + place[2]), segments=14
+                (size, size, size * 0.85), leaves, centre=(offset[0], offset[1], tall * 0.72 + offset[2]), segments=14
             )
             bumps = 1 + 0.13 * rng.normal(size=(len(blob.vertices), 1))
             middle = blob.vertices.mean(0)
@@ -157,9 +157,9 @@ def build(seed: int = 0, *, clearance: float = 6.0, centre: float = 0.0) -> Asse
         parts.append(strip((min(inner, outer), max(inner, outer)), 0.115, paving, tile=1.8))
         parts += _row(rng, out, edge + out * (walk + verge + 2.5), edge + out * (walk + verge * 0.6))
         for x in np.arange(-REACH * 0.8, REACH * 0.8, 17.0):
-            place = (x + rng.uniform(3, 8), edge + out * 0.5)
-            if np.hypot(place[0] - centre, place[1]) > clearance + 1.5:
-                parts += _place(lamp(rng), *place, 180.0 if out > 0 else 0.0)
+            foot = (x + rng.uniform(3, 8), edge + out * 0.5)
+            if np.hypot(foot[0] - centre, foot[1]) > clearance + 1.5:
+                parts += _place(lamp(rng), *foot, 180.0 if out > 0 else 0.0)
     return Asset("street", tuple(parts))
 
 

@@ -54,12 +54,12 @@ def _ribs(s: _Size, colour: Point, count: int, *, upright: bool) -> list[Mesh]:
     """Ribs on both broad sides that run upright or across, and a seam around the middle."""
     bend = ((-0.4, -0.012), (-0.36, 0.002), (0.36, 0.002), (0.4, -0.012))
     parts = []
-    for place in np.linspace(-0.36, 0.36, count) if upright else np.linspace(0.16, 0.84, count):
+    for position in np.linspace(-0.36, 0.36, count) if upright else np.linspace(0.16, 0.84, count):
         for side in (1, -1):
             if upright:
-                path = [[side * (s.depth / 2 + d), place * s.width, s.low + (0.5 + t) * s.height] for t, d in bend]
+                path = [[side * (s.depth / 2 + d), position * s.width, s.low + (0.5 + t) * s.height] for t, d in bend]
             else:
-                path = [[side * (s.depth / 2 + d), t * s.width, s.low + place * s.height] for t, d in bend]
+                path = [[side * (s.depth / 2 + d), t * s.width, s.low + position * s.height] for t, d in bend]
             radius = 0.2 * (s.width if upright else s.height) / count
             up = (1, 0, 0) if upright else (0, 0, 1)
             parts.append(sweep(path, np.full(4, radius), colour * 0.92, segments=8, up=up, roughness=0.2))
@@ -77,9 +77,9 @@ def _wheels(s: _Size, rng: np.random.Generator) -> list[Mesh]:
     for x in (1, -1):
         for y in (1, -1):
             corner = (x * (s.depth / 2 - 0.045), y * (s.width / 2 - 0.045))
-            place = translation(corner[0], y * (s.width / 2 - 0.055), 0)
+            shift = translation(corner[0], y * (s.width / 2 - 0.055), 0)
             turn = translation(0, 0, 0.028) @ rotation("z", float(rng.uniform(0, 180))) @ rotation("x", 90)
-            parts += [transform(transform(tyre, turn), place), transform(fork, place)]
+            parts += [transform(transform(tyre, turn), shift), transform(fork, shift)]
             missing = rng.random(2) >= 0.99
             if not missing[0]:
                 parts.append(box((0.06, 0.06, 0.05), BLACK, centre=(*corner, s.low + 0.035)))
@@ -153,8 +153,8 @@ def _leather(rng: np.random.Generator) -> list[Mesh]:
     for y in (1, -1):
         for z in (1, -1):
             for x in (1, -1):
-                place = (x * (depth / 2 - 0.012), y * (width / 2 - 0.034), middle + z * (height / 2 - 0.034))
-                parts.append(box((0.03, 0.075, 0.075), guard, centre=place, roughness=0.2))
+                corner = (x * (depth / 2 - 0.012), y * (width / 2 - 0.034), middle + z * (height / 2 - 0.034))
+                parts.append(box((0.03, 0.075, 0.075), guard, centre=corner, roughness=0.2))
     arch = ((-0.09, 0), (-0.085, 0.035), (-0.05, 0.05), (0.05, 0.05), (0.085, 0.035), (0.09, 0))
     parts.append(sweep([[0, y, s.top + z] for y, z in arch], np.full(6, 0.015), dark, segments=8))
     for lock in (0.12, -0.12):

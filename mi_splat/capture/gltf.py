@@ -124,8 +124,8 @@ def _check_extensions(document: dict[str, Any], path: Path) -> None:
 def _base_colour(material: dict[str, Any]) -> dict[str, Any] | None:
     """The reference to the texture of a material's base colour."""
     specular = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
-    found: dict[str, Any] | None = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
-    return found or specular.get("diffuseTexture")
+    texture: dict[str, Any] | None = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
+    return texture or specular.get("diffuseTexture")
 
 
 def _material(document: dict[str, Any], material: dict[str, Any]) -> MaterialNotes:
@@ -151,8 +151,8 @@ def _picture(document: dict[str, Any], reference: dict[str, Any]) -> str:
     uri = str(image.get("uri", ""))
     if uri and not uri.startswith("data:"):
         return uri
-    words = [str(image[key]) for key in ("name", "mimeType") if key in image]
-    return f"picture {index} in the file" + (f" ({', '.join(words)})" if words else "")
+    labels = [str(image[key]) for key in ("name", "mimeType") if key in image]
+    return f"picture {index} in the file" + (f" ({', '.join(labels)})" if labels else "")
 
 
 def _uv_transform(texture: dict[str, Any]) -> NDArray[np.float64] | None:

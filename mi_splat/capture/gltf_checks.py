@@ -29,8 +29,8 @@ def document_fault(document: dict[str, Any], binary: int | None) -> str | None:
     if not document.get("meshes"):
         return "no meshes in it"
     for check in (_primitive_faults, _index_faults, _view_faults, _accessor_faults):
-        found = check(document, binary)
-        if (fault := next(found, None)) is not None:
+        faults = check(document, binary)
+        if (fault := next(faults, None)) is not None:
             return fault
     return None
 
@@ -39,7 +39,7 @@ def _primitive_faults(document: dict[str, Any], _: int | None) -> Iterator[str]:
     """Meshes without primitives, or without places of their vertices."""
     for number, mesh in enumerate(document["meshes"]):
         primitives = mesh.get("primitives")
-        if not isinstance(primitives, list) or not all(isinstance(one, dict) for one in primitives):
+        if not isinstance(primitives, list) or not all(isinstance(item, dict) for item in primitives):
             yield f"mesh {number} without a list of primitives"
         elif any("POSITION" not in _object(primitive, "attributes") for primitive in primitives):
             yield f"mesh {number} without places of its vertices (POSITION)"
@@ -109,5 +109,5 @@ def _accessor_faults(document: dict[str, Any], _: int | None) -> Iterator[str]:
 
 def _object(entry: dict[str, Any], key: str) -> dict[str, Any]:
     """The object under a key; an empty one if there is none."""
-    found = entry.get(key)
-    return found if isinstance(found, dict) else {}
+    value = entry.get(key)
+    return value if isinstance(value, dict) else {}

@@ -165,8 +165,10 @@ def _corner_colours(piece: Any, faces: NDArray[np.int64]) -> Floats | None:
     elif piece.visual.kind == "vertex":
         colours = _unit(np.asarray(piece.visual.vertex_colors)[:, :3])[faces]
     else:  # beside a material
-        own = piece.vertex_attributes.get("color")
-        values = own if own is not None else dict(getattr(piece.visual, "vertex_attributes", {})).get("color")
+        attribute = piece.vertex_attributes.get("color")
+        values = (
+            attribute if attribute is not None else dict(getattr(piece.visual, "vertex_attributes", {})).get("color")
+        )
         if values is None or np.shape(values)[:1] != (len(piece.vertices),) or np.shape(values)[1] < 3:
             return None
         colours = _unit(np.asarray(values)[:, :3])[faces]

@@ -157,15 +157,15 @@ def _pieces(path: Path) -> tuple[list[tuple[Any, NDArray[np.float64]]], MeshFile
     except GltfError as error:
         raise MeshFileError(str(error)) from error
     except _BROKEN as error:
-        found = " ".join(str(error).split())[:160] or type(error).__name__
-        raise MeshFileError(message(str(path), "a mesh that can be read", found, "export it again")) from error
+        got = " ".join(str(error).split())[:160] or type(error).__name__
+        raise MeshFileError(message(str(path), "a mesh that can be read", got, "export it again")) from error
     found_pieces = [(scene.geometry[name], np.asarray(matrix, np.float64)) for matrix, name in placed]
     pieces = [(piece, matrix) for piece, matrix in found_pieces if len(getattr(piece, "faces", ()))]
     for piece, _ in pieces:
         highest, count = int(np.max(piece.faces)), len(piece.vertices)
         if highest >= count:
-            found = f"a face with vertex {highest} of {count}"
-            raise MeshFileError(message(str(path), "faces of vertices from 0 on", found, "export it again"))
+            got = f"a face with vertex {highest} of {count}"
+            raise MeshFileError(message(str(path), "faces of vertices from 0 on", got, "export it again"))
     return pieces, notes
 
 
@@ -179,8 +179,8 @@ def _too_coarse(pieces: list[tuple[Any, NDArray[np.float64]]], surfaces: list[Su
         coarsest, where = max((coarsest, where), (step, farthest))
     if not coarsest > COARSE * size > 0:
         return []
-    found = f"coordinates up to {where:.7g} in steps of {coarsest:.3g} (float32), which tear a mesh of size {size:.3g}"
-    return [f"{found}; export it around its own origin, or as OBJ or a PLY of doubles"]
+    extent = f"coordinates up to {where:.7g} in steps of {coarsest:.3g} (float32), which tear a mesh of size {size:.3g}"
+    return [f"{extent}; export it around its own origin, or as OBJ or a PLY of doubles"]
 
 
 def _world_offset(pieces: list[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -202,5 +202,5 @@ def _mesh(surface: Surface, vertices: NDArray[np.float64]) -> Mesh:
 
 def _not_finite(path: Path, error: Exception) -> MeshFileError:
     """The error for arrays that are no mesh."""
-    found = " ".join(str(error).split())[:200]
-    return MeshFileError(message(str(path), "finite vertices, faces and colours", found, "repair it"))
+    got = " ".join(str(error).split())[:200]
+    return MeshFileError(message(str(path), "finite vertices, faces and colours", got, "repair it"))

@@ -94,17 +94,17 @@ def _text(path: Path) -> str:
 
 def _mtl_materials(text: str) -> dict[str, MaterialNotes]:
     """The materials of an MTL file and their pictures."""
-    found: dict[str, MaterialNotes] = {}
+    materials: dict[str, MaterialNotes] = {}
     name = None
     for line in text.splitlines():
         key, rest = (*line.split(None, 1), "", "")[:2]
         if key.lower() == "newmtl":
             name = " ".join(rest.split())
-            found[name] = MaterialNotes()
+            materials[name] = MaterialNotes()
         elif key.lower() == "map_kd" and name is not None:
             options, picture = _texture_options(rest.strip())
-            found[name] = MaterialNotes(picture=picture, options=options)
-    return found
+            materials[name] = MaterialNotes(picture=picture, options=options)
+    return materials
 
 
 def _texture_options(rest: str) -> tuple[str, str]:
@@ -112,11 +112,11 @@ def _texture_options(rest: str) -> tuple[str, str]:
     asked = []
     while match := _OPTION.match(rest):
         rest = rest[match.end() :]
-        words = match.group().split()
-        numbers = [float(word) for word in words[1:] if _NUMBER.fullmatch(word)]
-        usual = _USUAL.get(words[0].lower())
-        if usual is not None and (tuple(numbers) != usual[: len(numbers)] if numbers else words[1] not in usual):
-            asked.append(" ".join(words))
+        tokens = match.group().split()
+        numbers = [float(word) for word in tokens[1:] if _NUMBER.fullmatch(word)]
+        usual = _USUAL.get(tokens[0].lower())
+        if usual is not None and (tuple(numbers) != usual[: len(numbers)] if numbers else tokens[1] not in usual):
+            asked.append(" ".join(tokens))
     return ", ".join(asked), rest
 
 
@@ -124,8 +124,8 @@ def ply_notes(path: Path) -> MeshFileNotes:
     """Of a PLY file: the picture that a comment of its header names, and how exact its coordinates are."""
     with path.open("rb") as file:
         header = file.read(1 << 16).partition(b"end_header")[0].decode("utf-8", "replace")
-    found = re.search(r"^comment[ \t]+texturefile[ \t]+(.*\S)", header, re.IGNORECASE | re.MULTILINE)
-    materials = {"": MaterialNotes(picture=found.group(1) if found else None)}
+    match = re.search(r"^comment[ \t]+texturefile[ \t]+(.*\S)", header, re.IGNORECASE | re.MULTILINE)
+    materials = {"": MaterialNotes(picture=match.group(1) if match else None)}
     exact = re.search(r"^property[ \t]+(?:double|float64)[ \t]+x\b", header, re.MULTILINE)
     return MeshFileNotes(materials=materials, float32=exact is None)
 
@@ -155,15 +155,15 @@ def lies_outside(path: Path, name: str) -> bool:
 
 def _but_for_case(folder: Path, name: str) -> Path:
     """The path under a folder whose letters differ from a name in case alone; the name's own if not exactly one."""
-    place = folder
+    path = folder
     for part in PurePosixPath(name).parts:
-        found = [place / part]
-        if part != ".." and not found[0].exists() and place.is_dir() and place.resolve().is_relative_to(folder):
-            found = [file for file in place.iterdir() if file.name.casefold() == part.casefold()]
-        if len(found) != 1:
+        candidates = [path / part]
+        if part != ".." and not candidates[0].exists() and path.is_dir() and path.resolve().is_relative_to(folder):
+            candidates = [file for file in path.iterdir() if file.name.casefold() == part.casefold()]
+        if len(candidates) != 1:
             return folder / name
-        place = found[0]
-    return place
+        path = candidates[0]
+    return path
 
 
 def resolver(path: Path) -> Any:

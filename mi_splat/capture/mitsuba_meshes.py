@@ -73,11 +73,11 @@ def corner_normals(mesh: Mesh, *, crease: float = 38.0) -> Floats:
     sharing = counts[point.ravel()]  # how many corners lie at this corner's point
     corner = np.repeat(np.arange(len(sharing)), sharing)
     rank = np.arange(len(corner)) - np.repeat(np.cumsum(sharing) - sharing, sharing)
-    other = order[start[point.ravel()[corner]] + rank]
-    near = np.einsum("ij,ij->i", flat[corner // 3], flat[other // 3]) > math.cos(math.radians(crease))
+    neighbours = order[start[point.ravel()[corner]] + rank]
+    near = np.einsum("ij,ij->i", flat[corner // 3], flat[neighbours // 3]) > math.cos(math.radians(crease))
     total = np.zeros((len(sharing), 3))
     for axis in range(3):
-        total[:, axis] = np.bincount(corner[near], area[other[near] // 3, axis], minlength=len(sharing))
+        total[:, axis] = np.bincount(corner[near], area[neighbours[near] // 3, axis], minlength=len(sharing))
     total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)
     return total.reshape(-1, 3, 3).astype(np.float32)
 
@@ -186,17 +186,17 @@ def read_environment(path: Path) -> Floats:
     """
     expected = "an OpenEXR (.exr) or Radiance (.hdr) picture"
     if path.suffix.lower() not in (".exr", ".hdr") or not path.is_file():
-        found = f"no file {path}" if path.suffix.lower() in (".exr", ".hdr") else str(path)
-        raise InvalidValueError(message("environment", expected, found, "check the path"))
+        got = f"no file {path}" if path.suffix.lower() in (".exr", ".hdr") else str(path)
+        raise InvalidValueError(message("environment", expected, got, "check the path"))
     check_texture(path, f"environment {path}")
     with scalar_variant():
         try:
             bitmap = mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)
         except RuntimeError as error:  # what Mitsuba raises for everything
-            found = " ".join(str(error).split())[-200:]
-            raise InvalidValueError(message(f"environment {path}", expected, found, "write it again")) from error
+            got = " ".join(str(error).split())[-200:]
+            raise InvalidValueError(message(f"environment {path}", expected, got, "write it again")) from error
         values = np.array(bitmap, np.float32)
     if not (np.isfinite(values).all() and values.min() >= 0 and min(values.shape[:2]) >= 2):
-        found = "others, or fewer than 2 x 2"
-        raise InvalidValueError(message(f"environment {path}", "finite values >= 0", found, "write it again"))
+        got = "others, or fewer than 2 x 2"
+        raise InvalidValueError(message(f"environment {path}", "finite values >= 0", got, "write it again"))
     return values

@@ -85,14 +85,14 @@ def claim_folder(folder: Path, wanted: dict[str, Any]) -> str | None:
         InvalidValueError: The folder holds something else, or a capture that differs in what the message says.
     """
     make_folder(folder)
-    for place in (folder, folder / "images"):
-        sweep_temporary(place)
+    for subfolder in (folder, folder / "images"):
+        sweep_temporary(subfolder)
     file = folder / RECORD
     if not file.exists():
         others = sorted(path.name for path in folder.iterdir() if not is_temporary(path.name))
         if others:
-            found, do = f"{others[0]} in it and no {RECORD}", "choose a new folder"
-            raise InvalidValueError(message(str(folder), "an empty folder or that of a capture", found, do))
+            got, do = f"{others[0]} in it and no {RECORD}", "choose a new folder"
+            raise InvalidValueError(message(str(folder), "an empty folder or that of a capture", got, do))
         save_json(wanted, file)
         return str(wanted["version"])
     there = _RECORD.read_json(file)

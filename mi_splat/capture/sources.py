@@ -174,8 +174,8 @@ def _light(surroundings: SurroundingsSettings) -> Light:
 def _ground(target: Asset, kind: Literal["road", "grass"]) -> Asset:
     """The ground under an object."""
     (x, y, _), radius = _extent(target)
-    place = (x, y, float(target.bounds[0, 2]))
-    return square_of_ground(kind, side=GROUND_SIDE * radius, tile=GROUND_TILE * radius, centre=place)
+    centre = (x, y, float(target.bounds[0, 2]))
+    return square_of_ground(kind, side=GROUND_SIDE * radius, tile=GROUND_TILE * radius, centre=centre)
 
 
 def _xml(path: Path) -> CaptureSource:
@@ -183,15 +183,15 @@ def _xml(path: Path) -> CaptureSource:
     if not path.is_file():
         raise InvalidValueError(message("scene", "a Mitsuba XML file", str(path), "check the path"))
     parts = scene_parts(path)
-    if any(one.tag in ("shape", "integrator") and one.get("type") in _SPLATS for one in parts.elements):
+    if any(element.tag in ("shape", "integrator") and element.get("type") in _SPLATS for element in parts.elements):
         do = f"see it with `mi-splat render {path}`, or name a scene of meshes"
         raise InvalidValueError(message(str(path), "a scene of meshes", "a scene of splats", do))
     try:
         bounds = PathTracer(path, samples=1, alpha=True).bounds
     except RuntimeError as error:  # what Mitsuba raises for everything
-        found = " ".join(str(error).split())[:300]
+        got = " ".join(str(error).split())[:300]
         do = "make it a mesh scene that Mitsuba loads in scalar_rgb"
-        raise MiSplatError(message(str(path), "a scene", found, do)) from error
+        raise MiSplatError(message(str(path), "a scene", got, do)) from error
     if not np.isfinite(bounds).all():
         raise MiSplatError(message(str(path), "a scene with shapes", "none", "add some"))
     centre, radius = _middle(bounds.astype(np.float64))

@@ -108,10 +108,12 @@ def write_capture(
             seconds = time.perf_counter() - begun
             cloud = folder / POINTS[0]
             if not cloud.is_file():
-                frames = tuple(Frame(camera=frame.camera(one), path=images / name) for name, one in listing["train"])
+                frames = tuple(
+                    Frame(camera=frame.camera(entry), path=images / name) for name, entry in listing["train"]
+                )
                 views = Dataset(frames=frames, background=_GREY)
-                found = surface_points(tracer, source.assets, views, count=settings.points, seed=settings.seed)
-                save_points(frame.in_world(found), cloud)
+                sampled = surface_points(tracer, source.assets, views, count=settings.points, seed=settings.seed)
+                save_points(frame.in_world(sampled), cloud)
         points = load_points(cloud)
         files = [cloud]
         if layout in ("transforms", "both"):

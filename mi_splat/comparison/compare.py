@@ -115,12 +115,12 @@ def compare(
             raise InvalidValueError(message(what, f"{least} or more", len(given), "name more"))
     pictures: dict[str, dict[str, Tensor]] = {}
     first_seconds: dict[str, float] = {}
-    for place, camera in cameras.items():
-        pictures[place] = {}
+    for view, camera in cameras.items():
+        pictures[view] = {}
         for name, method in methods.items():
-            on_step(f"{name} from {place}")
+            on_step(f"{name} from {view}")
             begun = time.perf_counter()
-            pictures[place][name] = _picture(name, method, scene, camera)
+            pictures[view][name] = _picture(name, method, scene, camera)
             if method.renders:
                 first_seconds.setdefault(name, time.perf_counter() - begun)
     agreement = _agreement(scene, cameras, methods, config, on_step) if config.gradients else {}
@@ -128,8 +128,8 @@ def compare(
     for names in combinations(methods, 2):
         bits = min(methods[name].bits for name in names)
         distances = {
-            place: picture_distance(*(_with_bits(seen[name], bits) for name in names), lpips=lpips)
-            for place, seen in pictures.items()
+            view: picture_distance(*(_with_bits(seen[name], bits) for name in names), lpips=lpips)
+            for view, seen in pictures.items()
         }
         pairs[names] = Pair(bits=bits, distances=distances, agreement=agreement.get(names))
     costs = _costs(scene, next(iter(cameras.values())), methods, config, on_step) if config.rounds else {}
@@ -179,20 +179,20 @@ def _agreement(
         config: As in `compare`.
         on_step: As in `compare`.
     """
-    found: dict[tuple[str, str], Agreement] = {
+    agreements: dict[tuple[str, str], Agreement] = {
         names: {attribute: GradientAgreement() for attribute in ATTRIBUTES}
         for names in combinations(_differentiable(methods), 2)
     }
-    for number, (place, camera) in enumerate(cameras.items() if found else ()):
+    for number, (view, camera) in enumerate(cameras.items() if agreements else ()):
         weights = weighting(camera, config.seed + number)
         each = {}
         for name in _differentiable(methods):
-            on_step(f"{name} from {place}: gradient")
+            on_step(f"{name} from {view}: gradient")
             each[name] = gradients(methods[name].render, scene, camera, weights)
-        for (one, other), by_attribute in found.items():
+        for (first, second), by_attribute in agreements.items():
             for attribute, agreement in by_attribute.items():
-                agreement.add(each[one][attribute], each[other][attribute])
-    return found
+                agreement.add(each[first][attribute], each[second][attribute])
+    return agreements
 
 
 def _costs(
@@ -232,7 +232,7 @@ def _costs(
     if config.gradients:
         runs[GRADIENT] = {name: both(method) for name, method in rendering.items() if method.differentiable}
     return {
-        kind: costs_of(some, rounds=config.rounds, on_step=lambda text, kind=kind: on_step(f"{text} ({kind})"))  # type: ignore[misc]
-        for kind, some in runs.items()
-        if some
+        kind: costs_of(timed, rounds=config.rounds, on_step=lambda text, kind=kind: on_step(f"{text} ({kind})"))  # type: ignore[misc]
+        for kind, timed in runs.items()
+        if timed
     }

@@ -120,6 +120,6 @@ def _resident_after_reset() -> float | None:
 def _status(key: str) -> float | None:
     """A figure of this process in bytes."""
     with contextlib.suppress(OSError):
-        found = re.search(rf"^{key}:\s*(\d+) kB", _STATUS.read_text(), flags=re.MULTILINE)
-        return None if found is None else 1024.0 * int(found[1])
+        match = re.search(rf"^{key}:\s*(\d+) kB", _STATUS.read_text(), flags=re.MULTILINE)
+        return None if match is None else 1024.0 * int(match[1])
     return None

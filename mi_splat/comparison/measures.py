@@ -49,24 +49,24 @@ def picture_distance(first: Tensor, second: Tensor, *, lpips: Perceptual | None 
         second: The same shape.
         lpips: See `mi_splat.metrics.load_lpips`.
     """
-    one, other = (picture.detach().clamp(0, 1) for picture in (first, second))
-    side = min(one.shape[:2])
+    first, second = (picture.detach().clamp(0, 1) for picture in (first, second))
+    side = min(first.shape[:2])
     return PictureDistance(
-        pixels=one.shape[0] * one.shape[1],
-        mse=float(mse(one.double(), other.double())),
-        ssim=float(ssim(one, other)) if side >= LEAST_SSIM else None,
-        lpips=float(lpips(one, other)) if lpips is not None and side >= LEAST_LPIPS else None,
+        pixels=first.shape[0] * first.shape[1],
+        mse=float(mse(first.double(), second.double())),
+        ssim=float(ssim(first, second)) if side >= LEAST_SSIM else None,
+        lpips=float(lpips(first, second)) if lpips is not None and side >= LEAST_LPIPS else None,
     )
 
 
 def pooled(distances: Sequence[PictureDistance]) -> PictureDistance:
     """Several pictures as one: the squared error of all their pixels, and means of the other figures."""
-    pixels = sum(one.pixels for one in distances)
+    pixels = sum(distance.pixels for distance in distances)
     return PictureDistance(
         pixels=pixels,
-        mse=sum(one.mse * one.pixels for one in distances) / pixels,
-        ssim=_mean([one.ssim for one in distances]),
-        lpips=_mean([one.lpips for one in distances]),
+        mse=sum(distance.mse * distance.pixels for distance in distances) / pixels,
+        ssim=_mean([distance.ssim for distance in distances]),
+        lpips=_mean([distance.lpips for distance in distances]),
     )
 
 
@@ -100,11 +100,11 @@ def gradients(render: RenderFn, scene: GaussianScene, camera: Camera, weights: T
     picture = render(GaussianScene(*leaves), camera)
     (picture * weights.to(picture.device)).sum().backward()  # type: ignore[no-untyped-call]
     pairs = zip(ATTRIBUTES, leaves, strict=True)
-    found: dict[str, Tensor] = {
+    by_attribute: dict[str, Tensor] = {
         name: torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for name, leaf in pairs
     }
-    along = (found["rotations"] * scene.rotations).sum(-1, keepdim=True)
-    return {**found, "rotations": found["rotations"] - along * scene.rotations}
+    along = (by_attribute["rotations"] * scene.rotations).sum(-1, keepdim=True)
+    return {**by_attribute, "rotations": by_attribute["rotations"] - along * scene.rotations}
 
 
 class GradientAgreement:
@@ -116,8 +116,8 @@ class GradientAgreement:
 
     def add(self, first: Tensor, second: Tensor) -> None:
         """Take in the gradients, (N, ...) each, of one more picture."""
-        one, other = (gradient.detach().cpu().double().reshape(len(gradient), -1) for gradient in (first, second))
-        products = ((one, other), (one, one), (other, other), (one - other, one - other))
+        x, y = (gradient.detach().cpu().double().reshape(len(gradient), -1) for gradient in (first, second))
+        products = ((x, y), (x, x), (y, y), (x - y, x - y))
         sums = torch.stack([(a * b).sum(1) for a, b in products], dim=1)
         self._sums = self._sums + sums if len(self._sums) else sums
 
@@ -133,7 +133,7 @@ class GradientAgreement:
         A few Gaussians with large gradients, needles above all, decide the cosine of the whole; they do not decide it.
         """
         each = [_cosine(*row) for row in self._sums[:, :3].tolist()]
-        known = [one for one in each if one is not None]
+        known = [cosine for cosine in each if cosine is not None]
         return statistics.median(known) if known else None
 
     @property

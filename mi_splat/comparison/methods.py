@@ -78,11 +78,13 @@ def method_names() -> tuple[str, ...]:
     return tuple(_MAKERS)
 
 
-def load_methods(words: Sequence[str], settings: RenderSettings, cameras: Mapping[str, Camera]) -> dict[str, Method]:
+def load_methods(
+    arguments: Sequence[str], settings: RenderSettings, cameras: Mapping[str, Camera]
+) -> dict[str, Method]:
     """The methods that are asked for, by name, in their order.
 
     Args:
-        words: Names of renderers, and folders of pictures as `folder:PATH`, which are called by the folder's name.
+        arguments: Names of renderers, and folders of pictures as `folder:PATH`, which are called by the folder's name.
             Several in one word stand between commas.
         settings: Background and near plane.
         cameras: From which the pictures of a folder were made, by name.
@@ -93,24 +95,24 @@ def load_methods(words: Sequence[str], settings: RenderSettings, cameras: Mappin
         DatasetError: A folder lacks a picture, or has one of another size.
         MiSplatError: A renderer cannot run here.
     """
-    found: dict[str, Method] = {}
-    for word in filter(None, (part.strip() for given in words for part in given.split(","))):
+    methods: dict[str, Method] = {}
+    for word in filter(None, (part.strip() for given in arguments for part in given.split(","))):
         name = Path(word.removeprefix(FOLDER)).resolve().name if word.startswith(FOLDER) else word
-        if name in found:
+        if name in methods:
             do = "name each once, and rename a folder that is called like a method"
             raise InvalidValueError(message("methods", "different names", f"{name} twice", do))
         if word.startswith(FOLDER):
             pictures = PictureFolder(Path(word.removeprefix(FOLDER)), cameras, background=settings.background)
-            found[name] = Method(render=pictures, differentiable=False, renders=False, bits=8)
+            methods[name] = Method(render=pictures, differentiable=False, renders=False, bits=8)
         elif word in _MAKERS:
-            found[name] = load_method(word, settings)
+            methods[name] = load_method(word, settings)
         else:
             expected = f"one of {', '.join(_MAKERS)}, or {FOLDER}PATH"
             raise InvalidValueError(message("methods", expected, word, "choose one of them"))
-    if len(found) < 2:
-        got = ", ".join(found) or "none"
+    if len(methods) < 2:
+        got = ", ".join(methods) or "none"
         raise InvalidValueError(message("methods", "two or more", got, "name what to compare, for instance tile,ray"))
-    return found
+    return methods
 
 
 def load_method(name: str, settings: RenderSettings) -> Method:

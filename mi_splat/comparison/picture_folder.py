@@ -54,7 +54,7 @@ class PictureFolder:
             InvalidValueError: It is another camera.
             DatasetError: The picture cannot be read any more.
         """
-        name = next((name for name, one in self._cameras.items() if one is camera), None)
+        name = next((name for name, known in self._cameras.items() if known is camera), None)
         if name is None:
             do = "pass a camera that the folder was opened with"
             raise InvalidValueError(message("camera", f"one of {', '.join(self._cameras)}", "another", do))

@@ -10,20 +10,22 @@ from mi_splat.comparison.measures import PictureDistance
 from mi_splat.comparison.methods import Method
 
 
-def as_dict(found: Comparison, methods: Mapping[str, Method]) -> dict[str, Any]:
+def as_dict(comparison: Comparison, methods: Mapping[str, Method]) -> dict[str, Any]:
     """What was measured, as JSON can hold it; a figure that was not measured is null.
 
     Args:
-        found: What `compare` returned.
+        comparison: What `compare` returned.
         methods: What it was given.
     """
-    costs = {kind: {name: cost.as_dict() for name, cost in some.items()} for kind, some in found.costs.items()}
+    costs = {
+        kind: {name: cost.as_dict() for name, cost in by_method.items()} for kind, by_method in comparison.costs.items()
+    }
     return {
         "methods": {
             name: {
                 "differentiable": method.differentiable,
                 "bits": method.bits,
-                "first_seconds": found.first_seconds.get(name),
+                "first_seconds": comparison.first_seconds.get(name),
                 **{kind: costs.get(kind, {}).get(name) for kind in (FORWARD, GRADIENT)},
             }
             for name, method in methods.items()
@@ -33,19 +35,19 @@ def as_dict(found: Comparison, methods: Mapping[str, Method]) -> dict[str, Any]:
                 "methods": list(names),
                 "bits": pair.bits,
                 **_figures(pair.whole),
-                "by_camera": {place: _figures(distance) for place, distance in pair.distances.items()},
+                "by_camera": {view: _figures(distance) for view, distance in pair.distances.items()},
                 "gradients": None
                 if pair.agreement is None
                 else {
                     attribute: {
-                        "cosine": one.cosine,
-                        "median_cosine": one.median_cosine,
-                        "relative_error": one.relative_error,
+                        "cosine": agreement.cosine,
+                        "median_cosine": agreement.median_cosine,
+                        "relative_error": agreement.relative_error,
                     }
-                    for attribute, one in pair.agreement.items()
+                    for attribute, agreement in pair.agreement.items()
                 },
             }
-            for names, pair in found.pairs.items()
+            for names, pair in comparison.pairs.items()
         ],
     }
 

@@ -33,17 +33,17 @@ def sheet(pictures: Mapping[str, Tensor], *, factor: float) -> NDArray[np.uint8]
         (H', W', 3) uint8; small pictures are enlarged by a whole number, so that pixels stay to be seen.
     """
     tiles = [_labelled(to_bytes(picture), name) for name, picture in pictures.items()]
-    for (one, first), (other, second) in combinations(pictures.items(), 2):
+    for (first_name, first), (second_name, second) in combinations(pictures.items(), 2):
         gap = (first.clamp(0, 1) - second.clamp(0, 1)).abs()
-        tiles.append(_labelled(to_bytes(factor * gap), f"|{one} - {other}| x {factor:g}"))
+        tiles.append(_labelled(to_bytes(factor * gap), f"|{first_name} - {second_name}| x {factor:g}"))
     columns = max(3, len(pictures))  # of two, the difference stands beside them
     height, width = tiles[0].shape[:2]
     rows = -(-len(tiles) // columns)
-    found = np.full((rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3), 255, np.uint8)
+    canvas = np.full((rows * (height + GAP) - GAP, columns * (width + GAP) - GAP, 3), 255, np.uint8)
     for number, tile in enumerate(tiles):
         y, x = number // columns * (height + GAP), number % columns * (width + GAP)
-        found[y : y + height, x : x + width] = tile
-    return found
+        canvas[y : y + height, x : x + width] = tile
+    return canvas
 
 
 def _labelled(pixels: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
@@ -70,11 +70,11 @@ def save_sheets(pictures: Mapping[str, Mapping[str, Tensor]], folder: Path, *, f
         SplatFileError: A file cannot be written.
     """
     sheets = []
-    for place, seen in pictures.items():
-        sheets.append(folder / f"{file_name(place)}.png")
+    for view, seen in pictures.items():
+        sheets.append(folder / f"{file_name(view)}.png")
         save_png(sheet(seen, factor=factor), sheets[-1])
         for name, picture in seen.items():
-            own = folder / PICTURES / file_name(name)
-            own.mkdir(parents=True, exist_ok=True)
-            save_png(to_bytes(picture), own / f"{file_name(place)}.png")
+            pictures_folder = folder / PICTURES / file_name(name)
+            pictures_folder.mkdir(parents=True, exist_ok=True)
+            save_png(to_bytes(picture), pictures_folder / f"{file_name(view)}.png")
     return sheets

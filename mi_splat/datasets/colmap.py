@@ -108,13 +108,13 @@ def _read_model(cameras_file: Path) -> Model:
         do = "a model has three files: cameras, images, points3D"
         raise DatasetError(message(str(error.filename), "a part of the model", "no such file", do)) from error
     except OSError as error:
-        found = error.strerror or str(error)
-        raise DatasetError(message(str(cameras_file), "a file that can be read", found, "check the path")) from error
+        got = error.strerror or str(error)
+        raise DatasetError(message(str(cameras_file), "a file that can be read", got, "check the path")) from error
 
 
 def _images_folder(root: Path, folder: Path) -> Path:
     """Where a model's pictures are: images/ in the folder that was asked for or above the model."""
-    candidates = [place / "images" for place in (root, folder, folder.parent, folder.parent.parent)]
+    candidates = [parent / "images" for parent in (root, folder, folder.parent, folder.parent.parent)]
     return next((candidate for candidate in candidates if candidate.is_dir()), candidates[0])
 
 
@@ -140,8 +140,8 @@ def _intrinsics(
         do = "undistort the pictures with colmap image_undistorter and pass its output"
         raise DatasetError(message(f"{source}, camera {number}", "PINHOLE or SIMPLE_PINHOLE", lens.model, do))
     if len(lens.parameters) != MODELS[lens.model]:
-        expected, found = f"{MODELS[lens.model]} parameters of {lens.model}", len(lens.parameters)
-        raise DatasetError(message(f"{source}, camera {number}", expected, found, "export the model again"))
+        expected, got = f"{MODELS[lens.model]} parameters of {lens.model}", len(lens.parameters)
+        raise DatasetError(message(f"{source}, camera {number}", expected, got, "export the model again"))
     fx, fy, cx, cy = lens.parameters if lens.model == "PINHOLE" else (lens.parameters[0], *lens.parameters)
     return (fx, fy), (cx, cy), (lens.width, lens.height)
 

@@ -56,8 +56,8 @@ class _Reader:
         value = int(self.take(_COUNT)[0])
         left = len(self._data) - self._at
         if value * least > left:
-            found = f"{value} records of {least} bytes or more in the last {left} bytes"
-            raise self._fault("counts that fit the file", found)
+            got = f"{value} records of {least} bytes or more in the last {left} bytes"
+            raise self._fault("counts that fit the file", got)
         return value
 
     def text(self) -> str:
@@ -82,10 +82,8 @@ class _Reader:
         if self._at != len(self._data):
             raise self._fault(f"{self._at} bytes", f"{len(self._data)} bytes")
 
-    def _fault(self, expected: str, found: str) -> DatasetError:
-        return DatasetError(
-            message(str(self._path), expected, found, "it is truncated or no COLMAP file: export again")
-        )
+    def _fault(self, expected: str, got: str) -> DatasetError:
+        return DatasetError(message(str(self._path), expected, got, "it is truncated or no COLMAP file: export again"))
 
 
 @contextmanager

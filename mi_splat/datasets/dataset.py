@@ -164,8 +164,8 @@ def _digest(file: Path | None) -> str | None:
     try:
         return None if file is None else sha256(file)
     except OSError as error:
-        found = error.strerror or str(error)
-        raise DatasetError(message(str(file), "the file of a picture", found, "load the set again")) from error
+        got = error.strerror or str(error)
+        raise DatasetError(message(str(file), "the file of a picture", got, "load the set again")) from error
 
 
 def load_dataset(
@@ -211,8 +211,8 @@ def load_dataset(
         frames, points = read_colmap(root, model, split, test_every)
     else:
         expected = "transforms.json, transforms_train.json or a COLMAP model in sparse/0"
-        found = "none of these" if root.is_dir() else "no such folder"
-        raise DatasetError(message(str(root), expected, found, "pass the folder of a set of pictures"))
+        got = "none of these" if root.is_dir() else "no such folder"
+        raise DatasetError(message(str(root), expected, got, "pass the folder of a set of pictures"))
     if not frames:
         do = "choose another split or test_every"
         raise DatasetError(message(str(root), "at least one picture", f"none for split {split!r}", do))

@@ -68,10 +68,10 @@ def find_mask(folder: Path, name: Path, size: tuple[int, int]) -> Path | None:
     if name.is_absolute() or ".." in name.parts:  # which would lead out of the folder, perhaps to the picture itself
         name = Path(name.name)
     names = (name, name.with_name(f"{name.name}.png"), name.with_suffix(".png"))
-    found = next((folder / candidate for candidate in names if (folder / candidate).is_file()), None)
-    if found is not None:
-        picture_size(found, size)
-    return found
+    mask = next((folder / candidate for candidate in names if (folder / candidate).is_file()), None)
+    if mask is not None:
+        picture_size(mask, size)
+    return mask
 
 
 def held_out(items: Sequence[Item], split: Split | None, every: int) -> list[Item]:

@@ -58,8 +58,8 @@ def read_transforms(path: Path, split: Split | None, every: int) -> tuple[list[F
     Raises:
         DatasetError: A file is missing, broken, or describes cameras that are no pinhole cameras.
     """
-    own = next((part for part, name in PARTS.items() if name == path.name), None)
-    if own is None:
+    its_part = next((part for part, name in PARTS.items() if name == path.name), None)
+    if its_part is None:
         document = _document(path)
         frames = _split(document, _frames(document, path), split, every)
         return frames, _points_file(document, path)
@@ -68,7 +68,7 @@ def read_transforms(path: Path, split: Split | None, every: int) -> tuple[list[F
     documents = {file: _document(file) for file in wanted if split is not None or file.is_file()}
     frames = [frame for file, document in documents.items() for frame in _frames(document, file)]
     refuse_doubles((str(frame.path) for frame in frames), path)
-    return frames, next((found for file, doc in documents.items() if (found := _points_file(doc, file))), None)
+    return frames, next((points for file, doc in documents.items() if (points := _points_file(doc, file))), None)
 
 
 def read_cameras(path: Path, size: tuple[int, int]) -> list[Camera]:
@@ -171,13 +171,13 @@ def _camera(values: Mapping[str, Any], size: tuple[int, int], where: str) -> Cam
     distortion = [key for key in _DISTORTION if (_number(values, key, where) or 0.0) != 0.0]
     model = str(values.get("camera_model", _PINHOLE_MODELS[0])).upper()
     if distortion or model not in _PINHOLE_MODELS or values.get("is_fisheye"):
-        found = (
+        lens = (
             f"distortion {', '.join(distortion)}"
             if distortion
             else f"camera model {values.get('camera_model', 'fisheye')}"
         )
         do = "undistort the pictures first, for instance with colmap image_undistorter"
-        raise DatasetError(message(where, "a pinhole camera", found, do))
+        raise DatasetError(message(where, "a pinhole camera", lens, do))
     focal = [_focal(values, axis, pixels, where) for axis, pixels in zip("xy", size, strict=True)]
     known = [value for value in focal if value is not None]
     if not known:

@@ -196,10 +196,10 @@ def _document(entries: Sequence[tuple[str, Camera]], points: bool) -> dict[str, 
     frames = [
         {
             "file_path": f"./{IMAGES}/{Path(name).stem}",  # Blender's readers append the suffix
-            **({} if shared else own),
+            **({} if shared else intrinsic),
             "transform_matrix": (camera.to_world @ OPENGL).tolist(),
         }
-        for (name, camera), own in zip(entries, intrinsics, strict=True)
+        for (name, camera), intrinsic in zip(entries, intrinsics, strict=True)
     ]
     return {**shared, **({"ply_file_path": POINTS[0]} if points else {}), "frames": frames}
 

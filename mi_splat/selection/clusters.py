@@ -56,10 +56,10 @@ def _planes(points: Tensor, spacing: Tensor, count: int) -> Tensor:
     group = torch.full((len(points),), -1)
     for number in range(count):
         rest = (group < 0).nonzero()[:, 0]
-        found = find_plane(points[rest], spacing[rest], least=math.ceil(LEAST_SHARE * len(points)))
-        if found is None:
+        inliers = find_plane(points[rest], spacing[rest], least=math.ceil(LEAST_SHARE * len(points)))
+        if inliers is None:
             break
-        group[rest[found]] = number
+        group[rest[inliers]] = number
     return group
 
 

@@ -88,13 +88,13 @@ class Selection:
     @property
     def pixels(self) -> tuple[tuple[int, int], ...]:
         """The clicks as (x, y) in pixels, from the upper left."""
-        found = []
+        pixels = []
         for text in map(str, self.click):
             x, _, y = text.partition(",")
             if not (x.strip().isdecimal() and y.strip().isdecimal()):
                 raise InvalidValueError(message("click", "a pixel x,y", repr(text), "for instance 120,80"))
-            found.append((int(x), int(y)))
-        return tuple(found)
+            pixels.append((int(x), int(y)))
+        return tuple(pixels)
 
     @property
     def is_empty(self) -> bool:
@@ -105,19 +105,19 @@ class Selection:
 
     def as_dict(self) -> dict[str, Any]:
         """What was selected by, as JSON can hold it; selectors that were not used are left out."""
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         if self.object is not None:
-            found["object"] = self.object
+            values["object"] = self.object
         if self.box is not None:
-            found |= {"box": list(self.box), "box_rotation": list(self.box_rotation)}
+            values |= {"box": list(self.box), "box_rotation": list(self.box_rotation)}
         if self.mask is not None:
             given = isinstance(self.mask, tuple)
-            found["mask"] = {"gaussians": _count(self.mask)} if given else str(self.mask)
+            values["mask"] = {"gaussians": _count(self.mask)} if given else str(self.mask)
         if self.click or self.cluster is not None:
-            found |= {"click": list(self.click)} if self.click else {}
-            found |= {"cluster": self.cluster} if self.cluster is not None else {}
-            found |= {"link_distance": self.link_distance, "link_colour": self.link_colour, "planes": self.planes}
-        return found
+            values |= {"click": list(self.click)} if self.click else {}
+            values |= {"cluster": self.cluster} if self.cluster is not None else {}
+            values |= {"link_distance": self.link_distance, "link_colour": self.link_colour, "planes": self.planes}
+        return values
 
 
 def _pixel_text(click: Any) -> str:
@@ -133,4 +133,4 @@ def _pixel_text(click: Any) -> str:
 def _count(mask: Any) -> int:
     """How many Gaussians a mask that was given as a value names."""
     binary = len(mask) > 2 and set(mask) <= {0, 1}  # bools, or zeros and ones
-    return sum(map(int, mask)) if binary or all(isinstance(one, bool) for one in mask) else len(set(mask))
+    return sum(map(int, mask)) if binary or all(isinstance(entry, bool) for entry in mask) else len(set(mask))

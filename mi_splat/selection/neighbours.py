@@ -39,8 +39,8 @@ def nearest_neighbours(points: Tensor, count: int) -> tuple[Tensor, Tensor]:
     distances, rows = torch.zeros(size, 0, dtype=torch.float64), torch.zeros(size, 0, dtype=torch.int64)
     for _ in range(TREES):
         turn = torch.linalg.qr(torch.randn(3, 3, generator=generator, dtype=torch.float64)).Q
-        found = _within(points, _leaves(points @ turn), count)
-        distances, rows = _best(torch.cat([distances, found[0]], 1), torch.cat([rows, found[1]], 1), count)
+        nearest = _within(points, _leaves(points @ turn), count)
+        distances, rows = _best(torch.cat([distances, nearest[0]], 1), torch.cat([rows, nearest[1]], 1), count)
     return distances, rows
 
 
@@ -62,14 +62,14 @@ def _within(points: Tensor, groups: Tensor, count: int) -> tuple[Tensor, Tensor]
     """The nearest neighbours of each point within its group; infinitely far where the group has too few."""
     distances = torch.full((len(points), count), math.inf, dtype=torch.float64)
     rows = torch.zeros(len(points), count, dtype=torch.int64)
-    for some in torch.split(groups, _GROUPS):
-        placed = points[some]
+    for members in torch.split(groups, _GROUPS):
+        placed = points[members]
         gaps = torch.cdist(placed, placed, compute_mode=_EXACT)
-        gaps = gaps.masked_fill(some[:, :, None] == some[:, None, :], math.inf)
-        least, at = gaps.topk(min(count, some.shape[1]), largest=False)
+        gaps = gaps.masked_fill(members[:, :, None] == members[:, None, :], math.inf)
+        least, at = gaps.topk(min(count, members.shape[1]), largest=False)
         width = least.shape[2]
-        distances[some, :width] = least
-        rows[some, :width] = some[:, None, :].expand(-1, some.shape[1], -1).gather(2, at)
+        distances[members, :width] = least
+        rows[members, :width] = members[:, None, :].expand(-1, members.shape[1], -1).gather(2, at)
     return distances, rows
 
 

@@ -89,14 +89,14 @@ def doubts(mask: Tensor, weights: Mapping[str, Tensor]) -> list[str]:
         weights: (H, W) share of the pixels that it makes up, by the name of the camera.
     """
     count, total = int(mask.sum()), len(mask)
-    found = []
+    texts = []
     if count < FEWEST:
-        found.append(f"the selection has {count} of {total:,} Gaussians, which is hardly an object")
+        texts.append(f"the selection has {count} of {total:,} Gaussians, which is hardly an object")
     if count > MOST * total:
-        found.append(f"the selection has {count:,} of {total:,} Gaussians: nearly the whole scene, surroundings, too")
+        texts.append(f"the selection has {count:,} of {total:,} Gaussians: nearly the whole scene, surroundings, too")
     if hidden := _hidden(weights):
-        found.append(f"the selection does not show {hidden}; something hides it, or it is outside the picture")
-    return found
+        texts.append(f"the selection does not show {hidden}; something hides it, or it is outside the picture")
+    return texts
 
 
 def require_visible(weights: Mapping[str, Tensor]) -> None:
@@ -118,9 +118,9 @@ def _hidden(weights: Mapping[str, Tensor]) -> str:
     hidden = {name: float(weight.max()) for name, weight in weights.items() if not bool((weight >= SEEN).any())}
     if not hidden:
         return ""
-    some = ", ".join(list(hidden)[:_NAMED]) + (", ..." if len(hidden) > _NAMED else "")
+    names = ", ".join(list(hidden)[:_NAMED]) + (", ..." if len(hidden) > _NAMED else "")
     counts = f"{len(hidden)} of {len(weights)} cameras"
-    return f"from {some} ({counts}; at most {max(hidden.values()):.0%} of any pixel is its)"
+    return f"from {names} ({counts}; at most {max(hidden.values()):.0%} of any pixel is its)"
 
 
 def _part(name: str, objects: Mapping[str, slice], count: int) -> Tensor:

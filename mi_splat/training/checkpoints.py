@@ -112,11 +112,11 @@ def load_state(path: Path) -> tuple[TrainState, int]:
     if not path.is_file():
         raise CheckpointError(message(f"checkpoint {path}", "a file", "nothing there", "train without resuming"))
     notes, tensors = read_noted_tensors(path, _READER)
-    found = notes.values.get("format", 1)
-    if found != FORMAT:
+    version = notes.values.get("format", 1)
+    if version != FORMAT:
         expected = f"format {FORMAT}, which knows its pictures by their bytes"
         do = "end it with the version that began it, or train anew in another folder"
-        raise CheckpointError(message(f"checkpoint {path}", expected, f"format {found!r:.40}", do))
+        raise CheckpointError(message(f"checkpoint {path}", expected, f"format {version!r:.40}", do))
     try:
         return _assemble(notes, tensors), notes.whole("threads", 1, 1 << 20)
     except InvalidValueError as error:
@@ -129,37 +129,37 @@ def load_state(path: Path) -> tuple[TrainState, int]:
 def _assemble(notes: Fields, tensors: dict[str, Tensor]) -> TrainState:
     """The run in a checkpoint, every part of it checked against the others."""
     config = from_json(dict(notes.object("config").values))
-    own = _parts(tensors)
-    means = own["parameters"].get("means")
+    groups = _parts(tensors)
+    means = groups["parameters"].get("means")
     if means is None or means.ndim != 2 or not len(means):
         raise _READER.broken(f"{notes.where}, means", described(means), "at least one row of 3 numbers")
     extent, seed = notes.number("scene_extent"), notes.whole("seed", -(1 << 63), (1 << 63) - 1)
     if not extent > 0:
         raise notes.bad("scene_extent", "a number above 0", extent)
     state = TrainState(_blank(len(means), config.sh_degree), config, scene_extent=extent, seed=seed)
-    check_like(own["parameters"], state.parameters, f"{notes.where}, parameters", _READER)
+    check_like(groups["parameters"], state.parameters, f"{notes.where}, parameters", _READER)
     with torch.no_grad():
-        for name, value in own["parameters"].items():
+        for name, value in groups["parameters"].items():
             state.parameters[name].copy_(value)
     for name in state.trained:
-        adam = {key: own[key][name] for key in _ADAM if name in own[key]}
+        adam = {key: groups[key][name] for key in _ADAM if name in groups[key]}
         if adam:
             like = state.parameters[name].detach()
             check_like(adam, dict(zip(_ADAM, (like, like, torch.zeros(())), strict=True)), notes.where, _READER)
             state.optimiser.state[state.parameters[name]] = adam
-    check_like(own["strategy"], state.strategy_state, f"{notes.where}, strategy", _READER)
-    state.strategy_state = own["strategy"]
+    check_like(groups["strategy"], state.strategy_state, f"{notes.where}, strategy", _READER)
+    state.strategy_state = groups["strategy"]
     _take_place(state, notes, tensors.get("generator"))
     return state
 
 
 def _parts(tensors: Mapping[str, Tensor]) -> dict[str, dict[str, Tensor]]:
     """The tensors of a checkpoint by what stands before the / in their names."""
-    found: dict[str, dict[str, Tensor]] = {group: {} for group in ("parameters", "strategy", *_ADAM)}
+    groups: dict[str, dict[str, Tensor]] = {group: {} for group in ("parameters", "strategy", *_ADAM)}
     for key, value in tensors.items():
         group, _, name = key.partition("/")
-        found.setdefault(group, {})[name] = value
-    return found
+        groups.setdefault(group, {})[name] = value
+    return groups
 
 
 def _blank(count: int, degree: int) -> GaussianScene:

@@ -103,10 +103,10 @@ def train(
                 if interrupted():
                     raise KeyboardInterrupt
 
-            found = advance(state, views, render=render, held_out=held_out, lpips=lpips, on_step=after)
-        save_splat(found.scene, folder / SPLAT)
-        save_json(_figures(found, len(held_out)), folder / METRICS)
-        return found
+            fit = advance(state, views, render=render, held_out=held_out, lpips=lpips, on_step=after)
+        save_splat(fit.scene, folder / SPLAT)
+        save_json(_figures(fit, len(held_out)), folder / METRICS)
+        return fit
 
 
 def _resumed(folder: Path, config: FitConfig, *, seed: int, digest: str, settings: Mapping[str, object]) -> TrainState:
@@ -180,18 +180,18 @@ def _check_settings(state: TrainState, settings: Mapping[str, object], folder: P
         raise CheckpointError(message(str(folder), f"a run with {', '.join(differs)}", "another", do))
 
 
-def _figures(found: Fit, held_out: int) -> dict[str, object]:
+def _figures(fit: Fit, held_out: int) -> dict[str, object]:
     """How true the held-out views are, and how it came about."""
-    scores = found.history[-1].held_out
+    scores = fit.history[-1].held_out
     return {
         **dict.fromkeys(("psnr", "ssim", "lpips")),
         **({} if scores is None else asdict(scores)),
         "held_out_views": held_out,
-        "gaussians": len(found.scene),
-        "scene_hash": scene_hash(found.scene),
+        "gaussians": len(fit.scene),
+        "scene_hash": scene_hash(fit.scene),
         "threads": torch.get_num_threads(),
-        "seed": found.seed,
-        "history": [asdict(line) for line in found.history],
+        "seed": fit.seed,
+        "history": [asdict(line) for line in fit.history],
     }
 
 
