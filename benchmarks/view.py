@@ -46,7 +46,9 @@ def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures
     """
     settings = RenderSettings()
     names = ("clean", "attacked")[:splats]
-    shown = tuple(ShownSplat(name=name, scene=scene, path=Path(f"{name}.ply"), own=settings) for name in names)
+    shown = tuple(
+        ShownSplat(name=name, scene=scene, path=Path(f"{name}.ply"), file_settings=settings) for name in names
+    )
     exhibit = Exhibit(title="benchmark", splats=shown, settings=settings, start=whole(scene), size=(640, 480))
     painter, pace = Painter(exhibit, Renderer(settings)), Pace()
     state = ViewState(orbit=exhibit.start, show=ways_of_showing(names)[0], canvas=canvas)

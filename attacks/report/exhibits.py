@@ -86,7 +86,7 @@ def _exhibit_of_attack(folder: Path, record: Mapping[str, Any], clean: Path | No
     cones = Lines(segments=frustums(views, 0.1 * bounds(splat.scene)[1]), colour="#ffa500")
     return Exhibit(
         title=str(folder),
-        splats=(splat, ShownSplat(name="attacked", scene=attacked, path=folder / ATTACKED, own=RenderSettings())),
+        splats=(splat, ShownSplat(name="attacked", scene=attacked, path=folder / ATTACKED, file_settings=RenderSettings())),
         settings=replace(splat.own, **rendered),
         start=next(iter(cameras.values()), of_scene.start),
         size=(views[0].width, views[0].height),
@@ -126,7 +126,7 @@ def _clean_splat(folder: Path, expected: str, clean: Path | None, *, recorded: o
                 raise
             continue
         if scene_hash(loaded.scene) == expected:
-            return ShownSplat(name="clean", scene=loaded.scene, path=path, own=loaded.settings)
+            return ShownSplat(name="clean", scene=loaded.scene, path=path, file_settings=loaded.settings)
         if clean is not None:
             do = "pass the scene that was attacked"
             raise InvalidValueError(message(f"clean scene {clean}", f"the hash {expected}", "another", do))
@@ -158,7 +158,7 @@ def _exhibit_of_study(folder: Path, record: Mapping[str, Any]) -> Exhibit:
     return Exhibit(
         title=f"{study.name} ({folder})",
         splats=tuple(
-            ShownSplat(name=name, scene=splat.scene, path=folder / f"{name}.ply", own=splat.settings)
+            ShownSplat(name=name, scene=splat.scene, path=folder / f"{name}.ply", file_settings=splat.settings)
             for name, splat in loaded.items()
         ),
         settings=RenderSettings(background=study.scene.background),
@@ -166,7 +166,7 @@ def _exhibit_of_study(folder: Path, record: Mapping[str, Any]) -> Exhibit:
         size=(study.cameras.size, study.cameras.size),
         cameras={"start": start, **{f"inside {attack.name}": _inside(attack, start) for attack in study.attack}},
         lines={**regions, **_cameras(study, cameras, 0.04 * distance)},
-        place=lambda camera: tuple(_position(attack, camera, centre) for attack in study.attack),
+        describe=lambda camera: tuple(_position(attack, camera, centre) for attack in study.attack),
     )
 
 

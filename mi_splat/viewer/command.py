@@ -18,7 +18,7 @@ def render_command(
     *,
     middle: Point,
     settings: RenderSettings,
-    own: RenderSettings,
+    file_settings: RenderSettings,
 ) -> str:
     """The `mi-splat render` that makes a picture, to the bit.
 
@@ -28,18 +28,18 @@ def render_command(
         size: Width and height in pixels.
         middle: (3,) where `mi-splat render` looks unless told otherwise: the middle of the file's Gaussians.
         settings: How the picture is rendered.
-        own: How the file itself is rendered.
+        file_settings: How the file itself is rendered.
     """
-    words: list[str] = ["mi-splat", "render", str(path)]
-    words += [*_option("azimuth", orbit.azimuth), *_option("elevation", orbit.elevation)]
-    words += [*_option("distance", orbit.distance), *_option("fov", orbit.fov)]
+    command: list[str] = ["mi-splat", "render", str(path)]
+    command += [*_option("azimuth", orbit.azimuth), *_option("elevation", orbit.elevation)]
+    command += [*_option("distance", orbit.distance), *_option("fov", orbit.fov)]
     if tuple(orbit.target) != tuple(middle):
-        words += _option("centre", *orbit.target)
-    words += ["--size", f"{size[0]}x{size[1]}"]
-    if settings.background != own.background:
-        words += _option("background", *settings.background)
-    words += _option("near", settings.near)  # of a bare splat it follows the camera, unless it is given
-    return shlex.join(words)
+        command += _option("centre", *orbit.target)
+    command += ["--size", f"{size[0]}x{size[1]}"]
+    if settings.background != file_settings.background:
+        command += _option("background", *settings.background)
+    command += _option("near", settings.near)  # of a bare splat it follows the camera, unless it is given
+    return shlex.join(command)
 
 
 def _option(name: str, *values: float) -> Sequence[str]:

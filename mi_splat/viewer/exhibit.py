@@ -47,13 +47,13 @@ class ShownSplat:
         name: What it is called on the page.
         scene: Its Gaussians.
         path: Its file: a splat or a scene XML.
-        own: How that file is rendered unless told otherwise.
+        file_settings: How that file is rendered unless told otherwise.
     """
 
     name: str
     scene: GaussianScene
     path: Path
-    own: RenderSettings
+    file_settings: RenderSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -69,7 +69,7 @@ class Exhibit:
             the page shows has the same shape.
         cameras: Cameras to choose from, by name.
         lines: Lines to be drawn, by name.
-        place: Says in words where a camera stands, one line a thing; empty where there is nothing to say.
+        describe: Says in words where a camera stands, one line a thing; empty where there is nothing to say.
 
     Raises:
         InvalidValueError: There is no splat or more than two, two have one name, one is called as a way of showing two
@@ -83,7 +83,7 @@ class Exhibit:
     size: tuple[int, int]
     cameras: Mapping[str, Orbit] = field(default_factory=dict)
     lines: Mapping[str, Lines] = field(default_factory=dict)
-    place: Callable[[Camera], tuple[str, ...]] = lambda camera: ()
+    describe: Callable[[Camera], tuple[str, ...]] = lambda camera: ()
 
     def __post_init__(self) -> None:
         if not 1 <= len(set(self.names)) == len(self.splats) <= 2:
@@ -147,15 +147,15 @@ def exhibit_of_file(path: Path, *, name: str | None = None, clean: Path | None =
     loaded = open_scene(path)
     first = loaded if clean is None else open_scene(clean)
     middle = focus_of(list(first.cameras.values()), bounds(first.scene)[0])
-    own = path.name if path.stem in (BESIDE, SPLIT, DIFFERENCE) else path.stem
-    splats = [ShownSplat(name=name or own, scene=loaded.scene, path=path, own=loaded.settings)]
+    usual_name = path.name if path.stem in (BESIDE, SPLIT, DIFFERENCE) else path.stem
+    splats = [ShownSplat(name=name or usual_name, scene=loaded.scene, path=path, file_settings=loaded.settings)]
     if clean is not None:
         splats = [
-            ShownSplat(name="clean", scene=first.scene, path=clean, own=first.settings),
+            ShownSplat(name="clean", scene=first.scene, path=clean, file_settings=first.settings),
             replace(splats[0], name=name or "attacked"),
         ]
-    found = {key: orbit_of(camera, middle) for key, camera in first.cameras.items()}
-    cameras = {key: orbit for key, orbit in found.items() if orbit is not None}
+    orbits = {key: orbit_of(camera, middle) for key, camera in first.cameras.items()}
+    cameras = {key: orbit for key, orbit in orbits.items() if orbit is not None}
     seen = next((first.cameras[key] for key in cameras), None)
     start = next(iter(cameras.values()), None) or whole(first.scene)
     return Exhibit(

@@ -132,7 +132,7 @@ def _listed(painter: Painter, views: tuple[int, int], on_view: Callable[[], None
             yield {
                 "azimuth": round(orbit.azimuth, 2),
                 "elevation": round(orbit.elevation, 2),
-                "place": list(exhibit.place(orbit.camera(exhibit.size))),
+                "place": list(exhibit.describe(orbit.camera(exhibit.size))),
                 "splats": [_splat(painter, name, orbit, size, commands[name]) for name in exhibit.names],
             }
             on_view()
@@ -144,9 +144,9 @@ def _splat(painter: Painter, name: str, orbit: Orbit, size: tuple[int, int], com
         pixels = to_bytes(painter.render(painter.exhibit.splat(name).scene, orbit.camera(size)))
     image, text = Image.fromarray(pixels), ""
     if painter.inspector is not None:
-        found = painter.inspect(name, orbit)
-        found.draw(ImageDraw.Draw(image), size[0] / painter.exhibit.size[0])
-        text = found.text
+        inspection = painter.inspect(name, orbit)
+        inspection.draw(ImageDraw.Draw(image), size[0] / painter.exhibit.size[0])
+        text = inspection.text
     return {"picture": _data_uri(image), "found": text, "command": command}
 
 

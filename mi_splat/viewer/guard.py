@@ -62,14 +62,14 @@ class Guard:
         names: Names under which the page may be asked for; None is any.
         scripts: Hashes of the scripts that may run in the page.
         token: What the address has to hold.
-        place: Path of the page, without its first slash.
+        secret_path: Path of the page, without its first slash.
         cookie: What the cookie has to hold.
     """
 
     names: frozenset[str] | None = LOOPBACK_NAMES
     scripts: tuple[str, ...] = ()
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
-    place: str = field(default_factory=lambda: secrets.token_urlsafe(12))
+    secret_path: str = field(default_factory=lambda: secrets.token_urlsafe(12))
     cookie: str = field(default_factory=lambda: secrets.token_urlsafe(24))
 
     def objection(self, path: str, headers: Mapping[str, str]) -> str | None:
@@ -108,7 +108,7 @@ class Guard:
         kept = [(key, value) for key, value in rest if key != "token"]
         if len(kept) == len(rest):
             return None
-        target = html.escape(f"/{self.place}/" + (f"?{urlencode(kept)}" if kept else ""))
+        target = html.escape(f"/{self.secret_path}/" + (f"?{urlencode(kept)}" if kept else ""))
         return (
             '<!doctype html><html lang="en"><meta charset="utf-8"><title>mi-splat view</title>'
             f'<meta http-equiv="refresh" content="0; url={target}"><a href="{target}">Open the page</a></html>\n'
@@ -116,7 +116,7 @@ class Guard:
 
     def inside(self, path: str) -> str:
         """The path as viser knows it, whose page is at "/"."""
-        return path.removeprefix(f"/{self.place}") or "/"
+        return path.removeprefix(f"/{self.secret_path}") or "/"
 
     def headers(self, host: str) -> dict[str, str]:
         """Headers of every answer: the cookie, and that the page shall ask nothing of anybody else.
@@ -127,7 +127,7 @@ class Guard:
         # Paths keep the pages of one browser apart; the port tells who looks at the cookies which page each is of.
         name = f"{COOKIE}-{_name_and_port(host)[1]}"
         return {
-            "Set-Cookie": f"{name}={self.cookie}; HttpOnly; SameSite=Strict; Path=/{self.place}",
+            "Set-Cookie": f"{name}={self.cookie}; HttpOnly; SameSite=Strict; Path=/{self.secret_path}",
             "Content-Security-Policy": viser_policy(self.scripts, host),
             "Referrer-Policy": "no-referrer",
             "Cache-Control": "no-store",
@@ -151,7 +151,7 @@ def _cookies(header: str, name: str) -> list[str]:
 
 def _any_is(given: Iterable[str], secret: str) -> bool:
     """Whether a secret is among what was given, without telling by the time how much of it is right."""
-    return any(hmac.compare_digest(one.encode("utf-8", "replace"), secret.encode()) for one in given)
+    return any(hmac.compare_digest(value.encode("utf-8", "replace"), secret.encode()) for value in given)
 
 
 @contextmanager

@@ -114,15 +114,15 @@ class Visitor:
     def _remarks(self, state: ViewState, painting: Painting) -> Iterator[Remark]:
         """What is known of the picture."""
         exhibit = self._painter.exhibit
-        for line in exhibit.place(state.orbit.camera(exhibit.size)):
+        for line in exhibit.describe(state.orbit.camera(exhibit.size)):
             yield "", line
         likeness = self._painter.likeness(state.orbit)
         if likeness is not None:
             yield "", f"PSNR of {' and '.join(exhibit.names)}: {likeness:.1f} dB"
         elif len(exhibit.splats) > 1:
             yield "", "Both pictures are the same."
-        for name, found in painting.found.items():
-            yield name, found.text
+        for name, inspection in painting.inspections.items():
+            yield name, inspection.text
 
     def _change_by_control(self, wished: Any) -> None:
         with self._lock:

@@ -34,11 +34,11 @@ class Painting:
 
     Attributes:
         pixels: (H, W, 3) uint8, of the shape of the page's place for pictures.
-        found: For each splat that was inspected, what was found; empty while the camera moves.
+        inspections: Of each splat that was inspected; empty while the camera moves.
     """
 
     pixels: Pixels
-    found: Mapping[str, Inspection]
+    inspections: Mapping[str, Inspection]
 
 
 class Painter:
@@ -70,11 +70,11 @@ class Painter:
         scale = canvas[0] / full[0]
         layout = lay_out(canvas, width / height, len(names), gap=round(4 * scale))
         shown = list(dict.fromkeys(name for pane in names for name in needed(pane, self.exhibit.names)))
-        found = {name: self.inspect(name, state.orbit) for name in shown} if step is Step.INSPECTED else {}
+        inspections = {name: self.inspect(name, state.orbit) for name in shown} if step is Step.INSPECTED else {}
         camera = state.orbit.camera(layout.size)
         pictures = {name: to_bytes(self._render(name, camera)) for name in shown}
-        made = [self._pane(pane, pictures, found, camera, state, LETTERS * scale) for pane in names]
-        return Painting(pixels=compose(made, layout), found=found)
+        made = [self._pane(pane, pictures, inspections, camera, state, LETTERS * scale) for pane in names]
+        return Painting(pixels=compose(made, layout), inspections=inspections)
 
     def picture(self, name: str, orbit: Orbit) -> Tensor:
         """(H, W, 3) the picture of a splat that is inspected: of the exhibit's size, and of 8 bits."""
@@ -85,10 +85,10 @@ class Painter:
         assert self.inspector is not None
         if self._last is None or self._last[0] != orbit:
             self._last = (orbit, {})
-        found = self._last[1]
-        if name not in found:
-            found[name] = self.inspector(self.picture(name, orbit))
-        return found[name]
+        inspections = self._last[1]
+        if name not in inspections:
+            inspections[name] = self.inspector(self.picture(name, orbit))
+        return inspections[name]
 
     def commands(self, orbit: Orbit) -> dict[str, str]:
         """For each splat the command that makes the picture which is inspected."""
@@ -100,7 +100,7 @@ class Painter:
                 exhibit.size,
                 middle=self._middles[splat.name],
                 settings=exhibit.settings,
-                own=splat.own,
+                file_settings=splat.file_settings,
             )
             for splat in exhibit.splats
         }
@@ -120,15 +120,15 @@ class Painter:
         self,
         pane: str,
         pictures: Mapping[str, Pixels],
-        found: Mapping[str, Inspection],
+        inspections: Mapping[str, Inspection],
         camera: Camera,
         state: ViewState,
         letters: float,
     ) -> Pixels:
         """The pixels of one pane with everything drawn into it."""
         parts = {name: pictures[name] for name in needed(pane, self.exhibit.names)}
-        if set(parts) & set(found) and pane != DIFFERENCE:
-            parts = {name: self._marked(pixels, found[name]) for name, pixels in parts.items()}
+        if set(parts) & set(inspections) and pane != DIFFERENCE:
+            parts = {name: self._marked(pixels, inspections[name]) for name, pixels in parts.items()}
         image = Image.fromarray(np.ascontiguousarray(pane_pixels(pane, parts, split=state.split)))
         draw = ImageDraw.Draw(image)
         for name in sorted(state.lines & set(self.exhibit.lines)):

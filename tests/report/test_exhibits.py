@@ -153,7 +153,7 @@ def test_a_study_shows_both_splats_from_its_cameras(study: Path) -> None:
 def test_where_a_camera_stands_is_said(study: Path) -> None:
     found = open_exhibit(study)
     above = replace(found.start, elevation=62.5).camera((8, 8))
-    overhead, rear = found.place(above)
+    overhead, rear = found.describe(above)
     assert overhead == "Trigger overhead: 12.5° inside"
     assert "outside" in rear
 

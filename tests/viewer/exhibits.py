@@ -45,7 +45,7 @@ def exhibit(splats: int = 2) -> Exhibit:
     return Exhibit(
         title="balls <of> colour",
         splats=tuple(
-            ShownSplat(name=name, scene=ball(colours[name]), path=Path(f"{name}.ply"), own=settings)
+            ShownSplat(name=name, scene=ball(colours[name]), path=Path(f"{name}.ply"), file_settings=settings)
             for name in list(colours)[:splats]
         ),
         settings=settings,
@@ -53,7 +53,7 @@ def exhibit(splats: int = 2) -> Exhibit:
         size=(48, 32),
         cameras={"front": START, "above": ABOVE},
         lines={"Ring": Lines(segments=arc((0, 0, 0), 1.0, (0.0, 0.0), (360.0, 0.0)), colour="#0000ff")},
-        place=lambda camera: (f"{float(camera.position[2]):.1f} above the ground",),
+        describe=lambda camera: (f"{float(camera.position[2]):.1f} above the ground",),
     )
 
 

@@ -61,7 +61,7 @@ def test_every_view_has_its_pictures_and_findings(page: str) -> None:
             work.inspect(name, orbit).text for name in ("clean", "attacked")
         ]
         assert [splat["command"] for splat in view["splats"]] == list(work.commands(orbit).values())
-        assert view["place"] == list(work.exhibit.place(orbit.camera((48, 32))))
+        assert view["place"] == list(work.exhibit.describe(orbit.camera((48, 32))))
     content = base64.b64decode(views[0]["splats"][0]["picture"].removeprefix("data:image/jpeg;base64,"))
     with Image.open(io.BytesIO(content)) as picture:
         assert picture.size == (2 * 48, 2 * 32)
@@ -102,7 +102,7 @@ def test_names_from_outside_cannot_become_markup(page: str) -> None:
 def test_text_cannot_end_the_script(tmp_path: Path) -> None:
     from dataclasses import replace
 
-    hostile = replace(exhibit(1), place=lambda camera: ("</script><b>",))
+    hostile = replace(exhibit(1), describe=lambda camera: ("</script><b>",))
     write_export(Painter(hostile, painter().render), tmp_path / "page.html", views=(1, 1))
     page = (tmp_path / "page.html").read_text()
     assert "<b>" not in page

@@ -96,7 +96,7 @@ def test_where_markup_came_through_still_no_script_runs(chromium: Any, monkeypat
     )
     monkeypatch.setattr("mi_splat.viewer.panel.html.escape", lambda text: text)
     work = painter(1)
-    work.exhibit = replace(work.exhibit, place=lambda camera: (markup,))
+    work.exhibit = replace(work.exhibit, describe=lambda camera: (markup,))
     with serving(work) as page:
         opened = Window(chromium, page.address, (1000, 640))
         opened.page.get_by_text("a link").click()

@@ -14,7 +14,7 @@ from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.viewer.guard import COOKIE, Guard, checked_host, guarding, is_loopback
 from mi_splat.viewer.policy import viser_scripts
 
-GUARD = Guard(token="secret", place="somewhere", cookie="crumb", scripts=("'sha256-of-it'",))
+GUARD = Guard(token="secret", secret_path="somewhere", cookie="crumb", scripts=("'sha256-of-it'",))
 HERE = {"Host": "127.0.0.1:8080"}
 COOKIES = {"Cookie": f"other=1; {COOKIE}-8080=crumb"}
 TUNNEL = {"Host": "localhost:9000", "Cookie": f"{COOKIE}-9000=crumb"}
@@ -95,7 +95,7 @@ def test_a_cookie_goes_only_to_its_own_page() -> None:
     other = Guard()
     for guard in (GUARD, other):
         name, *attributes = guard.headers("127.0.0.1:8080")["Set-Cookie"].split("; ")
-        assert attributes == ["HttpOnly", "SameSite=Strict", f"Path=/{guard.place}"]
+        assert attributes == ["HttpOnly", "SameSite=Strict", f"Path=/{guard.secret_path}"]
         assert name == f"{COOKIE}-8080={guard.cookie}"
     assert other.objection("/", {**HERE, **COOKIES}) is not None
     assert GUARD.headers("localhost:9000")["Set-Cookie"].startswith(f"{COOKIE}-9000=")

@@ -173,7 +173,7 @@ def test_what_is_said_of_a_picture_is_text(words: str) -> None:
     assert as_html([(words, words), ("", words)]).count(html.escape(words)) == 3
     assert as_html([("", f"\ud800{words}")]).endswith(f">?{html.escape(words)}</div>")
     work = painter()
-    work.exhibit = replace(work.exhibit, place=lambda camera: (words,))
+    work.exhibit = replace(work.exhibit, describe=lambda camera: (words,))
     with visiting(work) as browser:
         update = browser.until(lambda message: "PSNR" in str(message.get("updates", {})))["updates"]
     assert list(update) == ["content"]  # as HTML

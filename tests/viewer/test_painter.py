@@ -66,14 +66,14 @@ def test_what_is_inspected_is_the_stated_picture_of_8_bits_and_only_at_rest() ->
     looker = Looker()
     work = painter(looker=looker)
     for step in (Step.COARSE, Step.FULL):
-        assert not work.paint(STATE, step, Pace()).found
+        assert not work.paint(STATE, step, Pace()).inspections
     assert not looker.seen
     painting = work.paint(STATE, Step.INSPECTED, Pace())
-    assert list(painting.found) == ["clean", "attacked"]
+    assert list(painting.inspections) == ["clean", "attacked"]
     expected = to_bytes(work.render(work.exhibit.splats[0].scene, START.camera((48, 32))))
     assert np.array_equal(to_bytes(looker.seen[0]), expected)
     assert torch.equal(looker.seen[0], (looker.seen[0] * 255).round() / 255)
-    assert "mean colour" in painting.found["clean"].text
+    assert "mean colour" in painting.inspections["clean"].text
     assert (painting.pixels[20:24, 3:8] == 255).all()  # the mark
 
 
@@ -111,7 +111,7 @@ def test_no_window_is_too_large_or_too_small(canvas: tuple[int, int]) -> None:
 
 
 def test_two_names_are_two() -> None:
-    splat = ShownSplat(name="one", scene=ball((1, 0, 0)), path=Path("a.ply"), own=RenderSettings())
+    splat = ShownSplat(name="one", scene=ball((1, 0, 0)), path=Path("a.ply"), file_settings=RenderSettings())
     with pytest.raises(InvalidValueError, match="splats: expected one, or two of different names"):
         Exhibit(title="", splats=(splat, splat), settings=RenderSettings(), start=START, size=(8, 8))
 
@@ -122,7 +122,7 @@ def test_a_file_that_is_called_as_a_way_of_showing(way: str, tmp_path: Path) -> 
     work = Painter(exhibit_of_file(tmp_path / f"{way}.ply"), blobs, Looker())
     assert work.exhibit.names == (f"{way}.ply",)
     state = ViewState(orbit=START, show=f"{way}.ply", canvas=(60, 40))
-    assert set(work.paint(state, Step.INSPECTED, Pace()).found) == {f"{way}.ply"}
+    assert set(work.paint(state, Step.INSPECTED, Pace()).inspections) == {f"{way}.ply"}
     with pytest.raises(InvalidValueError, match=f"name of a splat: expected none of a way of showing, got {way}"):
         exhibit_of_file(tmp_path / f"{way}.ply", name=way)
 
