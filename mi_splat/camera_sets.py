@@ -162,13 +162,13 @@ def camera_set(
     """
     if spec.lower().endswith(".json"):
         return read_cameras(Path(spec), size)
-    kind, found = _parse(spec)
-    count, angle = int(found["count"]), float(found.get("angle", 0.0))
+    kind, numbers = _parse(spec)
+    count, angle = int(numbers["count"]), float(numbers.get("angle", 0.0))
     distance, focal = _positive("distance", distance), _positive("focal", focal)
     if kind == "orbit":
         return orbit(centre, count=count, elevation=angle, distance=distance, focal=focal, size=size)
     if kind == "grid":
-        rows = int(found["rows"])
+        rows = int(numbers["rows"])
         return grid(centre, azimuths=count, elevations=rows, distance=distance, focal=focal, size=size)
     return hemisphere(centre, count=count, distance=distance, focal=focal, size=size, elevation=(angle, 90.0))
 
@@ -196,13 +196,13 @@ def held_out_set(
     if spec.lower().endswith(".json"):
         do = "capture the file of the test cameras into a folder of its own"
         raise InvalidValueError(message("test cameras", f"a set by name beside {spec}", "a file", do))
-    kind, found = _parse(spec)
-    angle = float(found.get("angle", 0.0))
+    kind, numbers = _parse(spec)
+    angle = float(numbers.get("angle", 0.0))
     distance, focal = _positive("distance", distance), _positive("focal", focal)
     if kind == "orbit":
         return [
             orbit(centre, count=1, elevation=angle, distance=distance, focal=focal, size=size, start=azimuth)[0]
-            for azimuth in _between(int(found["count"]), count)
+            for azimuth in _between(int(numbers["count"]), count)
         ]
     band, start = (angle, 90.0), HELD_OUT_START
     return hemisphere(centre, count=count, distance=distance, focal=focal, size=size, elevation=band, start=start)
@@ -218,10 +218,10 @@ def _between(others: int, count: int) -> list[float]:
 def _parse(spec: str) -> tuple[str, dict[str, str]]:
     """The kind of a set and its numbers as text, in range."""
     kind, _, rest = spec.partition(":")
-    found = _PATTERNS[kind].fullmatch(rest) if kind in _PATTERNS else None
-    if found is None:
+    match = _PATTERNS[kind].fullmatch(rest) if kind in _PATTERNS else None
+    if match is None:
         raise InvalidValueError(message("cameras", FORMS, repr(spec), "write one of these forms"))
-    numbers = found.groupdict()
+    numbers = match.groupdict()
     total = int(numbers["count"]) * int(numbers.get("rows", 1))
     if not 1 <= total <= MOST:
         raise InvalidValueError(message(f"cameras {spec}", f"1 to {MOST} cameras", total, "change the number"))

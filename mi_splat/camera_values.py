@@ -58,10 +58,10 @@ def check_points(**values: Sequence[float]) -> None:
     """Raise unless each value is three finite numbers."""
     for name, numbers in values.items():
         try:
-            found = [float(number) for number in numbers]
+            point = [float(number) for number in numbers]
         except (TypeError, ValueError):
-            found = []
-        if len(found) != 3:
+            point = []
+        if len(point) != 3:
             raise InvalidValueError(message(name, "three numbers", repr(numbers), "pass (x, y, z) in world units"))
     check_finite(**values)
 

@@ -65,7 +65,7 @@ def nearest(word: str, known: Iterable[str], otherwise: str) -> str:
         known: What would have been right.
         otherwise: What to do where none of them is like it.
     """
-    by_small = {one.lower(): one for one in known}
+    by_small = {name.lower(): name for name in known}
     near = difflib.get_close_matches(word.lower(), by_small, n=1, cutoff=0.5)
     return f"did you mean {by_small[near[0]]}?" if near else otherwise
 

@@ -55,7 +55,7 @@ def random_cameras(recipe: SceneRecipe, count: int, *, seed: int) -> list[Camera
     """`count` cameras in the recipe's range, evenly spread in area with some chance, that look at about its centre."""
     rng = np.random.default_rng([seed, 0xCA3])
     low, high = np.sin(np.radians(recipe.elevation))
-    found = []
+    cameras = []
     for i in range(count):
         elevation = math.degrees(math.asin(low + (high - low) * ((i + 0.5) / count)))
         fraction = (i * _GOLDEN_RATIO + rng.random() / count) % 1
@@ -64,8 +64,8 @@ def random_cameras(recipe: SceneRecipe, count: int, *, seed: int) -> list[Camera
         origin = np.array(recipe.centre) + offset
         origin[2] = max(origin[2], 0.3)
         target = np.array(recipe.centre) + rng.normal(0, 0.05, 3) * np.linalg.norm(offset)
-        found.append(_camera(origin, target))
-    return found
+        cameras.append(_camera(origin, target))
+    return cameras
 
 
 def _dome() -> Asset:
@@ -123,11 +123,11 @@ def nearest(points: Tensor, others: Tensor) -> Tensor:
     """(N,) index of the nearest of (M, 3) others to each of (N, 3) points."""
     rows = max(1, _BLOCK // len(others))
     exact = "donot_use_mm_for_euclid_dist"  # the matrix product loses the small distances of points far away
-    found = [
+    distances = [
         torch.cdist(points[first : first + rows], others, compute_mode=exact).argmin(1)
         for first in range(0, len(points), rows)
     ]
-    return torch.cat(found)
+    return torch.cat(distances)
 
 
 def scene_xml(name: str, recipe: SceneRecipe) -> str:

@@ -95,8 +95,8 @@ class Range:
         return (0.0 if math.isinf(self.low) else self.low, 0.0 if math.isinf(self.high) else self.high)
 
     def __str__(self) -> str:
-        words = f"a number {self.bounds}".strip()
-        return f"{words} ({self.unit})" if self.unit else words
+        text = f"a number {self.bounds}".strip()
+        return f"{text} ({self.unit})" if self.unit else text
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,10 +104,10 @@ class Called:
     """What `--help` calls the values of a field, one word for each of them.
 
     Attributes:
-        words: For instance "X Y Z". A field without it takes the unit of its range, or what its type says.
+        name: For instance "X Y Z". A field without it takes the unit of its range, or what its type says.
     """
 
-    words: str
+    name: str
 
 
 def at_least(low: float, unit: str = "", do: str = "change it") -> Range:
@@ -244,9 +244,9 @@ def check_choice(what: str, value: object, known: Collection[Any]) -> None:
 
 
 def _unknown(what: str, value: object, known: Iterable[Any]) -> FieldError:
-    words = [str(choice) for choice in known]
+    names = [str(choice) for choice in known]
     got = value if isinstance(value, str) and value else repr(value)
-    return FieldError.of(what, f"one of {', '.join(words)}", got, nearest(str(value), words, "choose one of them"))
+    return FieldError.of(what, f"one of {', '.join(names)}", got, nearest(str(value), names, "choose one of them"))
 
 
 def several(value: Any) -> tuple[Any, ...]:

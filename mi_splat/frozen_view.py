@@ -88,10 +88,10 @@ class FrozenView:
             InvalidValueError: It is no camera.
             MiSplatError: `nbytes` would be above `max_bytes`.
         """
-        other = copy.copy(self)
+        view = copy.copy(self)
         _make_current(self.variant)
-        other._look(camera, max_bytes, held=0)
-        return other
+        view._look(camera, max_bytes, held=0)
+        return view
 
     def _look(self, camera: Camera, max_bytes: int, *, held: int) -> None:
         """Fill what belongs to one camera, with `held` bytes taken before."""
@@ -216,8 +216,8 @@ class _Step(torch.autograd.Function):
         from mi_splat.rasterization.colour_steps import gradient_of
 
         _make_current(view.variant)
-        found = gradient_of(view._pairs, ctx.shape[1], ctx.colours, mi.Float(grad.detach().flatten()))
-        return found.torch().reshape(ctx.shape), None
+        grad_colours = gradient_of(view._pairs, ctx.shape[1], ctx.colours, mi.Float(grad.detach().flatten()))
+        return grad_colours.torch().reshape(ctx.shape), None
 
 
 def _make_current(name: str) -> None:
@@ -244,20 +244,20 @@ def _indices(rows: Tensor | slice | None, count: int) -> Tensor:
     if not isinstance(rows, Tensor):
         raise InvalidValueError(message("rows", "a tensor or a slice", type(rows).__name__, "use torch.as_tensor"))
     check_rows(rows, count)
-    found = rows.nonzero().flatten() if rows.dtype == torch.bool else rows.long() % max(count, 1)
-    different = int(torch.bincount(found, minlength=1).clamp(max=1).sum())
-    if different != len(found):
-        got = f"{len(found) - different} that are there before"
+    indices = rows.nonzero().flatten() if rows.dtype == torch.bool else rows.long() % max(count, 1)
+    different = int(torch.bincount(indices, minlength=1).clamp(max=1).sum())
+    if different != len(indices):
+        got = f"{len(indices) - different} that are there before"
         raise InvalidValueError(message("rows", "each Gaussian once", got, "call rows.unique()"))
-    return found
+    return indices
 
 
-def _same_camera(one: object, other: Camera) -> bool:
+def _same_camera(first: object, second: Camera) -> bool:
     """Whether two cameras make the same picture."""
     from mi_splat.rasterization import pinhole
 
-    return isinstance(one, Camera) and (
-        pinhole.from_camera(one, near=1.0).key() == pinhole.from_camera(other, near=1.0).key()
+    return isinstance(first, Camera) and (
+        pinhole.from_camera(first, near=1.0).key() == pinhole.from_camera(second, near=1.0).key()
     )
 
 

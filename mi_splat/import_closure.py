@@ -48,16 +48,16 @@ def closure(*modules: str) -> tuple[str, ...]:
     Raises:
         ModuleNotFoundError: There is no such module.
     """
-    found, waiting = set[str](), list(modules)
+    names, waiting = set[str](), list(modules)
     while waiting:
         name = waiting.pop()
-        if name in found:
+        if name in names:
             continue
         if _file(name) is None:
             raise ModuleNotFoundError(f"{name}: expected a module below {ROOT}, got none; correct its name")
-        found.add(name)
+        names.add(name)
         waiting += [*_imports(name), *(name.rsplit(".", depth)[0] for depth in range(1, name.count(".") + 1))]
-    return tuple(sorted(found))
+    return tuple(sorted(names))
 
 
 @functools.cache
@@ -66,8 +66,8 @@ def _file(name: str) -> Path | None:
     if not all(part.isidentifier() for part in name.split(".")):
         return None
     path = ROOT.joinpath(*name.split("."))
-    found = (one for one in (path / "__init__.py", path.with_suffix(".py")) if one.is_file())
-    return next(found, None)
+    files = (file for file in (path / "__init__.py", path.with_suffix(".py")) if file.is_file())
+    return next(files, None)
 
 
 @functools.cache
@@ -88,17 +88,17 @@ def _code(name: str) -> str:
 @functools.cache
 def _imports(name: str) -> tuple[str, ...]:
     """Modules beside this package that a module imports, at once or in one of its functions."""
-    found, tree = list[str](), _tree(name)
+    names, tree = list[str](), _tree(name)
     # A package may import its names when they are asked for; who asks for one is followed by `_imported`.
     when_asked = {id(key) for key, _ in _tables_of_names(tree)}
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            found += [alias.name for alias in node.names]
+            names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module is not None:
-            found += [_imported(node.module, alias.name) for alias in node.names]
+            names += [_imported(node.module, alias.name) for alias in node.names]
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in when_asked:
-            found += [node.value] if "." in node.value else []  # a module that is loaded by its name
-    return tuple(dict.fromkeys(one for one in found if _file(one) is not None))
+            names += [node.value] if "." in node.value else []  # a module that is loaded by its name
+    return tuple(dict.fromkeys(module for module in names if _file(module) is not None))
 
 
 def _imported(module: str, name: str) -> str:
@@ -117,7 +117,7 @@ def _tables_of_names(tree: ast.Module) -> Iterator[tuple[ast.Constant, list[obje
     for node in (node for node in ast.walk(tree) if isinstance(node, ast.Dict)):
         for key, value in zip(node.keys, node.values, strict=True):
             if isinstance(key, ast.Constant) and isinstance(value, ast.Tuple):
-                yield key, [one.value for one in value.elts if isinstance(one, ast.Constant)]
+                yield key, [element.value for element in value.elts if isinstance(element, ast.Constant)]
 
 
 def _versions(names: tuple[str, ...]) -> Iterator[tuple[str, str]]:

@@ -28,13 +28,13 @@ def plate_of(draw: ImageDraw.ImageDraw, corner: tuple[float, float], text: str, 
 
 def free_plate(plates: Sequence[Plate], taken: Sequence[Plate]) -> Plate:
     """The first of some plates that covers nothing that is taken; else the one that covers least of it."""
-    return min(plates, key=lambda plate: sum(_shared(plate, other) for other in taken))
+    return min(plates, key=lambda plate: sum(_shared(plate, drawn) for drawn in taken))
 
 
-def _shared(one: Plate, other: Plate) -> float:
+def _shared(a: Plate, b: Plate) -> float:
     """Pixels that are in both."""
-    width = min(one[2], other[2]) - max(one[0], other[0])
-    height = min(one[3], other[3]) - max(one[1], other[1])
+    width = min(a[2], b[2]) - max(a[0], b[0])
+    height = min(a[3], b[3]) - max(a[1], b[1])
     return max(width, 0) * max(height, 0)
 
 

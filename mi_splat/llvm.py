@@ -66,13 +66,13 @@ def find_llvm(folders: Iterable[Path] | None = None) -> Path | None:
         folders = [match for pattern in _FOLDERS for match in Path("/").glob(pattern[1:])]
         if "CONDA_PREFIX" in os.environ:
             folders = [*folders, Path(os.environ["CONDA_PREFIX"]) / "lib"]
-    found: list[tuple[int, str]] = []
+    libraries: list[tuple[int, str]] = []
     for folder in folders:
         for path in folder.glob("libLLVM*"):
             version = llvm_version(path) if _NAME.match(path.name) else None
             if version is not None and version >= MINIMUM_LLVM and path.exists():
-                found.append((version, str(path)))
-    return Path(max(found)[1]) if found else None
+                libraries.append((version, str(path)))
+    return Path(max(libraries)[1]) if libraries else None
 
 
 def prepare_llvm() -> Path | None:
@@ -93,9 +93,9 @@ def prepare_llvm() -> Path | None:
         if version is not None and version < MINIMUM_LLVM:
             raise LLVMError(message("DRJIT_LIBLLVM_PATH", f"LLVM >= {MINIMUM_LLVM}", f"LLVM {version}", llvm_hint()))
         return path
-    found = find_llvm()
-    if found is not None:
-        os.environ["DRJIT_LIBLLVM_PATH"] = str(found)
+    library = find_llvm()
+    if library is not None:
+        os.environ["DRJIT_LIBLLVM_PATH"] = str(library)
     elif platform.system() == "Linux":
         raise LLVMError(message("libLLVM", f"version {MINIMUM_LLVM} or later", "none on this machine", llvm_hint()))
-    return found
+    return library

@@ -30,7 +30,7 @@ def holds_surfaces(path: Path) -> bool:
         elements = scene_parts(path).elements
     except InvalidValueError:
         return False
-    return any(one.get("type") not in SPLATS for one in elements if one.tag == "shape")
+    return any(element.get("type") not in SPLATS for element in elements if element.tag == "shape")
 
 
 def contents_hash(path: Path) -> str:

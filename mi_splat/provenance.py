@@ -30,13 +30,13 @@ def command() -> str | None:
 
 
 @contextmanager
-def running_command(words: Sequence[str]) -> Iterator[None]:
+def running_command(command: Sequence[str]) -> Iterator[None]:
     """Results that are made within name this command line.
 
     Args:
-        words: The program and what the user typed after it.
+        command: The program and what the user typed after it.
     """
-    before = _COMMAND.set(shlex.join(words))
+    before = _COMMAND.set(shlex.join(command))
     try:
         yield
     finally:
@@ -70,13 +70,13 @@ def rendered_with(render: object) -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """Version of Python and of every package that a result depends on; packages that are not installed are left out."""
-    found = {"python": platform.python_version()}
+    versions = {"python": platform.python_version()}
     for name in _PACKAGES:
         try:
-            found[name] = importlib.metadata.version(name)
+            versions[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             continue
-    return found
+    return versions
 
 
 def variant() -> str | None:

@@ -183,10 +183,10 @@ class Renderer:
             nothing = torch.cat([t.flatten() for t in tensors]).sum()  # Dr.Jit has no gradient of size 0, torch has
             return [result.detach() + nothing for result in results]
         except RuntimeError as error:
-            own = _own(error)
-            if own is None:
+            known = _own(error)
+            if known is None:
                 raise
-            raise own from None
+            raise known from None
 
 
 def _own(error: BaseException | None) -> MiSplatError | None:

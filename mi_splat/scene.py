@@ -213,8 +213,8 @@ def merge(*scenes: GaussianScene) -> GaussianScene:
     columns = zip(*(scene.with_degree(degree).tensors() for scene in scenes), strict=True)
     kinds = {(scene.means.dtype, scene.means.device) for scene in scenes}
     if len(kinds) > 1:
-        found = ", ".join(sorted(f"{dtype} on {device}" for dtype, device in kinds))
-        raise InvalidValueError(message("scenes", "one dtype and device", found, "bring them together with .to()"))
+        got = ", ".join(sorted(f"{dtype} on {device}" for dtype, device in kinds))
+        raise InvalidValueError(message("scenes", "one dtype and device", got, "bring them together with .to()"))
     return GaussianScene.unchecked(*(torch.cat(column) for column in columns))
 
 
@@ -273,8 +273,8 @@ def _check_values(scene: GaussianScene) -> None:
         bad = ~((wide >= low) & (wide <= high))
         rows = bad.any(1).nonzero().flatten()
         first = int(rows[0])
-        found = f"{'norm ' if name == 'rotations' else ''}{wide[first][bad[first]][0].item():.6g}"
-        got = f"{found} in row {first} ({len(rows)} of {len(value)} rows are wrong)"
+        shown = f"{'norm ' if name == 'rotations' else ''}{wide[first][bad[first]][0].item():.6g}"
+        got = f"{shown} in row {first} ({len(rows)} of {len(value)} rows are wrong)"
         raise InvalidValueError(message(name, expected, got, do))
 
 

@@ -21,10 +21,10 @@ def sun_direction(hour: float, *, latitude: float, declination: float = 0.0) -> 
         InvalidValueError: The sun has not risen yet, or has set.
     """
     angle = math.radians(15 * (hour - 12))
-    place, tilt = math.radians(latitude), math.radians(declination)
+    phi, tilt = math.radians(latitude), math.radians(declination)
     east = -math.cos(tilt) * math.sin(angle)
-    north = math.cos(place) * math.sin(tilt) - math.sin(place) * math.cos(tilt) * math.cos(angle)
-    up = math.sin(place) * math.sin(tilt) + math.cos(place) * math.cos(tilt) * math.cos(angle)
+    north = math.cos(phi) * math.sin(tilt) - math.sin(phi) * math.cos(tilt) * math.cos(angle)
+    up = math.sin(phi) * math.sin(tilt) + math.cos(phi) * math.cos(tilt) * math.cos(angle)
     if up <= 1e-6:
         raise InvalidValueError(message("hour", "an hour when the sun is up", f"{hour:g}", "leave it out"))
     return east, north, up

@@ -48,14 +48,14 @@ def freeze_views(
     from mi_splat.frozen_view import FrozenView  # here, so that importing an attack does not import Mitsuba
     from mi_splat.rendering import Renderer
 
-    found: dict[Camera, FrozenView] = {}
+    views: dict[Camera, FrozenView] = {}
     if type(render) is not Renderer or render.settings.method != "tile" or render.screen_gradients is not None:
-        return found
+        return views
     if pictures < MIN_PICTURES:
-        return found
+        return views
     first: FrozenView | None = None
     for camera in dict.fromkeys(cameras):
-        left = max_bytes - sum(view.nbytes for view in found.values())
+        left = max_bytes - sum(view.nbytes for view in views.values())
         try:
             if first is None:
                 view = first = FrozenView(scene, camera, settings=render.settings, rows=rows, max_bytes=left)
@@ -63,5 +63,5 @@ def freeze_views(
                 view = first.at(camera, max_bytes=left)
         except MiSplatError:  # it does not fit; what else is wrong `render` says
             break
-        found[camera] = view
-    return found
+        views[camera] = view
+    return views

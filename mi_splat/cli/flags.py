@@ -123,7 +123,7 @@ class Option:
     def called(self) -> str:
         """What its values are called."""
         kind, marks, _ = unwrapped(self.hint)
-        words = next((mark.words for mark in marks if isinstance(mark, Called)), "")
+        words = next((mark.name for mark in marks if isinstance(mark, Called)), "")
         unit = next((mark.unit for mark in marks if isinstance(mark, Range)), "")
         if typing.get_origin(kind) is tuple:
             inner = dataclasses.replace(self, hint=Annotated[(typing.get_args(kind)[0], Flag(), *marks)])

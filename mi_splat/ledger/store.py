@@ -91,8 +91,8 @@ class Store:
             return None
         record, folder = self.record(key), self.folder_of(key) / FILES
         if (present := hashes(folder)) != record["files"]:
-            other = f"another {', '.join(_different(present, record['files'])[:3])}"
-            raise InvalidValueError(message(f"job {self.folder_of(key)}", "the files that it wrote", other, AGAIN))
+            got = f"another {', '.join(_different(present, record['files'])[:3])}"
+            raise InvalidValueError(message(f"job {self.folder_of(key)}", "the files that it wrote", got, AGAIN))
         return Done(key=key, folder=folder, record=record)
 
     def existing(self, key: str) -> Done:

@@ -17,12 +17,12 @@ def _collector(variant: str) -> Any:
 
         def __init__(self) -> None:
             super().__init__()
-            self.found: dict[str, tuple[Any, Any]] = {}
+            self.values: dict[str, tuple[Any, Any]] = {}
 
         def put(self, name: str, value: Any, flags: Any, kind: Any = None) -> None:
             """Told of everything by name."""
             if not isinstance(value, mi.Object):
-                self.found[name] = value, kind
+                self.values[name] = value, kind
 
         put_value = put
 
@@ -42,5 +42,5 @@ def own_values(node: Any) -> dict[str, Any]:
     node.traverse(callback)
     return {
         name: value if kind is None else mi.get_property(value, kind, node)
-        for name, (value, kind) in callback.found.items()
+        for name, (value, kind) in callback.values.items()
     }

@@ -29,9 +29,9 @@ from mi_splat.plugins.stretches import (
 from mi_splat.raytracing import adjoint
 
 
-def _mis_weight(pdf: Any, other: Any) -> Any:
+def _mis_weight(pdf: Any, other_pdf: Any) -> Any:
     """Power heuristic of two densities."""
-    both = dr.square(pdf) + dr.square(other)
+    both = dr.square(pdf) + dr.square(other_pdf)
     return dr.select(both > 0.0, dr.square(pdf) / both, 0.0)
 
 
@@ -66,12 +66,12 @@ def radiance(
         far = dr.minimum(dr.select(hit.is_valid(), hit.t, math.inf), ray.maxt)
     first = seen_on(mixed, ray, far, mi.Bool(True), settings) if total is None else total[1:]
     solid = mi.Bool(False) if hit is None else hit.is_valid()
-    found = mi.Spectrum(0.0) if total is None else mi.Spectrum(total[0])
+    gathered = mi.Spectrum(0.0) if total is None else mi.Spectrum(total[0])
     if hit is None:
-        found = _alone(mixed, ray, far, first, found, settings, gradient)
+        gathered = _alone(mixed, ray, far, first, gathered, settings, gradient)
     else:
-        found = _paths(mixed, sampler, ray, hit, first, found, settings, gradient)
-    return found, dr.select(solid, 1.0, 1.0 - first[1]), (found, *first)
+        gathered = _paths(mixed, sampler, ray, hit, first, gathered, settings, gradient)
+    return gathered, dr.select(solid, 1.0, 1.0 - first[1]), (gathered, *first)
 
 
 def _behind_everything(mixed: Mixed, ray: Any, settings: PathSettings) -> Any:
@@ -91,7 +91,7 @@ def _alone(
     ray: Any,
     far: Any,
     first: tuple[Any, Any],
-    found: Any,
+    gathered: Any,
     settings: PathSettings,
     gradient: Adjoint | None,
 ) -> Any:
@@ -102,7 +102,7 @@ def _alone(
         ray: Camera rays.
         far: Their length.
         first: Colour and transmittance of the splats.
-        found: Radiance of a first call, in a replay.
+        gathered: Radiance of a first call, in a replay.
         settings: What else counts.
         gradient: For a replay.
     """
@@ -121,7 +121,7 @@ def _alone(
             gradient.sums,
             to_mean=settings.to_mean,
         )
-    return found
+    return gathered
 
 
 @dr.syntax  # type: ignore[untyped-decorator]
@@ -131,7 +131,7 @@ def _paths(
     ray: Any,
     hit: Any,
     first: tuple[Any, Any],
-    found: Any,
+    gathered: Any,
     settings: PathSettings,
     gradient: Adjoint | None,
 ) -> Any:
@@ -143,14 +143,14 @@ def _paths(
         ray: Camera rays.
         hit: Preliminary intersections of them.
         first: Colour and transmittance of the splats up to there.
-        found: Radiance of a first call, in a replay; all that is found is taken from it.
+        gathered: Radiance of a first call, in a replay; what this call meets is taken from it.
         settings: What else counts.
         gradient: For a replay.
     """
     scene, surfaces = mixed.scene, cast(Any, mixed.surfaces)
     replay = gradient is not None
     context = mi.BSDFContext()
-    ray, hit, found = mi.Ray3f(ray), mi.PreliminaryIntersection3f(hit), mi.Spectrum(found)
+    ray, hit, gathered = mi.Ray3f(ray), mi.PreliminaryIntersection3f(hit), mi.Spectrum(gathered)
     colour, through = mi.Color3f(first[0]), mi.Float(first[1])
     depth, throughput, eta = mi.UInt32(0), mi.Spectrum(1.0), mi.Float(1.0)
     before = dr.zeros(mi.SurfaceInteraction3f)
@@ -166,10 +166,10 @@ def _paths(
         si = hit.compute_surface_interaction(ray, mi.RayFlags.All, active)
 
         # ------------------- Splats on the way here -------------------
-        own = throughput * layer(colour, through, linear=settings.linear)
-        found = found - own if dr.hint(replay, mode="scalar") else found + own
+        from_splats = throughput * layer(colour, through, linear=settings.linear)
+        gathered = gathered - from_splats if dr.hint(replay, mode="scalar") else gathered + from_splats
         if dr.hint(replay, mode="scalar"):
-            replay_stretch(mixed, ray, si, (colour, through), (throughput, found, depth), active, settings, gradient)
+            replay_stretch(mixed, ray, si, (colour, through), (throughput, gathered, depth), active, settings, gradient)
         throughput = throughput * through
 
         # ------------- Emission of what the ray ends at ---------------
@@ -196,7 +196,7 @@ def _paths(
         if dr.hint(replay, mode="scalar"):
             replay_shadow(mixed, shadow, shade, dr.dot(cast(Any, gradient).radiance, direct), lit, gradient)
         arrived = emitted + direct
-        found = found - arrived if dr.hint(replay, mode="scalar") else found + arrived
+        gathered = gathered - arrived if dr.hint(replay, mode="scalar") else gathered + arrived
 
         # ------------------------ The next ray ------------------------
         scattered, factor = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), going)
@@ -218,4 +218,4 @@ def _paths(
         depth[si.is_valid()] += 1
         active = going
 
-    return found
+    return gathered

@@ -134,23 +134,25 @@ def integrator_class(variant: str) -> Any:
             if mode == dr.ADMode.Backward:
                 gradient = Adjoint(mi.Color3f(δL), mi.Float(δaovs[0]) if self.alpha else mi.Float(0.0), self._sums)
             mixed = self._mixed(scene)
-            found, alpha, state = radiance(
+            light, alpha, state = radiance(
                 mixed, sampler, ray, self._path_settings(), total=state_in if gradient else None, gradient=gradient
             )
-            return found, mi.Bool(True), [alpha] if self.alpha else [], state
+            return light, mi.Bool(True), [alpha] if self.alpha else [], state
 
         def sample_rays(self, scene: Any, sensor: Any, sampler: Any) -> Any:
             """Camera rays; with alpha, their weight is one number, since Mitsuba's gradient multiplies it to alpha.
 
             They come in blocks of pixels and not row by row, so that the lanes of a packet take the same way.
             """
-            ray, weight, place = super().sample_rays(scene, sensor, sampler)
+            ray, weight, position = super().sample_rays(scene, sensor, sampler)
             samples = sampler.sample_count()
             if samples < TILE * TILE:  # else all lanes of a packet are in one pixel
                 order = _by_blocks_of_pixels(sensor.film(), samples)
-                ray = mi.Ray3f(*(_gathered(one, order) for one in (ray.o, ray.d, ray.maxt, ray.time)), ray.wavelengths)
-                weight, place = _gathered(weight, order), _gathered(place, order)
-            return ray, mi.Float(dr.mean(weight)) if self.alpha else weight, place
+                ray = mi.Ray3f(
+                    *(_gathered(field, order) for field in (ray.o, ray.d, ray.maxt, ray.time)), ray.wavelengths
+                )
+                weight, position = _gathered(weight, order), _gathered(position, order)
+            return ray, mi.Float(dr.mean(weight)) if self.alpha else weight, position
 
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
@@ -178,10 +180,10 @@ def integrator_class(variant: str) -> Any:
             try:
                 super().render_backward(scene, params, grad_in, sensor, seed, spp)
                 with dr.suspend_grad():
-                    found = gradients(mixed.splats, self._sums)
+                    grads = gradients(mixed.splats, self._sums)
             finally:
                 self._sums = None
-            shapes.backward(found)
+            shapes.backward(grads)
 
         def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
             """Refused.

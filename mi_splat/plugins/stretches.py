@@ -72,9 +72,9 @@ def layer_backward(colour: Any, transmittance: Any, gradient: Any, *, linear: bo
     if not linear:
         return mi.Color3f(gradient), mi.Float(0.0)
     alpha = 1.0 - transmittance
-    own = colour / alpha
-    slope = linear_derivative(own)
-    grad_alpha = dr.dot(gradient, linear_value(own) - slope * own)
+    layer_colour = colour / alpha
+    slope = linear_derivative(layer_colour)
+    grad_alpha = dr.dot(gradient, linear_value(layer_colour) - slope * layer_colour)
     there = alpha > 0.0
     return dr.select(there, gradient * slope, 0.0), dr.select(there, -grad_alpha, 0.0)
 
@@ -158,5 +158,7 @@ def replay_shadow(mixed: Mixed, shadow: Any, shade: Any, product: Any, active: A
         gradient: Of the radiance.
     """
     if mixed.splats is not None:
-        own = dr.select(shade > 0.0, product / shade, 0.0)
-        adjoint.transmittance_backward(mixed.splats, stretch_of(shadow, shadow.maxt), active, shade, own, gradient.sums)
+        unshaded = dr.select(shade > 0.0, product / shade, 0.0)
+        adjoint.transmittance_backward(
+            mixed.splats, stretch_of(shadow, shadow.maxt), active, shade, unshaded, gradient.sums
+        )

@@ -196,11 +196,11 @@ def _with_invisible_ones_harmless(gaussians: Gaussians, visible: Any, camera: Ke
     """Invisible lanes moved in front of the camera, so that no infinity of theirs meets the zero of their gradient."""
     rotation = camera.rotation
     ahead = camera.position + mi.Vector3f(rotation[2, 0], rotation[2, 1], rotation[2, 2])
-    one = mi.Float(1.0)
+    unit = mi.Float(1.0)
     return Gaussians(
         mean=dr.select(visible, gaussians.mean, mi.Point3f(ahead)),
         scale=dr.select(visible, gaussians.scale, mi.Vector3f(1.0)),
-        rotation=[dr.select(visible, q, one) for q in gaussians.rotation],
-        opacity=dr.select(visible, gaussians.opacity, one),
+        rotation=[dr.select(visible, q, unit) for q in gaussians.rotation],
+        opacity=dr.select(visible, gaussians.opacity, unit),
         sh=gaussians.sh,
     )

@@ -71,6 +71,6 @@ def numbers(variant: str, count: int) -> Any:
 
 def index_of(count: int) -> Any:
     """0, 1, 2, ... in memory, for a count that is another one in every picture."""
-    found = dr.arange(mi.UInt32, count)
-    dr.make_opaque(found)
-    return found
+    index = dr.arange(mi.UInt32, count)
+    dr.make_opaque(index)
+    return index

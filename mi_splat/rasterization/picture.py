@@ -89,9 +89,9 @@ def new_buffers(
 @functools.lru_cache(maxsize=16)
 def _places(variant: str, width: int, pixels: int) -> Any:
     """The places of all pixels in memory: two integer divisions a pixel cost more than reading the result."""
-    found = tiled_index(mi.Int32(numbers(variant, pixels)), mi.Int32(width))
-    dr.make_opaque(found)
-    return found
+    index = tiled_index(mi.Int32(numbers(variant, pixels)), mi.Int32(width))
+    dr.make_opaque(index)
+    return index
 
 
 def sh_terms(arrays: tuple[Any, ...]) -> int:

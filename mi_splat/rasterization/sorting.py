@@ -51,9 +51,9 @@ def by_block(variant: str, columns: int, rows: int, side: int = BLOCK) -> Any:
     """
     row, column = np.divmod(np.arange(columns * rows), columns)
     order = np.lexsort((column // side, row // side))
-    found = mi.UInt32(order.astype(np.uint32).tolist())
-    dr.make_opaque(found)
-    return found
+    numbers = mi.UInt32(order.astype(np.uint32).tolist())
+    dr.make_opaque(numbers)
+    return numbers
 
 
 def length_key(length: Any) -> Any:

@@ -180,14 +180,14 @@ def _rows(owners: Any, gaussians: int) -> tuple[Any, tuple[Any, Any]]:
 
     Gaussians have their rows in the order of their first places: what neighbouring tiles write then lies together.
     """
-    place = dr.arange(mi.UInt32, len(owners))
+    index = dr.arange(mi.UInt32, len(owners))
     used = owners != _FIXED
     earliest = buffer(gaussians, mi.UInt32, _FIXED)
-    dr.scatter_reduce(dr.ReduceOp.Min, earliest, place, owners, used)
+    dr.scatter_reduce(dr.ReduceOp.Min, earliest, index, owners, used)
     key = dr.select(used, dr.gather(mi.UInt32, earliest, owners, used), _FIXED)
     order = dr.argsort(key)  # stable: a Gaussian's rows are in the order of their places
     rows, sorted_key = buffer(len(owners), mi.UInt32), dr.gather(mi.UInt32, key, order)
-    dr.scatter(rows, place, order)
+    dr.scatter(rows, index, order)
     dr.eval(rows, sorted_key, earliest)
     count = dr.opaque(mi.UInt32, len(owners))  # a literal would make another kernel for each number
     first = lower_bound(sorted_key, count, earliest)
@@ -234,7 +234,7 @@ def _walk(
     ranges = [dr.gather(mi.UInt32, edge, tiles) for edge in state.pair_ranges]
     begin = packed[0] if packed else mi.UInt32(0)
 
-    def body(pair: Any, place: Any, transmittances: list[Any]) -> tuple[Any, Any, list[Any]]:
+    def body(pair: Any, offset: Any, transmittances: list[Any]) -> tuple[Any, Any, list[Any]]:
         record = Record(state.records, dr.gather(mi.UInt32, state.pairs[0], pair), corner)
         values, behind = [], []
         for p, alpha in enumerate(record.alphas()):
@@ -249,9 +249,9 @@ def _walk(
         if kept is not None:
             dr.scatter(kept, mi.UInt32(1), pair, keep)
         if packed:
-            dr.scatter(packed[1], mi.ArrayXf(values), place, keep)
-            dr.scatter(packed[2], column, place, keep)
-        return pair + 1, place + dr.select(keep, mi.UInt32(GROUP), mi.UInt32(0)), behind
+            dr.scatter(packed[1], mi.ArrayXf(values), offset, keep)
+            dr.scatter(packed[2], column, offset, keep)
+        return pair + 1, offset + dr.select(keep, mi.UInt32(GROUP), mi.UInt32(0)), behind
 
     dr.while_loop(
         (mi.UInt32(ranges[0]), mi.UInt32(begin), [mi.Float(1) for _ in range(PIXELS)]),

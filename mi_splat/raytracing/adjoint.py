@@ -90,8 +90,8 @@ def blend_backward(
         transmittance, rest = state
         alpha = alpha_of(peak)
         weight = alpha * transmittance
-        own = _add_colour(sums, splats, peak, stretch, mi.Color3f(grad_colour * weight), to_mean=to_mean)
-        gain = dr.dot(grad_colour, own)
+        colour = _add_colour(sums, splats, peak, stretch, mi.Color3f(grad_colour * weight), to_mean=to_mean)
+        gain = dr.dot(grad_colour, colour)
         rest = dr.fma(-weight, gain, rest)
         # alpha dL/dalpha = weight gain - rest alpha / (1 - alpha)
         h = dr.fma(weight, gain, -rest * alpha / (1.0 - alpha))

@@ -106,8 +106,8 @@ def blend(splats: Splats, stretch: Stretch, active: Any, *, to_mean: bool) -> tu
         transmittance, colour = state
         alpha = alpha_of(peak)
         sh = coefficients(splats, gaussian_in(splats, peak.slot))
-        own = dr.maximum(unclamped_colour(sh, view_direction(peak, stretch, to_mean=to_mean)), 0.0)
-        return [behind(transmittance, alpha), dr.fma(mi.Color3f(alpha * transmittance), own, colour)]
+        splat_colour = dr.maximum(unclamped_colour(sh, view_direction(peak, stretch, to_mean=to_mean)), 0.0)
+        return [behind(transmittance, alpha), dr.fma(mi.Color3f(alpha * transmittance), splat_colour, colour)]
 
     transmittance, colour = for_each_peak(splats, stretch, active, [mi.Float(1.0), mi.Color3f(0.0)], step)
     return colour, transmittance

@@ -129,7 +129,7 @@ def gradients(splats: Splats, sums: Sums) -> tuple[Any, ...]:
     since float32 cannot hold the thickness of a disc beside its width.
     """
     order, arrays = splats.tree.order, splats.arrays
-    found = tuple(buffer(len(array), value=0.0) for array in arrays)
+    grads = tuple(buffer(len(array), value=0.0) for array in arrays)
     slot = dr.arange(mi.UInt32, len(order))
     with dr.resume_grad():
         gaussians = splats.layout.read(arrays, order, splats.terms)
@@ -149,6 +149,6 @@ def gradients(splats: Splats, sums: Sums) -> tuple[Any, ...]:
     width = 3 * splats.terms
     flat = dr.gather(mi.ArrayXf, sums.sh, order, shape=(width, len(order)))
     gradient.sh[:] = [mi.Color3f(flat[3 * k], flat[3 * k + 1], flat[3 * k + 2]) for k in range(splats.terms)]
-    splats.layout.write(found, order, gradient)
-    dr.eval(found)
-    return found
+    splats.layout.write(grads, order, gradient)
+    dr.eval(grads)
+    return grads

@@ -70,8 +70,8 @@ def _morton_code(means: Any, count: int) -> Any:
     code = mi.UInt32(0)
     for axis in range(3):
         rank = dr.empty(mi.UInt32, count)
-        place = dr.arange(mi.UInt32, count)
-        dr.scatter(rank, place, dr.argsort(means[axis]))
+        index = dr.arange(mi.UInt32, count)
+        dr.scatter(rank, index, dr.argsort(means[axis]))
         cell = mi.UInt32(mi.Float(rank) * dr.opaque(mi.Float, (1 << _BITS) / count))
         cell = dr.minimum(cell, (1 << _BITS) - 1)
         for bit in range(_BITS):
@@ -97,16 +97,16 @@ def _leaf_boxes(means: Any, half: Any, order: Any, starts: Any, leaves: int) -> 
 
 def _write_level(nodes: Any, low: Any, high: Any, count: int) -> tuple[Any, Any]:
     """Write `count` nodes from the corners of their children; returns the nodes' own corners."""
-    place = dr.arange(mi.UInt32, count)
+    index = dr.arange(mi.UInt32, count)
     corners = []
     for child in range(2):
-        one_low, one_high = (dr.gather(mi.Point3f, corner, 2 * place + child) for corner in (low, high))
+        one_low, one_high = (dr.gather(mi.Point3f, corner, 2 * index + child) for corner in (low, high))
         corners.append((one_low, one_high))
     rows = []
     for one_low, one_high in corners:
         empty = one_low.x > one_high.x
         rows += [*dr.select(empty, _FAR, one_low), *dr.select(empty, _FAR, one_high)]
-    dr.scatter(nodes, mi.ArrayXf([*rows, *[mi.Float(0)] * (NODE - 12)]), place + dr.opaque(mi.UInt32, count))
+    dr.scatter(nodes, mi.ArrayXf([*rows, *[mi.Float(0)] * (NODE - 12)]), index + dr.opaque(mi.UInt32, count))
     low, high = dr.minimum(corners[0][0], corners[1][0]), dr.maximum(corners[0][1], corners[1][1])
     dr.eval(nodes, low, high)
     return low, high
