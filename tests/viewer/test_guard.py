@@ -76,7 +76,7 @@ def test_under_any_name_the_token_is_needed_still() -> None:
     assert remote.objection("/", {"Host": "server.example", **COOKIES, "Origin": "http://evil.example"}) is not None
 
 
-@pytest.mark.parametrize("part", ["token", "place", "cookie"])
+@pytest.mark.parametrize("part", ["token", "secret_path", "cookie"])
 def test_secrets_are_long_and_never_the_same(part: str) -> None:
     assert len({getattr(Guard(), part) for _ in range(20)}) == 20
     assert len(getattr(Guard(), part)) >= (16 if part == "place" else 32)
