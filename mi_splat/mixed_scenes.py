@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ from torch import Tensor
 from mi_splat import variant
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.documents import sha256
 from mi_splat.io.scene_parts import scene_parts
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.scene_files import SplatScene, load_mitsuba_scene, values_of
@@ -31,20 +29,6 @@ def holds_surfaces(path: Path) -> bool:
     except InvalidValueError:
         return False
     return any(element.get("type") not in SPLATS for element in elements if element.tag == "shape")
-
-
-def contents_hash(path: Path) -> str:
-    """SHA-256 (hexadecimal) over a scene file and the files that it names: splats, meshes, pictures, other scenes.
-
-    See `scene_parts` for where they are looked for.
-
-    Raises:
-        InvalidValueError: The scene file cannot be read, or is none that Mitsuba may read.
-    """
-    digest = hashlib.sha256()
-    for file in scene_parts(path).files:
-        digest.update(bytes.fromhex(sha256(file)))
-    return digest.hexdigest()
 
 
 class MixedScene:

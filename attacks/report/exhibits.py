@@ -86,7 +86,10 @@ def _exhibit_of_attack(folder: Path, record: Mapping[str, Any], clean: Path | No
     cones = Lines(segments=frustums(views, 0.1 * bounds(splat.scene)[1]), colour="#ffa500")
     return Exhibit(
         title=str(folder),
-        splats=(splat, ShownSplat(name="attacked", scene=attacked, path=folder / ATTACKED, file_settings=RenderSettings())),
+        splats=(
+            splat,
+            ShownSplat(name="attacked", scene=attacked, path=folder / ATTACKED, file_settings=RenderSettings()),
+        ),
         settings=replace(splat.own, **rendered),
         start=next(iter(cameras.values()), of_scene.start),
         size=(views[0].width, views[0].height),

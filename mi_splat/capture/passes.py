@@ -19,12 +19,6 @@ def pass_samples(samples: int) -> tuple[int, ...]:
     return chosen, samples - chosen
 
 
-def is_halved(samples: int) -> bool:
-    """Whether the passes of a picture are two halves that both fit the grid, or a single sample."""
-    counts = pass_samples(samples)
-    return max(counts) - min(counts) <= 1 and all(map(fits_grid, counts))
-
-
 def fits_grid(samples: int) -> bool:
     """Whether Mitsuba's multi-jittered sampler takes so many samples, and rounds none up.
 

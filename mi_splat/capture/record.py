@@ -10,7 +10,6 @@ from typing import Any
 
 from mi_splat import provenance
 from mi_splat.cameras import Camera
-from mi_splat.capture.passes import is_halved
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
 from mi_splat.datasets.writing import make_folder
@@ -22,15 +21,8 @@ from mi_splat.io.parsing import DocumentReader
 
 RECORD = "capture.json"
 """File in the folder of a capture that holds its settings."""
-FORMAT = 2
-"""Of the record; those of format 1 have no key for it, and digests in the place of what was asked for."""
-PICTURES = 1
+PICTURES = 2
 """Version of the code that makes pictures: raise it when it makes others of the same input."""
-PICTURES_RECOUNTED = 2
-"""That version for counts of samples that version 1 rounded up."""
-
-_OLDER: dict[str, Any] = {"near": None, "pictures": 1}
-"""What a record of format 1 does not say."""
 
 _RECORD = DocumentReader(expected="the record of a capture", do="choose a new folder")
 
@@ -58,7 +50,6 @@ def capture_record(
         digits = " ".join(f"{value + 0.0:.9f}" for value in numbers)  # the last digits differ between machines
         poses.update(f"{name} {camera.width} {camera.height} {digits}\n".encode())
     return {
-        "format": FORMAT,
         "version": provenance.versions().get("mi-splat", "unknown"),
         "scene": source.digest,
         "cameras": poses.hexdigest(),
@@ -68,18 +59,18 @@ def capture_record(
         "alpha": settings.rgba,
         "points": settings.points,
         "near": settings.near,
-        "pictures": PICTURES if is_halved(settings.samples) else PICTURES_RECOUNTED,
+        "pictures": PICTURES,
         "mitsuba": importlib.metadata.version("mitsuba"),
         "world_offset": list(source.world_offset),
         "inputs": {kind: dict(values) for kind, values in (inputs or {}).items()},
     }
 
 
-def claim_folder(folder: Path, wanted: dict[str, Any]) -> str | None:
+def claim_folder(folder: Path, wanted: dict[str, Any]) -> str:
     """Write the record of a new capture, or check that the folder's record is the same.
 
     Returns:
-        The version of the project that began the capture, None if its record does not say.
+        The version of the project that began the capture.
 
     Raises:
         InvalidValueError: The folder holds something else, or a capture that differs in what the message says.
@@ -102,30 +93,26 @@ def claim_folder(folder: Path, wanted: dict[str, Any]) -> str | None:
     if changed := differences(there, wanted):
         do = "choose a new folder, or the same settings to go on"
         raise InvalidValueError(message(str(file), "the settings of this capture", "; ".join(changed), do))
-    return None if "version" not in there else str(there["version"])
+    return str(there.get("version", "unknown"))
 
 
 def differences(there: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
     """What differs between the record of a folder and the one wanted, in words; empty if the pictures are the same.
 
     Args:
-        there: The folder's record, of any format.
+        there: The folder's record.
         wanted: As `capture_record` makes it.
     """
-    written_by = there.get("format", 1)
-    if not isinstance(written_by, int) or written_by > FORMAT:
-        return [f"a record of format {written_by!r}, which a newer version wrote"]
-    known = {**_OLDER, **there}
     plain = ("train", "test", "samples", "seed", "alpha", "points", "near", "pictures", "mitsuba")
-    changed = [f"{key} {known.get(key)!r}, now {wanted[key]!r}" for key in plain if known.get(key) != wanted[key]]
-    counts = known.get("train"), known.get("test")
-    for key in ("scene", "cameras"):
-        if known.get(key) == wanted[key]:
+    changed = [f"{key} {there.get(key)!r}, now {wanted[key]!r}" for key in plain if there.get(key) != wanted[key]]
+    same_scene = there.get("scene") == wanted["scene"]
+    same_counts = (there.get("train"), there.get("test")) == (wanted["train"], wanted["test"])
+    for key, unnamed in (("scene", True), ("cameras", same_scene and same_counts)):
+        if there.get(key) == wanted[key]:
             continue
-        asked = _asked(known, wanted, key)
-        if asked:
+        if asked := _asked(there, wanted, key):
             changed += asked
-        elif key == "scene" or (counts == (wanted["train"], wanted["test"]) and known.get("scene") == wanted["scene"]):
+        elif unnamed:
             changed.append(_unknown(key, there, wanted))
     return changed
 
@@ -140,9 +127,6 @@ def _asked(there: Mapping[str, Any], wanted: Mapping[str, Any], key: str) -> lis
 def _unknown(key: str, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     """The words for a difference in content alone."""
     what = {"scene": "another scene", "cameras": "other cameras"}[key]
-    if there.get("format", 1) < FORMAT:
-        why = "the record was written by an older version: it cannot say what differs"
-        return f"{what} ({why}; that version may also have read the same scene otherwise)"
     where = {"scene": "what its files hold", "cameras": "their poses or lenses"}[key]
     versions = there.get("version"), wanted["version"]
     upgrade = (

@@ -49,7 +49,7 @@ class WrittenCapture:
         points: Points of the cloud.
         files: The point cloud and the files that list the pictures.
         seconds: Wall time of the rendering.
-        begun_by: Version of the project that began the capture; None if an older one did, which kept no record of it.
+        begun_by: Version of the project that began the capture.
         warnings: What the user should know of the pictures.
     """
 
@@ -59,7 +59,7 @@ class WrittenCapture:
     points: int
     files: tuple[Path, ...]
     seconds: float
-    begun_by: str | None = None
+    begun_by: str
     warnings: tuple[str, ...] = ()
 
 

@@ -176,5 +176,5 @@ def _lines(done: WrittenCapture, source: CaptureSource, out: Path, size: str) ->
         offset = ", ".join(f"{value:.10g}" for value in source.world_offset)
         yield f"the mesh lies far from its origin: add ({offset}) to what is written to get its own coordinates, metres"
     if done.rendered < total and done.begun_by != provenance.versions().get("mi-splat", "unknown"):
-        yield f"begun by {done.begun_by or 'an older version'}, which makes the same pictures"
+        yield f"begun by {done.begun_by}, which makes the same pictures"
     yield f"in Python: mi_splat.load_dataset({str(out)!r})"

@@ -6,7 +6,7 @@ import mitsuba as mi
 import pytest
 
 from mi_splat.capture.mitsuba_meshes import scalar_variant
-from mi_splat.capture.passes import PASSES, is_halved, pass_samples, sampler_type
+from mi_splat.capture.passes import PASSES, pass_samples, sampler_type
 
 
 @pytest.mark.parametrize("samples", [1, 2, 3, 10, 20, 32, 63, 64, 131, 187, 1000])
@@ -23,12 +23,6 @@ def test_passes_take_exactly_the_samples(samples: int) -> None:
 def test_usual_counts_are_halved(samples: int) -> None:
     assert pass_samples(samples) == (samples // 2, samples // 2)
     assert sampler_type(samples // 2) == "multijitter"
-    assert is_halved(samples)
-
-
-@pytest.mark.parametrize("samples", [10, 20, 64, 131])
-def test_counts_that_were_rounded_up_make_other_pictures(samples: int) -> None:
-    assert not is_halved(samples)
 
 
 def test_warnings_of_mitsuba_go_to_stderr(capfd: pytest.CaptureFixture[str]) -> None:

@@ -150,7 +150,6 @@ def test_what_differs_is_said_in_words(tmp_path: Path, capsys: pytest.CaptureFix
     assert (done["rendered"], done["warnings"]) == (0, [])
     record = json.loads((tmp_path / "out" / "capture.json").read_text())
     assert record["inputs"]["scene"]["scene"] == path
-    assert record["format"] == 2
     write_ply(tmp_path, truck().placed(scale=1.01))
     assert cli.main(first) == 1
     assert "another scene (what its files hold)" in capsys.readouterr().err
@@ -168,33 +167,17 @@ def test_a_capture_with_new_options_goes_on(tmp_path: Path, capsys: pytest.Captu
     assert {file: file.read_bytes() for file in (tmp_path / "out").rglob("*") if file.is_file()} == before
 
 
-def older(record: dict[str, Any]) -> dict[str, Any]:
-    """The record as versions before format 2 wrote it."""
-    keys = ("scene", "cameras", "train", "test", "samples", "seed", "alpha", "points", "mitsuba")
-    return {key: record[key] for key in keys}
-
-
 def test_captures_of_other_versions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = str(write_ply(tmp_path, truck()))
     file = tmp_path / "out" / "capture.json"
     assert cli.main(command(tmp_path, path)) == 0
     record = json.loads(file.read_text())
-    file.write_text(json.dumps(older(record)))
-    assert cli.main(command(tmp_path, path)) == 0  # the same pictures: it goes on
-    assert "begun by an older version" in capsys.readouterr().out
-    assert json.loads(file.read_text()) == older(record)
-    for words, says in ((["--scale", "2"], "another scene"), (["--distance", "9"], "other cameras")):
-        assert cli.main(command(tmp_path, path, *words)) == 1
-        assert f"{says} (the record was written by an older version: it cannot say" in capsys.readouterr().err
-    assert cli.main(command(tmp_path, path, "--seed", "1")) == 1
-    assert "got seed 0, now 1;" in capsys.readouterr().err
     file.write_text(json.dumps({**record, "version": "0.0.1"}))
     assert cli.main(command(tmp_path, path)) == 0
     assert "begun by 0.0.1" in capsys.readouterr().out
     for change, says in (
-        ({"pictures": 0}, "pictures 0, now 1"),
+        ({"pictures": 0}, "pictures 0, now 2"),
         ({"mitsuba": "3.0"}, "mitsuba '3.0'"),
-        ({"format": 9}, "a newer version"),
         ({"version": "0.0.1", "scene": "0"}, "where 0.0.1 began"),
     ):
         file.write_text(json.dumps({**record, **change}))

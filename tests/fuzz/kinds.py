@@ -111,7 +111,7 @@ def _camera_files(path: Path) -> None:
         read_world_offset(path)
 
 
-_CAPTURE = {"format": 2, "version": "1", "scene": "a", "cameras": "b", "train": 3, "test": 1, "samples": 16, "seed": 0}
+_CAPTURE = {"version": "1", "scene": "a", "cameras": "b", "train": 3, "test": 1, "samples": 16, "seed": 0}
 _CAPTURE |= {"alpha": True, "points": 0, "near": None, "pictures": 1, "mitsuba": "3", "world_offset": [0, 0, 0]}
 _CAPTURE |= {"inputs": {"scene": {"object": "car"}, "cameras": {"count": 3}}}
 

@@ -16,7 +16,7 @@ from mi_splat.errors import MiSplatError
 from mi_splat.io.picture_files import pixel_limit
 from mi_splat.io.scene_parts import check_scene_file, scene_parts
 from mi_splat.io.scene_xml import DEEPEST, MOST_BYTES, MOST_ELEMENTS
-from mi_splat.mixed_scenes import MixedScene, contents_hash, holds_surfaces
+from mi_splat.mixed_scenes import MixedScene, holds_surfaces
 from mi_splat.scene_files import read_scene
 from tests.project.layers import ROOT
 
@@ -89,7 +89,7 @@ def test_every_reader_checks_first(name: str, folder: Path) -> None:
     make, says = REFUSED[name]
     path = folder / "a.xml"
     path.write_bytes(make())
-    for read in (read_scene, contents_hash, MixedScene, load_scene, lambda path: open_source(str(path))):
+    for read in (read_scene, MixedScene, load_scene, lambda path: open_source(str(path))):
         with pytest.raises(MiSplatError, match=says):
             read(path)
     assert not holds_surfaces(path)
@@ -144,6 +144,21 @@ def test_an_inclusion_is_first_looked_for_beside_the_file_that_includes_it(tmp_p
     assert scene_parts(tmp_path / "a.xml").files[1:] == [tmp_path / "b" / "inner.xml", tmp_path / "b" / "leaf.xml"]
     with scalar_variant():  # as Mitsuba does
         assert [shape.id() for shape in load_scene(tmp_path / "a.xml").shapes()] == ["b"]
+
+
+def test_the_files_of_a_scene_are_all_that_it_names(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    for name in ("parts/a.ply", "parts/b.spd", "beside.ply"):
+        (tmp_path / name).write_text("400 1")
+    (tmp_path / "b.xml").write_bytes(scene('<spectrum name="s" filename="parts/b.spd"/>'))
+    named = ("$folder/a.ply", "not there.ply", "", "long" * 100)
+    texts = (f'<string name="f" value="{name}"/>' for name in named)
+    path = tmp_path / "a.xml"
+    path.write_bytes(scene('<default name="folder" value="parts"/>', *texts, '<include filename="b.xml"/>'))
+    assert scene_parts(path).files == [path, *(tmp_path / name for name in ("parts/a.ply", "b.xml", "parts/b.spd"))]
+    for wrong in ("none.xml", "beside.ply"):
+        with pytest.raises(MiSplatError, match=f"{wrong}: expected a Mitsuba XML file"):
+            scene_parts(tmp_path / wrong)
 
 
 def test_shipped_scenes_pass() -> None:

@@ -15,7 +15,7 @@ from attacks.cli import main
 from mi_splat import variant
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
-from mi_splat.mixed_scenes import MixedScene, contents_hash
+from mi_splat.mixed_scenes import MixedScene
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene_files import read_scene, resized
 from mi_splat.scene_writing import write_scene
@@ -137,28 +137,3 @@ def test_the_command_traces_rays_of_splats_alone(tmp_path: Path) -> None:
 def load_picture_size(path: Path) -> tuple[int, int]:
     with Image.open(path) as picture:
         return picture.size
-
-
-def test_the_hash_of_a_scene_follows_every_file_of_it(tmp_path: Path) -> None:
-    files = {
-        "a.xml": '<scene version="3.0.0"><default name="folder" value="parts"/><string name="f" value="$folder/a.ply"/>'
-        '<include filename="b.xml"/><string name="f" value="not there.ply"/><string name="f" value=""/>'
-        f'<string name="f" value="{"long" * 100}"/></scene>',
-        "b.xml": '<scene version="3.0.0"><spectrum name="s" filename="parts/b.spd"/></scene>',
-        "parts/a.ply": "ply",
-        "parts/b.spd": "400 1",
-        "beside.ply": "ply",
-    }
-    (tmp_path / "parts").mkdir()
-    for name, text in files.items():
-        (tmp_path / name).write_text(text)
-    first = contents_hash(tmp_path / "a.xml")
-    assert contents_hash(tmp_path / "a.xml") == first
-    seen = {first}
-    for name, text in files.items():
-        (tmp_path / name).write_text(text + "\n")
-        seen.add(contents_hash(tmp_path / "a.xml"))
-    assert len(seen) == len(files)  # of the five files one is not named
-    for wrong in ("none.xml", "beside.ply"):
-        with pytest.raises(InvalidValueError, match=f"{wrong}: expected a Mitsuba XML file"):
-            contents_hash(tmp_path / wrong)
