@@ -90,7 +90,7 @@ def _exhibit_of_attack(folder: Path, record: Mapping[str, Any], clean: Path | No
             splat,
             ShownSplat(name="attacked", scene=attacked, path=folder / ATTACKED, file_settings=RenderSettings()),
         ),
-        settings=replace(splat.own, **rendered),
+        settings=replace(splat.file_settings, **rendered),
         start=next(iter(cameras.values()), of_scene.start),
         size=(views[0].width, views[0].height),
         cameras={**cameras, **of_scene.cameras},

@@ -79,7 +79,7 @@ def test_under_any_name_the_token_is_needed_still() -> None:
 @pytest.mark.parametrize("part", ["token", "secret_path", "cookie"])
 def test_secrets_are_long_and_never_the_same(part: str) -> None:
     assert len({getattr(Guard(), part) for _ in range(20)}) == 20
-    assert len(getattr(Guard(), part)) >= (16 if part == "place" else 32)
+    assert len(getattr(Guard(), part)) >= (16 if part == "secret_path" else 32)
 
 
 def test_the_page_may_ask_nobody_else_and_runs_no_other_script() -> None:
