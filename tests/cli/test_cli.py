@@ -228,14 +228,6 @@ def test_info_counts_invalid_rows(splat: Path, capsys: pytest.CaptureFixture[str
     assert "1 of 200" in facts["invalid"]
 
 
-@pytest.mark.parametrize("command", ["info", "render"])
-def test_files_that_are_no_splats(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    bad = tmp_path / "bad.ply"
-    bad.write_bytes(b"ply or not")
-    assert cli.main([command, str(bad)]) == 1
-    assert len(capsys.readouterr().err.splitlines()) == 1
-
-
 def test_detectors_lists_classes_and_weights(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["detectors", "--json"]) == 0
     entries = {entry["name"]: entry for entry in json.loads(capsys.readouterr().out)["detectors"]}

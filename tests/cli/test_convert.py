@@ -54,25 +54,6 @@ def test_a_file_that_is_there_is_replaced_only_by_force(splat: Path, capsys: pyt
     assert out.read_bytes().startswith(b"NGSP")
 
 
-@pytest.mark.parametrize(
-    ("source", "out", "says"),
-    [
-        ("in.ply", "a.ksplat", "create-ksplat"),
-        ("in.ply", "a.txt", "a name that ends in"),
-        ("none.ply", "a.spz", "No such file"),
-        ("in.ply", "in.ply/a.spz", "in.ply"),
-    ],
-)
-def test_errors_are_one_line_and_write_nothing(
-    source: str, out: str, says: str, splat: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["convert", str(splat.with_name(source)), str(splat.parent / out)]) == 1
-    captured = capsys.readouterr()
-    assert says in captured.err
-    assert len(captured.err.splitlines()) == 1
-    assert [entry.name for entry in splat.parent.iterdir()] == ["in.ply"]
-
-
 def test_invalid_gaussians_may_be_left_out(splat: Path) -> None:
     data = bytearray(splat.with_name("in.ply").read_bytes())
     data[-4:] = b"\0\0\xc0\x7f"  # the last component of the last quaternion is not a number

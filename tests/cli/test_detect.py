@@ -66,14 +66,6 @@ def test_pictures_and_splats_are_looked_at(folder: Path, capsys: pytest.CaptureF
     assert "clean-orbit-00-fake_colour: nothing" in capsys.readouterr().out
 
 
-def test_detect_wants_something_to_look_at(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["detect"]) == 2
-    assert "pictures, splats or scenes" in capsys.readouterr().err
-    assert cli.main(["detect", "gone.png", "--out", "o"]) == 1
-    assert "gone.png" in capsys.readouterr().err
-    assert not (folder / "o").exists()
-
-
 @pytest.mark.parametrize("selection", [[], ["--mask", "mask.npy"]], ids=["what differs", "a mask"])
 def test_a_clean_and_an_attacked_splat_are_compared(
     selection: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
@@ -126,24 +118,6 @@ def test_reasons_for_doubt_are_told(folder: Path, capsys: pytest.CaptureFixture[
     (folder / "result.json").write_text(json.dumps({"views": [], "reference": cameras[0]}))  # drawn about it
     assert cli.main([*words, "--pictures", "0", "--out", "third"]) == 0
     assert "those that were attacked" not in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["clean.ply", "clean.ply"], "one that differs from the other"),
-        (["clean.ply", "half.ply"], "the same Gaussians in both, got 40 and 20"),
-        (["clean.ply", "attacked.ply", "--target", "unicorn"], "tv, train, suitcase for fasterrcnn_small, got unicorn"),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
-)
-def test_evaluate_says_what_is_wrong(
-    words: list[str], says: str, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    save_splat(toy_scene()[0].select(slice(0, 20)), folder / "half.ply")
-    assert cli.main(["evaluate", *words, *VIEW, "--out", "judged"]) == 1
-    assert says in capsys.readouterr().err
-    assert not (folder / "judged").exists()
 
 
 def test_detectors_and_weights_go_in_pairs(tmp_path: Path) -> None:

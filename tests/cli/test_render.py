@@ -59,36 +59,12 @@ def test_an_orbit_makes_an_animation(toy: Path) -> None:
         assert picture.info["duration"] == 200
 
 
-@pytest.mark.parametrize("name", ["a.gif", "a.mp4"])
-def test_one_camera_makes_no_animation(name: str, toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("imageio_ffmpeg")
-    assert cli.main(["render", "toy.ply", *SMALL, "--out", name]) == 1
-    assert "two cameras or more for an animation, got one, " + name + "; pass for instance" in capsys.readouterr().err
-    assert not (toy / name).exists()
-
-
 def test_frames_of_different_sizes_are_no_animation(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (toy / "cameras.json").write_text(json.dumps([describe("a", camera(16)), describe("b", camera(20))]))
     words = ["render", "toy.ply", "--cameras", "cameras.json", "--out", "a.gif"]
     assert cli.main(words) == 1
     assert "cameras of one size, got 16 x 16, 20 x 20; pass --size" in capsys.readouterr().err
     assert cli.main([*words, "--size", "24x16"]) == 0
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["--cameras", "orbit:2@0", "--out", "a.png"], "room for 2 pictures, got a.png; name a folder, a-{}.png"),
-        (["--out", "a.webp"], "a name that ends in .png, .jpg, .gif or .mp4, or a folder"),
-        (["--cameras", "orbit:2@0", "--out", "toy.ply/b"], "toy.ply"),
-    ],
-)
-def test_nothing_is_rendered_that_cannot_be_written(
-    words: list[str], says: str, toy: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["render", "toy.ply", *SMALL, *words]) == 1
-    assert says in capsys.readouterr().err
-    assert [path.name for path in toy.iterdir()] == ["toy.ply"]
 
 
 def test_gaussians_nearer_than_the_near_plane_are_told(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:

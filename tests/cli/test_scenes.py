@@ -61,7 +61,6 @@ def folder(tmp_path: Path, cloud: GaussianScene) -> Path:
     """A folder with the cloud as a splat file and a scene XML."""
     save_splat(cloud, tmp_path / "cloud.ply")
     (tmp_path / "scene.xml").write_text(XML)
-    (tmp_path / "scene.csv").write_text("x,y,z\n")
     return tmp_path
 
 
@@ -107,28 +106,6 @@ def test_render_puts_a_background_behind(folder: Path) -> None:
     out = folder / "picture.png"
     assert cli.main(["render", str(folder / "scene.xml"), "--out", str(out), *words]) == 0
     assert pixels(out)[0, 0].tolist() == [255, 0, 0]
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["scene.xml", "--camera", "back"], "front, side"),
-        (["cloud.ply", "--camera", "back"], "no cameras"),
-        (["notes.txt"], "notes.txt"),
-        (["scene.csv"], "a name that ends in .ply"),
-        (["missing.xml"], "missing.xml"),
-        (["cloud.ply", "--out", "cloud.ply/picture.png"], "cloud.ply"),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
-)
-def test_render_says_what_is_wrong(
-    words: list[str], says: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(folder)
-    assert cli.main(["render", *words]) == 1
-    captured = capsys.readouterr()
-    assert says in captured.err
-    assert len(captured.err.splitlines()) == 1
 
 
 def test_info_lists_parts_and_cameras(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

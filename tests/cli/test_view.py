@@ -22,49 +22,8 @@ from tests.viewer.exhibits import ball
 
 @pytest.fixture
 def splat(tmp_path: Path) -> Path:
-    scene = ball((0.8, 0.3, 0.1))
-    save_splat(scene, tmp_path / "ball.ply")
-    save_splat(scene.select(slice(0, len(scene) // 2)), tmp_path / "half.ply")
-    (tmp_path / "old.html").write_text("an older page")
+    save_splat(ball((0.8, 0.3, 0.1)), tmp_path / "ball.ply")
     return tmp_path / "ball.ply"
-
-
-@pytest.mark.parametrize(
-    ("words", "reason"),
-    [
-        (["--host", "0.0.0.0"], "host: expected 127.0.0.1"),
-        (["--host", "192.168.3.4", "--port", "0"], "SSH tunnel"),
-        (["--export", "none/page.html"], "make the folder first"),
-        (["--export", "ball.ply"], "ends in .html"),
-        (["--export", "old.html"], "--force"),
-        (["--export", "page.html", "--clean", "half.ply"], "the scenes: expected the same Gaussians in both"),
-        (["--export", "page.html", "--detectors", "fasterrcnn_smal"], "fasterrcnn_small"),
-        (["--export", "page.html", "--weights", "w.safetensors"], "name it with --detectors"),
-        (["--export", "page.html", "--clean", "none.ply"], "none.ply"),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
-)
-def test_errors_in_one_line(
-    words: list[str], reason: str, splat: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(splat.parent)
-    before = sorted(splat.parent.iterdir())
-    assert cli.main(["view", "ball.ply", *words]) == 1
-    error = capsys.readouterr().err
-    assert reason in error
-    assert len(error.splitlines()) == 1
-    assert sorted(splat.parent.iterdir()) == before
-
-
-@pytest.mark.parametrize("path", ["none.ply", "none", "page.html", "."])
-def test_a_path_that_is_nothing_to_see(
-    path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "page.html").write_text("no splat")
-    assert cli.main(["view", path, "--export", "out.html"]) == 1
-    assert ": expected " in capsys.readouterr().err
-    assert not (tmp_path / "out.html").exists()
 
 
 def test_a_taken_port_is_told(splat: Path, capsys: pytest.CaptureFixture[str]) -> None:
