@@ -37,6 +37,22 @@ Outputs = Mapping[str, Tensor]
 """What a head gives: "cls_logits" (B, A, L), "bbox_regression" (B, A, 4), and FCOS "bbox_ctrness" (B, A, 1)."""
 
 
+def _with_centreness(outputs: Outputs) -> Tensor:
+    """FCOS' scores: the geometric mean of class and centreness.
+
+    In logarithms, for the library's square root has no finite gradient where the product rounds to zero.
+    """
+    return torch.exp((F.logsigmoid(outputs["cls_logits"]) + F.logsigmoid(outputs["bbox_ctrness"])) / 2)
+
+
+_SCORES: Mapping[type[nn.Module], Callable[[Outputs], Tensor]] = {
+    RetinaNet: lambda outputs: torch.sigmoid(outputs["cls_logits"]),
+    FCOS: _with_centreness,
+    SSD: lambda outputs: torch.softmax(outputs["cls_logits"], -1),
+}
+"""How a one-stage model computes (B, A, L) scores: each class for itself, or one of them or the background."""
+
+
 class TorchvisionDetector(FrozenDetector, ABC):
     """A frozen detector of torchvision behind the `Detector` interface.
 
@@ -110,7 +126,10 @@ class OneStageDetector(TorchvisionDetector):
     def __init__(self, name: str, model: RetinaNet | FCOS | SSD, labels: Sequence[str]) -> None:
         """As in `TorchvisionDetector`."""
         super().__init__(name, model, labels)
-        self._scores = _scores_of(model)
+        scores = [scores for architecture, scores in _SCORES.items() if isinstance(model, architecture)]
+        if not scores:
+            raise TypeError(f"RetinaNet, FCOS or SSD expected, got {type(model).__name__}")
+        self._scores = scores[0]
 
     def candidates(self, images: Tensor) -> list[Candidates]:
         """As in `TorchvisionDetector`: every anchor as every class, with the one box that it has for all of them."""
@@ -140,32 +159,6 @@ def _channels_first(images: Tensor) -> list[Tensor]:
     """The list of pictures that the library's models take."""
     check_images(images)
     return list(images.permute(0, 3, 1, 2))
-
-
-def _sigmoid(outputs: Outputs) -> Tensor:
-    """RetinaNet's: each class for itself."""
-    return torch.sigmoid(outputs["cls_logits"])
-
-
-def _with_centreness(outputs: Outputs) -> Tensor:
-    """FCOS': the geometric mean of class and centreness.
-
-    In logarithms, for the library's square root has no finite gradient where the product rounds to zero.
-    """
-    return torch.exp((F.logsigmoid(outputs["cls_logits"]) + F.logsigmoid(outputs["bbox_ctrness"])) / 2)
-
-
-def _softmax(outputs: Outputs) -> Tensor:
-    """SSD's: one class, or the background."""
-    return torch.softmax(outputs["cls_logits"], -1)
-
-
-def _scores_of(model: RetinaNet | FCOS | SSD) -> Callable[[Outputs], Tensor]:
-    """How a model of this architecture computes (B, A, L) scores."""
-    for architecture, scores in ((RetinaNet, _sigmoid), (FCOS, _with_centreness), (SSD, _softmax)):
-        if isinstance(model, architecture):
-            return scores
-    raise TypeError(f"RetinaNet, FCOS or SSD expected, got {type(model).__name__}")
 
 
 def wrap(name: str, model: nn.Module, labels: Sequence[str]) -> TorchvisionDetector:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import torch
-from safetensors.torch import save, save_file
+from safetensors.torch import save
 from torch import Generator, Tensor, nn
 
 from attacks.detectors.base import Detector
@@ -253,9 +253,8 @@ def rounded(state: dict[str, Tensor]) -> dict[str, Tensor]:
 def export_weights(state: dict[str, Tensor], path: Path, *, notes: dict[str, str]) -> None:
     """Write float16 weights as safetensors."""
     tensors = {k: v.detach().half().contiguous() for k, v in state.items() if v.is_floating_point()}
-    temporary = path.with_suffix(".partial")
-    save_file(tensors, temporary, metadata=notes)
-    temporary.replace(path)
+    with atomic_write(path) as file:
+        write_all(file, memoryview(save(tensors, metadata=notes)))
 
 
 def _seed(*parts: int) -> int:

@@ -169,7 +169,6 @@ def validated(training: Training, validation: Sequence[LabelledPicture], folder:
     record: dict[str, object] = {"validation": measured, "map": figures.get("map", 0.0), "false_positives": rate}
     if _merit(record) >= max((_merit(r) for r in training.history if "map" in r), default=-math.inf):
         notes = {"epoch": str(training.epoch), "seed": str(training.config.seed)}
-        folder.mkdir(parents=True, exist_ok=True)
         export_weights(training.averaged, folder / WEIGHTS, notes=notes)
     return record
 
