@@ -115,8 +115,8 @@ def belongs(scene: GaussianScene, target: GaussianScene, others: GaussianScene) 
     longest = scene.scales.argmax(1)
     rows = torch.arange(len(scene))
     axis = to_matrix(scene.rotations)[rows, :, longest] * scene.scales[rows, longest, None]
-    places = (scene.means, scene.means - axis, scene.means + axis)
-    return torch.stack([nearest(points, starts) < len(target) for points in places]).all(0)
+    ends = (scene.means, scene.means - axis, scene.means + axis)
+    return torch.stack([nearest(points, starts) < len(target) for points in ends]).all(0)
 
 
 def nearest(points: Tensor, others: Tensor) -> Tensor:

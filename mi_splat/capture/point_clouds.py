@@ -48,7 +48,7 @@ def surface_points(
     if not any(bool((distance > 0).any()) for _, distance in hits):
         raise InvalidValueError(message("cameras", "a view of the scene", "nothing but sky", "move or turn them"))
     if not assets:
-        points = torch.cat([places[distance > 0] for places, distance in hits])
+        points = torch.cat([met[distance > 0] for met, distance in hits])
         colours = torch.cat([view.image[distance > 0] for view, (_, distance) in zip(chosen, hits, strict=True)])
         return _rows_of(points, colours, np.random.default_rng([seed, 0x9C]).permutation(len(points))[:count])
     depths, (first, *others) = [distance for _, distance in hits], assets

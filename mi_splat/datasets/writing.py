@@ -127,10 +127,10 @@ def list_colmap(folder: Path, listing: Listing, points: PointCloud | None) -> li
     lenses: dict[str, int] = {}
     images = ["# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of 2D points"]
     for number, (name, camera) in enumerate(entries, start=1):
-        lens = f"PINHOLE {camera.width} {camera.height} {_words(camera.fx, camera.fy, camera.cx, camera.cy)}"
+        lens = f"PINHOLE {camera.width} {camera.height} {_digits(camera.fx, camera.fy, camera.cx, camera.cy)}"
         pose = camera.to_camera
         values = [*from_matrix(pose[:3, :3]).tolist(), *pose[:3, 3].tolist()]
-        images += [f"{number} {_words(*values)} {lenses.setdefault(lens, len(lenses) + 1)} {name}", ""]
+        images += [f"{number} {_digits(*values)} {lenses.setdefault(lens, len(lenses) + 1)} {name}", ""]
     cameras = ["# CAMERA_ID MODEL WIDTH HEIGHT FX FY CX CY", *(f"{i} {lens}" for lens, i in lenses.items())]
     texts = {"cameras.txt": cameras, "images.txt": images, "points3D.txt": _point_lines(points)}
     if listing.get("test"):
@@ -219,10 +219,10 @@ def _point_lines(points: PointCloud | None) -> list[str]:
     lines = ["# POINT3D_ID X Y Z R G B ERROR, then a track, which is empty"]
     if points is not None:
         rows = zip(points.points.tolist(), to_bytes(points.colours).tolist(), strict=True)
-        lines += [f"{i} {_words(*xyz)} {r} {g} {b} 0" for i, (xyz, (r, g, b)) in enumerate(rows, start=1)]
+        lines += [f"{i} {_digits(*xyz)} {r} {g} {b} 0" for i, (xyz, (r, g, b)) in enumerate(rows, start=1)]
     return lines
 
 
-def _words(*values: float) -> str:
+def _digits(*values: float) -> str:
     """Numbers in the fewest digits that give the same float64 again."""
     return " ".join(repr(float(value)) for value in values)

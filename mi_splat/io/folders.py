@@ -207,8 +207,8 @@ def _put(new: Path, target: Path, *, force: bool, record: str) -> None:
 
 def _put_beside(new: Path, target: Path) -> Path:
     """Give a finished folder the first free name like that of another one."""
-    places = (target.with_name(f"{target.name}-{number}") for number in itertools.count(2))
-    aside = next(aside for aside in places if not os.path.lexists(aside))
+    names = (target.with_name(f"{target.name}-{number}") for number in itertools.count(2))
+    aside = next(aside for aside in names if not os.path.lexists(aside))
     try:
         os.rename(new, aside)
     except OSError:

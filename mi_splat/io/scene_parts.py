@@ -13,7 +13,7 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.scene_xml import MOST_BYTES, MOST_ELEMENTS, scene_elements
 from mi_splat.io.texture_files import check_texture, is_texture
 
-MOST_INCLUSIONS, _MOST_PLACES = 1000, 64
+MOST_INCLUSIONS, _MOST_FOLDERS = 1000, 64
 """How many files a scene may include, and in how many folders it may have them looked for."""
 _LONGEST_CHAIN = 16
 """Files that include each other in a row; Mitsuba refuses more."""
@@ -79,7 +79,7 @@ class _Reader:
         self._values = {name: str(value) for name, value in parameters.items()}
         self._longest = max(map(len, self._values.values()), default=0)
         self._size, self._included = 0, 0
-        self._places = [path.parent, Path()]
+        self._folders = [path.parent, Path()]
 
     def read(self, path: Path, chain: list[Path]) -> None:
         """Add the elements of a file that was included by way of others, and the files that they name."""
@@ -92,14 +92,14 @@ class _Reader:
                 self._values.setdefault(filled.get("name", ""), filled.get("value", ""))
                 self._longest = max(self._longest, len(filled.get("value", "")))
             elif element.tag == "path":
-                named = [folder / filled.get("value", "") for folder in self._places]
-                self._places[:0] = [folder for folder in named if os.path.isdir(folder)][:1]
-                if len(self._places) > _MOST_PLACES:
-                    raise self._refused(f"at most {_MOST_PLACES} folders to look in", "more", "write fewer <path>")
+                named = [folder / filled.get("value", "") for folder in self._folders]
+                self._folders[:0] = [folder for folder in named if os.path.isdir(folder)][:1]
+                if len(self._folders) > _MOST_FOLDERS:
+                    raise self._refused(f"at most {_MOST_FOLDERS} folders to look in", "more", "write fewer <path>")
             else:
                 name = filled.get("value" if element.tag == "string" else "filename", "")
-                places = [path.parent] * (element.tag == "include") + self._places
-                files = [folder / name for folder in places if os.path.isfile(folder / name)]  # of names of any length
+                folders = [path.parent] * (element.tag == "include") + self._folders
+                files = [folder / name for folder in folders if os.path.isfile(folder / name)]  # of names of any length
                 self.parts.files += files[:1]
                 if files and element.tag == "include":
                     self._include(files[0], chain)

@@ -149,7 +149,7 @@ def _assemble(notes: Fields, tensors: dict[str, Tensor]) -> TrainState:
             state.optimiser.state[state.parameters[name]] = adam
     check_like(groups["strategy"], state.strategy_state, f"{notes.where}, strategy", _READER)
     state.strategy_state = groups["strategy"]
-    _take_place(state, notes, tensors.get("generator"))
+    _restore(state, notes, tensors.get("generator"))
     return state
 
 
@@ -173,7 +173,7 @@ def _blank(count: int, degree: int) -> GaussianScene:
     )
 
 
-def _take_place(state: TrainState, notes: Fields, generator: Tensor | None) -> None:
+def _restore(state: TrainState, notes: Fields, generator: Tensor | None) -> None:
     """Bring a run to where it has got to."""
     if generator is None:
         raise _READER.broken(notes.where, "none", "the state of a generator")

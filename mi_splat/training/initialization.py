@@ -85,17 +85,17 @@ def with_outliers(cloud: PointCloud, views: Sequence[View], count: int, *, seed:
     generator = Generator().manual_seed(seed)
     cameras = cameras_of(views)
     positions = torch.stack([camera.position for camera in cameras])
-    places, owners = cloud.points[:0].to(positions), torch.zeros(0, dtype=torch.int64)
+    beside, owners = cloud.points[:0].to(positions), torch.zeros(0, dtype=torch.int64)
     for _ in range(_ROUNDS):
         eyes = positions[torch.randint(len(positions), (count,), generator=generator)]
         seen = torch.randint(len(cloud.points), (count,), generator=generator)
         way = 0.1 + 0.8 * torch.rand(count, 1, generator=generator, dtype=torch.float64)
         drawn = eyes + way * (cloud.points[seen].to(eyes) - eyes)
         kept = sum(_in_picture(drawn, camera).int() for camera in cameras) >= min(_MATCHED, len(cameras))
-        places, owners = torch.cat([places, drawn[kept]])[:count], torch.cat([owners, seen[kept]])[:count]
-        if len(places) == count:
+        beside, owners = torch.cat([beside, drawn[kept]])[:count], torch.cat([owners, seen[kept]])[:count]
+        if len(beside) == count:
             break
-    points = torch.cat([cloud.points, places.to(cloud.points)])
+    points = torch.cat([cloud.points, beside.to(cloud.points)])
     return PointCloud(points, torch.cat([cloud.colours, cloud.colours[owners]]))
 
 
@@ -135,5 +135,5 @@ def random_points(views: Sequence[View], count: int, *, seed: int = 0) -> Gaussi
     centre = torch.linalg.solve(system, (across @ positions[:, :, None]).sum(0)[:, 0])
     half = 0.5 * (positions - centre).norm(dim=1).mean()
     generator = Generator().manual_seed(seed)
-    places = centre + half * (2 * torch.rand(count, 3, generator=generator, dtype=torch.float64) - 1)
-    return from_points(places, torch.rand(count, 3, generator=generator))
+    points = centre + half * (2 * torch.rand(count, 3, generator=generator, dtype=torch.float64) - 1)
+    return from_points(points, torch.rand(count, 3, generator=generator))

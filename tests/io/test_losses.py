@@ -21,35 +21,16 @@ from tests.io.format_files import gltf_with
 WRITTEN = [entry.suffix for entry in FORMATS if entry.writes]
 
 
-def with_dc(scene: GaussianScene, row: int, colour: float) -> GaussianScene:
-    """The scene with one Gaussian whose red is `colour`."""
-    sh = scene.sh.clone()
-    sh[row, 0, 0] = colour_to_dc(torch.tensor(colour))
-    return scene.replace(sh=sh)
+def changed(scene: GaussianScene, attribute: str, value: float, *columns: int) -> GaussianScene:
+    """The scene with another value in one column of its fourth Gaussian."""
+    tensor = getattr(scene, attribute).clone()
+    tensor[(3, *columns)] = value
+    return scene.replace(**{attribute: tensor})
 
 
-def with_sh(scene: GaussianScene, row: int, value: float) -> GaussianScene:
-    sh = scene.sh.clone()
-    sh[row, 2, 1] = value
-    return scene.replace(sh=sh)
-
-
-def with_opacity(scene: GaussianScene, row: int, value: float) -> GaussianScene:
-    opacities = scene.opacities.clone()
-    opacities[row] = value
-    return scene.replace(opacities=opacities)
-
-
-def with_mean(scene: GaussianScene, row: int, value: float) -> GaussianScene:
-    means = scene.means.clone()
-    means[row, 1] = value
-    return scene.replace(means=means)
-
-
-def with_scale(scene: GaussianScene, row: int, value: float) -> GaussianScene:
-    scales = scene.scales.clone()
-    scales[row, 1] = value
-    return scene.replace(scales=scales)
+def with_dc(scene: GaussianScene, colour: float) -> GaussianScene:
+    """The scene with a Gaussian whose red is `colour`."""
+    return changed(scene, "sh", float(colour_to_dc(torch.tensor(colour))), 0, 0)
 
 
 SCENE = tame_scene(30, 1)
@@ -66,15 +47,19 @@ def test_scenes_within_the_ranges_are_saved_without_a_warning(suffix: str, tmp_p
     ("suffix", "scene", "words"),
     [
         (".splat", SCENE, r"SH above degree 0 dropped: 30 Gaussians, by up to 0\.89\d* of a coefficient"),
-        (".splat", with_dc(FLAT, 3, -2.5), r"colour clamped to 0\.\.1: 1 Gaussians, by up to 2\.5 of full colour"),
-        (".splat", with_opacity(FLAT, 3, 0.0015), r"opacity rounded to 0: 1 Gaussians, by up to 0\.0015"),
-        (".spz", with_dc(SCENE, 3, 2.5), r"first SH clamped to -3.33\.\.3.33: 1 Gaussians, by up to 3\.7"),
-        (".spz", with_sh(SCENE, 3, -1.5), r"SH clamped to -1\.\.0.99: 1 Gaussians, by up to 0\.50"),
-        (".spz", with_mean(SCENE, 3, 2e6), r"means clipped to 524288: 1 Gaussians, by up to 1\.47\de\+06 world units"),
-        (".spz", with_scale(SCENE, 3, 1e-7), r"log-scales clamped .*: 1 Gaussians, by up to 6\.0"),
-        (".compressed.ply", with_sh(SCENE, 3, 5.0), r"SH clamped to -4\.\.4: 1 Gaussians, by up to 1 of"),
-        (".compressed.ply", with_opacity(SCENE, 3, 0.001), "opacity rounded to 0: 1 Gaussians"),
-        (".sog", with_opacity(SCENE, 3, 0.001), "opacity rounded to 0: 1 Gaussians"),
+        (".splat", with_dc(FLAT, -2.5), r"colour clamped to 0\.\.1: 1 Gaussians, by up to 2\.5 of full colour"),
+        (".splat", changed(FLAT, "opacities", 0.0015), r"opacity rounded to 0: 1 Gaussians, by up to 0\.0015"),
+        (".spz", with_dc(SCENE, 2.5), r"first SH clamped to -3.33\.\.3.33: 1 Gaussians, by up to 3\.7"),
+        (".spz", changed(SCENE, "sh", -1.5, 2, 1), r"SH clamped to -1\.\.0.99: 1 Gaussians, by up to 0\.50"),
+        (
+            ".spz",
+            changed(SCENE, "means", 2e6, 1),
+            r"means clipped to 524288: 1 Gaussians, by up to 1\.47\de\+06 world units",
+        ),
+        (".spz", changed(SCENE, "scales", 1e-7, 1), r"log-scales clamped .*: 1 Gaussians, by up to 6\.0"),
+        (".compressed.ply", changed(SCENE, "sh", 5.0, 2, 1), r"SH clamped to -4\.\.4: 1 Gaussians, by up to 1 of"),
+        (".compressed.ply", changed(SCENE, "opacities", 0.001), "opacity rounded to 0: 1 Gaussians"),
+        (".sog", changed(SCENE, "opacities", 0.001), "opacity rounded to 0: 1 Gaussians"),
     ],
 )
 def test_losses_are_warned_of_with_numbers(suffix: str, scene: GaussianScene, words: str, tmp_path: Path) -> None:

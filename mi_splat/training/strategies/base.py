@@ -111,3 +111,7 @@ class Strategy(Protocol):
             What to change; None changes nothing.
         """
         return None
+
+
+class FixedStrategy(Strategy):
+    """A fixed number of Gaussians, of which only values are trained: all hooks as they are."""

@@ -58,8 +58,8 @@ def relocate(parameters: Parameters, *, config: MCMCConfig, generator: Generator
     if not len(dead) + new or not bool((weights > 0).any()):
         return Edit(parameters={})
     drawn = torch.multinomial(weights, len(dead) + new, replacement=True, generator=generator)
-    places = torch.cat([dead, torch.arange(count, count + new)])
-    source[places], fresh[places] = drawn, True
+    targets = torch.cat([dead, torch.arange(count, count + new)])
+    source[targets], fresh[targets] = drawn, True
     shares = torch.bincount(drawn, minlength=count)[source] + 1
     fresh |= shares > 1
     values = {name: value.detach()[source] for name, value in parameters.items()}

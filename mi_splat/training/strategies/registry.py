@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
 from mi_splat.errors import InvalidValueError, message, nearest
-from mi_splat.training.strategies.base import Strategy
+from mi_splat.training.strategies.base import FixedStrategy, Strategy
 from mi_splat.training.strategies.config import ClassicConfig, FixedConfig, MCMCConfig, StrategyConfig
 
 _Config = TypeVar("_Config", bound=StrategyConfig)
@@ -31,16 +31,10 @@ def _mcmc(config: MCMCConfig) -> Strategy:
     return MCMCStrategy(config)
 
 
-def _fixed(config: FixedConfig) -> Strategy:
-    from mi_splat.training.strategies.fixed import FixedStrategy
-
-    return FixedStrategy()
-
-
 _REGISTRY: dict[str, _Entry] = {
     "classic": _Entry(ClassicConfig, _classic),
     "mcmc": _Entry(MCMCConfig, _mcmc),
-    "fixed": _Entry(FixedConfig, _fixed),
+    "fixed": _Entry(FixedConfig, lambda config: FixedStrategy()),
 }
 
 
