@@ -26,7 +26,7 @@ from attacks.cloak.steps import Look, OnStep, StudySteps, TrainedSplat
 from attacks.cloak.study_toml import study_toml
 from attacks.detectors.base import Detector
 from attacks.observe.drawing import annotated
-from attacks.observe.places import CAMERAS, cameras_document
+from attacks.observe.result_cameras import CAMERAS, cameras_document
 from attacks.observe.rows import (
     DETECTIONS,
     FIDELITY,

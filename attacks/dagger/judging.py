@@ -13,7 +13,7 @@ from attacks.dagger.problem import Problem
 from attacks.dagger.views import View, ViewDistribution
 from attacks.detectors.base import Detections, Detector
 from attacks.objectives import Target, confidence
-from attacks.observe.look import Looked, detection_rows, place_cells, report_cells, verdict_cells
+from attacks.observe.look import Looked, camera_cells, detection_rows, report_cells, verdict_cells
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, Cell, Row, frame_of
 from attacks.observe.views import ImageChange, ViewDetections, as_saved, detect_views, image_change
 from attacks.pgd import Verdict
@@ -92,7 +92,7 @@ class Judgement:
         rows, detections = list[Row](), list[Row]()
         for judged in self.views:
             view, target, clean = judged.view, judged.target, judged.clean.image
-            place = place_cells(view.camera, target.box, view.direction)
+            place = camera_cells(view.camera, target.box, view.direction)
             splats = [(CLEAN, None, judged.clean), (ATTACKED, None, judged.attacked)]
             for splat, draw, seen in (*splats, *((NOISE, draw, seen) for draw, seen in enumerate(judged.noise))):
                 of: dict[str, Cell] = {**ids, "splat": splat, "draw": draw}

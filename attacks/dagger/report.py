@@ -15,7 +15,7 @@ from attacks.dagger.figures import DRAWN, FIXED
 from attacks.dagger.judging import JudgedView, Seen
 from attacks.dagger.result import Result
 from attacks.observe.drawing import annotated, difference, listed, stacked
-from attacks.observe.places import CAMERAS, cameras_document
+from attacks.observe.result_cameras import CAMERAS, cameras_document
 from attacks.pgd import NOT_JUDGED
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe, values_of

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.observe.drawing import annotated, stacked
-from attacks.observe.look import Looked, detection_rows, place_cells, report_cells
+from attacks.observe.look import Looked, camera_cells, detection_rows, report_cells
 from attacks.observe.measures import REPORTED, Confidence, comparison_measures, with_control
 from attacks.observe.rates import count
 from attacks.observe.rows import ATTACKED, CLEAN, Cell, Row, frame_of
@@ -93,7 +93,7 @@ def compared_rows(
             known = {"original": originals[view.detector], "target": target}
             change = None if same else float(psnr(before.image, view.image))
             cells = report_cells(view.detections, view.box, **known)
-            rows.append({**ids, **place_cells(view.camera, view.box), **cells, "psnr": change})
+            rows.append({**ids, **camera_cells(view.camera, view.box), **cells, "psnr": change})
             detections += detection_rows(ids, view.detections, view.box)
     return Looked(rows=frame_of(rows), detections=frame_of(detections))
 

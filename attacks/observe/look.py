@@ -1,6 +1,6 @@
 """Looking: conditions x splats x views x detectors, and the rows of what is seen.
 
-A row is put together from its parts: what it is of (`ids`), where the camera is (`place_cells`), what is reported on
+A row is put together from its parts: what it is of (`ids`), where the camera is (`camera_cells`), what is reported on
 the object (`report_cells`), and whether that reaches an aim (`verdict_cells`).
 """
 
@@ -29,7 +29,7 @@ ON_OBJECT, NEAR_OBJECT = 0.5, 0.1
 """IoU with the object's box from which a detection is on the object, and from which it is at all near it."""
 
 
-def place_cells(camera: Camera, box: Tensor | None, direction: Direction | None = None) -> dict[str, Cell]:
+def camera_cells(camera: Camera, box: Tensor | None, direction: Direction | None = None) -> dict[str, Cell]:
     """Where a camera is, and where the object is in its picture.
 
     Args:
@@ -152,7 +152,7 @@ def look(
             for seen in detect_views(shown, moved, detectors, render=render, boxes=where, batch=batch):
                 ids: dict[str, Cell] = {"condition": condition.name, "splat": name}
                 ids |= {"detector": seen.detector, "view": views[seen.view]}
-                rows.append({**ids, **place_cells(seen.camera, seen.box), **cells(seen)})
+                rows.append({**ids, **camera_cells(seen.camera, seen.box), **cells(seen)})
                 detections += detection_rows(ids, seen.detections, seen.box)
     return Looked(rows=frame_of(rows), detections=frame_of(detections))
 

@@ -156,7 +156,8 @@ def check_detections(result: Result) -> list[Check]:
     if not {ROWS, DETECTIONS} <= set(result.tables):
         return []
     rows, every = result.tables[ROWS], result.tables[DETECTIONS]
-    on = [name for name in ("splat", "seed", "draw", "detector", "view", "object") if name in rows.columns]
+    ids = ("attack", "seed", "condition", "splat", "draw", "detector", "view", "object")
+    on = [name for name in ids if name in rows.columns]
     shared = [name for name in on if name in every.columns]
     held = every.filter(pl.col("iou") >= ON_OBJECT).select(*shared, "label", again="score")
     pairs = rows.with_row_index("row").select("row", *shared, "original", "score", "original_score")

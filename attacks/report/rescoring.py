@@ -10,7 +10,7 @@ from typing import Any
 import polars as pl
 
 from attacks.detectors.base import Detector
-from attacks.observe.places import CAMERAS, Places, places_of
+from attacks.observe.result_cameras import CAMERAS, ResultCameras, result_cameras
 from attacks.observe.rows import ROWS, Row, frame_of
 from attacks.observe.views import ViewDetections
 from attacks.rate import Rate
@@ -77,16 +77,16 @@ def rescore(
         do = "score one of its attacks again"
         raise InvalidValueError(message(str(result.folder), "one attack, or a study of CLOAK", result.story, do))
     file = result.folder / CAMERAS
-    places = places_of(DocumentReader(do="get the result again").read_json(file), str(file))
+    cameras = result_cameras(DocumentReader(do="get the result again").read_json(file), str(file))
     scenes = _scenes(result, rescoring, splats)
     rows = result.tables[ROWS]
-    if rows["view"].max() != len(places.cameras) - 1:
-        got, do = f"{len(places.cameras)} cameras", "get the result again"
+    if rows["view"].max() != len(cameras.cameras) - 1:
+        got, do = f"{len(cameras.cameras)} cameras", "get the result again"
         raise InvalidValueError(message(str(file), "the cameras of the rows", got, do))
     views = rows["view"].unique().sort().to_list()[::every]
     before = rows.filter(pl.col("view").is_in(views), pl.col("seed").is_in([seed for _, seed in scenes]))
     seen, total = list[Row](), len(views) * len(detectors) * len(scenes)
-    for row in _seen_again(result.record, rescoring, detectors, places, scenes, before):
+    for row in _seen_again(result.record, rescoring, detectors, cameras, scenes, before):
         seen.append(row)
         on_view(len(seen), total)
     again = pl.col("detector").is_in([detector.name for detector in detectors])
@@ -111,7 +111,7 @@ def _seen_again(
     record: Mapping[str, Any],
     rescoring: Rescoring,
     detectors: Sequence[Detector],
-    places: Places,
+    cameras: ResultCameras,
     scenes: Mapping[tuple[str, int], GaussianScene],
     before: pl.DataFrame,
 ) -> Iterator[Row]:
@@ -121,7 +121,7 @@ def _seen_again(
         record: Of the result.
         rescoring: How its kind is scored again.
         detectors: Those that look.
-        places: Where from.
+        cameras: Where from.
         scenes: The splats.
         before: The rows of the views that they are looked at in.
     """
@@ -129,7 +129,7 @@ def _seen_again(
     rows = {(row["splat"], row["seed"], row["view"], row["detector"]): row for row in before.iter_rows(named=True)}
     of_view = {key[:3]: row for key, row in rows.items()}
     for (splat, seed), scene in scenes.items():
-        for seen in places.look(scene, detectors, views, batch=rescoring.batch):
+        for seen in cameras.look(scene, detectors, views, batch=rescoring.batch):
             # What another detector calls the object is not known: it counts as what one of the result's calls it.
             row = rows.get((splat, seed, seen.view, seen.detector), of_view[splat, seed, seen.view])
             yield {**row, "detector": seen.detector, **rescoring.cells(record, seen, row, named[seen.detector])}

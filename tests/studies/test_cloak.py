@@ -17,6 +17,7 @@ from attacks.cloak.study import forecast
 from attacks.cloak.study_toml import study_toml
 from attacks.detectors import registry
 from attacks.observe.rows import read_rows
+from attacks.report.checking import check_detections, read_result
 from attacks.report.results import read_section
 from attacks.report.stories import variations
 from attacks.studies.cloak import CloakPoint, CloakWork, config_of, tables
@@ -146,6 +147,10 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
     for title, figures in derived["points"].items():
         assert figures == {key: record["points"][title][key] for key in figures}
     assert sum("| nothing | " in line for line in (out / "table.md").read_text().splitlines()) == 4
+    count = len(rows["rows"])
+    assert [check.words for check in check_detections(read_result(out))] == [
+        f"give the scores of {count:,} of {count:,} rows"
+    ]
     section = read_section(out)
     assert section.title == "tiny, varied"
     looks = {look["condition"]: look for look in point["looks"]}

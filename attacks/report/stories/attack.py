@@ -11,8 +11,8 @@ import polars as pl
 from attacks.detectors.base import Detector
 from attacks.objectives import Hide, Objective, Relabel, Target, Untargeted
 from attacks.observe.look import verdict_cells
-from attacks.observe.places import CAMERAS
 from attacks.observe.rates import Measure, count
+from attacks.observe.result_cameras import CAMERAS
 from attacks.observe.rows import ATTACKED, Row
 from attacks.observe.views import ViewDetections
 from attacks.rate import Rate, percent

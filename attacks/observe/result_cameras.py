@@ -35,7 +35,7 @@ def cameras_document(cameras: Sequence[Mapping[str, Any]], **settings: Any) -> d
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Places:
+class ResultCameras:
     """What cameras.json says.
 
     Attributes:
@@ -74,7 +74,7 @@ class Places:
         return (replace(seen, view=views[seen.view]) for seen in reports)
 
 
-def places_of(values: Mapping[str, Any], where: str) -> Places:
+def result_cameras(values: Mapping[str, Any], where: str) -> ResultCameras:
     """The cameras of a result.
 
     Args:
@@ -95,7 +95,7 @@ def places_of(values: Mapping[str, Any], where: str) -> Places:
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         expected, do = "cameras, boxes, background and near", "get the result again"
         raise InvalidValueError(message(where, expected, repr(error)[:200], do)) from error
-    return Places(cameras=cameras, boxes=boxes, settings=settings, changes=changes)
+    return ResultCameras(cameras=cameras, boxes=boxes, settings=settings, changes=changes)
 
 
 def _box(value: Any) -> Tensor | None:
