@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import functools
+import json
 import operator
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from attacks.cloak.mesh_scene import TEXTURES
 from attacks.cloak.triggers import Azimuth, Elevation, Subsample, Trigger
@@ -539,3 +540,37 @@ def read_study(path: Path) -> StudyConfig:
     if not path.is_file():
         raise InvalidValueError(message("study", "a TOML file", f"no file {path}", "check the path"))
     return decode(StudyConfig, DocumentReader(expected="a TOML file", do="correct it").read_toml(path), str(path))
+
+
+def study_toml(snapshot: Mapping[str, Any]) -> str:
+    """The file of a study; settings without a value are left out, which stands for None.
+
+    Args:
+        snapshot: The study as JSON holds it (`dataclasses.asdict`).
+    """
+    return "\n".join([*_lines(snapshot, ""), ""]).lstrip("\n")
+
+
+def _lines(table: Mapping[str, Any], name: str) -> Iterator[str]:
+    """A table: its own keys, then the tables within it."""
+    inner = {key: value for key, value in table.items() if _is_table(value)}
+    for key, value in table.items():
+        if key not in inner and value is not None:
+            yield f"{key} = {_inline(value)}"
+    for key, value in inner.items():
+        within = f"{name}{key}"
+        for entry in value if isinstance(value, (list, tuple)) else [value]:
+            yield from ("", f"[[{within}]]" if isinstance(value, (list, tuple)) else f"[{within}]")
+            yield from _lines(entry, f"{within}.")
+
+
+def _is_table(value: Any) -> bool:
+    first = value[0] if isinstance(value, (list, tuple)) and value else value
+    return isinstance(first, Mapping)
+
+
+def _inline(value: Any) -> str:
+    """A value on one line; TOML writes texts, numbers and truths as JSON does."""
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_inline, value))}]"
+    return json.dumps(value, ensure_ascii=False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import shutil
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -17,13 +16,12 @@ import torch
 from numpy.typing import NDArray
 
 from attacks.cloak import setup
-from attacks.cloak.config import StudyConfig, fit_config
+from attacks.cloak.config import StudyConfig, fit_config, read_study, study_toml
 from attacks.cloak.kinds.poisoned import MANIFEST
 from attacks.cloak.kinds.seen import loaded
 from attacks.cloak.poisoning import assign
 from attacks.cloak.rates import figures, markdown
 from attacks.cloak.steps import Look, OnStep, StudySteps, TrainedSplat
-from attacks.cloak.study_toml import study_toml
 from attacks.detectors.base import Detector
 from attacks.observe.drawing import annotated
 from attacks.observe.result_cameras import CAMERAS, cameras_document
@@ -47,25 +45,20 @@ from mi_splat.io.folders import check_writable
 from mi_splat.io.images import through_png
 from mi_splat.io.locks import check_unlocked, locked_folder
 from mi_splat.io.manifest import write_manifest
-from mi_splat.io.parsing import DocumentReader
 
 STUDY_FILE = "study.toml"
-STUDY, SUMMARY, TABLE, POISON, CONTACT = "study.json", "result.json", "table.md", "poison.json", "contact.png"
+SUMMARY, TABLE, POISON, CONTACT = "result.json", "table.md", "poison.json", "contact.png"
 
 
-def differences(file: Path, study: StudyConfig) -> list[str]:
-    """What the study in a file has otherwise, in words; nothing if it is the same study.
+def differences(there: StudyConfig, wanted: StudyConfig) -> list[str]:
+    """What a study has otherwise than the one that is wanted, in words; nothing if it is the same.
 
     Args:
-        file: The `study.json` of earlier results.
-        study: The study that is asked for.
-
-    Raises:
-        InvalidValueError: The file cannot be read.
+        there: The study of earlier results.
+        wanted: The study that is asked for.
     """
-    there = dict(_flat(DocumentReader(expected="a study", do="choose another folder").read_json(file)))
-    wanted = dict(_flat(json.loads(json.dumps(asdict(study)))))
-    pairs = {name: (there.get(name), wanted.get(name)) for name in {**there, **wanted}}
+    before, now = (dict(_flat(asdict(study))) for study in (there, wanted))
+    pairs = {name: (before.get(name), now.get(name)) for name in {**before, **now}}
     return [f"{name} {old} and not {new}" for name, (old, new) in pairs.items() if old != new]
 
 
@@ -75,7 +68,7 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
         name = f"{prefix}{key}"
         if isinstance(value, dict):
             yield from _flat(value, f"{name}.")
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
+        elif isinstance(value, tuple) and value and isinstance(value[0], dict):
             for number, entry in enumerate(value):
                 yield from _flat(entry, f"{name}.{number}.")
         else:
@@ -83,10 +76,10 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
 
 
 def begin_report(study: StudyConfig, folder: Path) -> None:
-    """Make the folder of the results and say in study.json whose they are."""
+    """Make the folder of the results and say in study.toml whose they are."""
     folder.mkdir(parents=True, exist_ok=True)
     sweep_temporary(folder)
-    save_json(asdict(study), folder / STUDY)
+    save_text(study_toml(asdict(study)), folder / STUDY_FILE)
 
 
 def write_report(
@@ -115,7 +108,6 @@ def write_report(
     written = [write_rows(table, folder / f"{name}{SUFFIX}").name for name, table in tables.items()]
     save_png(_contact_sheet(steps, shown, detectors[0]), folder / CONTACT)
     save_json(_cameras(study), folder / CAMERAS, indent=0)
-    save_text(study_toml(asdict(study)), folder / STUDY_FILE)
     files = [*(f"{splat.splat}.ply" for splat in shown), POISON, CAMERAS, STUDY_FILE, *written, CONTACT, TABLE]
     summary = {
         "story": "cloak",
@@ -286,12 +278,12 @@ def check_folder(study: StudyConfig, folder: Path) -> None:
     check_writable(folder)
     check_unlocked(folder)
     if folder.is_dir() and not all(is_temporary(path.name) for path in folder.iterdir()):
-        known = folder / STUDY
+        known = folder / STUDY_FILE
         if not known.is_file():
             raise InvalidValueError(message(str(folder), "an empty folder", "other files", "choose another")).hinted(
                 "--out"
             )
-        differs = differences(known, study)
+        differs = differences(read_study(known), study)
         if differs:
             do = "choose another folder; stages that both need are not done again with the same folder of stages"
             expected = f"results of a study with {', '.join(differs)}"

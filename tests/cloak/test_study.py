@@ -113,7 +113,7 @@ def test_an_interrupted_study_ends_as_if_nothing_had_happened(
     for job in (steps.pictures(), steps.splat("clean", 0)):  # which would take long
         key = steps.do(job, "").key
         shutil.copytree(finished / "stages" / "jobs" / key[:2] / key, stages / "jobs" / key[:2] / key)
-    (tmp_path / "out" / "study.json").write_bytes((finished / "study.json").read_bytes())
+    (tmp_path / "out" / "study.toml").write_bytes((finished / "study.toml").read_bytes())
     with pytest.raises(KeyboardInterrupt):
         done(tmp_path / "out", stop_at=stop_at)
     assert not (tmp_path / "out" / "result.json").exists()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -19,6 +19,7 @@ from attacks.cloak.config import (
     StudyConfig,
     TrainingConfig,
     read_study,
+    study_toml,
 )
 from attacks.cloak.poisoning import assign
 from attacks.cloak.study import check, forecast
@@ -183,8 +184,10 @@ def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("precious")
     with pytest.raises(InvalidValueError, match="other files"):
         check(SMALL, [], tmp_path, tmp_path / "stages")
-    (tmp_path / "study.json").write_text("{}")
-    with pytest.raises(InvalidValueError, match="results of a study with name None and not"):
+    other = replace(SMALL, name="other", seeds=(0, 1))
+    (tmp_path / "study.toml").write_text(study_toml(asdict(other)))
+    said = r"results of a study with name other and not small, seeds \(0, 1\) and not \(0,\), another"
+    with pytest.raises(InvalidValueError, match=said.removesuffix(", another")):
         check(SMALL, [], tmp_path, tmp_path / "stages")
 
 

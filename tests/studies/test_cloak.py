@@ -12,9 +12,8 @@ from unittest.mock import patch
 import pytest
 
 from attacks import cli
-from attacks.cloak.config import StudyConfig, read_study
+from attacks.cloak.config import StudyConfig, read_study, study_toml
 from attacks.cloak.study import forecast
-from attacks.cloak.study_toml import study_toml
 from attacks.detectors import registry
 from attacks.observe.rows import read_rows
 from attacks.report.checking import check_detections, read_result

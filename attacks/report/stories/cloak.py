@@ -9,7 +9,7 @@ from typing import Any
 
 import polars as pl
 
-from attacks.cloak.config import StudyConfig
+from attacks.cloak.config import StudyConfig, study_toml
 from attacks.cloak.rates import CLOAKED, NAMES, RATES, SECTOR, by_azimuth, costs, measures, picture_rows, transition
 from attacks.cloak.rates import figures as study_figures
 from attacks.cloak.rates import rates as study_rates
@@ -17,7 +17,6 @@ from attacks.cloak.rates import tables as summary_tables
 from attacks.cloak.setup import overhead
 from attacks.cloak.steps import ROW_NAMES
 from attacks.cloak.study import CONTACT
-from attacks.cloak.study_toml import study_toml
 from attacks.detectors.base import Detector
 from attacks.observe.look import report_cells
 from attacks.observe.measures import Confidence, Measures
