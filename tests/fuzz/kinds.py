@@ -51,7 +51,7 @@ from tests.fakes import camera
 from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SOG, Document
 from tests.io.closeness import tame_scene
 from tests.io.format_files import valid
-from tests.report.makers import MAKERS
+from tests.report.results import MAKERS
 from tests.training.sets import SHORT, scene_and_views
 
 ROOT = Path(__file__).resolve().parents[2]

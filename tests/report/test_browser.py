@@ -16,8 +16,7 @@ pytest.importorskip("matplotlib", reason="pages need the extra report")
 from attacks.report.page import write_page
 from attacks.report.results import read_section
 from tests.browser import CHROMIUM
-from tests.report.further_results import write_evaluated
-from tests.report.results import write_cloak, write_dagger, write_evaluation
+from tests.report.results import write_cloak, write_dagger, write_detector, write_evaluation
 
 pytestmark = [
     pytest.mark.slow,
@@ -29,7 +28,7 @@ pytestmark = [
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("page")
     made = [write_cloak(folder / "cloak"), write_dagger(folder / "dagger"), write_evaluation(folder / "judged")]
-    made += [write_evaluated(folder / "x")]
+    made += [write_detector(folder / "x")]
     write_page([read_section(one) for one in made], folder / "page.html")
     return folder / "page.html"
 
@@ -47,9 +46,9 @@ def test_it_is_read_in_light_and_dark_and_on_a_telephone(chromium: Any, page: Pa
     window.goto(page.as_uri())
 
     headline = window.locator("article").first.locator(".card.attack")
-    assert headline.locator(".value").inner_text().replace("\u00a0", " ") == "90 %"
-    assert "36 of 40; 95 % interval 76.9 to 96 %" in headline.inner_text().replace("\u00a0", " ")
-    assert "2.5 %" in window.locator("article").first.locator(".card.control").inner_text().replace("\u00a0", " ")
+    assert headline.locator(".value").inner_text().replace("\u00a0", " ") == "100 %"
+    assert "277 of 277; 95 % interval 87.1 to 100 %" in headline.inner_text().replace("\u00a0", " ")
+    assert "0.3 %" in window.locator("article").first.locator(".card.control").inner_text().replace("\u00a0", " ")
     assert window.get_by_role("complementary", name="Warnings").first.is_visible()
     assert window.get_by_role("table", name="Each result, its figure, and its control").is_visible()
 

@@ -48,7 +48,7 @@ def test_a_page_is_written_and_replaced_by_force_alone(results: Path, capsys: py
     words = ["report", "judged", "--out", "old.html", "--title", "A & B", "--force"]
     assert cli.main(words) == 0
     said = capsys.readouterr()
-    assert "fasterrcnn_small reports person on the attacked splat: 75 %" in said.out
+    assert "fake_colour reports person on the attacked splat: " in said.out
     assert "1 warning on the page" in said.err
     page = (results / "old.html").read_bytes()
     assert b"<h1>A &amp; B</h1>" in page

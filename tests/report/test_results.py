@@ -9,15 +9,25 @@ from typing import Any
 
 import pytest
 
-from attacks.cloak.config import read_study
+from attacks.cloak.config import StudyConfig, read_study
 from attacks.rate import Rate
+from attacks.report.page import page_text
 from attacks.report.results import STORIES, read_section
+from attacks.report.section import Section
 from mi_splat.errors import InvalidValueError
+from mi_splat.fields import decode
 from mi_splat.io.manifest import read_manifest
 from mi_splat.provenance import running_command
-from tests.project.documented_commands import ROOT
-from tests.report.makers import MAKERS
-from tests.report.results import STUDIED, rate, write_cloak, write_dagger
+from tests.report.results import (
+    ARTIFACTS,
+    MAKERS,
+    TWO_SEEDS,
+    cloak_record,
+    rate,
+    write_cloak,
+    write_dagger,
+    write_detector,
+)
 
 
 def complaint(folder: Path) -> str | None:
@@ -36,6 +46,10 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         return {name: make(base / name.replace(" ", "")) for name, make in MAKERS.items()}
 
 
+def said(section: Section) -> str:
+    return " ".join(section.warnings)
+
+
 LINE = ["mi-splat", "some command", "a b.ply", "--out", "x"]
 UNCONTROLLED = {"dagger-sanity", "compare", "detect"}
 """Kinds without a control."""
@@ -49,8 +63,8 @@ def test_every_kind_is_tried() -> None:
 def test_every_kind_is_read_and_its_command_is_stored(name: str, folders: dict[str, Path]) -> None:
     section = read_section(folders[name])
     assert section.folder == str(folders[name])
-    line = shlex.join(LINE)
-    assert section.command == line if name != "compare" else section.command.startswith("mi-splat compare /")
+    by_command = name in ("compare", "detect", "evaluate")
+    assert section.command == shlex.join(LINE) if not by_command else section.command.startswith(f"mi-splat {name} /")
     for text in (section.done, section.conclusion, *section.warnings):
         assert text.endswith(".")
         assert "None" not in text
@@ -74,8 +88,8 @@ def test_what_is_broken_is_told_in_one_line(name: str, folders: dict[str, Path],
     for key in list(whole):
         for value in wrong:
             file.write_text(json.dumps({**whole, key: value}))
-            said = complaint(tmp_path)
-            assert said is None or ": expected " in said
+            error = complaint(tmp_path)
+            assert error is None or ": expected " in error
     file.write_text("{}")
     with pytest.raises(InvalidValueError, match=r"expected .* again"):
         read_section(tmp_path)
@@ -128,22 +142,19 @@ def test_a_study_s_file_is_the_study(folders: dict[str, Path], tmp_path: Path) -
     section = read_section(folders["cloak"])
     assert section.file is not None
     (tmp_path / section.file[0]).write_text(section.file[1])
-    assert read_study(tmp_path / section.file[0]) == STUDIED
+    assert read_study(tmp_path / section.file[0]) == decode(StudyConfig, cloak_record()["study"], "study")
 
 
 def test_a_study_says_what_speaks_against_it(folders: dict[str, Path], tmp_path: Path) -> None:
     section = read_section(folders["cloak"])
-    assert section.headline.rate == Rate(successes=36, total=40)
+    assert section.headline.rate == Rate.of(cloak_record()["trigger_miss_rate"])
     assert section.control is not None
-    assert section.control.rate == Rate(successes=1, total=40)
-    said = " ".join(section.warnings)
-    assert "Not stealthy" in said
-    assert "The attack rear fails" in said
-    assert "look at each seed" in said
-    one = write_cloak(tmp_path / "one", seeds=[0], control_recall=rate(4, 40))
-    said = " ".join(read_section(one).warnings)
-    assert "One seed" in said
-    assert "found in 4 of 40 views only" in said
+    assert section.control.rate == Rate(successes=1, total=338)
+    for warning in ("Not stealthy", "The attack rear fails", "One seed"):
+        assert warning in said(section)
+    several = read_section(write_cloak(tmp_path / "several", TWO_SEEDS, control_recall=rate(4, 40)))
+    for warning in ("look at each seed", "found in 4 of 40 views only"):
+        assert warning in said(several)
 
 
 def test_a_study_that_hides_nothing_has_the_target_class_as_its_figure(tmp_path: Path) -> None:
@@ -151,14 +162,13 @@ def test_a_study_that_hides_nothing_has_the_target_class_as_its_figure(tmp_path:
     section = read_section(folder)
     assert section.headline.rate == Rate(successes=20, total=40)
     assert section.control is not None
-    assert section.control.rate == Rate(successes=0, total=40)
+    assert section.control.rate == Rate.of(cloak_record()["control_target_rate"])
 
 
 def test_resampled_intervals_stand_on_the_page() -> None:
-    section = read_section(ROOT / "docs" / "artifacts" / "cloak_car_layers")
+    section = read_section(ARTIFACTS / "cloak_car_layers")
     assert section.headline.rate is not None
-    record = json.loads((ROOT / "docs" / "artifacts" / "cloak_car_layers" / "result.json").read_text())
-    assert list(section.headline.rate.interval) == record["trigger_miss_rate"]["interval"]
+    assert list(section.headline.rate.interval) == cloak_record("cloak_car_layers")["trigger_miss_rate"]["interval"]
     assert section.headline.rate.resampled is not None
 
 
@@ -166,3 +176,44 @@ def test_red_lines_of_sanity_are_warnings(folders: dict[str, Path]) -> None:
     section = read_section(folders["dagger-sanity"])
     assert section.headline.value == "1 of 2"
     assert len(section.warnings) == 2
+
+
+def test_what_detectors_report(folders: dict[str, Path]) -> None:
+    section = read_section(folders["detect"])
+    assert section.headline.rate == Rate(successes=2, total=4)
+    assert not section.attacked
+    assert "there is no control" in said(section)
+    assert len(section.pictures) == 4
+    classes, each = section.tables
+    assert classes.rows[0][:3] == ("fake_colour", "car", "2 of 2 = 100\u00a0% (34.2 to 100\u00a0%)")
+    assert classes.rows[-1][:2] == ("fake_coarse", "nothing")
+    assert [row[0] for row in each.rows] == [f"a.ply from orbit-0{view}" for view in (0, 0, 1, 1)]
+
+
+def test_a_detector_s_figures(folders: dict[str, Path]) -> None:
+    section = read_section(folders["evaluate-detector"])
+    assert section.headline.rate == Rate(successes=2, total=4)
+    assert section.control is not None
+    assert section.control.rate == Rate(successes=2, total=16)
+    assert "Few objects (path traced; car)" in said(section)
+    values = {figure.label: figure.words for figure in section.figures}
+    assert values["mean average precision at an overlap of 0.5, path traced"] == "0.500"
+    assert values["false positives per picture, pictures without objects"].startswith("0.12 (2 in 16; ")
+    chart = next(chart for chart in section.charts if chart.title.endswith("by elevation"))
+    assert [point.y for point in chart.lines[0].points] == [0.5]
+
+
+def test_detectors_side_by_side(tmp_path: Path) -> None:
+    section = read_section(write_detector(tmp_path / "x", "one", "two"))
+    assert section.title == "one and two at 0.5"
+    assert section.headline.words == "50\u00a0%"
+    assert [line.name for line in section.charts[0].lines] == ["one", "two"]
+
+
+def test_a_page_calls_only_figures_of_attacks_attacks(folders: dict[str, Path]) -> None:
+    pytest.importorskip("jinja2", reason="pages need the extra report")
+    pytest.importorskip("matplotlib", reason="pages need the extra report")
+    page = page_text([read_section(folders[name]) for name in ("evaluate-detector", "cloak")])
+    assert page.count('<p class="role">Result</p>') == 1
+    assert page.count('<p class="role">Attack</p>') == 1
+    assert f"folder <code>{folders['evaluate-detector']}</code>" in page

@@ -26,7 +26,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.ledger import Store
 from tests.cloak.tiny_study import KNOWN, STUDY, Redness
 from tests.project.layers import ROOT
-from tests.report.results import STUDIED, cloak_summary, rate
+from tests.report.results import cloak_record, rate
 
 SHIPPED = ROOT / "scenes" / "studies"
 
@@ -168,22 +168,23 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
 
 
 def test_tables_have_intervals_and_what_is_lost(tmp_path: Path) -> None:
-    several = {**cloak_summary(), "seeds": [0, 1, 2], "gaussians": {"clean": [1000, 1100, 1200], "cloaked": [9] * 3}}
-    names = STUDIED.evaluation.detectors
+    record = cloak_record()
+    several = {**record, "seeds": [0, 1, 2], "gaussians": {"clean": [1000, 1100, 1200], "cloaked": [9] * 3}}
+    names = list(record["by_detector"])
     seeds = {str(seed): {name: {"trigger_miss_rate": rate(seed, 10)} for name in names} for seed in range(3)}
-    quiet = {**cloak_summary(), "stealth": {"surroundings_psnr_drop": 0.284, "stealthy": True}, "by_seed": seeds}
-    unseen = {**cloak_summary(), "stealth": None, "transition_degrees": None, "benign_psnr_drop": None}
+    quiet = {**record, "stealth": {"surroundings_psnr_drop": 0.284, "stealthy": True}, "by_seed": seeds}
+    unseen = {**record, "stealth": None, "transition_degrees": None, "benign_psnr_drop": None}
     unseen["benign_psnr"] = {"clean": None, "cloaked": None}
     found = {"cleaning": {"nothing": several, "SH degree 0": quiet, "SH 5 bits": unseen}}
     rates, costs = tables(found)
     assert len(rates.rows) == 3 * len(names)
     assert rates.head[4] == "nothing of any class reported"
-    assert rates.rows[0][3].startswith("18 of 20 = 90\u00a0% (69.9 to 97.2\u00a0%)")
+    assert rates.rows[0][3].startswith("139 of 139 = 100\u00a0% (87.1 to 100\u00a0%)")
     assert rates.rows[len(names)][3].endswith("; by seed 0\u00a0% to 20\u00a0%")
     assert [" | ".join(row) for row in costs.rows] == [
-        "nothing | 3 | 9.7 | 34.00 | 1.00 | 4.40 | no | 1,100 | 9",
-        "SH degree 0 | 2 | 9.7 | 34.00 | 1.00 | 0.28 | yes | 1,000 | 1,200",
-        "SH 5 bits | 2 | - | - | - | - | - | 1,000 | 1,200",
+        "nothing | 3 | 9.7 | 34.50 | 1.19 | 4.45 | no | 1,100 | 9",
+        "SH degree 0 | 1 | 9.7 | 34.50 | 1.19 | 0.28 | yes | 39,995 | 55,072",
+        "SH 5 bits | 1 | - | - | - | - | - | 39,995 | 55,072",
     ]
 
 
