@@ -187,7 +187,7 @@ def test_what_detectors_report(folders: dict[str, Path]) -> None:
     classes, each = section.tables
     assert classes.rows[0][:3] == ("fake_colour", "car", "2 of 2 = 100\u00a0% (34.2 to 100\u00a0%)")
     assert classes.rows[-1][:2] == ("fake_coarse", "nothing")
-    assert [row[0] for row in each.rows] == [f"a.ply from orbit-0{view}" for view in (0, 0, 1, 1)]
+    assert [row[0] for row in each.rows] == [f"a.ply from orbit-{view}" for view in (0, 1, 0, 1)]
 
 
 def test_a_detector_s_figures(folders: dict[str, Path]) -> None:
