@@ -188,9 +188,7 @@ def load(name: str, weights: Path | None = None) -> TransformersDetector:
         where = {"pretrained_model_name_or_path": _folder(Path(weights)), "local_files_only": True}
     source = name if weights is None else weights
     model_class, processor_class, _ = _ARCHITECTURES[hub.architecture]
-    expected = f"a folder of {_FILES}, or a network that reaches the library's hub"
-    do = elsewhere("folder")
-    with _quiet(), _explained(f"weights of {source}", expected, do):
+    with _loading(source):
         config = AutoConfig.from_pretrained(**where)
     if config.model_type != hub.architecture:
         raise DetectorError(
@@ -198,7 +196,7 @@ def load(name: str, weights: Path | None = None) -> TransformersDetector:
                 f"weights of {source}", f"a {hub.architecture}", f"a {config.model_type}", f"pass a folder of {name}"
             )
         )
-    with _quiet(), _explained(f"weights of {source}", expected, do):
+    with _loading(source):
         processor = processor_class.from_pretrained(**where)
         model, report = model_class.from_pretrained(
             **where, config=config, dtype=torch.float32, output_loading_info=True
@@ -231,23 +229,18 @@ def _require_all(report: Mapping[str, Any], source: object) -> None:
 
 
 @contextmanager
-def _explained(what: str, expected: str, do: str) -> Iterator[None]:
-    try:
-        yield
-    except Exception as error:  # what the library raises has no common base
-        reason = in_a_line(error)
-        if isinstance(error, ImportError) and "timm" in str(error):
-            reason, do = "one whose backbone needs the package timm", "pip install timm, or take its revision no_timm"
-        raise DetectorError(message(what, expected, reason, do)) from error
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """No progress bars meanwhile."""
+def _loading(source: object) -> Iterator[None]:
+    """No progress bars meanwhile, and whatever the library raises told in a line."""
     shown = library_logging.is_progress_bar_enabled()
     library_logging.disable_progress_bar()
     try:
         yield
+    except Exception as error:  # what the library raises has no common base
+        expected, reason = f"a folder of {_FILES}, or a network that reaches the library's hub", in_a_line(error)
+        do = elsewhere("folder")
+        if isinstance(error, ImportError) and "timm" in str(error):
+            reason, do = "one whose backbone needs the package timm", "pip install timm, or take its revision no_timm"
+        raise DetectorError(message(f"weights of {source}", expected, reason, do)) from error
     finally:
         if shown:
             library_logging.enable_progress_bar()

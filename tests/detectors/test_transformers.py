@@ -96,7 +96,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
                 for _ in range(4):
                     model(pixel_values=torch.randn(2, 3, 64, 64))
         found[kind] = tmp_path_factory.mktemp(kind)
-        with adapter._quiet():
+        with adapter._loading("a test"):
             model.eval().save_pretrained(found[kind])
         processor.save_pretrained(found[kind])
     return found
