@@ -13,7 +13,7 @@ from safetensors.torch import save
 from attacks.dagger.image_budget import ImagePrice
 from attacks.pgd import OptimiserState, Parameters, SearchState, Step
 from mi_splat.errors import MiSplatError
-from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.documents import save_bytes
 from mi_splat.io.noted_tensors import NOTES, check_like, read_line, read_noted_tensors
 from mi_splat.io.parsing import DocumentReader
 
@@ -85,8 +85,7 @@ def save_state(kept: KeptSearch, path: Path, *, key: str) -> None:
         "threads": torch.get_num_threads(),
     }
     packed = save(tensors, metadata={NOTES: json.dumps(notes)})
-    with atomic_write(path) as file:
-        write_all(file, memoryview(packed))
+    save_bytes(packed, path)
 
 
 def load_state(path: Path, *, key: str) -> KeptSearch | None:

@@ -1,4 +1,4 @@
-"""Text, JSON and PNG files that appear whole or not at all, and digests of files."""
+"""Bytes, text, JSON and PNG files that appear whole or not at all, and digests of files."""
 
 from __future__ import annotations
 
@@ -21,14 +21,23 @@ def file_name(text: str) -> str:
     return re.sub(r"[^\w.-]", "_", text)
 
 
+def save_bytes(data: bytes, path: Path) -> None:
+    """Write a file.
+
+    Raises:
+        SplatFileError: The file cannot be written.
+    """
+    with atomic_write(path) as file:
+        write_all(file, memoryview(data))
+
+
 def save_text(text: str, path: Path) -> None:
     """Write a text file.
 
     Raises:
         SplatFileError: The file cannot be written.
     """
-    with atomic_write(path) as file:
-        write_all(file, memoryview(text.encode()))
+    save_bytes(text.encode(), path)
 
 
 def save_json(values: Any, path: Path, *, indent: int = 2) -> None:
@@ -49,8 +58,7 @@ def save_png(pixels: NDArray[np.uint8], path: Path) -> None:
     """
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, format="PNG")
-    with atomic_write(path) as file:
-        write_all(file, memoryview(buffer.getvalue()))
+    save_bytes(buffer.getvalue(), path)
 
 
 def sha256(path: Path) -> str:

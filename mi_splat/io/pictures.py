@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mi_splat.errors import InvalidValueError, MiSplatError, install, message
-from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.documents import save_bytes
 
 PICTURES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
 """Format of a picture by the ending of its name."""
@@ -49,8 +49,7 @@ def save_picture(pixels: NDArray[np.uint8], path: Path) -> None:
     buffer, kind = io.BytesIO(), PICTURES[path.suffix.lower()]
     options = {"quality": _JPEG_QUALITY, "subsampling": 0} if kind == "JPEG" else {}
     Image.fromarray(pixels).save(buffer, format=kind, **options)
-    with atomic_write(path) as file:
-        write_all(file, memoryview(buffer.getvalue()))
+    save_bytes(buffer.getvalue(), path)
 
 
 def check_animation(path: Path) -> None:
@@ -90,8 +89,7 @@ def save_animation(frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: floa
         do = "end it in .gif or .mp4"
         raise InvalidValueError(message(str(path), "the name of an animation", path.suffix or "no ending", do))
     data = _gif(frames, fps) if path.suffix.lower() == ".gif" else _mp4(frames, path, fps)
-    with atomic_write(path) as file:
-        write_all(file, memoryview(data))
+    save_bytes(data, path)
 
 
 def _gif(frames: Sequence[NDArray[np.uint8]], fps: float) -> bytes:

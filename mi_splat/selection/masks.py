@@ -13,7 +13,7 @@ from torch import Tensor
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.arrays import load_array
-from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.documents import save_bytes
 from mi_splat.io.points import load_points
 from mi_splat.rotation import multiply, to_matrix
 from mi_splat.scene import GaussianScene
@@ -92,8 +92,7 @@ def save_mask(mask: Tensor, path: Path) -> None:
     """
     buffer = io.BytesIO()
     np.save(buffer, mask.detach().cpu().numpy().astype(bool))
-    with atomic_write(path) as file:
-        write_all(file, memoryview(buffer.getvalue()))
+    save_bytes(buffer.getvalue(), path)
 
 
 def _from_array(values: NDArray[np.generic], count: int, what: str) -> Tensor:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, MiSplatError, message
-from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.documents import save_bytes
 from mi_splat.io.fields import Fields
 from mi_splat.io.noted_tensors import NOTES, check_like, described, read_line, read_noted_tensors
 from mi_splat.io.parsing import DocumentReader
@@ -96,8 +96,7 @@ def save_state(state: TrainState, path: Path) -> None:
         "history": [asdict(line) for line in state.history],
     }
     packed = save({k: v.contiguous() for k, v in tensors.items()}, metadata={NOTES: json.dumps(notes)})
-    with atomic_write(path) as file:
-        write_all(file, memoryview(packed))
+    save_bytes(packed, path)
 
 
 def load_state(path: Path) -> tuple[TrainState, int]:

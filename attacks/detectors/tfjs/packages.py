@@ -34,8 +34,8 @@ from attacks.detectors.catalogue import (
     npm_detector,
 )
 from mi_splat.errors import message
-from mi_splat.io.atomic import atomic_write, sweep_temporary, temporary_name, write_all
-from mi_splat.io.documents import save_json, sha256
+from mi_splat.io.atomic import sweep_temporary, temporary_name
+from mi_splat.io.documents import save_bytes, save_json, sha256
 from mi_splat.io.errors import from_os_error
 from mi_splat.io.fields import Fields
 from mi_splat.io.folders import new_folder
@@ -162,8 +162,7 @@ def _write(detector: NpmDetector, content: _Content, origin: str) -> None:
     constants = dict(read_graph_model(model, weights).constants)
     with new_folder(folder_of(detector.name), force=True, record=CARD) as folder:
         for name, data in ((WEIGHTS, save(constants)), (GRAPH, topology(model))):
-            with atomic_write(folder / name) as file:
-                write_all(file, memoryview(data))
+            save_bytes(data, folder / name)
         save_json(card_of(detector, folder, origin), folder / CARD)
 
 

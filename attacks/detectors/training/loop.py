@@ -19,7 +19,7 @@ from attacks.detectors.training.augmentation import augment
 from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.weights import apply_weights, read_weights
-from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.documents import save_bytes
 from mi_splat.io.noted_tensors import NOTES, check_like, read_noted_tensors
 from mi_splat.io.parsing import DocumentReader
 
@@ -207,8 +207,7 @@ class Training:
         for number, state in self._optimiser.state_dict()["state"].items():
             tensors |= {f"optimiser/{number}/{k}": v.contiguous() for k, v in state.items()}
         notes = {"epoch": self.epoch, "history": self.history}
-        with atomic_write(folder / "checkpoint.safetensors") as file:
-            write_all(file, memoryview(save(tensors, metadata={NOTES: json.dumps(notes)})))
+        save_bytes(save(tensors, metadata={NOTES: json.dumps(notes)}), folder / "checkpoint.safetensors")
 
     @classmethod
     def resume(cls, folder: Path, config: TrainConfig, trainer: DetectorTrainer) -> Training:
@@ -253,8 +252,7 @@ def rounded(state: dict[str, Tensor]) -> dict[str, Tensor]:
 def export_weights(state: dict[str, Tensor], path: Path, *, notes: dict[str, str]) -> None:
     """Write float16 weights as safetensors."""
     tensors = {k: v.detach().half().contiguous() for k, v in state.items() if v.is_floating_point()}
-    with atomic_write(path) as file:
-        write_all(file, memoryview(save(tensors, metadata=notes)))
+    save_bytes(save(tensors, metadata=notes), path)
 
 
 def _seed(*parts: int) -> int:
