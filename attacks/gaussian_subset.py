@@ -32,28 +32,41 @@ class GaussianSubset:
         scene: The whole scene.
         rows: (M,) int64 indices of the object's Gaussians, ascending.
         clean: The object's rows of all five attributes, as a file holds them.
+        sh_degree: Highest degree of the SH coefficients that may change; None for all.
     """
 
     scene: GaussianScene
     rows: Tensor
     clean: Parameters
+    sh_degree: int | None = None
 
     @classmethod
-    def of(cls, scene: GaussianScene, mask: Mask) -> GaussianSubset:
+    def of(cls, scene: GaussianScene, mask: Mask, *, sh_degree: int | None = None) -> GaussianSubset:
         """The object that a mask (see `Mask`) selects.
 
         Raises:
             InvalidValueError: The mask does not fit the scene or selects nothing.
         """
         rows = _rows_of(mask, len(scene.means)).to(scene.means.device)
-        return cls(scene, rows, to_raw_parameters(scene.select(rows).detach()))
+        return cls(scene, rows, to_raw_parameters(scene.select(rows).detach()), sh_degree)
 
     def parameters(self, attributes: Sequence[str]) -> Parameters:
-        """The object's rows of the attributes, as the file holds them."""
-        return {name: self.clean[name] for name in attributes}
+        """What may change: the object's rows of the attributes, as the file holds them."""
+        values = {name: self.clean[name] for name in attributes}
+        if "sh" in values and self.sh_degree is not None:
+            values["sh"] = values["sh"][:, : (self.sh_degree + 1) ** 2]
+        return values
+
+    def _complete(self, parameters: Parameters) -> Parameters:
+        """The parameters with the SH coefficients that may not change."""
+        sh, clean = parameters.get("sh"), self.clean["sh"]
+        if sh is None or sh.shape[1] == clean.shape[1]:
+            return parameters
+        return {**parameters, "sh": torch.cat([sh, clean[:, sh.shape[1] :]], 1)}
 
     def scene_with(self, parameters: Parameters) -> GaussianScene:
         """The whole scene with the object's rows exchanged, differentiable in the parameters, other rows untouched."""
+        parameters = self._complete(parameters)
         moved: dict[str, Tensor] = dict(zip(ATTRIBUTES, activate({**self.clean, **parameters}), strict=True))
         tensors: dict[str, Tensor] = dict(zip(ATTRIBUTES, self.scene.tensors(), strict=True))
         for name in parameters:
@@ -62,6 +75,7 @@ class GaussianSubset:
 
     def applied(self, parameters: Parameters) -> GaussianScene:
         """The attacked scene as a checked value; what did not move keeps the very bits it had."""
+        parameters = self._complete(parameters)
         attacked, tensors = self.scene_with(parameters).detach(), {}
         for name, value in parameters.items():
             before, after = getattr(self.scene, name).detach(), getattr(attacked, name)
@@ -94,15 +108,15 @@ def _checked_mask(mask: object, count: int) -> Tensor:
     """A mask or row numbers as a tensor on the CPU that fits `count` Gaussians."""
     expected = f"bool values or indices in 0..{count - 1}"
     try:
-        found = torch.as_tensor(mask).detach().cpu()
+        rows = torch.as_tensor(mask).detach().cpu()
     except (TypeError, ValueError, RuntimeError):
         raise InvalidValueError(message("mask", expected, f"{mask!r:.80}", "pass a mask or row numbers")) from None
-    if not found.numel():
-        return found.long()
-    if found.dtype == torch.bool and found.shape != (count,):
-        raise InvalidValueError(message("mask", f"shape ({count},)", tuple(found.shape), "pass one value per Gaussian"))
-    if found.dtype == torch.bool:
-        return found
-    if found.is_floating_point() or found.is_complex() or bool(((found < 0) | (found >= count)).any()):
-        raise InvalidValueError(message("mask", expected, found.dtype, "pass a mask or row numbers"))
-    return found.long()
+    if not rows.numel():
+        return rows.long()
+    if rows.dtype == torch.bool and rows.shape != (count,):
+        raise InvalidValueError(message("mask", f"shape ({count},)", tuple(rows.shape), "pass one value per Gaussian"))
+    if rows.dtype == torch.bool:
+        return rows
+    if rows.is_floating_point() or rows.is_complex() or bool(((rows < 0) | (rows >= count)).any()):
+        raise InvalidValueError(message("mask", expected, rows.dtype, "pass a mask or row numbers"))
+    return rows.long()

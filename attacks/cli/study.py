@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,7 +16,6 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Called, Folder, at_least, between
 
 if TYPE_CHECKING:
-    from attacks.studies.cloak import CloakWork
     from attacks.studies.plan import Work
     from mi_splat.ledger import Event
     from mi_splat.ledger.engines import Engine
@@ -82,15 +80,11 @@ def run(options: StudyOptions) -> int | None:
     return _ACTIONS[options.action](options, read_study(options.study).of(options.parts))
 
 
-def _work(study: Study) -> Work | CloakWork:
+def _work(study: Study) -> Work:
+    from attacks.studies.plan import work_of
+
     limit_threads(1)
-    if study.kind == "cloak":
-        from attacks.studies.cloak import CloakWork
-
-        return CloakWork(study)
-    from attacks.studies.plan import Work
-
-    return Work(study)
+    return work_of(study)
 
 
 def _plan(options: StudyOptions, study: Study) -> None:
@@ -124,7 +118,7 @@ def _duration(seconds: float) -> str:
 def _run(options: StudyOptions, study: Study) -> int:
     """Do the jobs, and write the result."""
     from attacks.cli.summary import show_summary
-    from attacks.studies.result import STUDY_FILE, write_result
+    from attacks.studies.result import STUDY_FILE
     from mi_splat.io.folders import check_own_folder, own_folder
     from mi_splat.io.locks import check_unlocked
     from mi_splat.io.manifest import write_manifest
@@ -133,17 +127,15 @@ def _run(options: StudyOptions, study: Study) -> int:
     out = options.folder(study)
     check_own_folder(out, STUDY_FILE)
     check_unlocked(out)
-    work: Any = _work(study)
-    write = work.write if study.kind == "cloak" else partial(write_result, work)
-    if study.kind == "cloak":
-        work.check_room(options.store)
+    work = _work(study)
+    work.check_room(options.store)
     with own_folder(out, STUDY_FILE):
         with progress("preparing", total=None if work.searches else work.size) as advance:
             engine = _engine(options, _follow(advance))
             driver = Driver(options.store, engine, name=study.name, on_event=_follow(advance))
             results = driver.run(work.plans())
         failed = {label: result for label, result in results.items() if isinstance(result, str)}
-        paths = [] if len(failed) == len(results) else write(results, out)
+        paths = [] if len(failed) == len(results) else work.write(results, out)
         if paths:
             write_manifest(out)
     if options.json:

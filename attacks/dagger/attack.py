@@ -118,13 +118,12 @@ def attack_views(
     check_detectors(detectors, objective)
     originals = _originals(views, detectors, config)
     problem = Problem(
-        subset=GaussianSubset.of(widened(views.scene, config), views.mask),
+        subset=GaussianSubset.of(widened(views.scene, config), views.mask, sh_degree=config.sh_degree),
         detectors=detectors,
         objective=objective,
         originals=lambda view, name: originals[name],
         render=views.render,
         clean=views.picture,
-        sh_degree=config.sh_degree,
     )
     key = _key(views, problem, config)
     outcome, seconds = search_drawn(problem, views, config, key=key, checkpoint=checkpoint, on_step=on_step)
@@ -212,13 +211,13 @@ def _judged(
         clean: The clean splat and what was reported on it.
         drawn: Where the views are drawn from; None if they are fixed.
     """
-    subset, budget, reference = problem.subset, config.budget, problem.parameters(config.attributes)
+    subset, budget, reference = problem.subset, config.budget, problem.subset.parameters(config.attributes)
     generator = Generator().manual_seed(config.seed + 1)  # not the draws of the attack's own starting points
-    attacked = problem.applied(outcome.parameters)
-    noisy = [problem.applied(budget.noise(outcome.parameters, reference, generator)) for _ in range(config.noise_draws)]
+    attacked = subset.applied(outcome.parameters)
+    noisy = [subset.applied(budget.noise(outcome.parameters, reference, generator)) for _ in range(config.noise_draws)]
     saved = as_saved(attacked)
     judgement = judge(problem, views, clean, saved, noisy if drawn is None else list(map(as_saved, noisy)))
-    in_file = problem.parameters(config.attributes, GaussianSubset.of(saved, subset.rows))
+    in_file = GaussianSubset.of(saved, subset.rows, sh_degree=subset.sh_degree).parameters(config.attributes)
     names, looked = [detector.name for detector in problem.detectors], judgement.looked(seed=config.seed)
     elevations = None if drawn is None else drawn.cameras.elevations
     return Result(

@@ -22,7 +22,6 @@ from attacks.pgd import Evaluation, Parameters, Verdict
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, message, nearest
 from mi_splat.io.images import quantise
-from mi_splat.scene import GaussianScene
 
 if TYPE_CHECKING:
     from mi_splat.frozen_view import FrozenView
@@ -42,7 +41,6 @@ class Problem:
         originals: What a detector calls the clean object in a view, by the detector's name; None for nothing.
         render: The renderer.
         clean: The clean scene's picture from a camera.
-        sh_degree: Highest degree of the SH coefficients that may change; None for all.
         frozen: The search's pictures from these cameras, while SH alone changes; from all others they are `render`'s,
             as all that are judged.
     """
@@ -53,31 +51,7 @@ class Problem:
     originals: Callable[[View, str], str | None]
     render: RenderFn
     clean: Callable[[Camera], Tensor]
-    sh_degree: int | None = None
     frozen: Mapping[Camera, FrozenView] = field(default_factory=dict)
-
-    def parameters(self, attributes: Sequence[str], subset: GaussianSubset | None = None) -> Parameters:
-        """What may change: the object's rows of the attributes, of SH only the coefficients up to the degree.
-
-        Args:
-            attributes: Which.
-            subset: The object in another scene, for instance the attacked one; the clean one if None.
-        """
-        values = (subset or self.subset).parameters(attributes)
-        if "sh" in values and self.sh_degree is not None:
-            values["sh"] = values["sh"][:, : (self.sh_degree + 1) ** 2]
-        return values
-
-    def complete(self, parameters: Parameters) -> Parameters:
-        """The parameters with the SH coefficients that may not change."""
-        sh = parameters.get("sh")
-        if sh is None or sh.shape[1] == self.subset.clean["sh"].shape[1]:
-            return parameters
-        return {**parameters, "sh": torch.cat([sh, self.subset.clean["sh"][:, sh.shape[1] :]], 1)}
-
-    def applied(self, parameters: Parameters) -> GaussianScene:
-        """The attacked scene; what did not move keeps the very bits it had."""
-        return self.subset.applied(self.complete(parameters))
 
     def target(self, view: View, detector: Detector) -> Target:
         """The object in a view, as an objective wants it."""
@@ -132,7 +106,7 @@ class Problem:
                 it nothing is measured.
         """
         leaves = {name: value.detach().requires_grad_(True) for name, value in parameters.items()}
-        scene = self.subset.scene_with(self.complete(leaves))
+        scene = self.subset.scene_with(leaves)
         rendered = [bounded(self.render(scene, view.camera)) for view in views]
         pictures = torch.stack([view.changed(picture) for picture, view in zip(rendered, views, strict=True)])
         total = pictures.new_zeros(())
@@ -151,7 +125,7 @@ class Problem:
     def error(self, parameters: Parameters, views: Sequence[View]) -> float:
         """Mean squared error of the views' pictures, values in [0, 1], before anything random happens to them."""
         with torch.no_grad():
-            scene = self.subset.scene_with(self.complete(parameters))
+            scene = self.subset.scene_with(parameters)
             errors = [self._error(self.render(scene, view.camera).clamp(0, 1), view) for view in views]
             return float(torch.stack(errors).mean())
 
@@ -162,7 +136,7 @@ class Problem:
         """For each view the verdict of every detector, on 8-bit pictures."""
         rows: list[list[Verdict]] = []
         with torch.no_grad():
-            scene = self.subset.scene_with(self.complete(parameters))
+            scene = self.subset.scene_with(parameters)
             for first in range(0, len(views), _LOOKED_AT_ONCE):
                 batch = views[first : first + _LOOKED_AT_ONCE]
                 rendered = [self.render(scene, view.camera).clamp(0, 1) for view in batch]

@@ -41,7 +41,7 @@ def search_fixed(problem: Problem, views: Sequence[View], config: DaggerConfig, 
         BudgetError: The best point is outside the ball.
     """
     budget, generator = config.budget, Generator().manual_seed(config.seed)
-    problem, reference = frozen(problem, views, config), problem.parameters(config.attributes)
+    problem, reference = frozen(problem, views, config), problem.subset.parameters(config.attributes)
 
     def starts() -> Iterator[Parameters]:
         for restart in range(config.restarts):
@@ -102,7 +102,7 @@ def search_drawn(
         CheckpointError: The checkpoint is one of another attack.
         BudgetError: The best point is outside the ball.
     """
-    clock, reference = time.perf_counter(), problem.parameters(config.attributes)
+    clock, reference = time.perf_counter(), problem.subset.parameters(config.attributes)
     kept = None if checkpoint is None else load_state(checkpoint.path, key=key)
     if kept is None:
         price = None if config.image_psnr is None else ImagePrice.of(config.image_psnr, steps=config.steps)

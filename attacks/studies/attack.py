@@ -7,7 +7,7 @@ after, and the splat: object.ply has the object's Gaussians alone, attacked.ply 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,6 @@ from attacks.dagger.attack import attack, attack_views
 from attacks.dagger.checkpoint import Checkpoint
 from attacks.dagger.config import DaggerConfig, EotConfig
 from attacks.dagger.report import before_and_after, summary, write_files
-from attacks.dagger.result import Result
 from attacks.dagger.views import ViewDistribution
 from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.pgd import Step
@@ -37,6 +36,8 @@ if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
 VARIES = (RECORD,)
+DEMO_DETECTORS = ("fasterrcnn_small",)
+"""What is attacked where nothing is said."""
 SPLAT, WHOLE_SPLAT, PICTURE = "object.ply", "attacked.ply", "detections.png"
 
 
@@ -53,7 +54,7 @@ class Attack:
 
     object: str
     objective: Relabel | Hide | Untargeted
-    detectors: tuple[str, ...]
+    detectors: tuple[str, ...] = DEMO_DETECTORS
     fingerprints: tuple[str, ...] = ()
 
 
@@ -69,7 +70,7 @@ class FixedAttack(Attack):
         gradient: Whose gradient the attacker follows; "" is that of the pictures.
     """
 
-    attack: DaggerConfig
+    attack: DaggerConfig = field(default_factory=DaggerConfig)
     camera: int = 0
     views: int = 1
     renderer: str = ""
@@ -86,7 +87,7 @@ class DrawnAttack(Attack):
         judged: The views that judge it, where these are others.
     """
 
-    attack: EotConfig
+    attack: EotConfig = field(default_factory=EotConfig)
     transformations: Transformations = field(default_factory=Transformations)
     judged: Transformations | None = None
 
@@ -98,51 +99,41 @@ def run(config: FixedAttack | DrawnAttack, inputs: Mapping[str, Path], out: Out)
     def follow(step: Step) -> None:
         out.progress("attacking", step.index, config.attack.steps)
 
+    detectors = detectors_of(config.detectors, inputs)
     if isinstance(config, FixedAttack):
-        result = _fixed(config, scene, inputs, follow)
+        result = attack(
+            scene.scene,
+            scene.objects[config.object],
+            scene.views(config.object, camera=config.camera, count=config.views, seed=config.attack.seed),
+            detectors,
+            config.objective,
+            render=attackers_renderer(scene, config.renderer, config.gradient),
+            config=config.attack,
+            on_step=follow,
+        )
         named = len(result.detectors) > 1
         save_png(np.concatenate([before_and_after(view, named=named) for view in result.views]), out / PICTURE)
-        save_splat(result.scene.select(scene.rows(config.object)), out / SPLAT)
+        save_splat(result.scene.select(scene.objects[config.object]), out / SPLAT)
         save_json(summary(result), out / RECORD)
     else:
-        result = _drawn(config, scene, inputs, out, follow)
+        result = attack_views(
+            distribution(scene, config.object, config.transformations),
+            detectors,
+            config.objective,
+            config=config.attack,
+            judged=None if config.judged is None else distribution(scene, config.object, config.judged),
+            checkpoint=Checkpoint(path=out.partial / "search.checkpoint"),
+            on_step=follow,
+        )
         write_files(result, out.files)
     return list(result.looked.rows.iter_rows(named=True))
-
-
-def _fixed(
-    config: FixedAttack, scene: AttackScene, inputs: Mapping[str, Path], follow: Callable[[Step], None]
-) -> Result:
-    return attack(
-        scene.splat,
-        scene.rows(config.object),
-        scene.views(config.object, camera=config.camera, count=config.views, seed=config.attack.seed),
-        detectors_of(config.detectors, inputs),
-        config.objective,
-        render=attackers_renderer(scene, config.renderer, config.gradient),
-        config=config.attack,
-        on_step=follow,
-    )
-
-
-def _drawn(
-    config: DrawnAttack, scene: AttackScene, inputs: Mapping[str, Path], out: Out, follow: Callable[[Step], None]
-) -> Result:
-    return attack_views(
-        distribution(scene, config.object, config.transformations),
-        detectors_of(config.detectors, inputs),
-        config.objective,
-        config=config.attack,
-        judged=None if config.judged is None else distribution(scene, config.object, config.judged),
-        checkpoint=Checkpoint(path=out.partial / "search.checkpoint"),
-        on_step=follow,
-    )
 
 
 @functools.lru_cache(maxsize=4)
 def distribution(scene: AttackScene, name: str, transformations: Transformations) -> ViewDistribution:
     """The views of an object; drawn once for all jobs of a process."""
-    return ViewDistribution(scene.splat, scene.rows(name), scene.cameras[0], transformations, render=scene.renderer(""))
+    reference = next(iter(scene.cameras.values()))
+    return ViewDistribution(scene.scene, scene.objects[name], reference, transformations, render=scene.renderer(""))
 
 
 def attackers_renderer(scene: AttackScene, renderer: str, gradient: str) -> RenderFn:

@@ -37,8 +37,9 @@ from attacks.cloak.study import check_disk, check_study, detectors_of, forecast,
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import OWN, SunTable
 from attacks.observe.rows import SUFFIX, write_rows
+from attacks.studies.plan import Work
 from attacks.studies.scenes import street_of
-from attacks.studies.study_file import Point, Search, Settings, Study, merged, with_none
+from attacks.studies.study_file import Point, Settings, Study, merged, with_none
 from attacks.tables import Column, Table, cell
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, message
@@ -47,7 +48,7 @@ from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger import Done, Job
-from mi_splat.ledger.plans import Plan, Result, grid
+from mi_splat.ledger.plans import Result
 
 STORY, STUDY_FILE, TABLE = "cloak-study", "study.toml", "table.md"
 _OWN_NAME = "the study"
@@ -222,21 +223,16 @@ class CloakPoint:
         return [*self.steps.made(), *((look.label, look.job) for look in looks)]
 
 
-class CloakWork:
-    """The jobs of a study.
-
-    Attributes:
-        study: The study.
-        attempts: Every point.
-        searches: None: a study of CLOAK has no single aim to bisect for.
+class CloakWork(Work):
+    """The jobs of a study of CLOAK, which has no single aim to bisect for.
 
     Raises:
         MiSplatError: A setting cannot be, or a detector cannot be loaded; before any job is done.
     """
 
     def __init__(self, study: Study) -> None:
-        self.study, self.searches = study, list[Search]()
-        self.attempts = [self._point(point) for point in study.points() if isinstance(point, Point)]
+        self.study = study
+        self.attempts: list[CloakPoint] = [self._point(point) for point in study.points() if isinstance(point, Point)]
         if len(self.attempts) < len(list(study.points())):
             raise InvalidValueError(message(study.name, "no bisect, for want of a single aim", "one", "leave it out"))
 
@@ -252,43 +248,15 @@ class CloakWork:
         looks = [look for judge in judges for look in judge.looks(steps, detectors)]
         return CloakPoint(part=part, value=value, steps=steps, detectors=detectors, looks=looks)
 
-    def jobs(self) -> dict[str, Job]:
-        """Every job by its label."""
-        return {label: job for point in self.attempts for label, job in point.jobs().items()}
-
-    @property
-    def size(self) -> int:
-        """Number of different jobs."""
-        return len({job.identity for job in self.jobs().values()})
-
-    def plans(self) -> list[Plan]:
-        """Plans for a driver of the ledger."""
-        return [grid(self.jobs())]
-
     def check_room(self, store: Path) -> None:
-        """Refuse a disk without room for all points whose splats are not there; a cleaning needs no more of it.
-
-        Args:
-            store: Folder of the ledger, which need not be there.
-
-        Raises:
-            InvalidValueError: The disk is too small.
-        """
+        """As in `Work`, for all points whose splats are not there; a cleaning needs no more of it."""
         missing = {
             replace(point.steps.study, cleaning=None): None for point in self.attempts if not point.is_trained(store)
         }
         check_disk(sum(forecast(study).megabytes for study in missing), store)
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
-        """Write result.json, the tables of rows, study.toml and table.md.
-
-        Args:
-            results: Of the jobs, by their labels.
-            out: The folder, which is there.
-
-        Returns:
-            The files.
-        """
+        """As in `Work`."""
         points, tables = dict[str, dict[str, Any]](), dict[str, list[pl.DataFrame]]()
         for point in self.attempts:
             done = point.done(results)

@@ -4,270 +4,146 @@
 region. Seed 0 looks from the scene's own cameras and starts at the clean splat; another one turns the cameras about the
 object by up to 6 degrees, moves them by up to 5 %, and starts at a random point of the ball. In a region the seed
 draws the views.
+
+Settings are the fields of `FixedAttack` or `DrawnAttack`, and in their place: `scene`, an XML file relative to the
+working folder; `aim` ("relabel", "hide" or "untargeted"), `target` (the class wanted, of the first aim) and `objective`
+(a table, see `attacks.objectives`); `seed`; and in a region `cameras`, `pictures`, and `judged_pictures` where the
+pictures that judge are others. [judge] has the fields of `Judge`.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any
 
-from attacks.dagger.config import DaggerConfig, EotConfig
 from attacks.detectors.registry import detector_spec, load_detector
 from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.observe.conditions import SunTable
 from attacks.studies.attack import SPLAT, WHOLE_SPLAT, DrawnAttack, FixedAttack
-from attacks.studies.look import DrawnLook, FixedLook
+from attacks.studies.look import Look
+from attacks.studies.plan import Work
+from attacks.studies.result import record_of, write_result
 from attacks.studies.scenes import check_scene, scene_files, street_of
-from attacks.studies.study_file import Settings, with_none
-from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
-from mi_splat.errors import InvalidValueError, message, nearest
-from mi_splat.fields import decode, several
-from mi_splat.ledger import Job, Part
+from attacks.studies.study_file import Point, Search, Settings, Study, label_of, with_none
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import FieldError, check_choice, decode, several
+from mi_splat.ledger import Done, Job, Part
+from mi_splat.ledger.plans import Plan, Result, grid
 
 ATTACK, LOOK = "attacks.studies.attack", "attacks.studies.look"
 AS_ATTACKED = "as attacked"
 """The condition that is the renderer of the attack."""
 _AIMS = {"relabel": Relabel, "hide": Hide, "untargeted": Untargeted}
-_T = TypeVar("_T")
+_ELSEWHERE = ("fingerprints", "transformations", "judged")
+"""Fields of attacks that are no settings."""
+_UNBOUND = 1e9
+"""A radius that binds nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Common:
-    """Settings of both kinds of studies.
-
-    Attributes:
-        scene: Scene XML, relative to the working folder.
-        object: Id of the object in it; with spaces for its underscores it is the object's class.
-        aim: "relabel", "hide" or "untargeted".
-        target: Class wanted, of the first aim.
-        detectors: Names of those that are attacked at once.
-        objective: Settings of the objective (see `attacks.objectives`), by name.
-        seed: Of everything random.
-    """
-
-    scene: str
-    object: str
-    aim: Literal["relabel", "hide", "untargeted"] = "relabel"
-    target: str | None = None
-    detectors: tuple[str, ...] = ("fasterrcnn_small",)
-    objective: dict[str, Any] = field(default_factory=dict)
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if (self.aim == "relabel") is (self.target is None):
-            do = "name the class wanted, for instance person" if self.target is None else "leave it out"
-            raise InvalidValueError(message("target", f"what the aim {self.aim} has", self.target or "none", do))
-        for name in self.detectors if self.target is not None else ():
-            classes = detector_spec(name).classes
-            if self.target not in classes:
-                expected = f"a class of {name}: {', '.join(classes)}"
-                do = nearest(str(self.target), classes, "choose a class that it knows")
-                raise InvalidValueError(message("target", expected, self.target, do))
-
-    def of_attack(self) -> dict[str, Any]:
-        """What both kinds of attacks have in common."""
-        label = {} if self.target is None else {"label": self.target}
-        return {
-            "object": self.object,
-            "objective": decode(_AIMS[self.aim], {**label, **self.objective}, "objective"),
-            "detectors": self.detectors,
-            "fingerprints": fingerprints(self.detectors),
-        }
-
-    def inputs(self) -> dict[str, Path]:
-        """The files of the scene, and of the detectors' weights."""
-        return {**scene_files(Path(self.scene)), **weights(self.detectors)}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Fixed(Common):
-    """Settings of `study = "dagger"`.
-
-    Attributes:
-        attack: How to attack, without the seed.
-        camera: See `attacks.studies.attack.FixedAttack`, as all that follow.
-        views: See there.
-        renderer: See there.
-        gradient: See there.
-    """
-
-    attack: DaggerConfig = field(default_factory=DaggerConfig)
-    camera: int = 0
-    views: int = 1
-    renderer: str = ""
-    gradient: str = ""
-
-    def job(self) -> Job:
-        """The attack."""
-        renderers = (self.renderer, self.gradient)
-        check_scene(Path(self.scene), self.object, camera=self.camera, renderers=renderers)
-        start = self.attack.random_start or self.seed > 0
-        config = FixedAttack(
-            **self.of_attack(),
-            attack=dataclasses.replace(self.attack, seed=self.seed, random_start=start),
-            **{name: getattr(self, name) for name in ("camera", "views", "renderer", "gradient")},
-        )
-        return Job(kind=ATTACK, config=config, inputs=self.inputs())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Drawn(Common):
-    """Settings of `study = "dagger-eot"`.
-
-    Attributes:
-        attack: How to attack, without the seed.
-        cameras: Where the object is looked at from.
-        pictures: What happens to the pictures.
-        judged_pictures: What happens to the pictures that judge; None is the same.
-    """
-
-    attack: EotConfig = field(default_factory=EotConfig)
-    cameras: CameraRegion = field(default_factory=CameraRegion)
-    pictures: PictureChanges = field(default_factory=PictureChanges)
-    judged_pictures: PictureChanges | None = None
-
-    @property
-    def judged(self) -> Transformations | None:
-        """The views that judge, where these are others."""
-        if self.judged_pictures is None:
-            return None
-        return Transformations(cameras=self.cameras, pictures=self.judged_pictures)
-
-    def job(self) -> Job:
-        """The attack."""
-        check_scene(Path(self.scene), self.object)
-        config = DrawnAttack(
-            **self.of_attack(),
-            attack=dataclasses.replace(self.attack, seed=self.seed),
-            transformations=Transformations(cameras=self.cameras, pictures=self.pictures),
-            judged=self.judged,
-        )
-        return Job(kind=ATTACK, config=config, inputs=self.inputs())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FixedJudge:
-    """Who looks at an attacked splat through the cameras that were attacked.
+class Judge:
+    """Who looks at an attacked splat.
 
     Attributes:
         detector: Name of the one that looks; None is each of those attacked.
         condition: How the splat is looked at, see `attacks.observe.conditions`; "as attacked" is the attacker's own
             renderer.
         sun: A street of meshes for conditions that are hours.
+        views: Number of held-out views of a region, at most as many as have judged the attack. Fixed cameras are those
+            that were attacked.
     """
 
     detector: str | None = None
     condition: str = AS_ATTACKED
     sun: SunTable | None = None
-
-    def jobs(self, settings: Fixed, attacked: Job) -> list[Job]:
-        """The looks at the splat of an attack.
-
-        Args:
-            settings: Of the attack.
-            attacked: The attack.
-        """
-        condition = settings.renderer if self.condition == AS_ATTACKED else self.condition
-        sun, street = street_of(condition, self.sun)
-        attack = attacked.config.attack
-
-        def look(shared: Mapping[str, Any]) -> FixedLook:
-            how = {"eps": attack.eps, "camera": settings.camera, "views": settings.views}
-            return FixedLook(**shared, **how, seed=attack.seed, condition=condition, sun=sun)
-
-        return _looks(settings, attacked, self.detector, look, {"attacked": attacked.part(SPLAT), **street})
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DrawnJudge:
-    """Who looks at an attacked splat from the held-out views of its region.
-
-    Attributes:
-        detector: Name of the one that looks; None is each of those attacked.
-        views: Number of the views, at most as many as have judged the attack.
-    """
-
-    detector: str | None = None
     views: int = 24
 
-    def jobs(self, settings: Drawn, attacked: Job) -> list[Job]:
-        """The looks at the splat of an attack; see `FixedJudge.jobs`."""
-        attack = attacked.config.attack
+    def looks(self, scene: Path, attacked: Job) -> list[Job]:
+        """A look by each detector at the splat of an attack.
 
-        def look(shared: Mapping[str, Any]) -> DrawnLook:
-            how = {"sh_degree": attack.sh_degree, "transformations": attacked.config.transformations}
-            views = min(self.views, attack.held_out)
-            return DrawnLook(**shared, **how, seed=attack.judge_seed, views=views)
-
-        return _looks(settings, attacked, self.detector, look, {"attacked": attacked.part(WHOLE_SPLAT)})
-
-
-def _looks(
-    settings: Fixed | Drawn,
-    attacked: Job,
-    judge: str | None,
-    look: Callable[[Mapping[str, Any]], FixedLook | DrawnLook],
-    inputs: Mapping[str, Job | Part | Path],
-) -> list[Job]:
-    """A look at the splat of an attack by each detector.
-
-    Args:
-        settings: Of the attack.
-        attacked: The attack.
-        judge: Name of the detector that looks; None is each of those attacked.
-        look: Makes the configuration of a look from what all looks have.
-        inputs: Of each look, besides the scene and the weights.
-    """
-    attack = attacked.config.attack
-    shared = {
-        "object": settings.object,
-        "target": settings.target,
-        "attributes": attack.attributes,
-        "norm": attack.norm,
-    }
-    return [
-        Job(
-            kind=LOOK,
-            config=look({**shared, "detector": name, "fingerprints": fingerprints((name,))}),
-            inputs={**inputs, **scene_files(Path(settings.scene)), **weights((name,))},
-        )
-        for name in (settings.detectors if judge is None else (judge,))
-    ]
+        Args:
+            scene: The scene.
+            attacked: The attack.
+        """
+        config: FixedAttack | DrawnAttack = attacked.config
+        attack, of = config.attack, dict[str, Any]()
+        if isinstance(config, FixedAttack):
+            of = {"eps": attack.eps, "seed": attack.seed, "camera": config.camera, "views": config.views}
+            splat, own = SPLAT, config.renderer
+        else:
+            of = {"eps": (_UNBOUND,), "seed": config.attack.judge_seed, "sh_degree": attack.sh_degree}
+            of |= {"views": min(self.views, config.attack.held_out), "transformations": config.transformations}
+            splat, own = WHOLE_SPLAT, ""
+        condition = own if self.condition == AS_ATTACKED else self.condition
+        sun, street = street_of(condition, self.sun)
+        inputs: dict[str, Job | Part | Path] = {"attacked": attacked.part(splat), **street}
+        of |= {"object": config.object, "target": config.objective.label, "condition": condition, "sun": sun}
+        of |= {"attributes": attack.attributes, "norm": attack.norm}
+        return [
+            Job(
+                kind=LOOK,
+                config=Look(**of, detector=name, fingerprints=fingerprints((name,))),
+                inputs={**inputs, **scene_files(scene), **weights((name,))},
+            )
+            for name in (config.detectors if self.detector is None else (self.detector,))
+        ]
 
 
-KINDS: Mapping[str, tuple[type[Fixed | Drawn], type[FixedJudge | DrawnJudge]]] = {
-    "dagger": (Fixed, FixedJudge),
-    "dagger-eot": (Drawn, DrawnJudge),
-}
-"""Settings of each kind of study, and of its judges."""
-
-
-def settings_of(kind: type[_T], settings: Settings, where: str) -> _T:
-    """Settings from tables of a file; "none" stands for None, and one value for a list of one.
+def attack_of(kind: type[FixedAttack | DrawnAttack], settings: Settings, where: str) -> tuple[Path, Job]:
+    """The scene and the attack that settings ask for; "none" stands for None, and one value for a list of one.
 
     Args:
-        kind: What they are.
+        kind: What they are the settings of.
         settings: The tables.
         where: The file, for errors.
 
     Raises:
         InvalidValueError: A key is unknown or missing, or a value cannot be.
     """
-    attack = settings.get("attack", {})
-    if isinstance(attack, Mapping) and "seed" in attack:
-        raise InvalidValueError(message(f"attack in {where}", "no seed", attack["seed"], "write seed above the tables"))
     values: dict[str, Any] = with_none(settings)
-    for table, name in (
-        (values, "detectors"),
-        (values.get("attack", {}), "eps"),
-        (values.get("attack", {}), "attributes"),
-    ):
+    region = ("cameras", "pictures", "judged_pictures") if kind is DrawnAttack else ()
+    known = [name for name in (entry.name for entry in dataclasses.fields(kind)) if name not in _ELSEWHERE]
+    for key in values:
+        check_choice(f"key in {where}", key, ("scene", "aim", "target", "seed", *known, *region))
+    scene, attack = values.pop("scene", None), {"seed": values.pop("seed", 0), **values.get("attack", {})}
+    if not isinstance(scene, str):
+        raise FieldError.of(where, "the key scene", scene or "none", "name an XML file")
+    if "seed" in values.get("attack", {}):
+        raise InvalidValueError(message(f"attack in {where}", "no seed", attack["seed"], "write seed above the tables"))
+    for table, name in ((values, "detectors"), (attack, "eps"), (attack, "attributes")):
         if name in table:
             table[name] = list(several(table[name]))
-    return decode(kind, values, where)
+    if region:
+        views = {name: values.pop(name) for name in region if name in values}
+        judged = views.pop("judged_pictures", None)
+        values["transformations"] = views
+        values["judged"] = None if judged is None else {**views, "pictures": judged}
+    values |= {"attack": attack, "objective": _objective(values, where)}
+    config = decode(kind, values, where)
+    for name in config.detectors if config.objective.label is not None else ():
+        check_choice(f"target: class of {name}", config.objective.label, detector_spec(name).classes)
+    if isinstance(config, FixedAttack) and config.attack.seed > 0:
+        config = dataclasses.replace(config, attack=dataclasses.replace(config.attack, random_start=True))
+    config = dataclasses.replace(config, fingerprints=fingerprints(config.detectors))
+    path = Path(scene)
+    if isinstance(config, FixedAttack):
+        check_scene(path, config.object, camera=config.camera, renderers=(config.renderer, config.gradient))
+    else:
+        check_scene(path, config.object)
+    return path, Job(kind=ATTACK, config=config, inputs={**scene_files(path), **weights(config.detectors)})
+
+
+def _objective(values: dict[str, Any], where: str) -> Relabel | Hide | Untargeted:
+    """What the detectors shall see; takes its settings out of the tables."""
+    aim, target, table = values.pop("aim", "relabel"), values.pop("target", None), values.pop("objective", {})
+    check_choice(f"aim in {where}", aim, _AIMS)
+    if (aim == "relabel") is (target is None):
+        do = "name the class wanted, for instance person" if target is None else "leave it out"
+        raise InvalidValueError(message("target", f"what the aim {aim} has", target or "none", do))
+    return decode(_AIMS[aim], {**({} if target is None else {"label": target}), **table}, "objective")
 
 
 def weights(detectors: tuple[str, ...]) -> dict[str, Path]:
@@ -289,3 +165,89 @@ def weights(detectors: tuple[str, ...]) -> dict[str, Path]:
 def fingerprints(detectors: tuple[str, ...]) -> tuple[str, ...]:
     """Fingerprints of those detectors whose weights are in no file."""
     return tuple(load_detector(name).fingerprint for name in detectors if detector_spec(name).weights is None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Attempt:
+    """A point of a study as jobs.
+
+    Attributes:
+        label: Of the attack's job.
+        point: The point.
+        scene: Path of the scene.
+        job: The attack.
+        looks: Those at its splat, by their labels.
+        bisected: The axis of which the smallest value is looked for; empty for none.
+    """
+
+    label: str
+    point: Point
+    scene: Path
+    job: Job
+    looks: Mapping[str, Job]
+    bisected: str = ""
+
+    def jobs(self) -> dict[str, Job]:
+        """Every job by its label."""
+        return {self.label: self.job, **self.looks}
+
+
+class DaggerWork(Work):
+    """The jobs of a study of DAGGER.
+
+    Raises:
+        MiSplatError: A setting cannot be, a detector cannot be loaded, or a file is missing; before any job is done.
+    """
+
+    def __init__(self, study: Study) -> None:
+        self.study, self._groups, self._judges = study, list(study.points()), study.judges()
+        self.searches = [group for group in self._groups if isinstance(group, Search)]
+        self._by_point: dict[int, Attempt] = {}
+        for group in self._groups:
+            points, bisected = (group.points, group.field) if isinstance(group, Search) else ((group,), "")
+            self._by_point |= {id(point): self._attempt(point, bisected) for point in points}
+        self.attempts: list[Attempt] = list(self._by_point.values())
+        if not self.attempts:
+            raise InvalidValueError(message(study.name, "something to do", "nothing", "add settings"))
+
+    def _attempt(self, point: Point, bisected: str) -> Attempt:
+        name, kind = self.study.name, DrawnAttack if self.study.kind == "dagger-eot" else FixedAttack
+        scene, job = attack_of(kind, point.settings, f"{name}, {point.part}" if point.part else name)
+        label, looks = ": ".join(filter(None, (point.part, _named(point.labels)))) or name, dict[str, Job]()
+        for judge in self._judges:
+            for look in decode(Judge, with_none(judge.settings), f"{name}, judge").looks(scene, job):
+                looks[f"{label} / {_named({**judge.labels, 'detector': look.config.detector})}"] = look
+        return Attempt(label=label, point=point, scene=scene, job=job, looks=looks, bisected=bisected)
+
+    def plans(self) -> list[Plan]:
+        """One of all points that are known, and one for each search."""
+        known = [self._by_point[id(group)].jobs() for group in self._groups if isinstance(group, Point)]
+        fixed = [grid({label: job for jobs in known for label, job in jobs.items()})] if known else []
+        return [*fixed, *map(self._bisected, self.searches)]
+
+    def _bisected(self, search: Search) -> Plan:
+        outcomes: dict[int, bool | None] = {}
+        while True:
+            last = search.asked(lambda point: outcomes.get(id(point)))[-1]
+            if id(last) in outcomes:
+                return
+            attempt = self._by_point[id(last)]
+            result = ((yield attempt.jobs()) or {}).get(attempt.label)
+            if not isinstance(result, Done):  # it failed: nothing is known of those beyond it
+                return
+            outcomes[id(last)] = bool(record_of(result)["success"])
+
+    def done(self, results: Mapping[str, Result]) -> Iterator[tuple[Attempt, Done]]:
+        """The attacks that are done."""
+        for attempt in self.attempts:
+            result = results.get(attempt.label)
+            if isinstance(result, Done):
+                yield attempt, result
+
+    def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
+        """As in `Work`."""
+        return write_result(self, results, out)
+
+
+def _named(labels: Mapping[str, Any]) -> str:
+    return ", ".join(f"{name.removeprefix('attack.')} {label_of(value)}" for name, value in labels.items())

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from torch import Generator, Tensor
+from torch import Generator
 
 from attacks.budgets import Budget
+from attacks.dagger.views import View, fixed_views
 from attacks.gaussian_subset import GaussianSubset
 from attacks.limits import NormName
-from attacks.observe.conditions import OWN, Condition, SunTable, Viewing, condition_of, rendered
+from attacks.observe.conditions import OWN, Condition, SunTable, Viewing, condition_of
 from attacks.observe.look import look, report_cells, seen_from
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE
-from attacks.observe.views import ViewDetections, object_boxes
+from attacks.observe.views import ViewDetections
 from attacks.studies.attack import distribution
 from attacks.studies.scenes import AttackScene, attack_scene, detectors_of
 from attacks.transformations.config import Transformations
-from attacks.transformations.draws import changing
+from attacks.transformations.draws import PictureChange, changing
 from mi_splat.attributes import ATTRIBUTES, Attribute
-from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.cameras import Camera, RenderFn
 from mi_splat.io import load_splat
 from mi_splat.scene import GaussianScene
 
@@ -31,21 +31,26 @@ if TYPE_CHECKING:
 
 HELD_OUT = "held-out views"
 """Name of the condition of looks from a region."""
-_ANY = 1e9
-"""A radius that binds nothing: noise has the size of the attack."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Look:
-    """One look.
+    """One look: through the cameras that were attacked, or from held-out views of a region.
 
     Attributes:
         object: Id of the object; with spaces for its underscores it is the object's class.
         target: Class wanted; None for none.
         detector: Name of the one that looks.
         attributes: What the attack could change.
-        norm: Norm of its balls.
+        eps: Radii of balls that noise stays in: one for all attributes, or one for each.
+        norm: Norm of these balls.
+        sh_degree: Highest degree of the SH coefficients that noise may change; None is the splat's.
         seed: Of the noise, and of the views.
+        condition: How the splat is looked at, see `attacks.observe.conditions`.
+        sun: The street of meshes, if the condition is an hour.
+        camera: See `attacks.studies.attack.FixedAttack`.
+        views: See there; of a region the number of views.
+        transformations: Where views are drawn from; None where cameras are fixed.
         fingerprints: Of the detector, if its weights are in no file.
     """
 
@@ -53,129 +58,79 @@ class Look:
     target: str | None
     detector: str
     attributes: tuple[Attribute, ...]
-    norm: NormName
-    seed: int
-    fingerprints: tuple[str, ...] = ()
-
-    @property
-    def original(self) -> str:
-        """The object's class."""
-        return self.object.replace("_", " ")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FixedLook(Look):
-    """A look through the cameras that were attacked.
-
-    Attributes:
-        eps: Radii of the attack's balls, which noise stays in: one for all attributes, or one for each.
-        camera: See `attacks.studies.attack.FixedAttack`.
-        views: See there.
-        condition: How the splat is looked at, see `attacks.observe.conditions`.
-        sun: The street of meshes, if the condition is an hour.
-    """
-
     eps: tuple[float, ...]
-    camera: int = 0
-    views: int = 1
+    norm: NormName
+    sh_degree: int | None = None
+    seed: int
     condition: str = ""
     sun: SunTable | None = None
-
-    @property
-    def shown(self) -> str:
-        """What the condition is called in rows."""
-        return self.condition or OWN
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DrawnLook(Look):
-    """A look from held-out views of a region.
-
-    Attributes:
-        sh_degree: Highest degree of the SH coefficients that the attack could change; None is the splat's.
-        transformations: The views.
-        views: Their number.
-    """
-
-    sh_degree: int | None
-    transformations: Transformations
-    views: int
-
-    @property
-    def shown(self) -> str:
-        """What the condition is called in rows."""
-        return HELD_OUT
+    camera: int = 0
+    views: int = 1
+    transformations: Transformations | None = None
+    fingerprints: tuple[str, ...] = ()
 
 
-def run(config: FixedLook | DrawnLook, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
+def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
     """Look, and return a row for each splat and view."""
     scene = attack_scene(inputs["scene"])
-    saved = load_splat(inputs["attacked"])
-    shown = _fixed(config, scene, saved) if isinstance(config, FixedLook) else _drawn(config, scene, saved)
-    splats, boxes, condition = shown
-    (detector,) = detectors_of((config.detector,), inputs)
-    directions = seen_from(scene.centre(config.object))
-
-    def cells(seen: ViewDetections) -> dict[str, Any]:
-        reported = report_cells(seen.detections, seen.box, original=config.original, target=config.target)
-        return {**directions(seen), **reported}
-
-    looked = look([condition], splats, list(boxes), [detector], boxes=boxes.__getitem__, cells=cells)
-    return [{**row, "condition": config.shown} for row in looked.rows.iter_rows(named=True)]
-
-
-_Looked = tuple[dict[str, GaussianScene], dict[Camera, Tensor], Condition]
-
-
-def _fixed(config: FixedLook, scene: AttackScene, saved: GaussianScene) -> _Looked:
-    rows = scene.rows(config.object)
-    clean, attacked = clean_and_attacked(scene.splat, rows, saved, config.attributes)
-    reference, moved = (subset.parameters(config.attributes) for subset in (clean, attacked))
-    radii = config.eps if len(config.eps) > 1 else config.eps * len(config.attributes)
-    budget = Budget(radius=dict(zip(config.attributes, radii, strict=True)), norm=config.norm)
-    noisy = clean.applied(budget.noise(moved, reference, Generator().manual_seed(config.seed + 1)))
-    boxes = {}
-    cameras = scene.views(config.object, camera=config.camera, count=config.views, seed=config.seed)
-    for camera, box in zip(cameras, object_boxes(scene.splat, rows, cameras, render=scene.renderer("")), strict=True):
-        if box is None:
-            do = "choose another camera or seed"
-            raise InvalidValueError(message(config.object, "a view that shows the object", "none of it", do))
-        boxes[camera] = box
-    splats = {CLEAN: clean.scene, ATTACKED: attacked.scene, NOISE: noisy}
+    rows, original = scene.objects[config.object], config.object.replace("_", " ")
     viewing = Viewing(
         settings=scene.settings,
         centre=scene.centre(config.object),
         alone=lambda splat: splat.select(rows),
         sun=config.sun,
     )
-    return splats, boxes, condition_of(config.condition, viewing)
+    condition = condition_of(config.condition, viewing)
+    subset, own = GaussianSubset.of(scene.scene, rows), scene.renderer("")
+    views = _views(config, scene, subset)
+    moved = {condition.move(view.camera): view for view in views}
+    boxes = {
+        camera: view.box if camera is view.camera else fixed_views(subset, [camera], render=own)[0].box
+        for camera, view in moved.items()
+    }
+    if config.transformations is not None:
+        condition = _changing(condition, {camera: view.change for camera, view in moved.items()})
+    directions = seen_from(viewing.centre)
+
+    def cells(seen: ViewDetections) -> dict[str, Any]:
+        return {**directions(seen), **report_cells(seen.detections, seen.box, original=original, target=config.target)}
+
+    splats, detectors = _splats(config, scene, load_splat(inputs["attacked"])), detectors_of((config.detector,), inputs)
+    cameras = [view.camera for view in views]
+    looked = look([condition], splats, cameras, detectors, boxes=boxes.__getitem__, cells=cells)
+    shown = config.condition or (OWN if config.transformations is None else HELD_OUT)
+    return [{**row, "condition": shown} for row in looked.rows.iter_rows(named=True)]
 
 
-def _drawn(config: DrawnLook, scene: AttackScene, attacked: GaussianScene) -> _Looked:
-    views = distribution(scene, config.object, config.transformations).views(config.seed, config.views)
-    splats = {CLEAN: scene.splat, ATTACKED: attacked, NOISE: _noisy(scene, attacked, config)}
-    render = changing(scene.renderer(""), {view.camera: view.change for view in views})
-    return splats, {view.camera: view.box for view in views}, rendered(HELD_OUT, render)
+def _views(config: Look, scene: AttackScene, subset: GaussianSubset) -> list[View]:
+    if config.transformations is not None:
+        return distribution(scene, config.object, config.transformations).views(config.seed, config.views)
+    cameras = scene.views(config.object, camera=config.camera, count=config.views, seed=config.seed)
+    return fixed_views(subset, cameras, render=scene.renderer(""))
 
 
-def _noisy(scene: AttackScene, attacked: GaussianScene, config: DrawnLook) -> GaussianScene:
-    """The clean scene with random noise as large as the attack, on what the attack could change."""
-    rows = scene.rows(config.object)
-    clean = GaussianSubset.of(scene.splat.with_degree(max(attacked.degree, scene.splat.degree)), rows)
-    reference = clean.parameters(config.attributes)
-    moved = GaussianSubset.of(attacked, rows).parameters(config.attributes)
-    bands = slice(None if config.sh_degree is None else (config.sh_degree + 1) ** 2)
-    budget = Budget(radius=dict.fromkeys(config.attributes, _ANY), norm=config.norm)
-    after, before = ({name: _part(name, values[name], bands) for name in values} for values in (moved, reference))
-    noise = budget.noise(after, before, Generator().manual_seed(config.seed + 1))
-    for name, value in reference.items():
-        reference[name] = value.clone()
-        _part(name, reference[name], bands)[...] = noise[name]
-    return clean.applied(reference)
+def _changing(condition: Condition, changes: Mapping[Camera, PictureChange]) -> Condition:
+    """The condition in pictures to which something happens."""
+
+    def show(splat: GaussianScene) -> tuple[GaussianScene, RenderFn]:
+        shown, render = condition.show(splat)
+        return shown, changing(render, changes)
+
+    return replace(condition, show=show)
 
 
-def _part(name: str, value: Tensor, bands: slice) -> Tensor:
-    return value[:, bands] if name == "sh" else value
+def _splats(config: Look, scene: AttackScene, saved: GaussianScene) -> dict[str, GaussianScene]:
+    """The clean splat, the attacked one, and one with random noise as large as the attack on what it could change."""
+    rows, drawn = scene.objects[config.object], config.transformations is not None
+    clean, attacked = clean_and_attacked(scene.scene, rows, saved.select(rows) if drawn else saved, config.attributes)
+    clean, attacked = (replace(subset, sh_degree=config.sh_degree) for subset in (clean, attacked))
+    reference, moved = (subset.parameters(config.attributes) for subset in (clean, attacked))
+    radii = config.eps if len(config.eps) > 1 else config.eps * len(config.attributes)
+    budget = Budget(radius=dict(zip(config.attributes, radii, strict=True)), norm=config.norm)
+    noisy = clean.applied(budget.noise(moved, reference, Generator().manual_seed(config.seed + 1)))
+    # The file of an attack on a region holds the whole scene.
+    shown = (scene.scene, saved) if drawn else (clean.scene, attacked.scene)
+    return {CLEAN: shown[0], ATTACKED: shown[1], NOISE: noisy}
 
 
 def clean_and_attacked(

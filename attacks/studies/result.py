@@ -6,7 +6,7 @@ import dataclasses
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
@@ -16,13 +16,16 @@ from attacks.observe.measures import AIMS, CLUSTERS, REPORTED, joint_views, tran
 from attacks.observe.rates import blocks_of, count
 from attacks.observe.rows import ATTACKED, ROWS, SUFFIX, column_of, frame_of, write_rows
 from attacks.rate import Rate
-from attacks.studies.plan import Attempt, Work, record_of
 from attacks.studies.table import markdown
 from mi_splat import provenance
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD
+from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Done
 from mi_splat.ledger.plans import Result
+
+if TYPE_CHECKING:
+    from attacks.studies.dagger import Attempt, DaggerWork
 
 STORY, STUDY_FILE, TABLE = "study", "study.toml", "table.md"
 POOLED = ("seed", "pair")
@@ -47,7 +50,7 @@ Record = Mapping[str, Any]
 Tables = Mapping[str, pl.DataFrame]
 
 
-def write_result(work: Work, results: Mapping[str, Result], out: Path) -> list[Path]:
+def write_result(work: DaggerWork, results: Mapping[str, Result], out: Path) -> list[Path]:
     """Write result.json, rows.csv.gz, study.toml and table.md into a folder that is there.
 
     Args:
@@ -66,7 +69,7 @@ def write_result(work: Work, results: Mapping[str, Result], out: Path) -> list[P
         "name": work.study.name,
         "question": work.study.question,
         "attacks": {_name(result): _attack(attempt, result) for attempt, result in done},
-        "seeds": sorted({attempt.settings.seed for attempt, _ in done}),
+        "seeds": sorted({attempt.job.config.attack.seed for attempt, _ in done}),
         "detectors": _detectors(done),
         **provenance.origin(),
     }
@@ -85,11 +88,11 @@ def _name(result: Done) -> str:
 
 def _rows(attempt: Attempt, result: Done, results: Mapping[str, Result]) -> Iterable[dict[str, Any]]:
     """Every row of an attack and of the looks at it."""
-    settings = attempt.settings
-    ids = {"attack": _name(result), "sources": "+".join(settings.detectors), "seed": settings.seed}
+    config = attempt.job.config
+    ids = {"attack": _name(result), "sources": "+".join(config.detectors), "seed": config.attack.seed}
     yield from ({**ids, **row} for row in result.rows)
     for look in attempt.looks:
-        looked = results.get(look.label)
+        looked = results.get(look)
         yield from ({**ids, **row} for row in (looked.rows if isinstance(looked, Done) else ()))
 
 
@@ -102,17 +105,16 @@ def _whole(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _attack(attempt: Attempt, result: Done) -> dict[str, Any]:
     """What is known of an attack besides its rows."""
-    record, settings = record_of(result), attempt.settings
-    confidence: Any = attempt.job.config.objective.confidence
+    record, config = record_of(result), attempt.job.config
     return {
         "part": attempt.point.part,
         "labels": dict(attempt.point.labels),
         "bisected": attempt.bisected,
-        "sources": list(settings.detectors),
-        "target": settings.target,
-        "confidence": confidence,
-        "seed": settings.seed,
-        "settings": {"scene": settings.scene, **dataclasses.asdict(attempt.job.config)},
+        "sources": list(config.detectors),
+        "target": config.objective.label,
+        "confidence": config.objective.confidence,
+        "seed": config.attack.seed,
+        "settings": {"scene": str(attempt.scene), **dataclasses.asdict(config)},
         "key": result.key,
         **{name: record[name] for name in _STATED if name in record},
     }
@@ -124,6 +126,11 @@ def _detectors(done: Sequence[tuple[Attempt, Done]]) -> dict[str, str]:
     for _, result in done:
         marks |= {detector["detector"]: detector["detector_fingerprint"] for detector in record_of(result)["detectors"]}
     return marks
+
+
+def record_of(done: Done) -> dict[str, Any]:
+    """What an attack says of itself."""
+    return read_json(done.folder / RECORD)
 
 
 def merged_figures(record: Record, derived: Record) -> dict[str, Any]:

@@ -6,7 +6,6 @@ import dataclasses
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -20,62 +19,28 @@ from mi_splat.comparison.methods import method_names
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message, nearest
 from mi_splat.io.scene_parts import SceneParts, scene_parts
-from mi_splat.rendering import RenderSettings
-from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import read_scene
+from mi_splat.scene_files import SplatScene, read_scene
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class AttackScene:
-    """A scene ready for attacks.
-
-    Attributes:
-        splat: All Gaussians.
-        objects: Rows of each object.
-        cameras: The scene's views, in the order of its file.
-        settings: Background and near plane.
-    """
-
-    splat: GaussianScene
-    objects: Mapping[str, slice]
-    cameras: tuple[Camera, ...]
-    settings: RenderSettings
-
-    def rows(self, name: str) -> slice:
-        """Rows of an object.
-
-        Raises:
-            InvalidValueError: There is none of this name.
-        """
-        if name not in self.objects:
-            raise InvalidValueError(message("object", f"one of {', '.join(self.objects)}", name, "correct the study"))
-        return self.objects[name]
+class AttackScene(SplatScene):
+    """A scene ready for attacks."""
 
     def centre(self, name: str) -> Point:
-        """(3,) mean of an object's Gaussians, world units.
-
-        Raises:
-            InvalidValueError: There is no such object.
-        """
-        x, y, z = self.splat.means[self.rows(name)].mean(0).tolist()
+        """(3,) mean of an object's Gaussians, world units."""
+        x, y, z = self.scene.means[self.objects[name]].mean(0).tolist()
         return x, y, z
 
     def views(self, name: str, *, camera: int, count: int, seed: int) -> list[Camera]:
-        """Some of the scene's cameras, moved about an object as `jittered` does.
+        """Cameras of the scene, moved about an object as `jittered` does.
 
         Args:
             name: Of the object.
             camera: Position of the first camera in the order of the scene file.
             count: Number of cameras from that one on; 0 is all.
             seed: Seed of the move.
-
-        Raises:
-            InvalidValueError: There is no such object or camera.
         """
-        centre = self.splat.means[self.rows(name)].mean(0)
-        if camera >= len(self.cameras):
-            raise InvalidValueError(message("camera", f"0 to {len(self.cameras) - 1}", camera, "choose another"))
-        return [jittered(view, centre, seed=seed) for view in self.cameras[camera:][: count or None]]
+        centre = self.scene.means[self.objects[name]].mean(0)
+        return [jittered(view, centre, seed=seed) for view in [*self.cameras.values()][camera:][: count or None]]
 
     def renderer(self, name: str) -> RenderFn:
         """A renderer by its name, as in `mi-splat compare`, with the scene's settings; "" is the scene's own."""
@@ -92,10 +57,9 @@ def attack_scene(path: Path) -> AttackScene:
 
 
 @functools.lru_cache(maxsize=4)
-def _read(path: Path, state: tuple[object, ...]) -> AttackScene:
-    loaded = read_scene(path)
-    cameras = tuple(loaded.cameras.values())
-    return AttackScene(splat=loaded.scene, objects=loaded.objects, cameras=cameras, settings=loaded.settings)
+def _read(path: Path, state: object) -> AttackScene:
+    scene = read_scene(path)
+    return AttackScene(scene=scene.scene, objects=scene.objects, cameras=scene.cameras, settings=scene.settings)
 
 
 def detectors_of(names: tuple[str, ...], inputs: Mapping[str, Path]) -> list[Detector]:

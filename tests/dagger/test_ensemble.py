@@ -49,7 +49,7 @@ def evaluated(*detectors: Detector, loss: EnsembleLoss = "mean") -> Evaluation:
     scene, mask = toy_scene()
     subset = GaussianSubset.of(scene, mask)
     problem, views, _ = fixed_problem(subset, [camera()], detectors, relabel("person"), render=blobs)
-    return problem.evaluate(problem.parameters(("sh",)), views, DaggerConfig(ensemble=loss))
+    return problem.evaluate(problem.subset.parameters(("sh",)), views, DaggerConfig(ensemble=loss))
 
 
 def test_one_detector_is_attacked_as_without_an_ensemble() -> None:

@@ -69,7 +69,7 @@ def problem(
 
 def test_loss_and_gradient_are_means_over_the_views() -> None:
     made, views = problem(camera(), camera(offset=0.8))
-    parameters = made.parameters(("sh",))
+    parameters = made.subset.parameters(("sh",))
     alone = [made.evaluate(parameters, [view], CONFIG) for view in views]
     both = made.evaluate(parameters, views, CONFIG)
     assert both.loss == pytest.approx(sum(found.loss for found in alone) / 2)
@@ -80,7 +80,7 @@ def test_loss_and_gradient_are_means_over_the_views() -> None:
 def test_the_gradient_is_that_of_the_loss() -> None:
     """Central differences along a random direction, in double precision."""
     made, views = problem(objective=hide(), wide=True)
-    clean = made.parameters(("sh", "scales"))
+    clean = made.subset.parameters(("sh", "scales"))
     direction = {name: torch.randn(value.shape, dtype=torch.float64) for name, value in clean.items()}
 
     def loss(amount: float) -> float:
@@ -114,7 +114,7 @@ def test_the_search_counts_what_is_detected_in_eight_bits() -> None:
             return super().detect(images)
 
     made, views = problem(detector=Recording())
-    made.evaluate(made.parameters(("sh",)), views, CONFIG)
+    made.evaluate(made.subset.parameters(("sh",)), views, CONFIG)
     assert len(seen) == 2
     assert torch.equal(seen[-1], quantise(seen[-1]))
     torch.testing.assert_close(seen[-1], seen[0])  # the clean object, in the picture that was looked at first

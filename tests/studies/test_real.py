@@ -38,7 +38,7 @@ attack.run(made, scene, out)
 found = strange("attacks.studies.attack")
 from attacks.studies import look
 seen = dict(object="car", target="person", detector=detector, attributes=("sh",), norm="l2", seed=0, eps=(5.0,))
-look.run(look.FixedLook(**seen, condition=".spz"), {**scene, "attacked": folder / "object.ply"}, out)
+look.run(look.Look(**seen, condition=".spz"), {**scene, "attacked": folder / "object.ply"}, out)
 print([*found, *strange("attacks.studies.look")])
 """
 STUDY = """

@@ -10,7 +10,7 @@ import pytest
 
 from attacks.limits import NORM_NAMES
 from attacks.studies import dagger
-from attacks.studies.plan import Attempt, Work
+from attacks.studies.dagger import Attempt, DaggerWork
 from attacks.studies.study_file import read_study
 from mi_splat.attributes import ATTRIBUTES
 from tests.project.layers import ROOT
@@ -47,7 +47,7 @@ def _anywhere(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def attempts(name: str) -> list[Attempt]:
-    return Work(read_study(ROOT / "scenes" / "studies" / f"{name}.toml")).attempts
+    return DaggerWork(read_study(ROOT / "scenes" / "studies" / f"{name}.toml")).attempts
 
 
 def part(name: str, title: str) -> list[Any]:
@@ -61,15 +61,18 @@ def test_a_shipped_study_is_so_many_jobs(path: Path) -> None:
     assert len({one.label for one in done}) == len(done)
     assert read_study(path).question.endswith("?")
     for one in done:
-        sensors = (ROOT / one.settings.scene).read_text()
-        assert f'<shape type="gaussians" id="{one.settings.object}">' in sensors
-        assert getattr(one.settings, "camera", 0) < sensors.count("<sensor ")
+        sensors = (ROOT / one.scene).read_text()
+        assert f'<shape type="gaussians" id="{one.job.config.object}">' in sensors
+        assert getattr(one.job.config, "camera", 0) < sensors.count("<sensor ")
 
 
 def test_dagger_holds_what_the_paper_leaves_open() -> None:
     jobs = attempts("dagger")
-    assert {(one.settings.object, one.settings.target) for one in jobs if one.settings.aim == "relabel"} == PAIRS
-    assert {one.settings.object for one in jobs if one.settings.aim == "hide"} == {"car", "stop_sign"}
+    aims: dict[str, set[Any]] = {}
+    for config in (one.job.config for one in jobs):
+        aims.setdefault(config.objective.name, set()).add((config.object, config.objective.label))
+    assert aims["relabel"] == PAIRS
+    assert aims["hide"] == {("car", None), ("stop_sign", None)}
     paper = part("dagger", "The paper's six pairs")
     assert Counter(config.seed for config in paper) == {0: 6, 1: 6, 2: 6}
     assert {(config.eps, config.norm, config.steps, config.attributes) for config in paper} == {
@@ -79,20 +82,20 @@ def test_dagger_holds_what_the_paper_leaves_open() -> None:
     configs = [one.job.config.attack for one in jobs]
     assert {config.attributes for config in configs} == {(name,) for name in ATTRIBUTES}
     assert {config.norm for config in configs} == set(NORM_NAMES)
-    cameras = {one.settings.camera for one in jobs if getattr(one.settings, "views", 0) == 1}  # type: ignore[union-attr]
+    cameras = {one.job.config.camera for one in jobs if getattr(one.job.config, "views", 0) == 1}
     assert cameras == set(range(6))
-    assert all((ROOT / one.settings.scene).read_text().count("<sensor ") == 6 for one in jobs)
+    assert all((ROOT / one.scene).read_text().count("<sensor ") == 6 for one in jobs)
 
 
 def test_transfer_attacks_each_detector_and_all_but_one() -> None:
     jobs = attempts("transfer")
-    names = {name for one in jobs for name in one.settings.detectors}
-    single = {one.settings.detectors for one in jobs if len(one.settings.detectors) == 1}
-    others = {frozenset(one.settings.detectors) for one in jobs} - {frozenset(one) for one in single}
+    names = {name for one in jobs for name in one.job.config.detectors}
+    single = {one.job.config.detectors for one in jobs if len(one.job.config.detectors) == 1}
+    others = {frozenset(one.job.config.detectors) for one in jobs} - {frozenset(one) for one in single}
     assert single == {(name,) for name in names}
     assert others == {frozenset(names - {name}) for name in names}
     assert all(not one.job.config.attack.early_stop and not one.job.config.attack.noise_draws for one in jobs)
-    assert {look.labels["detector"] for one in jobs for look in one.looks} == names
+    assert {look.config.detector for one in jobs for look in one.looks.values()} == names
 
 
 def test_the_searches_on_coco_detectors_are_the_strong_one() -> None:

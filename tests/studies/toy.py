@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from attacks.detectors.base import Detector
+from attacks.studies.dagger import DaggerWork
 from attacks.studies.plan import Work
 from attacks.studies.study_file import study_of
 from mi_splat.ledger import Event, Job, Store
@@ -51,9 +52,9 @@ def settings(folder: Path, **changes: Any) -> dict[str, Any]:
     }
 
 
-def work_of(table: Mapping[str, Any]) -> Work:
+def work_of(table: Mapping[str, Any]) -> DaggerWork:
     """The jobs of a study."""
-    return Work(study_of(table, "toy"))
+    return DaggerWork(study_of(table, "toy"))
 
 
 def key_of(job: Job, store: Path) -> str:

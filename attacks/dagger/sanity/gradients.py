@@ -135,7 +135,7 @@ def agreement(runs: Runs, differentiate: Differentiated) -> Agreement:
     for seed in range(len(runs.case.cameras)):
         generator = Generator().manual_seed(2000 + seed)
         problem, view = runs.problem(seed, render=soft(runs.case.render))
-        clean = problem.parameters(config.attributes)
+        clean = problem.subset.parameters(config.attributes)
         drawn = config.budget.uniform(clean, generator)
         point = {name: value + (drawn[name] - value) / 10 for name, value in clean.items()}
         value, gradients = differentiate(problem, view, config, point, generator)

@@ -130,7 +130,7 @@ class Runs:
     def _random_search(self, seed: int, scale: float) -> Step:
         config = dataclasses.replace(self.case.config, eps=tuple(scale * radius for radius in self.case.config.eps))
         (problem, view), generator = self.problem(seed), Generator().manual_seed(1000 + seed)
-        reference = problem.parameters(config.attributes)
+        reference = problem.subset.parameters(config.attributes)
         near = Budget(radius=config.step, norm=config.norm)
 
         def line(point: Parameters, index: int) -> Step:
