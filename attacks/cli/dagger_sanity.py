@@ -85,7 +85,7 @@ def run(options: DaggerSanityOptions) -> int:
         case, conditions = _case(options)
         runs = Runs(case, on_run=lambda: advance(f"check {len(findings) + 1} of {len(CHECKS)}"))
         advance("attacking", 0)
-        run_checks(runs, checks=CHECKS, on_finding=findings.append)
+        run_checks(runs, on_finding=findings.append)
         with new_folder(options.out, force=options.force) as folder:
             write_findings(findings, runs, folder, **conditions)
     red = sum(finding.passed is False for finding in findings)

@@ -17,8 +17,7 @@ from attacks.cli import dagger_sanity
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
-from attacks.dagger.sanity import checks
-from attacks.dagger.sanity.checks import CHECKS, Finding, run_checks
+from attacks.dagger.sanity.checks import CHECKS, Finding
 from attacks.dagger.sanity.runs import Attack, Case, Runs
 from attacks.detectors import load_detector
 from attacks.detectors.base import Candidates
@@ -84,8 +83,8 @@ def case(**changes: Any) -> Case:
 
 def found(make: Attack = attack, checks: str = "", **changes: Any) -> dict[str, Finding]:
     """What the checks of these names find, all if none is named."""
-    some = [check for check in CHECKS if check.__name__ in checks.split()] if checks else CHECKS
-    return {one.name: one for one in run_checks(Runs(case(**changes), make), checks=some)}
+    runs, names = Runs(case(**changes), make), checks.split()
+    return {check.name: check.finding(runs) for check in CHECKS if not names or check.name in names}
 
 
 def red(findings: dict[str, Finding]) -> set[str]:
@@ -235,7 +234,7 @@ class TestCommand:
     def test_red_lines_are_said_and_end_with_one(
         self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        few = [check for check in CHECKS if check.__name__ in ("clean", "gradient")]
+        few = [check for check in CHECKS if check.name in ("clean", "gradient")]
         monkeypatch.setattr("attacks.dagger.sanity.checks.CHECKS", few)
         assert self.call("--detectors", "flipped", "--surrogate", "none", "--json") == 1
         values = json.loads(capsys.readouterr().out)
@@ -257,7 +256,8 @@ def test_the_gradients_of_the_shipped_scene_are_those_of_the_chain() -> None:
         render=Renderer(loaded.settings),
         config=DaggerConfig(),
     )
-    renderer, chain = (check(Runs(shipped)) for check in (checks.renderer_gradient, checks.gradient))
+    names = ("renderer_gradient", "gradient")
+    renderer, chain = (check.finding(Runs(shipped)) for check in CHECKS if check.name in names)
     assert renderer.passed, renderer.figures
     assert renderer.values["cosine"] > 0.9999
     assert chain.passed, chain.figures

@@ -103,7 +103,7 @@ def write_study(folder: Path) -> Path:
 def write_sanity(folder: Path) -> Path:
     folder.mkdir()
     findings = [
-        Finding(name=name, claim=name, passed=passed, figures="0.5", meaning="it is broken", values={})
+        Finding(check=name, claim=name, passed=passed, figures="0.5", meaning="it is broken", values={})
         for name, passed in (("clean", True), ("noise", False), ("white_box", None))
     ]
     more = {"selection": {"object": "thing"}, "cameras": [describe("front", camera())]}

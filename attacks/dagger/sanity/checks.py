@@ -7,7 +7,7 @@ are of the gradient: against central differences, and how much of it is exactly 
 
 from __future__ import annotations
 
-import functools
+import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,12 +16,14 @@ from typing import Any
 
 import torch
 
-from attacks.dagger.sanity.gradients import agreement, renderer_alone, whole_chain
+from attacks.dagger.sanity.gradients import Differentiated, agreement, cosine_of, renderer_alone, slope_of, whole_chain
 from attacks.dagger.sanity.runs import Runs, Scored
 from attacks.gaussian_subset import GaussianSubset
 from attacks.pgd import rank
+from attacks.tables import markdown
 from mi_splat import provenance
 from mi_splat.io.documents import save_json, save_text
+from mi_splat.io.folders import RECORD
 from mi_splat.scene import ATTRIBUTES, scene_hash
 
 SCALES = (0.0, 1 / 16, 1 / 4, 1.0, 4.0)
@@ -45,10 +47,10 @@ FOUND = 0.5
 ZERO_LIMIT = 0.9
 """Share of exactly zero elements of a gradient that is too much; Gaussians out of sight have none in any case."""
 
-RENDERER_COSINE, RENDERER_SLOPE = 0.99, 0.05
+RENDERER = (0.99, 0.05)
 """What is asked of the renderer's gradient: the least cosine, and how far the slope may be from 1."""
 
-CHAIN_COSINE, CHAIN_SLOPE = 0.75, 0.4
+CHAIN = (0.75, 0.4)
 """The same of the whole chain. Its gradient holds constant which candidates a detector proposes and the loss chooses.
 
 Measured on the shipped scenes: cosines of 0.82 to 0.98 and slopes of 0.82 to 0.93 with `fasterrcnn_small`, which has
@@ -58,10 +60,10 @@ proposals, and 0.96 to 0.99 and 1.00 to 1.22 with `yolov8n_small`. A gradient th
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """What a check has found: one line of the report.
+    """What a check has measured: one line of the report.
 
     Attributes:
-        name: Short name of the check.
+        check: Short name of the check.
         claim: What holds of a sane attack.
         passed: Whether it holds here; None if the check was not made.
         figures: What was measured, in words.
@@ -69,7 +71,7 @@ class Finding:
         values: What was measured, as JSON can hold it.
     """
 
-    name: str
+    check: str
     claim: str
     passed: bool | None
     figures: str
@@ -81,63 +83,46 @@ class Finding:
         """Green, red, or grey for a check that was not made."""
         return "grey" if self.passed is None else "green" if self.passed else "red"
 
-    def as_dict(self) -> dict[str, Any]:
-        """The finding as JSON can hold it."""
-        return {
-            "check": self.name,
-            "colour": self.colour,
-            "passed": self.passed,
-            "claim": self.claim,
-            "figures": self.figures,
-            "meaning": self.meaning,
-            "values": self.values,
-        }
-
-
-Check = Callable[[Runs], Finding]
-"""Makes one finding; it has the finding's name."""
 
 Measured = tuple[bool | None, str, dict[str, Any]]
 """Whether a claim holds, what was measured in words, and the same as JSON can hold it."""
 
 
-def _check(claim: str, otherwise: str) -> Callable[[Callable[[Runs], Measured]], Check]:
-    """A check from what measures it, its claim, and what it means if that does not hold."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """What is asked of an attack.
 
-    def check_of(measure: Callable[[Runs], Measured]) -> Check:
-        @functools.wraps(measure)
-        def check(runs: Runs) -> Finding:
-            passed, figures, values = measure(runs)
-            name = measure.__name__
-            return Finding(name=name, claim=claim, passed=passed, figures=figures, meaning=otherwise, values=values)
+    Attributes:
+        name: A word or two.
+        claim: What holds of a sane attack.
+        meaning: What it means if it does not hold.
+        measure: Makes the attacks that it needs, and says whether the claim holds.
+    """
 
-        return check
+    name: str
+    claim: str
+    meaning: str
+    measure: Callable[[Runs], Measured]
 
-    return check_of
+    def finding(self, runs: Runs) -> Finding:
+        """What the attacks on a case say."""
+        passed, figures, values = self.measure(runs)
+        names = {"check": self.name, "claim": self.claim, "meaning": self.meaning}
+        return Finding(**names, passed=passed, figures=figures, values=values)
 
 
-@_check(
-    "starts where the object is found and the target is not",
-    "there is nothing to attack: success and failure say little",
-)
-def clean(runs: Runs) -> Measured:
-    """Before the attack the detector finds the object, at `FOUND` or more, and not the target."""
+def _clean(runs: Runs) -> Measured:
     label = runs.case.objective.label
     views = [view for result in runs.results(noise_draws=NOISE_DRAWS) for view in result.views]
-    found = [view.confidence(view.target.original, attacked=False) for view in views]
+    original = [view.confidence(view.target.original, attacked=False) for view in views]
     wanted = [view.confidence(label, attacked=False) for view in views]
-    passed = min(found) >= FOUND and max(wanted) < runs.case.objective.confidence
-    return passed, f"object at {_list(found)}, {label} at {_list(wanted)}", {"object": found, "target": wanted}
+    passed = min(original) >= FOUND and max(wanted) < runs.case.objective.confidence
+    return passed, f"object at {_list(original)}, {label} at {_list(wanted)}", {"object": original, "target": wanted}
 
 
-@_check(
-    "succeeds more often than random noise of its size", "it is the size of the change that counts, and not the attack"
-)
-def noise(runs: Runs) -> Measured:
-    """Random noise of the attack's size succeeds less often than the attack."""
+def _noise(runs: Runs) -> Measured:
     attacks = runs.results(noise_draws=NOISE_DRAWS)
-    noisy = [result.figures["noise"] for result in attacks]
-    draws, lucky = (sum(one[name] for one in noisy) for name in ("draws", "successes"))
+    draws, lucky = (sum(result.figures["noise"][name] for result in attacks) for name in ("draws", "successes"))
     count = _count(attacks)
     return (
         count / len(attacks) > lucky / draws,
@@ -146,12 +131,7 @@ def noise(runs: Runs) -> Measured:
     )
 
 
-@_check(
-    "succeeds more often in larger balls, never in one of radius 0, always in a large one",
-    "the attack ignores its budget, or its search fails before the budget is used up",
-)
-def radius(runs: Runs) -> Measured:
-    """Success rises with the radius, from none without one to everything; between neighbours one run may be lost."""
+def _radius(runs: Runs) -> Measured:
     attacks = [runs.results(scale, **_settings(scale)) for scale in SCALES]
     counts, scores, total = list(map(_count, attacks)), list(map(runs.mean, attacks)), len(runs.case.cameras)
     rises = all(
@@ -172,9 +152,7 @@ def _settings(scale: float) -> dict[str, Any]:
     return {"noise_draws": NOISE_DRAWS if scale == 1 else 0, **({} if scale else {"steps": 1})}
 
 
-@_check("does at least as well in many steps as in one", "steps are too long or too short, or lead astray")
-def iterative(runs: Runs) -> Measured:
-    """Many steps reach no less than one step as long as the radius."""
+def _iterative(runs: Runs) -> Measured:
     single = [runs.results(scale, noise_draws=0, steps=1, step_factor=1.0) for scale in COMPARED]
     one_step = [result for results in single for result in results]
     return _compared(runs, (_at_compared(runs), "many steps"), (one_step, "one step"))
@@ -185,9 +163,7 @@ def _at_compared(runs: Runs) -> list[Any]:
     return [result for scale in COMPARED for result in runs.results(scale, **_settings(scale))]
 
 
-@_check("does at least as well as one on another detector", "gradients are masked: use another loss")
-def white_box(runs: Runs) -> Measured:
-    """An attack on the detector reaches no less than one on another detector."""
+def _white_box(runs: Runs) -> Measured:
     surrogate = runs.case.surrogate
     if surrogate is None:
         return None, "no surrogate", {}
@@ -196,9 +172,7 @@ def white_box(runs: Runs) -> Measured:
     return _compared(runs, (attacks, "white box"), (moved, f"attack on {surrogate.name}"))
 
 
-@_check("does at least as well as a random search that looks as often", "gradients are masked or wrong")
-def random_search(runs: Runs) -> Measured:
-    """Gradients are never beaten by random points, for as many looks; where neither succeeds, by the loss."""
+def _random_search(runs: Runs) -> Measured:
     attacks, drawn = _at_compared(runs), [line for scale in COMPARED for line in runs.random_search(scale)]
     losses = [min(line.loss for line in result.trace) for result in attacks]
     beaten = sum(
@@ -215,12 +189,7 @@ def random_search(runs: Runs) -> Measured:
     return not beaten, figures, {"beaten": beaten, "runs": total, "successes": successes, "loss": means}
 
 
-@_check(
-    "is never worse for going on, and keeps its best point",
-    "the search throws away what it had, or the file is not what the search has found",
-)
-def more_steps(runs: Runs) -> Measured:
-    """A search that goes on after half of its steps keeps the best point, and the scene is that point."""
+def _more_steps(runs: Runs) -> Measured:
     config, scale = runs.case.config, COMPARED[0]
     half = max(1, config.steps // 2)
     shorter: dict[str, Any] = {"steps": half, "step_factor": config.step_factor * half / config.steps}
@@ -237,9 +206,7 @@ def more_steps(runs: Runs) -> Measured:
     )
 
 
-@_check("always succeeds where no ball binds it", "the loss does not lead to success, whatever the budget")
-def unbounded(runs: Runs) -> Measured:
-    """Without a bound, and with steps as long as before, everything succeeds."""
+def _unbounded(runs: Runs) -> Measured:
     config = runs.case.config
     steps = 4 * config.steps
     free = runs.results(
@@ -256,12 +223,7 @@ def unbounded(runs: Runs) -> Measured:
     return count == len(free) and share < 1, figures, values
 
 
-@_check(
-    "stays in its ball and changes no other Gaussian",
-    "the attack takes more than it was given, so that its successes are worth nothing",
-)
-def budget(runs: Runs) -> Measured:
-    """Every attack stays in its ball and leaves other Gaussians alone, measured on the scenes that came of it."""
+def _budget(runs: Runs) -> Measured:
     case, share, strangers = runs.case, 0.0, 0
     for config, result in runs.made:
         before = GaussianSubset.of(case.scene.with_degree(max(result.scene.degree, case.scene.degree)), case.mask)
@@ -285,49 +247,25 @@ def _changed(after: torch.Tensor, before: torch.Tensor) -> list[int]:
     return rows
 
 
-def _agreeing(what: str, cosine: float, slope: float) -> str:
-    limits = f"cosine >= {cosine:g}, slope within {slope:g} of 1"
-    return f"has gradients {what} that equal finite differences ({limits})"
-
-
-@_check(
-    _agreeing("of the renderer", RENDERER_COSINE, RENDERER_SLOPE),
-    "the renderer's gradient is wrong: the search is blind or goes astray",
-)
-def renderer_gradient(runs: Runs) -> Measured:
-    """The renderer's gradient is that of its pictures."""
-    return _agreement(runs, RENDERER_COSINE, RENDERER_SLOPE, chain=False)
-
-
-@_check(
-    _agreeing("from the Gaussians to the loss", CHAIN_COSINE, CHAIN_SLOPE),
-    "the gradient is cut, reversed or wrong somewhere between detector and Gaussians",
-)
-def gradient(runs: Runs) -> Measured:
-    """The gradient from the Gaussians through renderer and detector to the loss is that of the loss."""
-    return _agreement(runs, CHAIN_COSINE, CHAIN_SLOPE, chain=True)
-
-
-def _agreement(runs: Runs, cosine: float, slope: float, *, chain: bool) -> Measured:
-    both = agreement(runs, whole_chain if chain else renderer_alone)
+def _agreement(runs: Runs, differentiate: Differentiated, limits: tuple[float, float]) -> Measured:
+    automatic, measured = agreement(runs, differentiate)
+    values = {"cosine": cosine_of(automatic, measured), "slope": slope_of(automatic, measured)}
     return (
-        both.cosine >= cosine and abs(both.slope - 1) <= slope,
-        f"cosine {both.cosine:.4f}, slope {both.slope:.3f} over {len(both.automatic)} directions",
-        {
-            "cosine": both.cosine,
-            "slope": both.slope,
-            "automatic": list(both.automatic),
-            "finite_differences": list(both.measured),
-        },
+        values["cosine"] >= limits[0] and abs(values["slope"] - 1) <= limits[1],
+        f"cosine {values['cosine']:.4f}, slope {values['slope']:.3f} over {len(automatic)} directions",
+        {**values, "automatic": automatic, "finite_differences": measured},
     )
 
 
-@_check(
-    f"has gradients of which at most {ZERO_LIMIT:.0%} are exactly zero",
-    "most of the object has no gradient: it is out of sight, clamped, or cut off",
-)
-def zero_gradients(runs: Runs) -> Measured:
-    """Not nearly all elements of the gradients are exactly zero."""
+def _renderer_gradient(runs: Runs) -> Measured:
+    return _agreement(runs, renderer_alone, RENDERER)
+
+
+def _gradient(runs: Runs) -> Measured:
+    return _agreement(runs, whole_chain, CHAIN)
+
+
+def _zero_gradients(runs: Runs) -> Measured:
     traces = [result.trace for result in runs.results(noise_draws=NOISE_DRAWS)]
     shares = [line.zero_gradient_fraction for trace in traces for line in trace]
     least, most = min(shares), max(shares)
@@ -354,37 +292,90 @@ def _list(values: Sequence[float]) -> str:
     return ", ".join(f"{value:.2f}" for value in values)
 
 
-CHECKS: tuple[Check, ...] = (
-    *(clean, noise, radius, iterative, white_box, random_search, more_steps, unbounded),
-    budget,  # after the others: it looks at all their attacks
-    *(renderer_gradient, gradient, zero_gradients),
+_LIMITS = "that equal finite differences (cosine >= {:g}, slope within {:g} of 1)"
+CHECKS = tuple(
+    Check(name=measure.__name__.lstrip("_"), claim=claim, meaning=meaning, measure=measure)
+    for measure, claim, meaning in (
+        (
+            _clean,
+            "starts where the object is found and the target is not",
+            "there is nothing to attack: success and failure say little",
+        ),
+        (
+            _noise,
+            "succeeds more often than random noise of its size",
+            "it is the size of the change that counts, and not the attack",
+        ),
+        (
+            _radius,
+            "succeeds more often in larger balls, never in one of radius 0, always in a large one",
+            "the attack ignores its budget, or its search fails before the budget is used up",
+        ),
+        (
+            _iterative,
+            "does at least as well in many steps as in one",
+            "steps are too long or too short, or lead astray",
+        ),
+        (_white_box, "does at least as well as one on another detector", "gradients are masked: use another loss"),
+        (
+            _random_search,
+            "does at least as well as a random search that looks as often",
+            "gradients are masked or wrong",
+        ),
+        (
+            _more_steps,
+            "is never worse for going on, and keeps its best point",
+            "the search throws away what it had, or the file is not what the search has found",
+        ),
+        (
+            _unbounded,
+            "always succeeds where no ball binds it",
+            "the loss does not lead to success, whatever the budget",
+        ),
+        (  # after the others: it looks at all their attacks
+            _budget,
+            "stays in its ball and changes no other Gaussian",
+            "the attack takes more than it was given, so that its successes are worth nothing",
+        ),
+        (
+            _renderer_gradient,
+            f"has gradients of the renderer {_LIMITS.format(*RENDERER)}",
+            "the renderer's gradient is wrong: the search is blind or goes astray",
+        ),
+        (
+            _gradient,
+            f"has gradients from the Gaussians to the loss {_LIMITS.format(*CHAIN)}",
+            "the gradient is cut, reversed or wrong somewhere between detector and Gaussians",
+        ),
+        (
+            _zero_gradients,
+            f"has gradients of which at most {ZERO_LIMIT:.0%} are exactly zero",
+            "most of the object has no gradient: it is out of sight, clamped, or cut off",
+        ),
+    )
 )
 """Every check, in the order of the report."""
 
 
-def run_checks(
-    runs: Runs, *, checks: Sequence[Check] = CHECKS, on_finding: Callable[[Finding], None] | None = None
-) -> list[Finding]:
+def run_checks(runs: Runs, *, on_finding: Callable[[Finding], object]) -> list[Finding]:
     """Make every check.
 
     Args:
         runs: The case and the attacks on it.
-        checks: What to check.
         on_finding: Called with each finding as it comes.
     """
     findings = []
-    for check in checks:
-        findings.append(check(runs))
-        if on_finding is not None:
-            on_finding(findings[-1])
+    for check in CHECKS:
+        findings.append(check.finding(runs))
+        on_finding(findings[-1])
     return findings
 
 
-def write_findings(findings: list[Finding], runs: Runs, folder: Path, **more: Any) -> list[Path]:
-    """Write sanity.md and result.json into a folder that is there; returns their paths.
+def write_findings(findings: Sequence[Finding], runs: Runs, folder: Path, **more: Any) -> None:
+    """Write sanity.md and result.json into a folder that is there.
 
     Args:
-        findings: What the checks have found.
+        findings: What the checks have measured.
         runs: The attacks.
         folder: Where to.
         more: What else the JSON shall hold, for instance names of files.
@@ -397,15 +388,13 @@ def write_findings(findings: list[Finding], runs: Runs, folder: Path, **more: An
         f"{len(case.cameras)} seeds, each with its own view. Surrogate: {surrogate or 'none'}. "
         f"{len(runs.made)} attacks were made."
     )
-    head = [f"# Sanity of DAGGER on {case.detector.name}", "", conditions, ""]
-    lines = [f"| {line.colour} | {line.claim} | {line.figures} | {line.meaning} |" for line in findings]
-    table = ["| | a sane attack | measured | if not |", "| --- | --- | --- | --- |", *lines, ""]
-    paths = [folder / "sanity.md", folder / "result.json"]
-    save_text("\n".join([*head, *table]), paths[0])
+    lines = [(line.colour, line.claim, line.figures, line.meaning) for line in findings]
+    table = markdown(("", "a sane attack", "measured", "if not"), lines)
+    save_text(f"# Sanity of DAGGER on {case.detector.name}\n\n{conditions}\n\n{table}\n", folder / "sanity.md")
     document = {
         "story": "dagger-sanity",
         "passed": all(finding.passed is not False for finding in findings),
-        "checks": [finding.as_dict() for finding in findings],
+        "checks": [{**dataclasses.asdict(finding), "colour": finding.colour} for finding in findings],
         "detector": case.detector.name,
         "detector_fingerprint": case.detector.fingerprint,
         "surrogate": surrogate,
@@ -421,5 +410,4 @@ def write_findings(findings: list[Finding], runs: Runs, folder: Path, **more: An
         **provenance.origin(),
         **more,
     }
-    save_json(document, paths[1])
-    return paths
+    save_json(document, folder / RECORD)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import torch
 from torch import Generator, Tensor
@@ -24,7 +23,6 @@ from mi_splat.scene import GaussianScene
 CONTRAST = 0.8
 """Contrast of the pictures that are differentiated: no pixel is near the clamp at 0 and 1, which has a kink."""
 
-
 DIRECTIONS = 6
 """Random directions for each seed."""
 
@@ -35,33 +33,20 @@ Differentiated = Callable[[Problem, View, DaggerConfig, Parameters, Generator], 
 """A function and its gradients at a point, of a problem in one view; the generator draws what is random about it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Agreement:
-    """Two lists of directional derivatives beside each other.
+def cosine_of(automatic: Sequence[float], measured: Sequence[float]) -> float:
+    """Cosine between two lists of derivatives as vectors; 0 if one of them is zero."""
+    sizes = math.hypot(*automatic) * math.hypot(*measured)
+    return _product(automatic, measured) / sizes if sizes else 0.0
 
-    Attributes:
-        automatic: From automatic differentiation.
-        measured: From central differences.
-    """
 
-    automatic: tuple[float, ...]
-    measured: tuple[float, ...]
+def slope_of(automatic: Sequence[float], measured: Sequence[float]) -> float:
+    """Factor by which the measured ones are the automatic ones, by least squares; 0 if these are zero."""
+    size = math.hypot(*automatic) ** 2
+    return _product(automatic, measured) / size if size else 0.0
 
-    @property
-    def cosine(self) -> float:
-        """Cosine between the two lists as vectors; 0 if one of them is zero."""
-        sizes = math.hypot(*self.automatic) * math.hypot(*self.measured)
-        return self._product / sizes if sizes else 0.0
 
-    @property
-    def slope(self) -> float:
-        """Factor by which the measured ones are the automatic ones, by least squares; 0 if these are zero."""
-        size = math.hypot(*self.automatic) ** 2
-        return self._product / size if size else 0.0
-
-    @property
-    def _product(self) -> float:
-        return sum(a * b for a, b in zip(self.automatic, self.measured, strict=True))
+def _product(automatic: Sequence[float], measured: Sequence[float]) -> float:
+    return sum(a * b for a, b in zip(automatic, measured, strict=True))
 
 
 def soft(render: RenderFn) -> RenderFn:
@@ -85,7 +70,7 @@ def random_directions(gradients: Parameters, count: int, generator: Generator) -
         count: Number of directions.
         generator: Draws them.
     """
-    found = []
+    directions = []
     for _ in range(count):
         direction = {}
         for name, gradient in gradients.items():
@@ -94,44 +79,20 @@ def random_directions(gradients: Parameters, count: int, generator: Generator) -
             draw = torch.randn(gradient.shape, generator=generator, dtype=torch.float64).to(rows.device)
             direction[name] = rows.reshape(-1, *[1] * (gradient.ndim - 1)) * draw
         size = math.sqrt(sum(float(part.square().sum()) for part in direction.values()))
-        found.append({name: (part / size).to(gradients[name]) for name, part in direction.items()})
-    return found
+        directions.append({name: (part / size).to(gradients[name]) for name, part in direction.items()})
+    return directions
 
 
-def compare(
-    value: Value, gradients: Parameters, point: Parameters, directions: Sequence[Parameters], *, steps: Sequence[float]
-) -> Agreement:
-    """Directional derivatives at a point by both ways.
+def agreement(runs: Runs, differentiate: Differentiated) -> tuple[list[float], list[float]]:
+    """Directional derivatives by automatic differentiation, and the same by central differences of two widths.
 
-    Args:
-        value: The function differentiated.
-        gradients: Its gradient at the point.
-        point: The point.
-        directions: Of length 1.
-        steps: Half widths of the central differences, whose mean is taken.
-    """
-
-    def at(direction: Parameters, amount: float) -> float:
-        return value({name: tensor + amount * direction[name] for name, tensor in point.items()})
-
-    automatic, measured = [], []
-    for direction in directions:
-        automatic.append(sum(float((gradients[name] * part).double().sum()) for name, part in direction.items()))
-        slopes = [(at(direction, step) - at(direction, -step)) / (2 * step) for step in steps]
-        measured.append(sum(slopes) / len(slopes))
-    return Agreement(automatic=tuple(automatic), measured=tuple(measured))
-
-
-def agreement(runs: Runs, differentiate: Differentiated) -> Agreement:
-    """Over the seeds, at random points a tenth of the radius from the clean object, in pictures of less contrast.
+    Over the seeds, at random points a tenth of the radius from the clean object, in pictures of less contrast.
 
     Args:
         runs: The case.
         differentiate: What is compared: `whole_chain` or `renderer_alone`.
     """
-    automatic: list[float] = []
-    measured: list[float] = []
-    config = runs.case.config
+    automatic, measured, config = list[float](), list[float](), runs.case.config
     for seed in range(len(runs.case.cameras)):
         generator = Generator().manual_seed(2000 + seed)
         problem, view = runs.problem(seed, render=soft(runs.case.render))
@@ -139,12 +100,17 @@ def agreement(runs: Runs, differentiate: Differentiated) -> Agreement:
         drawn = config.budget.uniform(clean, generator)
         point = {name: value + (drawn[name] - value) / 10 for name, value in clean.items()}
         value, gradients = differentiate(problem, view, config, point, generator)
-        directions = random_directions(gradients, DIRECTIONS, generator)
-        step = min(config.eps) / 100
-        seen = compare(value, gradients, point, directions, steps=(step, 2 * step))
-        automatic += seen.automatic
-        measured += seen.measured
-    return Agreement(automatic=tuple(automatic), measured=tuple(measured))
+
+        def slope(direction: Parameters, step: float, value: Value = value, point: Parameters = point) -> float:
+            ends = ({n: tensor + amount * direction[n] for n, tensor in point.items()} for amount in (step, -step))
+            ahead, behind = map(value, ends)
+            return (ahead - behind) / (2 * step)
+
+        for direction in random_directions(gradients, DIRECTIONS, generator):
+            automatic.append(sum(float((gradients[name] * part).double().sum()) for name, part in direction.items()))
+            step = min(config.eps) / 100
+            measured.append((slope(direction, step) + slope(direction, 2 * step)) / 2)
+    return automatic, measured
 
 
 def whole_chain(
