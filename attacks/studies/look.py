@@ -82,8 +82,7 @@ def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, An
     )
     condition = condition_of(config.condition, viewing)
     subset, own = GaussianSubset.of(scene.scene, rows), scene.renderer("")
-    views = _views(config, scene, subset)
-    moved = {condition.move(view.camera): view for view in views}
+    moved = {condition.move(view.camera): view for view in _views(config, scene, subset)}
     boxes = {
         camera: view.box if camera is view.camera else fixed_views(subset, [camera], render=own)[0].box
         for camera, view in moved.items()
@@ -96,8 +95,8 @@ def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, An
         return {**directions(seen), **report_cells(seen.detections, seen.box, original=original, target=config.target)}
 
     splats, detectors = _splats(config, scene, load_splat(inputs["attacked"])), detectors_of((config.detector,), inputs)
-    cameras = [view.camera for view in views]
-    looked = look([condition], splats, cameras, detectors, boxes=boxes.__getitem__, cells=cells)
+    there = replace(condition, move=lambda camera: camera)
+    looked = look([there], splats, list(boxes), detectors, boxes=boxes.__getitem__, cells=cells)
     shown = config.condition or (OWN if config.transformations is None else HELD_OUT)
     return [{**row, "condition": shown} for row in looked.rows.iter_rows(named=True)]
 

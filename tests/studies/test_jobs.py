@@ -108,6 +108,31 @@ def test_a_splat_that_is_made_anew_is_judged_anew(attacked: Path) -> None:
     assert looks_of(attacked, noise_draws=1) == first  # the same splat
 
 
+REGION: dict[str, Any] = {
+    "study": "dagger-eot",
+    "attack": {"steps": 1, "batch": 1, "pool": 1, "validation": 1, "held_out": 2},
+    "cameras": {"azimuths": [-120.0, -60.0], "elevations": [0.0, 10.0], "distances": [0.9, 1.1]},
+}
+
+
+@pytest.mark.parametrize("table", [{}, REGION])
+def test_a_splat_is_looked_at_from_further_away_and_the_box_is_where_it_shows(
+    table: dict[str, Any], attacked: Path
+) -> None:
+    judge = {"matrix": {"condition": ["", "1.5 x distance"]}}
+    work = work_of({**settings(attacked), **table, "judge": judge})
+    results = done(work, attacked / "store")
+    (attempt,) = work.attempts
+    widths, distances = [], []
+    for label in attempt.looks:
+        look = results[label]
+        assert isinstance(look, Done)
+        widths.append(look.rows[0]["x1"] - look.rows[0]["x0"])
+        distances.append(look.rows[0]["distance"])
+    assert distances[1] == pytest.approx(1.5 * distances[0])
+    assert widths[1] < widths[0]
+
+
 def test_what_is_done_is_not_done_again(attacked: Path) -> None:
     table = settings(attacked, matrix={"seed": [0, 1], "attack.eps": [0.5, 12.0]})
     events: list[Event] = []
