@@ -81,10 +81,14 @@ def run(options: StudyOptions) -> int | None:
 
 
 def _work(study: Study) -> Work:
-    from attacks.studies.plan import work_of
-
     limit_threads(1)
-    return work_of(study)
+    if study.kind == "cloak":
+        from attacks.studies.cloak import CloakWork
+
+        return CloakWork(study)
+    from attacks.studies.dagger import DaggerWork
+
+    return DaggerWork(study)
 
 
 def _plan(options: StudyOptions, study: Study) -> None:

@@ -63,18 +63,3 @@ class Work:
             out: The folder.
         """
         raise NotImplementedError
-
-
-def work_of(study: Study) -> Work:
-    """The jobs of a study.
-
-    Raises:
-        MiSplatError: A setting cannot be, a detector cannot be loaded, or a file is missing; before any job is done.
-    """
-    if study.kind == "cloak":
-        from attacks.studies.cloak import CloakWork
-
-        return CloakWork(study)
-    from attacks.studies.dagger import DaggerWork
-
-    return DaggerWork(study)

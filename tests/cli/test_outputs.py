@@ -34,7 +34,7 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     "select": (["select", "a.ply", "--cluster", "1"], "{}/a.npy", ("mi_splat.cli.cameras.choose",)),
     "example-scenes": (["example-scenes", "stop_sign"], "{}", ("mi_splat.example_scenes.make",)),
     "dagger": (["dagger", "a.ply", "--cluster", "1"], "{}", ("attacks.dagger.attack.attack",)),
-    "study": (["study", "run", "attacks.toml"], "{}", ("attacks.studies.plan.work_of",)),
+    "study": (["study", "run", "attacks.toml"], "{}", ("attacks.studies.dagger.DaggerWork",)),
     "dagger-sanity": (["dagger-sanity", "a.ply", "--cluster", "1"], "{}", ("attacks.dagger.sanity.checks.run_checks",)),
     "dagger-eot": (["dagger-eot", "a.ply", "--cluster", "1"], "{}", ("attacks.dagger.attack.attack_views",)),
     "artifact": (["artifact", "set"], "{}", ("attacks.report.checking.pack",)),
