@@ -152,6 +152,7 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
     ]
     section = read_section(out)
     assert section.title == "tiny, varied"
+    assert section.done.endswith("Both splats were then looked at under 2 other conditions.")
     looks = {look["condition"]: look for look in point["looks"]}
     assert list(looks) == ["SH of degree 0", "2 x distance"]
     assert set(looks["2 x distance"]["psnr"].values()) == set(looks["SH of degree 0"]["psnr"].values()) == {None}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,20 +35,20 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         folder: Where it lies.
         record: Its result.json.
     """
-    found = by_part(record)
-    studies = [(group, name, one) for group, values in found.items() for name, one in values.items()]
-    figures = [(group, name, headline_of(one)[0]) for group, name, one in studies]
-    rates = [figure.rate for _, _, figure in figures if figure.rate is not None and figure.rate.total]
-    label = figures[0][2].label
+    groups, points = by_part(record), list(record["points"].values())
+    headlines, controls = zip(*map(headline_of, points), strict=True)
+    rates = [figure.rate for figure in headlines if figure.rate is not None and figure.rate.total]
+    controlled = [figure.rate for figure in controls if figure is not None and figure.rate is not None]
+    label = headlines[0].label
     few = min((rate.total for rate in rates), default=0)
-    seeds = sorted({len(one["seeds"]) for _, _, one in studies})
+    seeds = sorted({len(point["seeds"]) for point in points})
     warnings = ["Intervals take views and seeds for independent, which they are not"]
     if seeds[0] == 1:
         warnings = ["Variations were done with one seed: small differences may be chance"]
     loud = [
-        f"{group.replace('_', ' ')} {name}"
-        for group, name, one in studies
-        if one.get("stealth") and not one["stealth"]["stealthy"]
+        f"{point['part'].replace('_', ' ')} {point['value']}"
+        for point in points
+        if point.get("stealth") and not point["stealth"]["stealthy"]
     ]
     if loud:
         warnings.append(f"Not stealthy, since pictures lose too much beside the object: {listed(loud)}")
@@ -56,40 +56,39 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         warnings.append(f"The rate of some values counts few views: {few}")
     return Section(
         kind=KIND,
-        title=f"{record['name']}, varied",
-        folder=str(folder),
-        done=(
-            f"The study {record['name']} was done {plural(len(studies), 'time')}, each with one setting changed and "
-            f"the rest as it is: {listed([group.replace('_', ' ') for group in found])}. Each has a clean splat as its "
-            "control."
-        ),
+        title=f"{record['name']}, varied" if len(points) > 1 else str(record["name"]),
+        done=_done(record, groups),
         conclusion=(
             f"{capital(label)}, over all values: {spread(rates) if rates else 'nothing counted'}. Compare values "
             "within one chart; where intervals overlap, the study cannot tell them apart."
-            f"{_conditions(studies)}"
+            f"{_conditions(points)}"
         ),
         headline=Figure(label=f"{label}, lowest to highest", words=_range(rates)),
-        control=Figure(label="clean splats, the same", words=_controls(studies)),
+        control=Figure(label="clean splats, the same", words=_range(controlled)),
         figures=(
-            Figure(label="studies", words=str(len(studies))),
+            Figure(label="studies", words=str(len(points))),
             Figure(label="seeds of each", words=" to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))),
         ),
         warnings=tuple(map(sentence, warnings)),
         charts=tuple(
-            _chart(group, values, detector)
-            for group, values in found.items()
-            for detector in first(found)["by_detector"]
+            _chart(group, values, detector) for group, values in groups.items() for detector in points[0]["by_detector"]
         )
-        + tuple(chart for group, values in found.items() for chart in _under_conditions(group, values)),
-        tables=tuple(tables(found)),
-        configuration=shared([{**one["study"], "weights": one["detectors"]} for _, _, one in studies]),
+        + tuple(chart for group, values in groups.items() for chart in _under_conditions(group, values)),
+        tables=tuple(tables(groups)),
+        configuration=shared([{**point["study"], "weights": point["detectors"]} for point in points]),
     )
 
 
-def first(found: Mapping[str, Mapping[str, Any]]) -> Mapping[str, Any]:
-    """What was found at the first point."""
-    point: Mapping[str, Any] = next(iter(next(iter(found.values())).values()))
-    return point
+def _done(record: Mapping[str, Any], groups: Mapping[str, Mapping[str, Any]]) -> str:
+    """What was done: what varied, and under which conditions the splats were looked at again."""
+    count = len(record["points"])
+    text = f"The study {record['name']} was done {plural(count, 'time')}"
+    if count > 1:
+        varied = listed([group.replace("_", " ") for group in groups])
+        text += f", each with one setting changed and the rest as it is: {varied}"
+    looks = {look["condition"] for point in record["points"].values() for look in point.get("looks", ())}
+    more = f" Both splats were then looked at under {plural(len(looks), 'other condition')}." if looks else ""
+    return f"{text}. Each has a clean splat as its control.{more}"
 
 
 def figures(record: Mapping[str, Any], tables: Tables) -> Mapping[str, Any]:
@@ -113,14 +112,9 @@ def _range(rates: list[Rate]) -> str:
     return f"{100 * low:.0f} to {100 * high:.0f} %"
 
 
-def _controls(studies: list[tuple[str, str, Mapping[str, Any]]]) -> str:
-    found = [headline_of(one)[1] for _, _, one in studies]
-    return _range([one.rate for one in found if one is not None and one.rate is not None])
-
-
-def _conditions(studies: list[tuple[str, str, Mapping[str, Any]]]) -> str:
+def _conditions(points: Sequence[Mapping[str, Any]]) -> str:
     """A sentence on what is seen under other conditions, if anything is."""
-    looks = [look for _, _, one in studies for look in one.get("looks", ()) if "missed_cloaked" in look]
+    looks = [look for point in points for look in point.get("looks", ()) if "missed_cloaked" in look]
     rates = [rate for look in looks if (rate := Rate.of(look["missed_cloaked"])).total]
     under = listed(list(dict.fromkeys(look["condition"] for look in looks)))
     return f" Under {under} it is missed from well inside the trigger in {spread(rates)}." if rates else ""
