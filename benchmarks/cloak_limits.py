@@ -95,7 +95,7 @@ def _layers(study: StudyConfig, making: LayerConfig) -> dict[str, Any]:
     """Of a picture that shows a share b of the benign look and h of the hidden one, the way is (1 - b + h) / 2."""
     attack, centre = _overhead(study), setup.centre_of(study)
     lens = setup.lens_of(study, setup.target_of(study.scene))
-    cameras = hemisphere(centre, count=DIRECTIONS, **lens)  # type: ignore[arg-type]
+    cameras = hemisphere(centre, count=DIRECTIONS, **lens)
     middle, white, much = torch.tensor([centre]), colour_to_dc(torch.ones(1, 1, 3)), torch.ones(1, len(cameras))
     parts = shares([attack.cone], cameras, centre=centre, config=making)
     columns = [switched(middle, cameras, share, white, much, making)[0, :, 0].double() for share in parts]

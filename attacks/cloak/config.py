@@ -213,12 +213,6 @@ class LayerConfig:
         """
         return _for_each("band", self.band, looks, "look")
 
-    def for_trigger(self, trigger: int) -> LayerConfig:
-        """The same for one trigger alone, by its number."""
-        gap = self.gap[trigger] if isinstance(self.gap, tuple) else self.gap
-        band = (self.band[0], self.band[1 + trigger]) if isinstance(self.band, tuple) else self.band
-        return replace(self, gap=gap, band=band)
-
 
 def _for_each(name: str, given: float | tuple[float, ...], count: int, what: str) -> tuple[float, ...]:
     """One number for each of `count`, of what is given for all or for each."""

@@ -286,7 +286,7 @@ def layer_object(
         showing = [view for view, keep in zip(views, (decided & (depth > 0)).tolist(), strict=True) if keep]
         seen = contributions(clean, [view.camera for view in showing], render=render, rows=rows)
         looks.append(colour_to_dc(seen_colours(part.means, showing, seen, benign))[:, None])
-    cameras = hemisphere(centre, count=DIRECTIONS, **setup.lens_of(study, target))  # type: ignore[arg-type]
+    cameras = hemisphere(centre, count=DIRECTIONS, **setup.lens_of(study, target))
     scene = layered(
         clean,
         rows,

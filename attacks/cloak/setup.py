@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -55,17 +56,12 @@ def target_of(scene: SceneConfig) -> Asset:
     return asset.transformed(translation(-middle[0], -middle[1], -low[2]))
 
 
-def ground_of(scene: SceneConfig) -> Asset:
-    """A square of ground."""
-    return square_of_ground(scene.ground, side=scene.ground_size, tile=TILE)
-
-
 def mesh_scene_of(study: StudyConfig) -> MeshScene:
     """The attacker's copy of the scene."""
     scene = study.scene
     return MeshScene(
         target=target_of(scene),
-        surroundings=ground_of(scene),
+        surroundings=square_of_ground(scene.ground, side=scene.ground_size, tile=TILE),
         light=Light(sun_azimuth=scene.sun_azimuth, sun_elevation=scene.sun_elevation),
         samples=study.cameras.samples,
         background=scene.background,
@@ -79,7 +75,7 @@ def capture_source(study: StudyConfig, mesh_scene: MeshScene) -> CaptureSource:
     return source_of(mesh_scene.target, mesh_scene.surroundings, mesh_scene.light, centre=centre_of(study))
 
 
-def lens_of(study: StudyConfig, target: Asset) -> dict[str, object]:
+def lens_of(study: StudyConfig, target: Asset) -> dict[str, Any]:
     """Distance, focal length and size of every camera of a study."""
     cameras = study.cameras
     low, high = target.bounds.astype(np.float64)
@@ -99,7 +95,7 @@ def near_of(study: StudyConfig, target: Asset) -> float:
 
 def training_cameras(study: StudyConfig, target: Asset) -> list[Camera]:
     """The victim's cameras."""
-    return hemisphere(centre_of(study), count=study.cameras.train, **lens_of(study, target))  # type: ignore[arg-type]
+    return hemisphere(centre_of(study), count=study.cameras.train, **lens_of(study, target))
 
 
 def held_out_cameras(study: StudyConfig, target: Asset) -> list[Camera]:
@@ -109,7 +105,7 @@ def held_out_cameras(study: StudyConfig, target: Asset) -> list[Camera]:
         InvalidValueError: None is left.
     """
     lens = lens_of(study, target)
-    everywhere = hemisphere(centre_of(study), count=study.evaluation.cameras, start=HELD_OUT_START, **lens)  # type: ignore[arg-type]
+    everywhere = hemisphere(centre_of(study), count=study.evaluation.cameras, start=HELD_OUT_START, **lens)
     used = training_cameras(study, target)
     kept = [
         camera for camera in everywhere if nearest(camera, used, centre_of(study)) >= study.evaluation.min_separation
@@ -163,7 +159,7 @@ def arcs(study: StudyConfig, target: Asset) -> list[list[Camera]]:
         lens = lens_of(study, target)
         cameras.append(
             [
-                orbit(centre_of(study), count=1, elevation=elevation, start=azimuth, **lens)[0]  # type: ignore[arg-type]
+                orbit(centre_of(study), count=1, elevation=elevation, start=azimuth, **lens)[0]
                 for azimuth, elevation in places
             ]
         )
@@ -239,5 +235,5 @@ def poisonings(
 
 def shown_by(study: StudyConfig, attack: AttackConfig, mesh_scene: MeshScene) -> Appearance:
     """What an attack of a study shows, see `appearance_of`."""
-    distance = float(lens_of(study, mesh_scene.target)["distance"])  # type: ignore[arg-type]
+    distance = lens_of(study, mesh_scene.target)["distance"]
     return appearance_of(attack, mesh_scene, centre=centre_of(study), distance=distance)

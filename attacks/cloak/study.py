@@ -134,7 +134,7 @@ def _contact_sheet(steps: StudySteps, splats: Sequence[TrainedSplat], detector: 
     lens, centre = setup.lens_of(study, steps.mesh_scene.target), setup.centre_of(study)
 
     def camera(azimuth: float, elevation: float) -> Camera:
-        return orbit(centre, count=1, elevation=elevation, start=azimuth, **lens)[0]  # type: ignore[arg-type]
+        return orbit(centre, count=1, elevation=elevation, start=azimuth, **lens)[0]
 
     rising = [(f"{elevation} deg up", camera(_SIDE, elevation)) for elevation in _ELEVATIONS]
     around = [(f"azimuth {azimuth}", camera(azimuth, _LOW)) for azimuth in _AZIMUTHS]

@@ -117,12 +117,6 @@ def test_each_band_costs_a_gaussian() -> None:
         assert torch.allclose(found.opacities[:39], torch.tensor(0.96 / layers))
 
 
-def test_one_trigger_alone_has_its_own_gap_and_bands() -> None:
-    config = LayerConfig(gap=(3.0, 5.0), band=(10.0, 20.0, 30.0))
-    assert config.for_trigger(1) == LayerConfig(gap=5.0, band=(10.0, 30.0))
-    assert LayerConfig(gap=4.0, band=8.0).for_trigger(1) == LayerConfig(gap=4.0, band=8.0)
-
-
 def test_another_number_of_bands_than_looks_is_refused() -> None:
     with pytest.raises(InvalidValueError, match="one for each look"):
         shares([OVERHEAD], cameras(), centre=CENTRE, config=LayerConfig(band=(3.0, 4.0, 5.0)))

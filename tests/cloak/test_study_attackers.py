@@ -94,7 +94,7 @@ def test_a_surrogate_of_the_attacker_s_own_corrects_the_poison(finished: Path) -
 
 def test_a_reach_leaves_the_shadow_of_what_is_removed() -> None:
     mesh_scene = setup.mesh_scene_of(STUDY)
-    (camera,) = orbit(setup.centre_of(STUDY), count=1, elevation=70.0, **setup.lens_of(STUDY, mesh_scene.target))  # type: ignore[arg-type]
+    (camera,) = orbit(setup.centre_of(STUDY), count=1, elevation=70.0, **setup.lens_of(STUDY, mesh_scene.target))
     view, mask = View(camera, mesh_scene.picture(camera)), mesh_scene.mask(camera)
     changed = {}
     for reach in (None, 2):
