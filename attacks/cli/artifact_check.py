@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from attacks.cli.options import Detectors
+from attacks.cli.options import DetectorOptions, Detectors
 from mi_splat.cli.console import UsageError, limit_threads, progress, show, show_json
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
@@ -26,7 +26,7 @@ SEE_ALSO = ("artifact", "evaluate")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArtifactCheckOptions(JsonOptions):
+class ArtifactCheckOptions(DetectorOptions, JsonOptions):
     """Check results: the bytes of every file, and every figure, derived again from the raw rows alone.
 
     Each file and each figure is a line, green, red, or grey where it was left out. The exit status is 1 if one is red.
@@ -43,8 +43,6 @@ class ArtifactCheckOptions(JsonOptions):
     """Folder with the splats of --rescore, for instance the result's; None takes those in the folder."""
     detectors: Detectors = ()
     """Names of detectors for --rescore; none takes the result's."""
-    weights: tuple[Path, ...] = ()
-    """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
     every: Annotated[int, at_least(1, "cameras")] = 1
     """Use each so manieth camera (--rescore)."""
     rate_tolerance: Fraction = 0.02
