@@ -88,15 +88,15 @@ def fitted(
     if error(parameters) <= limit:
         return parameters
     low, high = 0.0, 1.0
-    found = reference
+    farthest = reference
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
         point = {name: base + middle * (parameters[name] - base) for name, base in reference.items()}
         if error(point) <= limit:
-            low, found = middle, point
+            low, farthest = middle, point
         else:
             high = middle
-    return found
+    return farthest
 
 
 def stretched(

@@ -92,14 +92,14 @@ class Judgement:
         rows, detections = list[Row](), list[Row]()
         for judged in self.views:
             view, target, clean = judged.view, judged.target, judged.clean.image
-            place = camera_cells(view.camera, target.box, view.direction)
+            where = camera_cells(view.camera, target.box, view.direction)
             splats = [(CLEAN, None, judged.clean), (ATTACKED, None, judged.attacked)]
             for splat, draw, seen in (*splats, *((NOISE, draw, seen) for draw, seen in enumerate(judged.noise))):
                 of: dict[str, Cell] = {**ids, "splat": splat, "draw": draw}
                 of |= {"detector": judged.detector, "view": view.index}
                 change = None if torch.equal(clean, seen.image) else float(psnr(clean, seen.image))
                 cells = report_cells(seen.detections, target.box, original=target.original, target=target.label)
-                rows.append({**of, **place, **cells, **verdict_cells(seen.verdict), "psnr": change})
+                rows.append({**of, **where, **cells, **verdict_cells(seen.verdict), "psnr": change})
                 detections += detection_rows(of, seen.detections, target.box)
         return Looked(rows=frame_of(rows), detections=frame_of(detections))
 
@@ -126,7 +126,9 @@ def judge(
     for detector in problem.detectors:
         for view in views:
             target = problem.target(view, detector)
-            control, after, *noise = (_seen(problem, found[view.index, detector.name], target) for found in reports)
+            control, after, *noise = (
+                _seen(problem, of_splat[view.index, detector.name], target) for of_splat in reports
+            )
             judged.append(
                 JudgedView(
                     view=view,
@@ -137,14 +139,14 @@ def judge(
                     noise=tuple(noise),
                 )
             )
-    plain = [_plain_pictures(problem, scene, views, found) for scene, found in zip(scenes, reports, strict=True)]
+    plain = [_plain_pictures(problem, scene, views, of_splat) for scene, of_splat in zip(scenes, reports, strict=True)]
     changes = [image_change(plain[0], pictures, [view.weight for view in views]) for pictures in plain[1:]]
     return Judgement(views=tuple(judged), image=changes[0], noise_images=tuple(changes[1:]))
 
 
-def _seen(problem: Problem, found: ViewDetections, target: Target) -> Seen:
-    verdict = problem.objective.verdict(found.detections, target)
-    return Seen(image=found.image, detections=found.detections, verdict=verdict)
+def _seen(problem: Problem, report: ViewDetections, target: Target) -> Seen:
+    verdict = problem.objective.verdict(report.detections, target)
+    return Seen(image=report.image, detections=report.detections, verdict=verdict)
 
 
 def look(detectors: Sequence[Detector], scene: GaussianScene, views: Sequence[View], render: RenderFn) -> Reports:
@@ -159,8 +161,8 @@ def look(detectors: Sequence[Detector], scene: GaussianScene, views: Sequence[Vi
     cameras, boxes = [view.camera for view in views], [view.box for view in views]
     changed = changing(render, {view.camera: view.change for view in views})
     # One picture at a time: the same bits whatever the number of views.
-    found = detect_views(scene, cameras, detectors, render=changed, boxes=boxes, batch=1)
-    return {(views[seen.view].index, seen.detector): seen for seen in found}
+    reports = detect_views(scene, cameras, detectors, render=changed, boxes=boxes, batch=1)
+    return {(views[seen.view].index, seen.detector): seen for seen in reports}
 
 
 def clean_reports(distribution: ViewDistribution, detectors: Sequence[Detector], *, seed: int, count: int) -> Reports:
@@ -185,10 +187,10 @@ def clean_reports(distribution: ViewDistribution, detectors: Sequence[Detector],
 
 
 def _plain_pictures(
-    problem: Problem, scene: GaussianScene, views: Sequence[View], found: Mapping[tuple[int, str], ViewDetections]
+    problem: Problem, scene: GaussianScene, views: Sequence[View], reports: Mapping[tuple[int, str], ViewDetections]
 ) -> list[Tensor]:
     """8-bit pictures before anything random happens to them; those of the detections where nothing does."""
     if all(view.change == PictureChange(noise_seed=view.change.noise_seed) for view in views):
-        return [found[view.index, problem.detectors[0].name].image for view in views]
+        return [reports[view.index, problem.detectors[0].name].image for view in views]
     with torch.no_grad():
         return [through_png(problem.render(scene, view.camera)) for view in views]

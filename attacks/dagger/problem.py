@@ -144,10 +144,10 @@ class Problem:
                 reports = [detector.detect(torch.stack(pictures)) for detector in self.detectors]
                 rows += [
                     [
-                        self.objective.verdict(seen[place], self.target(view, detector))
+                        self.objective.verdict(seen[number], self.target(view, detector))
                         for detector, seen in zip(self.detectors, reports, strict=True)
                     ]
-                    for place, view in enumerate(batch)
+                    for number, view in enumerate(batch)
                 ]
         return rows
 

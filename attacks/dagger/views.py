@@ -137,8 +137,8 @@ class ViewDistribution:
         """What `make` returns, made once for each key: for what several attacks on the same views have to know."""
         if key not in self._memory:
             self._memory[key] = make()
-        found: T = self._memory[key]
-        return found
+        value: T = self._memory[key]
+        return value
 
     def picture(self, camera: Camera) -> Tensor:
         """(H, W, 3) of the clean scene in [0, 1]; the last ones are kept."""
@@ -197,4 +197,4 @@ def batch_indices(step: int, *, seed: int, batch: int, pool: int) -> list[int]:
         turn: np.random.default_rng((seed, turn)).permutation(pool)
         for turn in range(first // pool, 1 + (first + batch - 1) // pool)
     }
-    return [int(orders[place // pool][place % pool]) for place in range(first, first + batch)]
+    return [int(orders[number // pool][number % pool]) for number in range(first, first + batch)]

@@ -72,12 +72,12 @@ class Judge:
         attack, of = config.attack, dict[str, Any]()
         if isinstance(config, FixedAttack):
             of = {"eps": attack.eps, "seed": attack.seed, "camera": config.camera, "views": config.views}
-            splat, own = SPLAT, config.renderer
+            splat, renderer = SPLAT, config.renderer
         else:
             of = {"eps": (_UNBOUND,), "seed": config.attack.judge_seed, "sh_degree": attack.sh_degree}
             of |= {"views": min(self.views, config.attack.held_out), "transformations": config.transformations}
-            splat, own = WHOLE_SPLAT, ""
-        condition = own if self.condition == AS_ATTACKED else self.condition
+            splat, renderer = WHOLE_SPLAT, ""
+        condition = renderer if self.condition == AS_ATTACKED else self.condition
         sun, street = street_of(condition, self.sun)
         inputs: dict[str, Job | Part | Path] = {"attacked": attacked.part(splat), **street}
         of |= {"object": config.object, "target": config.objective.label, "condition": condition, "sun": sun}

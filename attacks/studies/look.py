@@ -81,10 +81,10 @@ def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, An
         sun=config.sun,
     )
     condition = condition_of(config.condition, viewing)
-    subset, own = GaussianSubset.of(scene.scene, rows), scene.renderer("")
+    subset, render = GaussianSubset.of(scene.scene, rows), scene.renderer("")
     moved = {condition.move(view.camera): view for view in _views(config, scene, subset)}
     boxes = {
-        camera: view.box if camera is view.camera else fixed_views(subset, [camera], render=own)[0].box
+        camera: view.box if camera is view.camera else fixed_views(subset, [camera], render=render)[0].box
         for camera, view in moved.items()
     }
     if config.transformations is not None:

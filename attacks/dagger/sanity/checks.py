@@ -176,8 +176,8 @@ def _random_search(runs: Runs) -> Measured:
     attacks, drawn = _at_compared(runs), [line for scale in COMPARED for line in runs.random_search(scale)]
     losses = [min(line.loss for line in result.trace) for result in attacks]
     beaten = sum(
-        not result.success and (other.success or other.loss < loss)
-        for result, loss, other in zip(attacks, losses, drawn, strict=True)
+        not result.success and (line.success or line.loss < loss)
+        for result, loss, line in zip(attacks, losses, drawn, strict=True)
     )
     total, successes = len(attacks), {"gradient": _count(attacks), "random_search": _count(drawn)}
     means = {"gradient": sum(losses) / total, "random_search": sum(line.loss for line in drawn) / total}
