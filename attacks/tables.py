@@ -62,6 +62,11 @@ def _cell_of(line: Any, column: Any) -> str:
     return cell(column(line) if callable(column) else line.get(column))
 
 
+def sections(tables: Iterable[Table]) -> str:
+    """Tables in Markdown, each under a heading."""
+    return "\n\n".join(table.markdown for table in tables) + "\n"
+
+
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Cells as a table in Markdown, without an end of the last line."""
     lines = (head, ("---",) * len(head), *rows)

@@ -5,10 +5,9 @@ It stands here and not among the commands of mi_splat, since its page is made by
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from mi_splat import provenance
 from mi_splat.cli.console import progress, warn
@@ -104,7 +103,7 @@ def run(options: CompareOptions) -> None:
         with new_folder(options.out, force=options.force) as folder:
             save_sheets(comparison.pictures, folder, factor=options.amplify)
             save_json(document, folder / RECORD)
-            _save_page(document, folder, options.out)
+            _save_page(folder, options.out)
     show_summary(options.out, as_json=options.json)
 
 
@@ -119,15 +118,14 @@ def _lpips(warnings: list[str]) -> Perceptual | None:
         return None
 
 
-def _save_page(document: Mapping[str, Any], folder: Path, out: Path) -> None:
+def _save_page(folder: Path, out: Path) -> None:
     """Write the page into the folder, which will be called `out`, where the packages for it are there."""
     from attacks.report.charts import missing_packages
     from attacks.report.page import write_page
-    from attacks.report.results import finished
-    from attacks.report.stories import renderers
+    from attacks.report.results import read_section
 
     missing = missing_packages()
     if missing:
         warn(f"no page: {' and '.join(missing)} not installed; {install('report')}, then mi-splat report")
     else:
-        write_page([finished(renderers.read(out, document, files=folder), out, document)], folder / "compare.html")
+        write_page([replace(read_section(folder), folder=str(out))], folder / "compare.html")

@@ -76,11 +76,6 @@ def _tables(told: Mapping[str, Any], what: str = "") -> Iterator[Table]:
     yield Table(caption=f"Found, by elevation{what}", head=head, rows=tuple(rows))
 
 
-def markdown(summary: Mapping[str, Any]) -> str:
-    """`tables` as Markdown."""
-    return "\n\n".join(table.markdown for table in tables(summary)) + "\n"
-
-
 def headline_key(rates: Mapping[str, Any]) -> str:
     """The rate that matters most: of an attack that hides that of misses, else that of the class that is wanted."""
     return "target_rate" if rates["trigger_miss_rate"] is None else "trigger_miss_rate"
@@ -202,7 +197,9 @@ def by_azimuth(study: StudyConfig, rows: pl.DataFrame) -> dict[tuple[Any, ...], 
         rows: Of both splats.
     """
     confidence, name = study.evaluation.confidence, study.scene.class_name
-    here = with_control(rows).filter(pl.col(f"{DEPTH}{one.name}") < 0 for one in study.attack if one.azimuth is None)
+    here = with_control(rows)
+    for attack in study.attack:
+        here = here if attack.azimuth is not None else here.filter(pl.col(f"{DEPTH}{attack.name}") < 0)
     measures = {
         f"{name}, {NAMES[splat]}": Measure(holds=reported("original_score", confidence), given=of(splat))
         for splat in reversed(NAMES)

@@ -20,7 +20,8 @@ from attacks.cloak.config import StudyConfig, fit_config, read_study, study_toml
 from attacks.cloak.kinds.poisoned import MANIFEST
 from attacks.cloak.kinds.seen import loaded
 from attacks.cloak.poisoning import assign
-from attacks.cloak.rates import figures, markdown
+from attacks.cloak.rates import figures
+from attacks.cloak.rates import tables as summary_tables
 from attacks.cloak.steps import Look, OnStep, StudySteps, TrainedSplat
 from attacks.detectors.base import Detector
 from attacks.observe.drawing import annotated
@@ -33,6 +34,7 @@ from attacks.observe.rows import (
     TRANSITION,
     write_rows,
 )
+from attacks.tables import sections
 from mi_splat import provenance
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera
@@ -116,7 +118,7 @@ def write_report(
         **provenance.origin(),
         "seconds": round(time.monotonic() - steps.begun, 1),
     }
-    save_text(markdown(summary), folder / TABLE)
+    save_text(sections(summary_tables(summary)), folder / TABLE)
     save_json(summary, folder / SUMMARY)
     write_manifest(folder, without=("stages",))
     return summary

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from attacks.cloak.rates import markdown as cloak_markdown
 from attacks.dagger.figures import figures as attack_figures
 from attacks.detectors.evaluation import figures as detector_figures
 from attacks.report.checking import Figures, Result
@@ -24,15 +23,13 @@ from attacks.report.stories import (
 )
 from attacks.report.stories.detectors import held_out, pictures
 from attacks.report.wording import sentence, versions_of
-from attacks.studies.cloak import markdown as cloak_study_markdown
 from attacks.studies.result import figures as study_figures
-from attacks.studies.table import sections
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.folders import RECORD
 from mi_splat.io.manifest import MANIFEST, read_manifest
 from mi_splat.io.parsing import read_json
 
-Found = Mapping[str, Any]
+Record = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,33 +41,20 @@ class Story:
         read: Makes the section of a folder and of what its record holds.
         figures: Derives its figures from its rows; None of a kind without rows.
         rescoring: How its splats are scored again; None of a kind that is not.
-        markdown: Its tables for the documentation, from its record; None of a kind that has none.
     """
 
     name: str
-    read: Callable[[Path, Found], Section]
+    read: Callable[[Path, Record], Section]
     figures: Figures | None = None
     rescoring: Rescoring | None = None
-    markdown: Callable[[Found], str] | None = None
 
 
 STORIES = (
     Story(name="dagger", read=attack.read, figures=attack_figures, rescoring=attack.RESCORING),
     Story(name="dagger-eot", read=attack.read, figures=attack_figures, rescoring=attack.RESCORING),
-    Story(
-        name="cloak",
-        read=cloak.read,
-        figures=cloak.figures,
-        rescoring=cloak.RESCORING,
-        markdown=cloak_markdown,
-    ),
-    Story(
-        name="study",
-        read=study.read,
-        figures=study_figures,
-        markdown=sections,
-    ),
-    Story(name="cloak-study", read=variations.read, figures=variations.figures, markdown=cloak_study_markdown),
+    Story(name="cloak", read=cloak.read, figures=cloak.figures, rescoring=cloak.RESCORING),
+    Story(name="study", read=study.read, figures=study_figures),
+    Story(name="cloak-study", read=variations.read, figures=variations.figures),
     Story(name="evaluate", read=evaluation.read, figures=evaluation.figures),
     Story(name="compare", read=renderers.read),
     Story(name="detect", read=pictures.read),
@@ -111,7 +95,7 @@ def read_section(path: Path) -> Section:
         raise InvalidValueError(message(str(file), expected, got, do)) from error
 
 
-def finished(section: Section, path: Path, record: Found) -> Section:
+def finished(section: Section, path: Path, record: Record) -> Section:
     """A section with what all results have, and without what is empty.
 
     Args:
@@ -147,5 +131,5 @@ def story_of(result: Result) -> Story:
     return story
 
 
-def _story(record: Found) -> Story | None:
+def _story(record: Record) -> Story | None:
     return next((story for story in STORIES if story.name == record.get("story")), None)

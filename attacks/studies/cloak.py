@@ -40,7 +40,7 @@ from attacks.observe.rows import SUFFIX, write_rows
 from attacks.studies.plan import Work
 from attacks.studies.scenes import street_of
 from attacks.studies.study_file import Point, Settings, Study, merged, with_none
-from attacks.tables import Column, Table, cell
+from attacks.tables import Column, Table, cell, sections
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import at_least, check, decode
@@ -257,19 +257,19 @@ class CloakWork(Work):
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
         """As in `Work`."""
-        points, tables = dict[str, dict[str, Any]](), dict[str, list[pl.DataFrame]]()
+        points, frames = dict[str, dict[str, Any]](), dict[str, list[pl.DataFrame]]()
         for point in self.attempts:
             done = point.done(results)
             if done is not None:
                 points[point.title], of_point = _seen(point, done)
                 for name, table in of_point.items():
-                    tables.setdefault(name, []).append(table.with_columns(attack=pl.lit(point.title)))
+                    frames.setdefault(name, []).append(table.with_columns(attack=pl.lit(point.title)))
         paths = [
-            write_rows(pl.concat(parts, how="diagonal"), out / f"{name}{SUFFIX}") for name, parts in tables.items()
+            write_rows(pl.concat(parts, how="diagonal"), out / f"{name}{SUFFIX}") for name, parts in frames.items()
         ]
         named = {"study": self.study.kind, "name": self.study.name, "question": self.study.question}
         record = {"story": STORY, **named, "points": points, **provenance.origin()}
-        save_text(markdown(record), out / TABLE)
+        save_text(sections(tables(by_part(record))), out / TABLE)
         save_text(self.study.text, out / STUDY_FILE)
         save_json(record, out / RECORD)
         return [*paths, *(out / name for name in (TABLE, STUDY_FILE, RECORD))]
@@ -312,12 +312,3 @@ def by_part(record: Mapping[str, Any]) -> dict[str, dict[str, Mapping[str, Any]]
     for point in record["points"].values():
         groups.setdefault(point["part"], {})[point["value"]] = point
     return groups
-
-
-def markdown(record: Mapping[str, Any]) -> str:
-    """The tables of a study, see `tables`.
-
-    Args:
-        record: result.json.
-    """
-    return "\n\n".join(table.markdown for table in tables(by_part(record))) + "\n"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from attacks.tables import Table
+from attacks.tables import Table, sections
 
 Record = Mapping[str, Any]
 Cell = Callable[[Record], str]
@@ -18,12 +18,7 @@ def markdown(record: Record) -> str:
         record: Its result.json.
     """
     head = [f"# {record.get('question') or record['name']}", "", *_introduction(record), ""]
-    return "\n".join(head) + f"\n{sections(record)}"
-
-
-def sections(record: Record) -> str:
-    """All tables of a study as Markdown under headings of their captions; see `markdown`."""
-    return "\n\n".join(table.markdown for table in tables(record)) + "\n"
+    return "\n".join(head) + f"\n{sections(tables(record))}"
 
 
 def tables(record: Record) -> Iterator[Table]:

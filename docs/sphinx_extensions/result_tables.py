@@ -91,18 +91,17 @@ def page(name: str, artifacts: Path) -> str:
         artifacts: The folder docs/artifacts.
     """
     from attacks.report.checking import read_result
-    from attacks.report.results import story_of
+    from attacks.report.results import read_section
+    from attacks.tables import sections
 
     title, conclusion, folders = PAGES[name]
     parts = [f"# {title}: every figure", f"What the reader may conclude is in {conclusion}."]
     for folder in folders:
         result = read_result(artifacts / folder)
-        tables = story_of(result).markdown
-        assert tables is not None
         command = result.record["command"]
         parts.append(
             f"From the rows in `docs/artifacts/{folder}`, made by `{command}`, seeds "
             f"{', '.join(map(str, result.record['seeds']))}. Manifest: `{result.manifest.sha256}`."
         )
-        parts.append(tables(result.record).strip())
+        parts.append(sections(read_section(artifacts / folder).tables).strip())
     return "\n\n".join(parts) + "\n"

@@ -172,6 +172,12 @@ def test_resampled_intervals_stand_on_the_page() -> None:
     assert section.headline.rate.resampled is not None
 
 
+def test_a_study_that_hides_from_a_sector_alone_has_a_page() -> None:
+    section = read_section(ARTIFACTS / "cloak_car_sector_layers")
+    assert section.headline.rate == Rate.of(cloak_record("cloak_car_sector_layers")["trigger_miss_rate"])
+    assert any("azimuth" in chart.x_label for chart in section.charts)
+
+
 def test_red_lines_of_sanity_are_warnings(folders: dict[str, Path]) -> None:
     section = read_section(folders["dagger-sanity"])
     assert section.headline.value == "1 of 2"

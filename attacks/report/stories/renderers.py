@@ -22,13 +22,12 @@ _KINDS = {"picture": "picture", "picture and gradient": "picture_and_gradient"}
 """What was timed: its name on the page, and its key."""
 
 
-def read(folder: Path, record: Record, *, files: Path | None = None) -> Section:
+def read(folder: Path, record: Record) -> Section:
     """The section of a comparison.
 
     Args:
         folder: Where it lies.
         record: Its result.json.
-        files: Where its pictures lie now, if they are on the way to the folder.
     """
     pairs, cameras = record["pairs"], [camera["name"] for camera in record["cameras"]]
     names, psnr = listed(list(record["methods"])), _psnr(pairs[0])
@@ -53,7 +52,7 @@ def read(folder: Path, record: Record, *, files: Path | None = None) -> Section:
         warnings=(*record["warnings"], *_doubts(record)),
         pictures=tuple(
             Picture(
-                path=(files or folder) / f"{file_name(camera)}.png",
+                path=folder / f"{file_name(camera)}.png",
                 caption=f"{camera}: {names}; below, where each two differ, times {record['amplify']:g}. Black is no "
                 "difference.",
                 wide=True,
