@@ -32,6 +32,7 @@ COMMANDS = {
     "compare": "compare renderers on one splat: pictures, gradients, time and memory",
     "select": "select one object of a splat, and see whether it is the right one",
     "info": "what a splat file or a scene XML holds",
+    "audit": "whether a splat hides something that shows from some directions only",
     "convert": "convert a splat file to another format",
     "example-scenes": "make one of the shipped splat scenes again",
     "dagger": "attack one object of a splat scene, so that a detector misreads it",
@@ -52,7 +53,7 @@ COMMANDS = {
     "doctor": "check that everything works here, and say what to do where it does not",
 }
 """What each command does, in a line; its module is called as it is."""
-OF_SPLATS = ("capture", "train", "render", "select", "info", "convert", "example-scenes")
+OF_SPLATS = ("capture", "train", "render", "select", "info", "audit", "convert", "example-scenes")
 """Commands whose modules are in `mi_splat.cli`; those of the others are here."""
 
 
@@ -243,5 +244,5 @@ commands:
   {PROGRAM} --version     the version
   --max-pixels N         with any command: pixels that a picture which is read may have (50000000)
 
-exit status: 0 done (also when an attack fails: that is a result), 1 error, 2 wrong usage
+exit status: 0 done (also when an attack fails: that is a result), 1 error, 2 wrong usage; audit: 3 found
 """

@@ -44,6 +44,7 @@ NEEDED = {
     "detect": ["a.ply"],
     "evaluate": ["a.ply", "b.ply"],
     "info": ["a.ply"],
+    "audit": ["a.ply"],
     "example-scenes": ["stop_sign"],
     "cloak": ["study.toml"],
     "view": ["a.ply"],

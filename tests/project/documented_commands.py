@@ -23,6 +23,7 @@ FAST = {
     *(
         "artifact",
         "artifact-check",
+        "audit",
         "capture",
         "compare",
         "convert",

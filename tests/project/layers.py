@@ -53,6 +53,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "mi_splat.mixed_scenes",
         "mi_splat.scene_writing",
     ),
+    "audit": ("mi_splat.audit",),
     "comparison": ("mi_splat.comparison",),
     "training": ("mi_splat.training",),
     "capture": ("mi_splat.capture",),

@@ -1,0 +1,21 @@
+"""Audit of a splat: does it show something from some directions only, from where, and which Gaussians carry it?"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mi_splat import _lazy
+
+if TYPE_CHECKING:
+    from mi_splat.audit.auditing import audit
+    from mi_splat.audit.results import Audit, Look, ObjectAudit, Occluder, Pair, Region
+
+__all__ = ["Audit", "Look", "ObjectAudit", "Occluder", "Pair", "Region", "audit"]
+
+__getattr__, __dir__ = _lazy.attach(
+    __name__,
+    {
+        "mi_splat.audit.auditing": ("audit",),
+        "mi_splat.audit.results": ("Audit", "Look", "ObjectAudit", "Occluder", "Pair", "Region"),
+    },
+)

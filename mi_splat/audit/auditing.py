@@ -1,0 +1,209 @@
+"""`audit`: looks at every object of a splat from all around, and says what changes with the direction of view."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from mi_splat.audit.evidence import heat_of, pair_of, split_of
+from mi_splat.audit.frames import SOLID, Frame, Target, frame_of, targets, whole
+from mi_splat.audit.occluders import BLOCKED, cover_of, middle_of
+from mi_splat.audit.regions import shape_of
+from mi_splat.audit.results import SUSPICION, Audit, Look, ObjectAudit, Occluder, Pair, Region, vector
+from mi_splat.audit.surfaces import (
+    AROUND,
+    SIZE,
+    Elements,
+    Sight,
+    cameras_around,
+    elements,
+    near_of,
+    sight,
+)
+from mi_splat.audit.switches import cameras_of_look, explain, piece_scores, reachable
+from mi_splat.cameras import Camera, as_cameras
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene import GaussianScene, check_scene
+
+LEAST_PIECES = 60
+"""A splat of which fewer pieces of surface can be judged gets no verdict."""
+LEAST_CAMERAS, MOST_CAMERAS = 12, 300
+"""Cameras that have to be given, and that are used of those given."""
+_CHANGED = 0.05
+"""Score from which a piece of surface counts as changed."""
+_CARRIES = 1e-3
+"""Pixels that a Gaussian makes up at least to have heat."""
+
+OnObject = Callable[[int, int], None]
+"""Called after each object with the number done and the number of all."""
+
+
+def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, on_object: OnObject | None = None) -> Audit:
+    """Say whether a splat shows something from some directions only, from where, and which Gaussians carry it.
+
+    Nothing but the splat is used. The verdict is the same when the splat is turned, moved, resized or shuffled, but for
+    rounding.
+
+    Args:
+        scene: N Gaussians.
+        cameras: From where it is looked at, for instance those of its training pictures; all of what they see is one
+            object then. None is a sphere around each object, or what of it is above the ground.
+        on_object: Called after each object.
+
+    Raises:
+        InvalidValueError: Nothing shows, too few cameras are given, or too little surface is seen for a verdict.
+    """
+    check_scene("scene", scene)
+    frame = frame_of(scene)
+    if cameras is None:
+        jobs = [(target, cameras_around(target)) for target in targets(frame.scene)]
+    else:
+        jobs = [(whole(frame.scene), _given(frame, cameras))]
+    objects, heats = [], []
+    for number, (target, around) in enumerate(jobs):
+        judged = _object(frame, target, around)
+        if judged is not None:
+            objects.append(judged[0])
+            heats.append(judged[1])
+        if on_object is not None:
+            on_object(number + 1, len(jobs))
+    pieces = sum(item.pieces for item in objects)
+    if pieces < LEAST_PIECES:
+        expected = f"at least {LEAST_PIECES} pieces of surface that cameras on two sides see"
+        do = "pass a splat of something solid" if cameras is None else "pass cameras that see more of it"
+        raise InvalidValueError(message("scene" if cameras is None else "cameras", expected, pieces, do))
+    heat = _heat(objects, heats, len(scene))
+    mask = torch.zeros(len(scene), dtype=torch.bool)
+    if any(item.evidence >= SUSPICION for item in objects):
+        mask[frame.order] = heat > split_of(heat[heat > 0])
+    unsorted = torch.zeros(len(scene))
+    unsorted[frame.order] = heat
+    return Audit(objects=tuple(objects), heat=unsorted, mask=mask, near=_near(frame, [target for target, _ in jobs]))
+
+
+def _given(frame: Frame, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
+    """Cameras of the world in the frame, small, and not too many of them."""
+    cameras = as_cameras(cameras)
+    if len(cameras) < LEAST_CAMERAS:
+        do = "pass those of the training pictures, or none"
+        raise InvalidValueError(message("cameras", f"at least {LEAST_CAMERAS}", len(cameras), do))
+    numbers = torch.linspace(0, len(cameras) - 1, min(len(cameras), MOST_CAMERAS)).round().long().tolist()
+    rotation, world = frame.to_world.rotation.double(), frame.to_world
+    placed = []
+    for camera in (cameras[number] for number in numbers):
+        factor = SIZE / max(camera.width, camera.height)
+        size = max(8, round(camera.width * factor)), max(8, round(camera.height * factor))
+        across, down = size[0] / camera.width, size[1] / camera.height
+        pose = torch.eye(4, dtype=torch.float64)
+        pose[:3, :3] = rotation.T @ camera.to_world[:3, :3]
+        pose[:3, 3] = rotation.T @ (camera.position - world.translation.double()) / world.scale
+        placed.append(
+            Camera(
+                to_world=pose,
+                focal=(camera.fx * across, camera.fy * down),
+                principal=(camera.cx * across, camera.cy * down),
+                width=size[0],
+                height=size[1],
+            )
+        )
+    return tuple(placed)
+
+
+Heat = tuple[Tensor, Tensor]
+
+
+def _object(frame: Frame, target: Target, cameras: tuple[Camera, ...]) -> tuple[ObjectAudit, Heat | None] | None:
+    """Judge one object; None if nothing of its surface can be judged. With evidence, heat comes along."""
+    view = sight(frame.scene, target, cameras)
+    pieces = elements(view, target)
+    if not bool(pieces.judged.any()):
+        return None
+    scores = explain(pieces, view, target.radius)
+    shown = cameras_of_look(pieces, view, scores)
+    if int(shown.sum()) * 2 > len(shown):
+        shown = ~shown
+    shape = shape_of(view.directions, shown, target.up)
+    by_piece = piece_scores(pieces, shown)
+    area = (pieces.size * frame.to_world.scale) ** 2
+    able = reachable(pieces, view)
+    look = Look(
+        region=Region(
+            axis=vector(frame.direction(shape.axis)),
+            half_width=shape.half_width,
+            elevation=shape.elevation,
+            complement=shape.complement,
+            overlap=shape.overlap,
+        ),
+        shown=shown,
+        score=scores.direction,
+        incidence=scores.incidence,
+        mirror=scores.mirror,
+        area=int((by_piece > _CHANGED).sum()) * area,
+    )
+    judged = ObjectAudit(
+        rows=frame.order[target.rows],
+        centre=vector(frame.point(target.centre)),
+        radius=target.radius * frame.to_world.scale,
+        up=None if target.up is None else vector(frame.direction(target.up)),
+        directions=frame.direction(view.directions),
+        pieces=scores.pieces,
+        area=scores.pieces * area,
+        uncontradicted=(pieces.unseen + int((pieces.judged & ~able).sum())) * area,
+        look=look,
+        occluder=_occluder(frame, target, view),
+        pair=_pair(frame, pieces, view, by_piece, shown),
+    )
+    if judged.evidence < SUSPICION:
+        return judged, None
+    return judged, heat_of(frame.scene, pieces, view, by_piece, near_of(target, cameras))
+
+
+def _occluder(frame: Frame, target: Target, view: Sight) -> Occluder | None:
+    """What covers the object, in the world."""
+    cover = cover_of(frame.scene, view, target)
+    if not bool((cover.blocked > BLOCKED).any()):
+        return None
+    return Occluder(
+        axis=vector(frame.direction(middle_of(view.directions, cover.blocked))),
+        blocked=cover.blocked,
+        transparent=cover.transparent,
+        score=cover.score,
+    )
+
+
+def _pair(frame: Frame, pieces: Elements, view: Sight, score: Tensor, shown: Tensor) -> Pair | None:
+    """The two cameras that prove a look, in the world."""
+    numbers = pair_of(pieces, view, score, shown)
+    if numbers is None:
+        return None
+    inside, outside = (_in_world(frame, view.cameras[number]) for number in numbers[:2])
+    return Pair(inside=inside, outside=outside, change=numbers[2])
+
+
+def _in_world(frame: Frame, camera: Camera) -> Camera:
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3] = frame.to_world.rotation.double() @ camera.to_world[:3, :3]
+    pose[:3, 3] = frame.point(camera.position)
+    return dataclasses.replace(camera, to_world=pose)
+
+
+def _heat(objects: list[ObjectAudit], heats: list[Heat | None], count: int) -> Tensor:
+    """(N,) mean score of the surface that each Gaussian makes up, of objects with evidence, in the frame's order."""
+    total, weight = torch.zeros(count), torch.zeros(count)
+    for heat in heats:
+        if heat is not None:
+            total += heat[0]
+            weight += heat[1]
+    return torch.where(weight > _CARRIES, total / weight.clamp(min=_CARRIES), 0.0)
+
+
+def _near(frame: Frame, objects: list[Target]) -> float:
+    """Share of the solid Gaussians around one of the objects."""
+    points = frame.scene.means[frame.scene.opacities > SOLID].double()
+    near = torch.zeros(len(points), dtype=torch.bool)
+    for target in objects:
+        near |= (points - target.centre).norm(dim=1) < AROUND * target.radius
+    return float(near.double().mean())

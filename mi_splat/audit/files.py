@@ -1,0 +1,165 @@
+"""The files of an audit: the account as JSON, the two pictures, the splat coloured by heat, and the mask."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mi_splat.audit.results import COVERED, EXCESS, SUSPICION, Audit, ObjectAudit, Pair
+from mi_splat.audit.story import story
+from mi_splat.bounds import near_plane
+from mi_splat.cameras import Camera
+from mi_splat.io import save_splat
+from mi_splat.io.camera_records import describe
+from mi_splat.io.documents import save_json
+from mi_splat.io.folders import RECORD, new_folder
+from mi_splat.io.images import to_bytes
+from mi_splat.io.pictures import save_picture
+from mi_splat.provenance import origin
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+from mi_splat.selection.masks import save_mask
+from mi_splat.sh import colour_to_dc, dc_to_colour
+
+PAIR, HEAT, MASK = "pair.png", "heat.ply", "mask.npy"
+PICTURE = 512
+"""Pixels along the longer side of each of the two pictures."""
+_GAP = 8
+_BACKGROUND = (0.55, 0.7, 0.9)
+
+
+def document(audit: Audit) -> dict[str, Any]:
+    """An audit as JSON can hold it."""
+    return {
+        "verdict": audit.verdict,
+        "story": story(audit),
+        "gaussians": len(audit.mask),
+        "carrying": int(audit.mask.sum()),
+        "near": audit.near,
+        "thresholds": {"excess": EXCESS, "covered": COVERED, "suspicion": SUSPICION},
+        "objects": [_of_object(item) for item in audit.objects],
+    }
+
+
+def _of_object(item: ObjectAudit) -> dict[str, Any]:
+    look, cover, pair = item.look, item.occluder, item.pair
+    return {
+        "verdict": item.verdict,
+        "evidence": item.evidence,
+        "gaussians": len(item.rows),
+        "centre": item.centre,
+        "radius": item.radius,
+        "up": item.up,
+        "pieces": item.pieces,
+        "area": item.area,
+        "uncontradicted": item.uncontradicted,
+        "look": {
+            "score": look.score,
+            "incidence": look.incidence,
+            "mirror": look.mirror,
+            "excess": look.excess,
+            "area": look.area,
+            "directions": dataclasses.asdict(look.region),
+        },
+        "occluder": cover and {"axis": cover.axis, "transparent": cover.transparent, "score": cover.score},
+        "pair": pair and {"change": pair.change, "cameras": pair_cameras(pair)},
+        "seen_from": [
+            {"direction": direction, "shows_look": shows, "blocked": blocked}
+            for direction, shows, blocked in zip(
+                item.directions.tolist(),
+                look.shown.tolist(),
+                cover.blocked.tolist() if cover else [0.0] * len(look.shown),
+                strict=True,
+            )
+        ],
+    }
+
+
+def pair_cameras(pair: Pair) -> list[dict[str, object]]:
+    """The two cameras as JSON can hold them."""
+    return [describe("inside", pair.inside), describe("outside", pair.outside)]
+
+
+def pair_picture(scene: GaussianScene, pair: Pair) -> NDArray[np.uint8]:
+    """(H, W, 3) the two pictures that prove a look, from inside its directions on the left, from outside on the right.
+
+    Args:
+        scene: The splat.
+        pair: The two cameras.
+    """
+    cameras = [_enlarged(camera) for camera in (pair.inside, pair.outside)]
+    render = Renderer(RenderSettings(background=_BACKGROUND, near=near_plane(scene, cameras)))
+    with torch.no_grad():
+        pictures = [to_bytes(render(scene, camera).clamp(0, 1)) for camera in cameras]
+    height = max(len(picture) for picture in pictures)
+    padded = [np.pad(p, ((0, height - len(p)), (0, 0), (0, 0)), constant_values=255) for p in pictures]
+    gap = np.full((height, _GAP, 3), 255, np.uint8)
+    return np.concatenate([padded[0], gap, padded[1]], axis=1)
+
+
+def _enlarged(camera: Camera) -> Camera:
+    factor = PICTURE / max(camera.width, camera.height)
+    width, height = round(camera.width * factor), round(camera.height * factor)
+    across, down = width / camera.width, height / camera.height
+    return dataclasses.replace(
+        camera,
+        width=width,
+        height=height,
+        focal=(camera.fx * across, camera.fy * down),
+        principal=(camera.cx * across, camera.cy * down),
+    )
+
+
+def heated(scene: GaussianScene, heat: Tensor) -> GaussianScene:
+    """The splat in pale grey, redder the more heat a Gaussian has; the same from everywhere.
+
+    Args:
+        scene: N Gaussians.
+        heat: (N,) at least 0.
+    """
+    share = (heat / heat.max().clamp(min=1e-12)).sqrt()[:, None].to(scene.sh)
+    grey = 0.4 + 0.5 * dc_to_colour(scene.sh[:, 0]).clamp(0, 1).mean(1, keepdim=True).expand(-1, 3)
+    colour = (1 - share) * grey + share * grey.new_tensor([0.9, 0.05, 0.0])
+    return GaussianScene.unchecked(*scene.tensors()[:4], colour_to_dc(colour)[:, None])
+
+
+def write(
+    audit: Audit, scene: GaussianScene, folder: str | os.PathLike[str], *, source: str, force: bool = False
+) -> list[Path]:
+    """Write the files of an audit into a new folder, whole or not at all.
+
+    Args:
+        audit: The audit.
+        scene: The splat.
+        folder: Where.
+        source: The file that was audited, for the record.
+        force: Whether an older result there may be replaced.
+
+    Returns:
+        The files. Without evidence there are no heat and no mask.
+
+    Raises:
+        SplatFileError: The folder cannot be written, or holds something.
+    """
+    target = Path(folder)
+    names = [RECORD]
+    with new_folder(target, force=force) as temporary:
+        if audit.strongest.pair is not None:
+            save_picture(pair_picture(scene, audit.strongest.pair), temporary / PAIR)
+            names.append(PAIR)
+        if bool(audit.mask.any()):
+            save_splat(heated(scene, audit.heat), temporary / HEAT)
+            save_mask(audit.mask, temporary / MASK)
+            names += [HEAT, MASK]
+        pair = audit.strongest.pair
+        cameras = pair_cameras(pair) if pair else []
+        record = {"kind": "audit", "file": source, **document(audit), "cameras": cameras, **origin()}
+        save_json(record, temporary / RECORD)
+    return [target / name for name in names]

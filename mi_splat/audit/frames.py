@@ -1,0 +1,211 @@
+"""Where to look: a frame that turns, moves and grows with the splat, and the objects in it.
+
+All that follows happens in that frame, so that a verdict does not depend on how the file's axes lie, on its unit, or on
+the order of its rows.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene import GaussianScene, Similarity
+from mi_splat.selection.clusters import clusters
+from mi_splat.selection.neighbours import nearest_neighbours
+from mi_splat.selection.planes import find_plane
+
+SOLID = 0.1
+"""Gaussians of a smaller opacity do not say where things are."""
+MOST_OBJECTS = 3
+_CROWD = 0.8
+"""Share of the solid Gaussians that the frame is made of: those nearest to their middle."""
+_LEAST_SHARE, _LEAST_COUNT, _COMPONENTS = 0.03, 100, 6
+_FLAT = 0.04
+"""A component is a plane if its thinnest extent is less than this share of its longest."""
+_ROOM, _SAME, _FEW = 1.15, 0.4, 0.3
+"""Radius of the ball around an object, by that of what holds nearly all of it; least radius and share of Gaussians of
+a part that needs no look of its own, by those of the whole."""
+_SAMPLE, _PLANE_SHARE, _GROUND = 5000, 0.15, 4.0
+"""Points among which a ground is looked for, the share that has to lie on it, and how far around, in radii."""
+_PLANES, _TOUCH = 2, 0.4
+"""Planes that are tried, and how far an object may be above its ground, in radii."""
+_ONE_SIDE, _UNDER, _BEYOND = 0.95, 0.15, 1.3
+"""Share of an object that is above its ground, but for so many radii; radii that a ground reaches from its middle."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Frame:
+    """The splat in its own frame.
+
+    Attributes:
+        scene: The Gaussians, moved, turned, resized and sorted.
+        order: (N,) row of the file of each of them.
+        to_world: From the frame to the world of the file.
+    """
+
+    scene: GaussianScene
+    order: Tensor
+    to_world: Similarity
+
+    def direction(self, values: Tensor) -> Tensor:
+        """(..., 3) directions of the frame as directions of the world."""
+        return values.double() @ self.to_world.rotation.double().T
+
+    def point(self, values: Tensor) -> Tensor:
+        """(..., 3) points of the frame as points of the world."""
+        return self.to_world.scale * self.direction(values) + self.to_world.translation.double()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Target:
+    """An object to look at, in the frame of the splat.
+
+    Attributes:
+        rows: (M,) its Gaussians.
+        centre: (3,) float64.
+        radius: Of a ball that holds nearly all of it.
+        up: (3,) float64 unit vector away from the ground; None if it stands on none.
+    """
+
+    rows: Tensor
+    centre: Tensor
+    radius: float
+    up: Tensor | None
+
+
+def frame_of(scene: GaussianScene) -> Frame:
+    """The splat in the frame of its own principal axes.
+
+    Raises:
+        InvalidValueError: No Gaussian shows, or all are at one point.
+    """
+    scene = scene.detach().to("cpu", torch.float32)
+    colours = scene.sh[:, 0].numpy()
+    order = torch.from_numpy(np.lexsort((colours[:, 2], colours[:, 1], colours[:, 0], scene.opacities.numpy())))
+    scene = scene.select(order)
+    points = scene.means[scene.opacities > SOLID].double()
+    if not len(points):
+        got = f"none of {len(scene):,}"
+        do = "pass a splat that shows something"
+        raise InvalidValueError(message("scene", f"Gaussians with an opacity above {SOLID:g}", got, do))
+    centre = points.mean(0)
+    for _ in range(3):
+        gaps = (points - centre).norm(dim=1)
+        near = points[gaps <= quantile(gaps, _CROWD)]
+        centre = near.mean(0)
+    radius = float((near - centre).norm(dim=1).max())
+    if not radius > 0:
+        do = "pass a splat of a scene, not of a point"
+        raise InvalidValueError(message("scene", "Gaussians at several places", "all at one", do))
+    axes = torch.linalg.eigh((near - centre).T @ (near - centre)).eigenvectors.T.flip(0)
+    skew = ((near - centre) @ axes.T).pow(3).sum(0)
+    axes = axes * torch.where(skew < 0, -1.0, 1.0)[:, None].double()
+    if torch.linalg.det(axes) < 0:
+        axes[2] *= -1
+    to_frame = Similarity(rotation=axes, translation=-(axes @ centre) / radius, scale=1 / radius)
+    back = Similarity(rotation=axes.T.contiguous(), translation=centre, scale=radius)
+    return Frame(scene=scene.transform(to_frame), order=order, to_world=back)
+
+
+def targets(scene: GaussianScene) -> list[Target]:
+    """The objects of a splat: connected components that are no plane, at most `MOST_OBJECTS`; else where most of it is.
+
+    Args:
+        scene: In its own frame.
+    """
+    rows = (scene.opacities > SOLID).nonzero()[:, 0]
+    points = scene.means[rows].double()
+    label = clusters(scene.select(rows))
+    chosen: list[Target] = []
+    for number in range(min(_COMPONENTS, int(label.max()) + 1)):
+        part = points[label == number]
+        if len(part) < max(_LEAST_SHARE * len(points), _LEAST_COUNT) or _is_flat(part):
+            continue
+        centre = part.median(0).values
+        radius = _ROOM * quantile((part - centre).norm(dim=1), 0.95)
+        if any(_is_part(part, centre, radius, larger) for larger in chosen):
+            continue
+        up = _up(part, centre, radius, points[label != number])
+        chosen.append(Target(rows=rows[label == number], centre=centre, radius=radius, up=up))
+    chosen = chosen[:MOST_OBJECTS] or [_crowd(rows, points)]
+    ground = next((target.up for target in chosen if target.up is not None), None)
+    return [dataclasses.replace(target, up=ground) if target.up is None else target for target in chosen]
+
+
+def _is_part(part: Tensor, centre: Tensor, radius: float, larger: Target) -> bool:
+    """Whether a few points lie in an object that is not much larger, and so are seen well enough with it."""
+    inside = float((centre - larger.centre).norm()) < larger.radius
+    return inside and radius > _SAME * larger.radius and len(part) < _FEW * len(larger.rows)
+
+
+def whole(scene: GaussianScene) -> Target:
+    """All of a splat as one object.
+
+    Args:
+        scene: In its own frame.
+    """
+    rows = (scene.opacities > SOLID).nonzero()[:, 0]
+    points = scene.means[rows].double()
+    centre = points.median(0).values
+    return Target(rows=rows, centre=centre, radius=quantile((points - centre).norm(dim=1), 0.9), up=None)
+
+
+def quantile(values: Tensor, share: float) -> float:
+    """The value below which so large a share of (M,) values lies; of any number of them."""
+    return float(values.kthvalue(min(len(values), 1 + int(share * len(values)))).values)
+
+
+def _is_flat(points: Tensor) -> bool:
+    extents = torch.linalg.svdvals(points[:: max(1, len(points) // _SAMPLE)] - points.mean(0))
+    return bool(extents[2] < _FLAT * extents[0])
+
+
+def _crowd(rows: Tensor, points: Tensor) -> Target:
+    """Where most of a splat is whose Gaussians hang together."""
+    centre = points.median(0).values
+    gaps = (points - centre).norm(dim=1)
+    radius = 1.2 * float(gaps.median() if gaps.median() > 0 else gaps.max())
+    for _ in range(3):
+        near = points[(points - centre).norm(dim=1) <= 1.2 * radius]
+        centre = near.median(0).values if len(near) else centre
+    inside = (points - centre).norm(dim=1) <= radius
+    up = _up(points[inside], centre, radius, points)
+    return Target(rows=rows[inside], centre=centre, radius=radius, up=up)
+
+
+def _up(part: Tensor, centre: Tensor, radius: float, around: Tensor) -> Tensor | None:
+    """The normal of the ground of an object, on its side of it; None if it stands on none of the largest planes.
+
+    Args:
+        part: (M, 3) points of the object.
+        centre: (3,) of it.
+        radius: Of it.
+        around: (P, 3) points of what else there is.
+    """
+    near = around[(around - centre).norm(dim=1) < _GROUND * radius]
+    near = near[:: max(1, len(near) // _SAMPLE)]
+    for _ in range(_PLANES):
+        distances, _ = nearest_neighbours(near, 8)
+        if not distances.shape[1]:
+            return None
+        inside = find_plane(near, distances[:, -1], least=math.ceil(_PLANE_SHARE * len(near)) + 3)
+        if inside is None:
+            return None
+        ground, near = near[inside], near[~inside]
+        on = ground.mean(0)
+        normal: Tensor = torch.linalg.svd(ground - on, full_matrices=False).Vh[2]
+        heights = (part - on) @ normal
+        if heights.mean() < 0:
+            heights, normal = -heights, -normal
+        across = ground - centre - ((ground - centre) @ normal)[:, None] * normal
+        above = float((heights > -_UNDER * radius).double().mean()) >= _ONE_SIDE
+        touches = quantile(heights, 1 - _ONE_SIDE) < _TOUCH * radius
+        if above and touches and quantile(across.norm(dim=1), 0.9) > _BEYOND * radius:
+            return normal
+    return None

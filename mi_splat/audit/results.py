@@ -1,0 +1,183 @@
+"""What an audit says of a splat: a verdict, and for each object the evidence that it rests on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from mi_splat.cameras import Camera
+
+Verdict = Literal["nothing found", "suspicious", "hidden look"]
+"""What a splat is called, from the least to the most evidence."""
+
+_ORDER: tuple[Verdict, ...] = ("nothing found", "suspicious", "hidden look")
+
+Vector = tuple[float, float, float]
+
+EXCESS, SUSPICION = 0.006, 0.7
+"""Excess from which a look is called hidden, and share of it from which a splat is suspicious; see docs/audit.md."""
+COVERED = 0.1
+"""Score of an occluder from which a splat is suspicious."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Region:
+    """Directions from the middle of an object: a cone, a sector of azimuths above a ground, or all but these.
+
+    Attributes:
+        axis: (3,) unit vector, world: of a cone its axis, of a sector its middle, along the ground.
+        half_width: Degrees from the axis to the edge; of a sector degrees of azimuth.
+        elevation: Lowest and highest elevation of a sector, degrees above the object's ground; None of a cone.
+        complement: Whether all other directions are meant.
+        overlap: Intersection over union with the cameras that see the look, in [0, 1].
+    """
+
+    axis: Vector
+    half_width: float
+    elevation: tuple[float, float] | None = None
+    complement: bool = False
+    overlap: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Look:
+    """The set of directions that best explains how the colours of a surface change, and what gloss would explain.
+
+    Attributes:
+        region: The directions, in the simplest form that fits.
+        shown: (K,) bool, the cameras that see the look.
+        score: How much of the surface changes between the sides, and how far (sRGB), in [0, 1].
+        incidence: The same score, if colours follow the angle between surface and view.
+        mirror: The same score, if colours follow the direction in which a mirror would reflect.
+        area: World units squared of the surface that changes.
+    """
+
+    region: Region
+    shown: Tensor
+    score: float
+    incidence: float
+    mirror: float
+    area: float
+
+    @property
+    def excess(self) -> float:
+        """What neither rival explains; below 0 if one explains more."""
+        return self.score - max(self.incidence, self.mirror)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Occluder:
+    """Something in the air that covers an object from some directions, and that others look straight through.
+
+    Attributes:
+        axis: (3,) unit vector, world: the middle of the directions that are covered.
+        blocked: (K,) share of the rays to the object that end at something before it, by camera.
+        transparent: Share of that something that cameras which are not blocked look through.
+        score: Share of the cameras that are blocked, times `transparent`.
+    """
+
+    axis: Vector
+    blocked: Tensor
+    transparent: float
+    score: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Pair:
+    """Two cameras that prove a look: they see the same surface from inside and from outside of its directions.
+
+    Attributes:
+        inside: Sees the look.
+        outside: Sees the same surface without it.
+        change: Mean change of colour (sRGB) of the surface that both see, weighted by its score.
+    """
+
+    inside: Camera
+    outside: Camera
+    change: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ObjectAudit:
+    """One object and what its surface does.
+
+    Attributes:
+        rows: (M,) its Gaussians.
+        centre: (3,) world units.
+        radius: Of a ball that holds nearly all of it, world units.
+        up: (3,) unit vector, world, away from the ground it stands on; None if it stands on none.
+        directions: (K, 3) float64 unit vectors, world, from the centre to the cameras.
+        pieces: Pieces of surface that were judged.
+        area: World units squared of the surface that was judged.
+        uncontradicted: World units squared of surface that too few cameras see, or cameras of one side only: what is
+            shown there is not contradicted by anything.
+        look: The set of directions that explains most.
+        occluder: What covers the object; None if nothing does.
+        pair: Two cameras that prove the look; None if no two see the same surface.
+    """
+
+    rows: Tensor
+    centre: Vector
+    radius: float
+    up: Vector | None
+    directions: Tensor
+    pieces: int
+    area: float
+    uncontradicted: float
+    look: Look
+    occluder: Occluder | None
+    pair: Pair | None
+
+    @property
+    def evidence(self) -> float:
+        """Of a look, by which 1 is called hidden; not below 0."""
+        return max(0.0, self.look.excess / EXCESS)
+
+    @property
+    def covered(self) -> bool:
+        """Whether something covers the object that others see through; an honest canopy may, so it proves nothing."""
+        return self.occluder is not None and self.occluder.score >= COVERED
+
+    @property
+    def verdict(self) -> Verdict:
+        """Of this object alone."""
+        if self.evidence >= 1:
+            return "hidden look"
+        return "suspicious" if self.evidence >= SUSPICION or self.covered else "nothing found"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Audit:
+    """What is hidden in a splat, as far as the file itself can tell.
+
+    Attributes:
+        objects: From the largest; each was looked at by itself.
+        heat: (N,) score of the surface that each Gaussian makes up, 0 of those that no picture showed.
+        mask: (N,) bool, the Gaussians that carry most of what was found; none where nothing was.
+        near: Share of the Gaussians with an opacity above 0.1 that lie near one of the objects; nothing is known of the
+            others.
+    """
+
+    objects: tuple[ObjectAudit, ...]
+    heat: Tensor
+    mask: Tensor
+    near: float
+
+    @property
+    def strongest(self) -> ObjectAudit:
+        """The object with the most evidence."""
+        return max(self.objects, key=lambda item: (_ORDER.index(item.verdict), item.evidence))
+
+    @property
+    def verdict(self) -> Verdict:
+        """Of the object with the most evidence."""
+        return self.strongest.verdict
+
+
+def vector(values: Tensor) -> Vector:
+    """Three numbers of a tensor."""
+    x, y, z = values.detach().to(torch.float64).tolist()
+    return x, y, z

@@ -1,0 +1,241 @@
+"""Pieces of surface, and the colour that each camera sees on each: what all judgements are made of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from mi_splat.audit.frames import Target
+from mi_splat.cameras import Camera, look_at
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+
+SIZE, FOV = 128, 45.0
+"""Pixels of a picture to each side, and its field of view in degrees."""
+CAMERAS, CAMERAS_ALL_AROUND = 150, 240
+"""Cameras above a ground, and those around an object that stands on none."""
+LEAST_CAMERAS = 8
+"""A piece of surface that fewer cameras see is not judged."""
+_LEAST_PIXELS = 6
+"""A voxel that shows in fewer pixels of all pictures together is noise."""
+_LOWEST, _HIGHEST = 4.0, 88.0
+_DISTANCE, _NEAR = 2.6, 0.02
+"""Radii of the object from its centre to the cameras, and the near plane as a share of that."""
+_CELLS = 48
+"""Pieces of surface along the diameter of the object."""
+_OPAQUE, _FACING, _EDGE, _REACH, AROUND = 0.9, 0.25, 0.06, 2.4, 1.6
+"""Least opacity and least cosine to the view of a pixel that counts; jump of depth and distance from the centre, in
+radii, from which one does not; radii around the centre in which surface is judged."""
+_AGREED = 0.9
+"""Length of the mean normal below which cameras disagree about it: that piece is an edge, and not judged."""
+_BACKGROUND = (0.55, 0.7, 0.9)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sight:
+    """What the cameras around an object see.
+
+    Attributes:
+        cameras: K of them.
+        directions: (K, 3) float64 unit vectors from the centre to the cameras.
+        depths: The (H, W) median depth of each picture, infinite where nothing is.
+        pixels: (P,) int64 number of each pixel that shows surface, over all pictures.
+        points: (P, 3) where they are.
+        normals: (P, 3) towards the camera.
+        colours: (P, 3) sRGB in [0, 1].
+    """
+
+    cameras: tuple[Camera, ...]
+    directions: Tensor
+    depths: tuple[Tensor, ...]
+    pixels: Tensor
+    points: Tensor
+    normals: Tensor
+    colours: Tensor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Elements:
+    """Pieces of surface: what lies in one voxel and faces along the same axis.
+
+    Attributes:
+        moments: (E, K, 5) of each piece and camera: whether it is seen, its mean colour, and the sum of its squares.
+        positions: (E, 3).
+        normals: (E, 3) unit vectors.
+        judged: (E,) bool, no edge and near the object.
+        size: Side of a voxel.
+        of_pixels: (P,) int64 piece of each pixel of the sight; -1 where too few cameras see it.
+        unseen: Voxels near the object that show in some pictures, but of which no piece is seen by enough cameras.
+    """
+
+    moments: Tensor
+    positions: Tensor
+    normals: Tensor
+    judged: Tensor
+    size: float
+    of_pixels: Tensor
+    unseen: int
+
+
+def lattice(count: int, low: float, high: float) -> Tensor:
+    """(count, 3) float64 directions spread evenly over a band of elevations in degrees (Fibonacci lattice)."""
+    z = torch.linspace(math.sin(math.radians(low)), math.sin(math.radians(high)), count, dtype=torch.float64)
+    turn = torch.arange(count, dtype=torch.float64) * math.pi * (3 - math.sqrt(5))
+    ring = (1 - z * z).clamp(min=0).sqrt()
+    return torch.stack([ring * turn.cos(), ring * turn.sin(), z], 1)
+
+
+def basis(up: Tensor | None) -> Tensor:
+    """(3, 3) float64 rotation whose third column is `up`; that of the frame if there is none."""
+    if up is None:
+        return torch.eye(3, dtype=torch.float64)
+    helper = torch.eye(3, dtype=torch.float64)[int(up.abs().argmin())]
+    first = functional.normalize(torch.linalg.cross(up, helper), dim=0)
+    return torch.stack([first, torch.linalg.cross(up, first), up], 1)
+
+
+def cameras_around(target: Target) -> tuple[Camera, ...]:
+    """Cameras on a sphere around an object: above its ground, or all around where it stands on none."""
+    if target.up is None:
+        directions = lattice(CAMERAS_ALL_AROUND, -_HIGHEST, _HIGHEST)
+    else:
+        directions = lattice(CAMERAS, _LOWEST, _HIGHEST) @ basis(target.up).T
+    distance, focal = _DISTANCE * target.radius, SIZE / 2 / math.tan(math.radians(FOV / 2))
+    top = (0.0, 0.0, 1.0) if target.up is None else target.up.tolist()
+    return tuple(
+        Camera(
+            to_world=look_at((target.centre + distance * direction).tolist(), target.centre.tolist(), up=top),
+            focal=focal,
+            width=SIZE,
+            height=SIZE,
+        )
+        for direction in directions
+    )
+
+
+def near_of(target: Target, cameras: Sequence[Camera]) -> float:
+    """The near plane of pictures of an object from cameras."""
+    return _NEAR * float(torch.stack([camera.position - target.centre for camera in cameras]).norm(dim=1).median())
+
+
+def sight(scene: GaussianScene, target: Target, cameras: Sequence[Camera]) -> Sight:
+    """Look at an object from all cameras.
+
+    Args:
+        scene: All Gaussians.
+        target: The object.
+        cameras: K cameras.
+    """
+    render = Renderer(RenderSettings(background=_BACKGROUND, near=near_of(target, cameras)))
+    depths, parts, first = [], [], 0
+    with torch.no_grad():
+        for camera in cameras:
+            outputs = render.outputs(scene, camera)
+            depth = outputs.median_depth.masked_fill(outputs.alpha <= 0.5, math.inf)
+            points, normals, shown = _surface(outputs.median_depth, outputs.alpha, camera, target)
+            depths.append(depth)
+            pixels = shown.flatten().nonzero()[:, 0]
+            colours = outputs.image.clamp(0, 1).reshape(-1, 3)[pixels]
+            parts.append((pixels + first, points.reshape(-1, 3)[pixels], normals.reshape(-1, 3)[pixels], colours))
+            first += camera.width * camera.height
+    pixels, points, normals, colours = (torch.cat(values) for values in zip(*parts, strict=True))
+    positions = torch.stack([camera.position for camera in cameras])
+    directions = functional.normalize(positions - target.centre, dim=1)
+    return Sight(
+        cameras=tuple(cameras),
+        directions=directions,
+        depths=tuple(depths),
+        pixels=pixels,
+        points=points,
+        normals=normals,
+        colours=colours,
+    )
+
+
+def rays(camera: Camera) -> Tensor:
+    """(H, W, 3) float32 rays through the pixels in the world, of length 1 along the optical axis."""
+    x = (torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx
+    y = (torch.arange(camera.height) + 0.5 - camera.cy) / camera.fy
+    local = torch.stack([x.expand(camera.height, -1), y[:, None].expand(-1, camera.width)], -1)
+    local = torch.cat([local, torch.ones_like(local[..., :1])], -1)
+    return local @ camera.to_world[:3, :3].float().T
+
+
+def _surface(depth: Tensor, alpha: Tensor, camera: Camera, target: Target) -> tuple[Tensor, Tensor, Tensor]:
+    """(H, W, 3) points and normals of a picture, and (H, W) bool which pixels show surface.
+
+    A normal comes from the depths two pixels to each side; there may be no jump of depth between them.
+    """
+    eye, centre = camera.position.float(), target.centre.float()
+    points = rays(camera) * depth[..., None] + eye
+    along, down = torch.zeros_like(points), torch.zeros_like(points)
+    along[:, 2:-2] = points[:, 4:] - points[:, :-4]
+    down[2:-2] = points[4:] - points[:-4]
+    normals = torch.linalg.cross(along, down)
+    length = normals.norm(dim=-1)
+    normals = normals / length.clamp(min=1e-20)[..., None]
+    facing = (normals * functional.normalize(eye - points, dim=-1)).sum(-1)
+    normals = normals * facing.sign()[..., None]
+    shown = (alpha > _OPAQUE) & (depth > 0) & (length > 0) & (facing.abs() > _FACING)
+    shown &= (points - centre).norm(dim=-1) < _REACH * target.radius
+    edge = torch.zeros_like(shown)
+    for axis in (0, 1):
+        for step in (1, 2):
+            jump = (depth.roll(step, axis) - depth).abs() > _EDGE * target.radius
+            edge |= jump | jump.roll(-step, axis)
+    shown &= ~edge
+    shown[:2] = shown[-2:] = False
+    shown[:, :2] = shown[:, -2:] = False
+    return points, normals, shown
+
+
+def elements(view: Sight, target: Target) -> Elements:
+    """The pieces of surface that at least `LEAST_CAMERAS` cameras see.
+
+    Args:
+        view: What the cameras see.
+        target: The object.
+    """
+    size, count = 2 * target.radius / _CELLS, len(view.cameras)
+    sizes = torch.tensor([camera.width * camera.height for camera in view.cameras])
+    camera_of = torch.repeat_interleave(torch.arange(count), sizes)[view.pixels]
+    voxel = ((view.points - target.centre.float()) / size).floor().long() + 512
+    axis = view.normals.abs().argmax(1)
+    face = 2 * axis + (view.normals.gather(1, axis[:, None])[:, 0] > 0)
+    key = ((voxel[:, 0] * 1024 + voxel[:, 1]) * 1024 + voxel[:, 2]) * 8 + face
+    pieces, of_pixels = torch.unique(key, return_inverse=True)
+    pixels = torch.bincount(of_pixels, minlength=len(pieces))[:, None]
+    positions = _sums(view.points, of_pixels, len(pieces)) / pixels
+    normals = _sums(view.normals, of_pixels, len(pieces)) / pixels
+    near = (positions - target.centre.float()).norm(dim=1) < AROUND * target.radius
+    pairs, pair_of = torch.unique(of_pixels * count + camera_of, return_inverse=True)
+    seen_by = torch.bincount(pairs // count, minlength=len(pieces))
+    kept = seen_by >= LEAST_CAMERAS
+    number = torch.where(kept, kept.cumsum(0) - 1, -1)
+    colours = _sums(view.colours, pair_of, len(pairs)) / torch.bincount(pair_of)[:, None]
+    rows = torch.cat([torch.ones(len(pairs), 1), colours, colours.square().sum(1, keepdim=True)], 1)
+    there = kept[pairs // count]
+    moments = torch.zeros(int(kept.sum()) * count, 5)
+    moments[number[pairs[there] // count] * count + pairs[there] % count] = rows[there]
+    length = normals.norm(dim=1)
+    voxels, voxel_of = torch.unique(pieces[near] // 8, return_inverse=True)
+    shown = _sums(torch.stack([pixels[near, 0].float(), kept[near].float()], 1), voxel_of, len(voxels))
+    return Elements(
+        moments=moments.reshape(-1, count, 5),
+        positions=positions[kept],
+        normals=functional.normalize(normals[kept], dim=1),
+        judged=((length > _AGREED) & near)[kept],
+        size=size,
+        of_pixels=number[of_pixels],
+        unseen=int(((shown[:, 0] >= _LEAST_PIXELS) & (shown[:, 1] == 0)).sum()),
+    )
+
+
+def _sums(values: Tensor, group: Tensor, groups: int) -> Tensor:
+    """(groups, C) sums of rows."""
+    return torch.zeros(groups, values.shape[1]).index_add_(0, group, values)

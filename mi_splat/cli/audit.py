@@ -1,0 +1,110 @@
+"""`mi-splat audit`: does a splat show something from some directions only, from where, and in which Gaussians?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from mi_splat.cli.console import UsageError, progress, show_result, warn
+from mi_splat.cli.flags import Positional
+from mi_splat.cli.options import CameraOptions, JsonOptions
+from mi_splat.errors import MiSplatError, message
+from mi_splat.fields import Called
+
+if TYPE_CHECKING:
+    from mi_splat.audit.results import Audit
+
+
+EXAMPLES = (
+    "audit street.ply",
+    "audit a.ply b.spz --json",
+    "audit street.ply --out out/street-audit",
+)
+SEE_ALSO = ("select", "info", "view")
+FOUND, FAILED = 3, 1
+"""Exit status where something was found, and where a file could not be judged."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AuditOptions(JsonOptions):
+    """Say whether a splat shows something from some directions only, from where, and which Gaussians carry it.
+
+    Nothing but the file is used. Exit status: 0 nothing found, 3 something was, 1 a file could not be judged. What no
+    file can tell, its page in the documentation says.
+    """
+
+    files: Positional[Annotated[tuple[Path, ...], Called("FILE")]]
+    """Splat files of any format that is read, or scene XMLs made of splats."""
+    cameras: Annotated[tuple[str, ...], Called("CAMERAS")] = ()
+    """Look from these, in the forms that `mi-splat render` takes: the cameras.json beside a splat, for instance, or
+    of a room those that stand in it. Without, from a sphere around each object."""
+    out: Path | None = None
+    """Folder for result.json, the two pictures that prove a look, the splat coloured by heat, and the mask of the
+    Gaussians that `mi-splat select --mask` takes; of several files a folder in it for each."""
+    force: bool = False
+    """Replace an older result in --out."""
+    strict: bool = False
+    """Let the exit status be 3 for what is suspicious, too."""
+
+
+def run(options: AuditOptions) -> int:
+    """Audit every file, also after one that could not be judged."""
+    from mi_splat.io.folders import check_new_folder
+
+    folders = _folders(options)
+    for folder in folders.values():
+        check_new_folder(folder, force=options.force)
+    results, failures = [], 0
+    for path in options.files:
+        try:
+            document = _audited(path, folders.get(path), options)
+        except (MiSplatError, OSError) as error:
+            if len(options.files) == 1:
+                raise
+            failures += 1
+            warn(f"{path}: {' '.join(str(error).split())}")
+            document = {"file": str(path), "verdict": None, "error": str(error)}
+        results.append(document)
+    lines = [line for document in results if "error" not in document for line in _lines(document)]
+    show_result(results[0] if len(results) == 1 else {"files": results}, *lines, as_json=options.json)
+    bad = {"hidden look", "suspicious"} if options.strict else {"hidden look"}
+    if failures:
+        return FAILED
+    return FOUND if any(document["verdict"] in bad for document in results) else 0
+
+
+def _folders(options: AuditOptions) -> dict[Path, Path]:
+    """The folder of each file's result, if they are wanted."""
+    if options.out is None:
+        return {}
+    if len(options.files) == 1:
+        return {options.files[0]: options.out}
+    folders = {path: options.out / path.stem for path in options.files}
+    if len(set(folders.values())) < len(options.files):
+        do = "rename one, or audit them one by one"
+        raise UsageError(message("--out", "files of different names", [path.name for path in options.files], do))
+    return folders
+
+
+def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str, Any]:
+    """Audit one file and write its result, if that is wanted."""
+    from mi_splat.audit.auditing import audit
+    from mi_splat.audit.files import document, write
+    from mi_splat.cli.cameras import find_cameras
+    from mi_splat.scene_files import open_scene
+
+    with progress(f"auditing {path.name}"):
+        loaded = open_scene(path)
+        cameras = None
+        if options.cameras:
+            cameras = tuple(find_cameras(loaded, CameraOptions(cameras=options.cameras)).values())
+        judged: Audit = audit(loaded.scene, cameras=cameras)
+        files = write(judged, loaded.scene, folder, source=str(path), force=options.force) if folder else []
+    return {"file": str(path), **document(judged), "files": [str(file) for file in files]}
+
+
+def _lines(document: dict[str, Any]) -> list[str]:
+    """A result for a human."""
+    first, *rest = document["story"]
+    return [f"{document['file']}: {first}", *(f"  {line}" for line in rest), *document["files"]]

@@ -1,0 +1,272 @@
+"""Hidden looks are found, honest splats are not called so, and a file that cannot be judged gets no verdict."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from attacks import cli
+from mi_splat.audit import Audit, Occluder, audit
+from mi_splat.audit import surfaces as seen_surfaces
+from mi_splat.audit.evidence import split_of
+from mi_splat.audit.frames import Target
+from mi_splat.audit.occluders import cover_of
+from mi_splat.audit.regions import shape_of
+from mi_splat.audit.story import headline
+from mi_splat.audit.surfaces import Sight, cameras_around, lattice
+from mi_splat.cameras import Camera, look_at
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import load_splat, save_splat
+from mi_splat.rotation import to_matrix
+from mi_splat.scene import GaussianScene, Similarity
+from tests.audit import scenes
+from tests.audit.scenes import Made, cone, direction, hidden, sector, standing
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _few_small_pictures() -> object:
+    """Of every object 80 pictures of 96 pixels, not 150 of 128: the same answers in a third of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(seen_surfaces, "SIZE", 96)
+        patch.setattr(seen_surfaces, "CAMERAS", 80)
+        patch.setattr(seen_surfaces, "CAMERAS_ALL_AROUND", 130)
+        yield
+
+
+@pytest.fixture(scope="module")
+def suitcase() -> Made:
+    return standing("suitcase", count=1500)
+
+
+@pytest.fixture(scope="module")
+def from_above(suitcase: Made) -> Made:
+    return hidden(suitcase, cone(direction(90, 0), 50))
+
+
+@pytest.fixture(scope="module")
+def judged(from_above: Made) -> Audit:
+    return audit(from_above.scene)
+
+
+def overlap(judged: Audit, inside: Callable[[torch.Tensor], torch.Tensor]) -> float:
+    """Intersection over union of the cameras that are said to see the look with those that do."""
+    item = judged.strongest
+    truth = inside(item.directions.float())
+    return float((item.look.shown & truth).sum() / (item.look.shown | truth).sum())
+
+
+def test_a_look_from_above_is_found_with_its_directions_and_gaussians(judged: Audit, from_above: Made) -> None:
+    assert judged.verdict == "hidden look"
+    item = judged.strongest
+    assert item.up == pytest.approx((0, 0, 1), abs=0.02)
+    assert overlap(judged, cone(direction(90, 0), 50)) > 0.7
+    assert item.look.region.axis[2] > 0.97
+    assert item.look.region.half_width == pytest.approx(50, abs=10)
+    assert not item.look.region.complement
+    assert item.look.excess > max(item.look.incidence, item.look.mirror) / 3
+    ours, others = judged.heat[from_above.rows], judged.heat[~from_above.rows]
+    assert float(ours.median()) > 4 * float(others.median())
+    assert float((judged.mask & from_above.rows).sum() / judged.mask.sum()) > 0.5
+
+
+def test_the_pair_of_pictures_proves_it(judged: Audit) -> None:
+    item = judged.strongest
+    assert item.pair is not None
+    assert item.pair.change > 0.1
+    places = torch.stack([item.pair.inside.position, item.pair.outside.position]) - torch.tensor(item.centre)
+    heights = (places[:, 2] / places.norm(dim=1)).asin().rad2deg()
+    assert heights[0] > heights[1] + 3
+
+
+def test_layers_that_switch_are_found(suitcase: Made) -> None:
+    assert audit(scenes.layered(suitcase).scene).verdict == "hidden look"
+
+
+def test_a_sector_is_found_and_called_one(suitcase: Made) -> None:
+    inside = sector(180, 40, -10, 45)
+    judged = audit(hidden(suitcase, inside, colour=(0.75, 0.12, 0.1)).scene)
+    assert judged.verdict == "hidden look"
+    assert overlap(judged, inside) > 0.55
+    assert judged.strongest.look.region.axis[0] < -0.8
+
+
+@pytest.mark.parametrize("make", [scenes.glossy, scenes.metal, scenes.velvet, scenes.noisy, lambda made: made])
+def test_honest_splats_are_not_called_hidden(make: Callable[[Made], Made]) -> None:
+    judged = audit(make(standing("car", count=1500)).scene)
+    assert judged.verdict == "nothing found"
+    assert not judged.mask.any()
+
+
+def test_a_little_of_a_look_is_less_evidence(suitcase: Made, judged: Audit) -> None:
+    """A look that is mixed into the own colours hides nothing any more."""
+    faint = audit(hidden(suitcase, cone(direction(90, 0), 50), amount=0.15).scene)
+    assert faint.verdict == "nothing found"
+    assert faint.strongest.evidence < 0.4 * judged.strongest.evidence
+
+
+def test_leaves_over_an_object_are_honest(suitcase: Made) -> None:
+    """They are no ground either, though they lie in a plane nearly."""
+    judged = audit(scenes.leaves(suitcase).scene)
+    assert judged.verdict == "nothing found"
+    assert judged.strongest.up == pytest.approx((0, 0, 1), abs=0.02)
+
+
+def test_an_occluder_alone_is_no_proof(judged: Audit) -> None:
+    """It is named, and no more: an honest canopy may look the same."""
+    item = judged.strongest
+    dark = torch.ones(len(item.directions))
+    cover = Occluder(axis=(0.0, 0.0, 1.0), blocked=dark, transparent=0.5, score=0.5)
+    plain = dataclasses.replace(item.look, score=0.0)
+    covered = dataclasses.replace(judged, objects=(dataclasses.replace(item, look=plain, occluder=cover),))
+    assert covered.verdict == "suspicious"
+    assert headline(covered).startswith(
+        "suspicious: something in the air covers an object from around (0.00 0.00 1.00)"
+    )
+
+
+def test_the_verdict_does_not_depend_on_axes_units_and_rows(judged: Audit, from_above: Made) -> None:
+    scene = from_above.scene
+    turn = to_matrix(torch.nn.functional.normalize(torch.tensor([0.3, -0.5, 0.7, 0.2], dtype=torch.float64), dim=0))
+    shift = torch.tensor([30.0, -5.0, 12.0], dtype=torch.float64)
+    order = torch.randperm(len(scene), generator=torch.Generator().manual_seed(3))
+    moved = scene.transform(Similarity(rotation=turn, translation=shift, scale=0.05)).select(order)
+    again = audit(moved)
+    assert again.verdict == judged.verdict
+    first, second = judged.strongest.look, again.strongest.look
+    assert second.excess == pytest.approx(first.excess, rel=0.1)
+    turned = turn @ torch.tensor(first.region.axis, dtype=torch.float64)
+    assert float(turned @ torch.tensor(second.region.axis, dtype=torch.float64)) > math.cos(math.radians(5))
+    same = (again.mask == judged.mask[order]).double().mean()
+    assert float(same) > 0.95
+
+
+def test_given_cameras_look_at_all_that_they_see(from_above: Made) -> None:
+    eyes = 7 * lattice(60, 5.0, 85.0) * float(from_above.scene.means[from_above.rows].norm(dim=1).max()) / 2
+    cameras = [
+        Camera(to_world=look_at(eye.tolist(), (0.0, 0.0, 0.1)), focal=200.0, width=160, height=120) for eye in eyes
+    ]
+    judged = audit(from_above.scene, cameras=cameras)
+    assert judged.verdict == "hidden look"
+    assert len(judged.objects) == 1
+    with pytest.raises(InvalidValueError, match="cameras: expected at least 12, got 3"):
+        audit(from_above.scene, cameras=cameras[:3])
+    away = [
+        Camera(to_world=look_at(eye.tolist(), (2 * eye).tolist()), focal=200.0, width=64, height=64) for eye in eyes
+    ]
+    with pytest.raises(InvalidValueError, match=r"pieces of surface .* pass cameras that see more of it"):
+        audit(from_above.scene, cameras=away)
+
+
+def test_what_cannot_be_judged_gets_no_verdict(suitcase: Made) -> None:
+    scene = suitcase.scene
+    clear = scene.replace(opacities=torch.full((len(scene),), 0.01))
+    for empty in (clear, scene.select(slice(0, 0))):
+        with pytest.raises(InvalidValueError, match=r"Gaussians with an opacity above 0\.1, got none"):
+            audit(empty)
+    with pytest.raises(InvalidValueError, match="Gaussians at several places, got all at one"):
+        audit(scene.select(slice(0, 1)))
+    with pytest.raises(InvalidValueError, match="pieces of surface"):
+        audit(scene.select(torch.tensor([0, 700])))
+
+
+def test_a_plane_alone_is_judged() -> None:
+    """Of one plane, a direction and an angle of incidence are the same thing: gloss explains all."""
+    judged = audit(scenes.ground(3.0, 900))
+    assert judged.verdict == "nothing found"
+    assert judged.strongest.pieces > 300
+
+
+def test_what_covers_an_object_from_above_and_lets_others_through() -> None:
+    """By depths alone: a lid that cameras above see, and no camera at the side does."""
+    centre, up = torch.zeros(3, dtype=torch.float64), torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    target = Target(rows=torch.arange(2), centre=centre, radius=1.0, up=up)
+    cameras = cameras_around(target)
+    directions = torch.stack([camera.position for camera in cameras]) / 2.6
+    lid, thing = torch.full((96, 96), 1.0), torch.full((96, 96), 2.6)
+    depths = tuple(lid if float(d[2]) > 0.7 else thing for d in directions)
+    nothing = torch.zeros(0, 3)
+    view = Sight(
+        cameras=cameras,
+        directions=directions,
+        depths=depths,
+        pixels=torch.zeros(0, dtype=torch.int64),
+        points=nothing,
+        normals=nothing,
+        colours=nothing,
+    )
+    scene = GaussianScene(
+        means=torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, 0.2]]),
+        scales=torch.full((2, 3), 0.1),
+        rotations=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).expand(2, 4).contiguous(),
+        opacities=torch.ones(2),
+        sh=torch.zeros(2, 1, 3),
+    )
+    cover = cover_of(scene, view, target)
+    assert torch.equal(cover.blocked > 0.3, directions[:, 2] > 0.7)
+    assert cover.transparent > 0.9
+    assert cover.score == pytest.approx(float((directions[:, 2] > 0.7).double().mean()), rel=0.1)
+
+
+def test_shapes_of_directions_are_named() -> None:
+    directions, up = lattice(400, 0.0, 90.0), torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    tilted = direction(60, 45)
+    ring = cone(tilted, 30)(directions.float())
+    shape = shape_of(directions, ring, up)
+    assert shape.elevation is None
+    assert not shape.complement
+    assert shape.half_width == pytest.approx(30, abs=3)
+    assert float(shape.axis @ tilted.double()) > 0.995
+    outside = shape_of(directions, ~ring, up)
+    assert outside.complement
+    assert outside.overlap > 0.95
+    wedge = shape_of(directions, sector(200, 25, 10, 50)(directions.float()), up)
+    assert wedge.elevation is not None
+    assert wedge.overlap > 0.7
+    assert math.degrees(math.atan2(float(wedge.axis[1]), float(wedge.axis[0]))) % 360 == pytest.approx(200, abs=5)
+
+
+def test_heat_is_parted_between_its_two_groups() -> None:
+    values = torch.cat([torch.full((900,), 0.01), torch.full((100,), 0.5)])
+    assert 0.01 < split_of(values) < 0.5
+    assert split_of(torch.zeros(0)) == 0.0
+
+
+def test_the_command_writes_what_it_found(
+    from_above: Made, suitcase: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_splat(from_above.scene, tmp_path / "bad.ply")
+    save_splat(suitcase.scene.replace(opacities=torch.full((len(suitcase.scene),), 0.02)), tmp_path / "clear.ply")
+    out = tmp_path / "out"
+    assert cli.main(["audit", str(tmp_path / "bad.ply"), "--out", str(out)]) == 3
+    text = capsys.readouterr().out
+    assert "bad.ply: hidden look: an object has other colours within" in text
+    assert ", from above" in text
+    record = json.loads((out / "result.json").read_text())
+    assert record["kind"] == "audit"
+    assert record["verdict"] == "hidden look"
+    assert record["story"][0].startswith("hidden look")
+    assert {camera["name"] for camera in record["cameras"]} == {"inside", "outside"}
+    with Image.open(out / "pair.png") as picture:
+        pixels = np.asarray(picture.convert("RGB")).astype(int)
+    assert pixels.shape == (512, 1032, 3)
+    assert np.abs(pixels[200:400, 100:400] - pixels[200:400, 620:920]).mean() > 5
+    mask = np.load(out / "mask.npy")
+    assert len(load_splat(out / "heat.ply")) == len(mask) == len(from_above.scene)
+    words = ["select", str(tmp_path / "bad.ply"), "--mask", str(out / "mask.npy"), "--size", "32", "--json"]
+    assert cli.main(words) == 0
+    assert json.loads(capsys.readouterr().out)["gaussians"] == int(mask.sum()) == record["carrying"]
+    assert cli.main(["audit", str(tmp_path / "clear.ply")]) == 1
+    assert "expected Gaussians with an opacity above 0.1" in capsys.readouterr().err
+    both = ["audit", str(tmp_path / "clear.ply"), str(tmp_path / "none.ply"), "--json"]
+    assert cli.main(both) == 1
+    assert [file["verdict"] for file in json.loads(capsys.readouterr().out)["files"]] == [None, None]
+    same = ["audit", str(tmp_path / "a" / "x.ply"), str(tmp_path / "b" / "x.ply"), "--out", str(out / "new")]
+    assert cli.main(same) == 2
