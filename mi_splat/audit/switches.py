@@ -96,7 +96,6 @@ class Scores:
         mirror: Score of the best set of mirrored directions.
         axis: (3,) of the best set of directions.
         half_width: Its, in degrees.
-        pieces: Pieces of surface that were judged: some set of directions has both of its sides see them.
     """
 
     direction: float
@@ -104,7 +103,6 @@ class Scores:
     mirror: float
     axis: Tensor
     half_width: float
-    pieces: int
 
 
 def angles_between(first: Tensor, second: Tensor) -> Tensor:
@@ -187,7 +185,6 @@ def explain(pieces: Elements, view: Sight, radius: float) -> Scores:
         mirror=float(by_rival[len(_COSINES) :].max()),
         axis=sets.axes[best],
         half_width=float(sets.half_widths[best]),
-        pieces=able,
     )
 
 

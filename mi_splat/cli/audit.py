@@ -10,7 +10,7 @@ from mi_splat.cli.console import UsageError, progress, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, JsonOptions
 from mi_splat.errors import MiSplatError, message
-from mi_splat.fields import Called
+from mi_splat.fields import Called, Folder
 
 if TYPE_CHECKING:
     from mi_splat.audit.results import Audit
@@ -39,7 +39,7 @@ class AuditOptions(JsonOptions):
     cameras: Annotated[tuple[str, ...], Called("CAMERAS")] = ()
     """Look from these, in the forms that `mi-splat render` takes: the cameras.json beside a splat, for instance, or
     of a room those that stand in it. Without, from a sphere around each object."""
-    out: Path | None = None
+    out: Folder | None = None
     """Folder for result.json, the two pictures that prove a look, the splat coloured by heat, and the mask of the
     Gaussians that `mi-splat select --mask` takes; of several files a folder in it for each."""
     force: bool = False
