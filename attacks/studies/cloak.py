@@ -21,6 +21,7 @@ the study says comes in the place of what stands there. Every point is done with
 from __future__ import annotations
 
 import statistics
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -246,6 +247,9 @@ class CloakWork(Work):
         where = f"{self.study.name}, judge"
         judges = [decode(CloakJudge, with_none(judge.settings), where) for judge in self.study.judges()]
         looks = [look for judge in judges for look in judge.looks(steps, detectors)]
+        if twice := [label for label, number in Counter(look.label for look in looks).items() if number > 1]:
+            do = "tell judges apart by detector and condition"
+            raise InvalidValueError(message(where, "one look", f"two: {twice[0]}", do))
         return CloakPoint(part=part, value=value, steps=steps, detectors=detectors, looks=looks)
 
     def check_room(self, store: Path) -> None:

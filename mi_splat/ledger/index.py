@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 import statistics
@@ -57,7 +58,6 @@ class Index:
     def __init__(self, folder: Path, name: str) -> None:
         self._path = folder / "plans" / f"{name}.json"
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._known = {line[0]: line[4:] for line in _read(self._path)} if self._path.is_file() else {}
         self._lines: dict[str, list[Any]] = {}
         self._written = time.monotonic()
 
@@ -65,7 +65,7 @@ class Index:
         """A job of the plan, under one more label."""
         if (line := self._lines.get(job.identity)) is None:
             before = [needed.identity for needed in job.before]
-            line = [job.identity, job.kind, before, [], *self._known.get(job.identity, ("", ""))]
+            line = [job.identity, job.kind, before, [], "", ""]
             self._lines[job.identity] = line
         if label and label not in line[3]:
             line[3].append(label)
@@ -78,7 +78,10 @@ class Index:
         self.add(job)
 
     def write(self) -> None:
-        """Write the list of jobs."""
+        """Write the list of jobs, and keep the keys that another driver of the plan has written."""
+        known = _keys([self._path])
+        for line in self._lines.values():
+            line[4:] = line[4:] if line[5] else known.get(line[0], ("", ""))
         save_text(json.dumps(list(self._lines.values())), self._path)
         self._written = time.monotonic()
 
@@ -86,7 +89,18 @@ class Index:
 def _read(path: Path) -> list[list[Any]]:
     """Identity, kind, identities of those before, labels, code and key of every job of a plan."""
     lines: list[list[Any]] = _READER.read_json_value(path)
+    if not isinstance(lines, list) or not all(isinstance(line, list) and len(line) == 6 for line in lines):
+        raise _READER.broken(str(path), "another document")
     return lines
+
+
+def _keys(plans: Iterable[Path]) -> dict[str, tuple[str, str]]:
+    """Code and key of each job by its identity, where a plan knows them, the last one that does."""
+    keys: dict[str, tuple[str, str]] = {}
+    for path in plans:
+        with contextlib.suppress(InvalidValueError):  # none, or one that planning again replaces
+            keys |= {identity: (code, key) for identity, *_, code, key in _read(path) if key}
+    return keys
 
 
 def plan(store: Store, name: str, jobs: Mapping[str, Job]) -> list[Entry]:
@@ -139,7 +153,10 @@ def status(store: Store, name: str) -> list[Entry]:
         raise InvalidValueError(message(str(path), "a plan", "none", "plan or run the study first"))
     lines = _read(path)
     finished, live, failed = store.keys(), store.leases.live(), store.failed()
-    keys = {identity: key if code_digest(kind) == code else "" for identity, kind, _, _, code, key in lines}
+    others = sorted(other for other in path.parent.glob("*.json") if other != path)
+    known = _keys([*others, path])  # what another plan has done, this one knows
+    coded = {identity: known.get(identity, ("", "")) for identity, *_ in lines}
+    keys = {name: coded[name][1] if code_digest(kind) == coded[name][0] else "" for name, kind, *_ in lines}
     earlier = {identity: before for identity, _, before, *_ in lines}
 
     @functools.cache

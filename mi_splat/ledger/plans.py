@@ -94,11 +94,13 @@ class Driver:
 
     def _job(self, job: Job, label: str = "") -> asyncio.Task[Result]:
         """The coroutine of a job, begun with those of all before it if the job is new."""
-        if self._index is not None and (label or job.identity not in self._jobs):
-            self._index.add(job, label)
         if job.identity not in self._jobs:
             before = [(needed, self._job(needed)) for needed in job.before]
+            if self._index is not None:  # after those before it: whenever the index is read, it is whole
+                self._index.add(job)
             self._jobs[job.identity] = asyncio.get_running_loop().create_task(self._done(job, before))
+        if self._index is not None and label:
+            self._index.add(job, label)
         return self._jobs[job.identity]
 
     async def _done(self, job: Job, before: Iterable[tuple[Job, asyncio.Task[Result]]]) -> Result:

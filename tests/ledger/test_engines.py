@@ -14,10 +14,11 @@ from pathlib import Path
 import pytest
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.ledger import Done, Event, Job, Ledger, Store
+from mi_splat.io.documents import save_text
+from mi_splat.ledger import Done, Event, Job, Ledger, Store, index
 from mi_splat.ledger.child import Limits
 from mi_splat.ledger.engines import InProcess, Processes, share_of_cores
-from mi_splat.ledger.index import forecast, plan, status
+from mi_splat.ledger.index import Index, forecast, plan, status
 from mi_splat.ledger.job import EngineError, Task
 from mi_splat.ledger.plans import Driver, Plan, Result, grid
 from mi_splat.ledger.running import task_for
@@ -208,3 +209,39 @@ def bytes_of(folder: Path) -> dict[str, object]:
     store = Store(folder)
     done = map(store.existing, store.keys())
     return {job.key: (job.record["files"], job.rows) for job in done}
+
+
+def test_what_one_plan_has_done_another_one_knows(tmp_path: Path) -> None:
+    store, jobs = Store(tmp_path), {"second": walk(2, one=walk(1))}
+    plan(store, "earlier", jobs)
+    run(tmp_path, jobs)
+    assert [entry.state for entry in status(store, "earlier")] == ["done", "done"]
+    (tmp_path / "plans" / "broken.json").write_text("[[]]")
+    assert [entry.state for entry in status(store, "earlier")] == ["done", "done"]
+    with pytest.raises(InvalidValueError, match="expected a list of jobs"):
+        status(store, "broken")
+    assert [entry.state for entry in plan(store, "broken", jobs)] == ["done", "done"]
+
+
+def test_a_driver_that_ends_early_takes_no_keys_from_another_one(tmp_path: Path) -> None:
+    store, jobs = Store(tmp_path), {"second": walk(2, one=walk(1))}
+    early = Index(tmp_path, "plan")
+    early.add(walk(1))
+    early.add(jobs["second"], "second")
+    run(tmp_path, jobs)
+    early.write()
+    assert [entry.state for entry in status(store, "plan")] == ["done", "done"]
+
+
+def test_a_list_of_jobs_is_whole_whenever_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(index, "_OFTEN", -1.0)
+    counts = []
+
+    def written(text: str, path: Path) -> None:
+        save_text(text, path)
+        counts.append(len(status(Store(tmp_path), "plan")))
+
+    monkeypatch.setattr(index, "save_text", written)
+    run(tmp_path, {"second": walk(2, one=walk(1)), "third": walk(3)})
+    assert counts[:3] == [1, 2, 2]
+    assert counts[-1] == 3
