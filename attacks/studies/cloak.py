@@ -233,8 +233,8 @@ class CloakWork(Work):
 
     def __init__(self, study: Study) -> None:
         self.study = study
-        self.attempts: list[CloakPoint] = [self._point(point) for point in study.points() if isinstance(point, Point)]
-        if len(self.attempts) < len(list(study.points())):
+        self.attempts: list[CloakPoint] = [self._point(point) for point in study.points]
+        if any(point.bisected for point in study.points):
             raise InvalidValueError(message(study.name, "no bisect, for want of a single aim", "one", "leave it out"))
 
     def _point(self, point: Point) -> CloakPoint:
@@ -245,7 +245,7 @@ class CloakWork(Work):
         part = point.part or " and ".join(point.labels) or self.study.name
         steps = StudySteps(study=config, folder=Path("."))
         where = f"{self.study.name}, judge"
-        judges = [decode(CloakJudge, with_none(judge.settings), where) for judge in self.study.judges()]
+        judges = [decode(CloakJudge, with_none(judge.settings), where) for judge in self.study.judges]
         looks = [look for judge in judges for look in judge.looks(steps, detectors)]
         if twice := [label for label, number in Counter(look.label for look in looks).items() if number > 1]:
             do = "tell judges apart by detector and condition"

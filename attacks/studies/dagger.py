@@ -24,10 +24,10 @@ from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.observe.conditions import SunTable
 from attacks.studies.attack import SPLAT, WHOLE_SPLAT, DrawnAttack, FixedAttack
 from attacks.studies.look import Look
-from attacks.studies.plan import Work
+from attacks.studies.plan import Work, bisection
 from attacks.studies.result import record_of, write_result
 from attacks.studies.scenes import check_scene, scene_files, street_of
-from attacks.studies.study_file import Point, Search, Settings, Study, label_of, with_none
+from attacks.studies.study_file import Point, Settings, Study, label_of, with_none
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import FieldError, check_choice, decode, several
 from mi_splat.ledger import Done, Job, Part
@@ -177,7 +177,6 @@ class Attempt:
         scene: Path of the scene.
         job: The attack.
         looks: Those at its splat, by their labels.
-        bisected: The axis of which the smallest value is looked for; empty for none.
     """
 
     label: str
@@ -185,7 +184,6 @@ class Attempt:
     scene: Path
     job: Job
     looks: Mapping[str, Job]
-    bisected: str = ""
 
     def jobs(self) -> dict[str, Job]:
         """Every job by its label."""
@@ -200,42 +198,31 @@ class DaggerWork(Work):
     """
 
     def __init__(self, study: Study) -> None:
-        self.study, self._groups, self._judges = study, list(study.points()), study.judges()
-        self.searches = [group for group in self._groups if isinstance(group, Search)]
-        self._by_point: dict[int, Attempt] = {}
-        for group in self._groups:
-            points, bisected = (group.points, group.field) if isinstance(group, Search) else ((group,), "")
-            self._by_point |= {id(point): self._attempt(point, bisected) for point in points}
-        self.attempts: list[Attempt] = list(self._by_point.values())
+        self.study = study
+        self.attempts: list[Attempt] = [self._attempt(point) for point in study.points]
+        searches: dict[Any, list[Attempt]] = {}
+        for attempt in self.attempts:
+            if bisected := attempt.point.bisected:
+                alike = [label for label in attempt.point.labels.items() if label[0] != bisected]
+                searches.setdefault((attempt.point.part, *alike), []).append(attempt)
+        self.searches: list[list[Attempt]] = list(searches.values())
         if not self.attempts:
             raise InvalidValueError(message(study.name, "something to do", "nothing", "add settings"))
 
-    def _attempt(self, point: Point, bisected: str) -> Attempt:
+    def _attempt(self, point: Point) -> Attempt:
         name, kind = self.study.name, DrawnAttack if self.study.kind == "dagger-eot" else FixedAttack
         scene, job = attack_of(kind, point.settings, f"{name}, {point.part}" if point.part else name)
         label, looks = ": ".join(filter(None, (point.part, _named(point.labels)))) or name, dict[str, Job]()
-        for judge in self._judges:
+        for judge in self.study.judges:
             for look in decode(Judge, with_none(judge.settings), f"{name}, judge").looks(scene, job):
                 looks[f"{label} / {_named({**judge.labels, 'detector': look.config.detector})}"] = look
-        return Attempt(label=label, point=point, scene=scene, job=job, looks=looks, bisected=bisected)
+        return Attempt(label=label, point=point, scene=scene, job=job, looks=looks)
 
     def plans(self) -> list[Plan]:
         """One of all points that are known, and one for each search."""
-        known = [self._by_point[id(group)].jobs() for group in self._groups if isinstance(group, Point)]
+        known = [attempt.jobs() for attempt in self.attempts if not attempt.point.bisected]
         fixed = [grid({label: job for jobs in known for label, job in jobs.items()})] if known else []
-        return [*fixed, *map(self._bisected, self.searches)]
-
-    def _bisected(self, search: Search) -> Plan:
-        outcomes: dict[int, bool | None] = {}
-        while True:
-            last = search.asked(lambda point: outcomes.get(id(point)))[-1]
-            if id(last) in outcomes:
-                return
-            attempt = self._by_point[id(last)]
-            result = ((yield attempt.jobs()) or {}).get(attempt.label)
-            if not isinstance(result, Done):  # it failed: nothing is known of those beyond it
-                return
-            outcomes[id(last)] = bool(record_of(result)["success"])
+        return [*fixed, *(bisection(attempts, _suffices) for attempts in self.searches)]
 
     def done(self, results: Mapping[str, Result]) -> Iterator[tuple[Attempt, Done]]:
         """The attacks that are done."""
@@ -247,6 +234,11 @@ class DaggerWork(Work):
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
         """As in `Work`."""
         return write_result(self, results, out)
+
+
+def _suffices(attempt: Attempt, results: Mapping[str, Result]) -> bool | None:
+    result = results.get(attempt.label)
+    return bool(record_of(result)["success"]) if isinstance(result, Done) else None
 
 
 def _named(labels: Mapping[str, Any]) -> str:

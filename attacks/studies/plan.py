@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
-from attacks.studies.study_file import Search, Study
+from attacks.studies.study_file import Study
 from mi_splat.ledger import Job
 from mi_splat.ledger.plans import Plan, Result, grid
 
@@ -19,18 +19,21 @@ class Attempt(Protocol):
         ...
 
 
+_Attempt = TypeVar("_Attempt", bound=Attempt)
+
+
 class Work:
     """The jobs of a study.
 
     Attributes:
         study: The study.
         attempts: Every point that may be asked for.
-        searches: Those of which some points are.
+        searches: Those of which some are, search by search.
     """
 
     study: Study
     attempts: Sequence[Attempt]
-    searches: Sequence[Search] = ()
+    searches: Sequence[Sequence[Attempt]] = ()
 
     def jobs(self) -> dict[str, Job]:
         """Every job that may be asked for, by its label."""
@@ -63,3 +66,20 @@ class Work:
             out: The folder.
         """
         raise NotImplementedError
+
+
+def bisection(attempts: Sequence[_Attempt], suffices: Callable[[_Attempt, Mapping[str, Result]], bool | None]) -> Plan:
+    """A plan that looks for the first attempt that suffices.
+
+    Args:
+        attempts: Of which those after one that suffices are taken to suffice as well.
+        suffices: Whether an attempt does, by the results of its jobs; None if it failed: then nothing is known of those
+            beyond it, and the search ends.
+    """
+    low, high = -1, len(attempts)  # fails, suffices
+    while high - low > 1:
+        middle = (low + high) // 2
+        enough = suffices(attempts[middle], (yield attempts[middle].jobs()) or {})
+        if enough is None:
+            return
+        low, high = (low, middle) if enough else (middle, high)

@@ -109,7 +109,7 @@ def _attack(attempt: Attempt, result: Done) -> dict[str, Any]:
     return {
         "part": attempt.point.part,
         "labels": dict(attempt.point.labels),
-        "bisected": attempt.bisected,
+        "bisected": attempt.point.bisected,
         "sources": list(config.detectors),
         "target": config.objective.label,
         "confidence": config.objective.confidence,

@@ -32,7 +32,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,26 +50,10 @@ KINDS: dict[str, str] = {
 PARTS = ("study", "question", "matrix", "case", "ablation", "bisect", "judge")
 """Keys of a file that are no settings."""
 _OF_CASES = ("name", "matrix", "bisect")
-
 Settings = Mapping[str, Any]
 """Tables in tables, as the file has them."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Choice:
-    """One value of an axis.
-
-    Attributes:
-        label: What it is called in tables.
-        settings: What it sets.
-    """
-
-    label: Any
-    settings: Settings
-
-
-Axes = Mapping[str, tuple[Choice, ...]]
-"""What varies, by name, the slowest first."""
+Axes = Mapping[str, Mapping[Any, Settings]]
+"""What varies, by name, the slowest first: what each value sets, by what tables call it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,58 +64,13 @@ class Point:
         part: Name of the case or ablation that it belongs to; empty for none.
         labels: Of every axis the label of its value.
         settings: All settings.
+        bisected: The axis whose smallest value that suffices is looked for, the other labels being as here; empty for
+            none.
     """
 
-    part: str
+    part: str = ""
     labels: Mapping[str, Any]
     settings: Settings
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Search:
-    """Points that differ in one number, of which the smallest that suffices is looked for.
-
-    Attributes:
-        field: The axis of that number.
-        points: The points, the number rising.
-    """
-
-    field: str
-    points: tuple[Point, ...]
-
-    def asked(self, suffices: Callable[[Point], bool | None]) -> list[Point]:
-        """The points that a bisection has looked at and the one that it wants to look at next.
-
-        Args:
-            suffices: Whether a point has its aim; None if that is not known yet. A larger number is taken to do as
-                well.
-        """
-        points: list[Point] = []
-        low, high = -1, len(self.points)  # fails, suffices
-        while high - low > 1:
-            middle = (low + high) // 2
-            points.append(self.points[middle])
-            enough = suffices(self.points[middle])
-            if enough is None:
-                break
-            low, high = (low, middle) if enough else (middle, high)
-        return points
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
-    """A case or an ablation.
-
-    Attributes:
-        name: Of it; empty for the study itself.
-        settings: What it sets otherwise than the study.
-        axes: What varies in it.
-        bisected: The axis of `axes` whose smallest value that suffices is looked for; empty for none.
-    """
-
-    name: str
-    settings: Settings
-    axes: Axes
     bisected: str = ""
 
 
@@ -143,20 +82,17 @@ class Study:
         name: Of the study, as of its file.
         kind: Key of `KINDS`.
         question: What is asked, one sentence; empty for none.
-        settings: Of the kind.
-        parts: What is done.
-        judge: Settings of those who look at what came out; None if nobody does.
-        judge_axes: What varies of them.
+        parts: What is done: every combination of settings, by the case or ablation; those of a bisection together, its
+            values rising.
+        judges: Every way to look at what came out; none if nobody looks.
         text: The file.
     """
 
     name: str
     kind: str
     question: str
-    settings: Settings
-    parts: tuple[Part, ...]
-    judge: Settings | None
-    judge_axes: Axes
+    parts: Mapping[str, Sequence[Point]]
+    judges: Sequence[Point]
     text: str
 
     def of(self, names: Sequence[str]) -> Study:
@@ -165,31 +101,15 @@ class Study:
         Raises:
             InvalidValueError: There is no such part.
         """
-        known = {part.name: part for part in self.parts}
         for name in names:
-            do = nearest(name, known, "name one of these")
-            _check(name in known, f"part of {self.name}", " or ".join(known), name, do)
-        return dataclasses.replace(self, parts=tuple(known[name] for name in names)) if names else self
+            do = nearest(name, self.parts, "name one of these")
+            _check(name in self.parts, f"part of {self.name}", " or ".join(self.parts), name, do)
+        return dataclasses.replace(self, parts={name: self.parts[name] for name in names}) if names else self
 
-    def points(self) -> Iterator[Point | Search]:
-        """Every combination of settings, part by part; those of a bisection together."""
-        for part in self.parts:
-            settings = merged(self.settings, part.settings)
-            axes = {name: choices for name, choices in part.axes.items() if name != part.bisected}
-            for point in combinations(settings, axes, part.name):
-                if not part.bisected:
-                    yield point
-                    continue
-                axis = {part.bisected: part.axes[part.bisected]}
-                tried = (
-                    Point(part=part.name, labels={**point.labels, **value.labels}, settings=value.settings)
-                    for value in combinations(point.settings, axis)
-                )
-                yield Search(field=part.bisected, points=tuple(tried))
-
-    def judges(self) -> list[Point]:
-        """Every way to look at what came out; none if nobody looks."""
-        return [] if self.judge is None else list(combinations(self.judge, self.judge_axes))
+    @property
+    def points(self) -> list[Point]:
+        """Every combination of settings, part by part."""
+        return [point for points in self.parts.values() for point in points]
 
 
 def read_study(path: Path) -> Study:
@@ -220,71 +140,66 @@ def study_of(table: Settings, name: str, text: str = "") -> Study:
         do = nearest(str(kind), KINDS, 'write for instance study = "dagger" first')
         raise InvalidValueError(message(f"study in {name}", " or ".join(KINDS), repr(kind), do))
     _check(isinstance(question, str), f"question in {name}", "a sentence", question, "write it in quotes")
-    judge = _table(table, "judge", name) if "judge" in table else None
+    judge = _table(table, "judge", name)
+    judge_axes = _axes(_table(judge, "matrix", f"{name}, judge"), f"{name}, judge")
     return Study(
         name=name,
         kind=str(kind),
-        question=str(question),
-        settings={key: value for key, value in table.items() if key not in PARTS},
+        question=question,
         parts=_parts(table, name),
-        judge=None if judge is None else {key: value for key, value in judge.items() if key != "matrix"},
-        judge_axes=_axes({} if judge is None else _table(judge, "matrix", f"{name}, judge"), f"{name}, judge"),
+        judges=_combinations(_without(judge, "matrix"), judge_axes) if "judge" in table else (),
         text=text,
     )
 
 
-def _parts(table: Settings, name: str) -> tuple[Part, ...]:
+def _parts(table: Settings, name: str) -> dict[str, list[Point]]:
     """The cases, or the study as a whole; and the ablations."""
-    axes = _axes(_table(table, "matrix", name), name)
-    shared = table.get("bisect")
+    settings, axes = _without(table, *PARTS), _axes(_table(table, "matrix", name), name)
     cases = _tables(table, "case", name)
-    parts = [_part(case, axes, shared, name) for case in cases or [{}]]
+    parts = [_case({"bisect": table.get("bisect"), **case}, settings, axes, name) for case in cases or [{}]]
     for number, entry in enumerate(_tables(table, "ablation", name)):
         title = str(entry.get("name", f"ablation {number + 1}" if number else "ablation"))
-        values = _axes({key: value for key, value in entry.items() if key != "name"}, f"{name}, {title}")
-        choices = tuple(
-            Choice(label=f"{path} {choice.label}", settings=choice.settings)
-            for path, several in values.items()
-            for choice in several
-        )
-        parts.append(Part(name=title, settings={}, axes={**axes, "value": choices}))
-    names = [part.name for part in parts]
+        varied = _axes(_without(entry, "name"), f"{name}, {title}")
+        values = {f"{path} {label}": sets for path, axis in varied.items() for label, sets in axis.items()}
+        parts.append((title, _combinations(settings, {**axes, "value": values}, title)))
+    names = [title for title, _ in parts]
     do = "give each case a name of its own"
     _check(len(set(names)) == len(names) and (not cases or "" not in names), f"case in {name}", "names", names, do)
-    return tuple(parts)
+    return dict(parts)
 
 
-def _part(case: Settings, axes: Axes, shared: Any, name: str) -> Part:
-    where = f"{name}, case {case.get('name', '')}".rstrip()
-    varied = {**axes, **_axes(_table(case, "matrix", where), where)}
-    bisect = case.get("bisect", shared)
-    bisected = ""
-    if bisect is not None:
-        good = isinstance(bisect, Mapping) and set(bisect) == {"field", "values"} and isinstance(bisect["field"], str)
-        _check(good, f"bisect in {where}", "field and values", bisect, 'write field = "attack.eps", values = [1, 2]')
-        bisected = bisect["field"]
-        varied[bisected] = _choices(bisected, bisect["values"], where)
-        numbers = [choice.label for choice in varied[bisected]]
-        rising = all(isinstance(number, (int, float)) for number in numbers) and numbers == sorted(numbers)
-        _check(rising, f"values of bisect in {where}", "rising numbers", numbers, "sort them")
-    settings = {key: value for key, value in case.items() if key not in _OF_CASES}
-    return Part(name=str(case.get("name", "")), settings=settings, axes=varied, bisected=bisected)
+def _case(case: Settings, settings: Settings, above: Axes, name: str) -> tuple[str, list[Point]]:
+    """The name of a case and its points, of the settings and axes above it and its own."""
+    title, bisect = str(case.get("name", "")), case["bisect"]
+    where = f"{name}, case {title}" if title else f"{name}, case"
+    settings, axes = (
+        merged(settings, _without(case, *_OF_CASES)),
+        {**above, **_axes(_table(case, "matrix", where), where)},
+    )
+    if bisect is None:
+        return title, _combinations(settings, axes, title)
+    good = isinstance(bisect, Mapping) and set(bisect) == {"field", "values"} and isinstance(bisect["field"], str)
+    _check(good, f"bisect in {where}", "field and values", bisect, 'write field = "attack.eps", values = [1, 2]')
+    field, values = bisect["field"], _axis(bisect["field"], bisect["values"], where)
+    rising = all(isinstance(number, (int, float)) for number in values) and [*values] == sorted(values)
+    _check(rising, f"values of bisect in {where}", "rising numbers", [*values], "sort them")
+    return title, _combinations(settings, {**_without(axes, field), field: values}, title, field)
 
 
-def combinations(settings: Settings, axes: Axes, part: str = "") -> Iterator[Point]:
-    """Every combination of the values of some axes.
+def _combinations(settings: Settings, axes: Axes, part: str = "", bisected: str = "") -> list[Point]:
+    """Every combination of the values of some axes, the last one the fastest."""
+    points = []
+    for labels in itertools.product(*axes.values()):
+        changed = settings
+        for axis, label in zip(axes.values(), labels, strict=True):
+            changed = merged(changed, axis[label])
+        labelled = dict(zip(axes, labels, strict=True))
+        points.append(Point(part=part, labels=labelled, settings=changed, bisected=bisected))
+    return points
 
-    Args:
-        settings: What is changed.
-        axes: What varies.
-        part: Name of the part.
-    """
-    for choices in itertools.product(*axes.values()):
-        point = settings
-        for choice in choices:
-            point = merged(point, choice.settings)
-        labels = {name: choice.label for name, choice in zip(axes, choices, strict=True)}
-        yield Point(part=part, labels=labels, settings=point)
+
+def _without(table: Settings, *names: str) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if key not in names}
 
 
 def merged(settings: Any, changes: Any) -> Any:
@@ -302,35 +217,30 @@ def merged(settings: Any, changes: Any) -> Any:
     return changes
 
 
-def _axes(table: Settings, where: str, above: str = "") -> dict[str, tuple[Choice, ...]]:
+def _axes(table: Settings, where: str, above: str = "") -> dict[str, Mapping[Any, Settings]]:
     """The axes of a table, by the path of what they set; "attack.eps" and eps in a table attack are the same."""
-    axes: dict[str, tuple[Choice, ...]] = {}
+    axes: dict[str, Mapping[Any, Settings]] = {}
     for key, values in table.items():
         path = f"{above}{key}"
-        if isinstance(values, Mapping):
-            axes |= _axes(values, where, f"{path}.")
-        else:
-            axes[path] = _choices(path, values, where)
+        axes |= _axes(values, where, f"{path}.") if isinstance(values, Mapping) else {path: _axis(path, values, where)}
     return axes
 
 
-def _choices(path: str, values: Any, where: str) -> tuple[Choice, ...]:
-    what = f"{path} in {where}"
+def _axis(path: str, values: Any, where: str) -> dict[Any, Settings]:
+    what, labels, axis = f"{path} in {where}", list[Any](), dict[Any, Settings]()
     _check(isinstance(values, list) and values, what, "a list of one or more values", repr(values), "write [1, 2]")
-    choices = tuple(_choice(path, value) for value in values)
-    labels = [choice.label for choice in choices]
-    _check(len(set(map(str, labels))) == len(labels), what, "values with different names", labels, "name each once")
-    return choices
-
-
-def _choice(path: str, value: Any) -> Choice:
-    if isinstance(value, Mapping):
-        settings = {key: entry for key, entry in value.items() if key != "name"}
-        return Choice(label=str(value.get("name") or label_of(settings)), settings=settings)
-    settings = value
-    for key in reversed(path.split(".")):
-        settings = {key: settings}
-    return Choice(label=label_of(value), settings=settings)
+    for value in values:
+        sets: Any = value
+        if isinstance(value, Mapping):
+            sets = _without(value, "name")
+            labels.append(str(value.get("name") or label_of(sets)))
+        else:
+            labels.append(label_of(value))
+            for key in reversed(path.split(".")):
+                sets = {key: sets}
+        axis[labels[-1]] = sets
+    _check(len({*map(str, axis)}) == len(values), what, "values with different names", labels, "name each once")
+    return axis
 
 
 def label_of(value: Any) -> Any:

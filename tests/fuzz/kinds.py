@@ -305,9 +305,7 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
 
 def _plan(path: Path) -> None:
     """Everything that a study file says, down to the settings of each of its jobs."""
-    study = study_file.read_study(path)
-    list(study.points())
-    list(study.judges())
+    study_file.read_study(path)
 
 
 def _apply(path: Path) -> None:

@@ -34,9 +34,9 @@ SHIPPED = ROOT / "scenes" / "studies"
 def configs(name: str) -> dict[str, dict[str, StudyConfig]]:
     """The studies of a shipped file, by part and value."""
     groups: dict[str, dict[str, StudyConfig]] = {}
-    for point in read_file(SHIPPED / f"{name}.toml").points():
-        (value,) = point.labels.values()  # type: ignore[union-attr]
-        groups.setdefault(point.part, {})[str(value)] = config_of(point.settings, "base")  # type: ignore[union-attr]
+    for point in read_file(SHIPPED / f"{name}.toml").points:
+        (value,) = point.labels.values()
+        groups.setdefault(point.part, {})[str(value)] = config_of(point.settings, "base")
     return groups
 
 

@@ -8,12 +8,14 @@ from typing import Any
 
 import pytest
 
-from attacks.studies.study_file import Point, Search, merged, read_study, study_of
+from attacks.studies.plan import bisection
+from attacks.studies.study_file import Point, merged, read_study, study_of
 from mi_splat.errors import InvalidValueError
+from mi_splat.ledger import Job
 
 
 def points(**table: Any) -> list[Point]:
-    return [point for point in study_of({"study": "dagger", **table}, "toy").points() if isinstance(point, Point)]
+    return study_of({"study": "dagger", **table}, "toy").points
 
 
 def test_an_axis_sets_one_field_or_several_and_the_first_is_the_slowest() -> None:
@@ -66,34 +68,52 @@ def test_an_entry_of_a_list_is_changed_by_its_name() -> None:
 VALUES = (0.03, 0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5, 0.7, 1.0, 1.4)
 
 
+class Value:
+    """An attempt with one value."""
+
+    def __init__(self, point: Point) -> None:
+        self.value = point.labels["attack.eps"]
+
+    def jobs(self) -> dict[str, Job]:
+        return {}
+
+
 @pytest.mark.parametrize("needed", [*VALUES, math.inf])
 def test_a_bisection_finds_the_smallest_in_few_looks(needed: float) -> None:
-    table = {"study": "dagger", "bisect": {"field": "attack.eps", "values": list(VALUES)}, "matrix": {"seed": [1]}}
-    (search,) = study_of(table, "toy").points()
-    assert isinstance(search, Search)
+    bisect = {"field": "attack.eps", "values": list(VALUES)}
+    searched = points(bisect=bisect, matrix={"attack.eps": [7.0], "seed": [1]})
+    assert [(point.bisected, *point.labels.values()) for point in searched] == [
+        ("attack.eps", 1, value) for value in VALUES
+    ]
     known: dict[float, bool] = {}
-    while True:
-        last = search.asked(lambda point: known.get(point.labels["attack.eps"]))[-1]
-        if last.labels["attack.eps"] in known:
-            break
-        known[last.labels["attack.eps"]] = last.labels["attack.eps"] >= needed
-    assert len(known) <= 4
+
+    def suffices(attempt: Value, _: object) -> bool:
+        known[attempt.value] = attempt.value >= needed
+        return known[attempt.value]
+
+    looks = list(bisection([Value(point) for point in searched], suffices))
+    assert len(looks) == len(known) <= 4
     assert min((value for value, enough in known.items() if enough), default=math.inf) == needed
-    assert last.settings["seed"] == 1
+    assert {point.settings["seed"] for point in searched} == {1}
+
+
+def test_a_bisection_ends_at_an_attempt_that_failed() -> None:
+    searched = points(bisect={"field": "attack.eps", "values": list(VALUES)})
+    assert len(list(bisection([Value(point) for point in searched], lambda attempt, results: None))) == 1
 
 
 def test_judges_are_every_combination() -> None:
     judge = {"views": 3, "matrix": {"detector": ["a", "b"], "condition": ["ray"]}}
-    found = study_of({"study": "dagger", "judge": judge}, "toy").judges()
+    found = study_of({"study": "dagger", "judge": judge}, "toy").judges
     assert [point.settings["detector"] for point in found] == ["a", "b"]
     assert {point.settings["views"] for point in found} == {3}
-    assert study_of({"study": "dagger"}, "toy").judges() == []
-    assert len(study_of({"study": "dagger", "judge": {"condition": "ray"}}, "toy").judges()) == 1
+    assert study_of({"study": "dagger"}, "toy").judges == ()
+    assert len(study_of({"study": "dagger", "judge": {"condition": "ray"}}, "toy").judges) == 1
 
 
 def test_some_parts_of_a_study() -> None:
     study = study_of({"study": "dagger", "case": [{"name": "a"}, {"name": "b"}]}, "toy")
-    assert [part.name for part in study.of(["b"]).parts] == ["b"]
+    assert list(study.of(["b"]).parts) == ["b"]
     assert study.of(()) is study
     with pytest.raises(InvalidValueError, match="part of toy: expected a or b, got bb; did you mean b"):
         study.of(["bb"])
