@@ -74,7 +74,7 @@ ATTACKS = 13
 
 def run(options: DaggerSanityOptions) -> int:
     """Make the checks; 1 if one of them is red."""
-    from attacks.dagger.sanity.checks import CHECKS, run_checks, write_findings
+    from attacks.dagger.sanity.checks import CHECKS, write_findings
     from attacks.dagger.sanity.runs import Runs
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder
 
@@ -85,7 +85,8 @@ def run(options: DaggerSanityOptions) -> int:
         case, conditions = _case(options)
         runs = Runs(case, on_run=lambda: advance(f"check {len(findings) + 1} of {len(CHECKS)}"))
         advance("attacking", 0)
-        run_checks(runs, on_finding=findings.append)
+        for check in CHECKS.values():
+            findings.append(check(runs))
         with new_folder(options.out, force=options.force) as folder:
             write_findings(findings, runs, folder, **conditions)
     red = sum(finding.passed is False for finding in findings)

@@ -35,7 +35,7 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     "example-scenes": (["example-scenes", "stop_sign"], "{}", ("mi_splat.example_scenes.make",)),
     "dagger": (["dagger", "a.ply", "--cluster", "1"], "{}", ("attacks.dagger.attack.attack",)),
     "study": (["study", "run", "attacks.toml"], "{}", ("attacks.studies.dagger.DaggerWork",)),
-    "dagger-sanity": (["dagger-sanity", "a.ply", "--cluster", "1"], "{}", ("attacks.dagger.sanity.checks.run_checks",)),
+    "dagger-sanity": (["dagger-sanity", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger_sanity._case",)),
     "dagger-eot": (["dagger-eot", "a.ply", "--cluster", "1"], "{}", ("attacks.dagger.attack.attack_views",)),
     "artifact": (["artifact", "set"], "{}", ("attacks.report.checking.pack",)),
     "cloak": (["cloak", "study.toml"], "{}", ("attacks.cloak.study.run_study",)),

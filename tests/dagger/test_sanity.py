@@ -81,10 +81,10 @@ def case(**changes: Any) -> Case:
     return dataclasses.replace(usual, **changes)
 
 
-def found(make: Attack = attack, checks: str = "", **changes: Any) -> dict[str, Finding]:
+def findings_of(make: Attack = attack, checks: str = "", **changes: Any) -> dict[str, Finding]:
     """What the checks of these names find, all if none is named."""
     runs, names = Runs(case(**changes), make), checks.split()
-    return {check.name: check.finding(runs) for check in CHECKS if not names or check.name in names}
+    return {name: check(runs) for name, check in CHECKS.items() if not names or name in names}
 
 
 def red(findings: dict[str, Finding]) -> set[str]:
@@ -93,7 +93,7 @@ def red(findings: dict[str, Finding]) -> set[str]:
 
 @pytest.fixture(scope="module")
 def sane() -> dict[str, Finding]:
-    return found()
+    return findings_of()
 
 
 def test_the_attack_of_this_project_is_sane(sane: dict[str, Finding]) -> None:
@@ -106,25 +106,27 @@ def test_the_attack_of_this_project_is_sane(sane: dict[str, Finding]) -> None:
 
 
 def test_without_a_surrogate_one_line_is_grey() -> None:
-    grey = found(checks="white_box", surrogate=None)["white_box"]
+    grey = findings_of(checks="white_box", surrogate=None)["white_box"]
     assert (grey.passed, grey.colour) == (None, "grey")
 
 
 def test_a_flipped_gradient_is_red() -> None:
-    broken = found(checks="noise radius white_box unbounded renderer_gradient gradient", detector=FlippedDetector())
+    broken = findings_of(
+        checks="noise radius white_box unbounded renderer_gradient gradient", detector=FlippedDetector()
+    )
     assert red(broken) == {"gradient", "radius", "white_box", "unbounded", "noise"}
     assert broken["gradient"].values["cosine"] < -0.9
     assert broken["white_box"].values["attack on fake_coarse"]["successes"] > 0
 
 
 def test_a_detached_gradient_is_red() -> None:
-    broken = found(checks="white_box unbounded gradient zero_gradients", detector=MaskedDetector())
+    broken = findings_of(checks="white_box unbounded gradient zero_gradients", detector=MaskedDetector())
     assert red(broken) == set(broken)
     assert broken["zero_gradients"].values["most"] == 1.0
 
 
 def test_a_renderer_without_half_of_its_gradient_is_red() -> None:
-    broken = found(checks="renderer_gradient gradient", render=half_cut)
+    broken = findings_of(checks="renderer_gradient gradient", render=half_cut)
     assert red(broken) == set(broken)
 
 
@@ -140,7 +142,7 @@ def broken_by(**changes: Any) -> Attack:
 
 
 def test_an_attack_that_ignores_its_ball_is_red() -> None:
-    broken = found(broken_by(eps=(40.0,)), checks="radius budget")
+    broken = findings_of(broken_by(eps=(40.0,)), checks="radius budget")
     assert red(broken) == {"budget", "radius"}
 
 
@@ -150,19 +152,19 @@ def test_an_attack_that_changes_other_gaussians_is_red() -> None:
         wider[0] = True
         return attack(scene, wider, *arguments, **settings)
 
-    broken = found(make, checks="noise budget")
+    broken = findings_of(make, checks="noise budget")
     assert red(broken) == {"budget"}
     assert broken["budget"].values["other_gaussians_changed"] > 0
 
 
 def test_an_attack_that_hardly_uses_its_ball_is_red() -> None:
-    broken = found(broken_by(step_factor=1e-4), checks="radius unbounded")
+    broken = findings_of(broken_by(step_factor=1e-4), checks="radius unbounded")
     assert red(broken) == {"radius", "unbounded"}
 
 
 def test_an_attack_that_random_points_beat_is_red() -> None:
     for make, detector in ((broken_by(step_factor=1e-6), ColourDetector()), (attack, FlippedDetector())):
-        broken = found(make, checks="random_search", detector=detector)["random_search"]
+        broken = findings_of(make, checks="random_search", detector=detector)["random_search"]
         assert broken.passed is False, broken.figures
 
 
@@ -170,7 +172,7 @@ def test_an_iterative_attack_that_is_worse_than_one_step_is_red() -> None:
     def steps_back(config: DaggerConfig) -> float:
         return config.step_factor if config.steps == 1 else 1e-3
 
-    assert red(found(broken_by(step_factor=steps_back), checks="iterative")) == {"iterative"}
+    assert red(findings_of(broken_by(step_factor=steps_back), checks="iterative")) == {"iterative"}
 
 
 def test_an_attack_that_keeps_another_point_than_the_best_is_red() -> None:
@@ -178,7 +180,7 @@ def test_an_attack_that_keeps_another_point_than_the_best_is_red() -> None:
         result = attack(*arguments, **settings)
         return dataclasses.replace(result, best=result.trace[0])
 
-    broken = found(make, checks="more_steps")
+    broken = findings_of(make, checks="more_steps")
     assert red(broken) == {"more_steps"}
     assert broken["more_steps"].values["passed_over"] > 0
 
@@ -187,7 +189,7 @@ def test_an_attack_that_noise_beats_is_red() -> None:
     scene, mask = toy_scene()
     green = scene.sh.clone()
     green[mask, 0] = green[mask, 0][:, [1, 0, 2]]  # what it wants is there already
-    broken = found(checks="clean noise radius", scene=scene.replace(sh=green))
+    broken = findings_of(checks="clean noise radius", scene=scene.replace(sh=green))
     assert red(broken) == {"clean", "noise", "radius"}
 
 
@@ -197,7 +199,7 @@ def test_an_attack_whose_file_is_another_scene_is_red() -> None:
         failed = {"success": False, "score": 0.0, "unambiguous": False}
         return dataclasses.replace(result, figures={**result.figures, **failed})
 
-    assert red(found(make, checks="noise more_steps")) == {"noise", "more_steps"}
+    assert red(findings_of(make, checks="noise more_steps")) == {"noise", "more_steps"}
 
 
 class TestCommand:
@@ -234,7 +236,7 @@ class TestCommand:
     def test_red_lines_are_said_and_end_with_one(
         self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        few = [check for check in CHECKS if check.name in ("clean", "gradient")]
+        few = {name: CHECKS[name] for name in ("clean", "gradient")}
         monkeypatch.setattr("attacks.dagger.sanity.checks.CHECKS", few)
         assert self.call("--detectors", "flipped", "--surrogate", "none", "--json") == 1
         values = json.loads(capsys.readouterr().out)
@@ -257,7 +259,7 @@ def test_the_gradients_of_the_shipped_scene_are_those_of_the_chain() -> None:
         config=DaggerConfig(),
     )
     names = ("renderer_gradient", "gradient")
-    renderer, chain = (check.finding(Runs(shipped)) for check in CHECKS if check.name in names)
+    renderer, chain = (CHECKS[name](Runs(shipped)) for name in names)
     assert renderer.passed, renderer.figures
     assert renderer.values["cosine"] > 0.9999
     assert chain.passed, chain.figures

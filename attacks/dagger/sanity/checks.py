@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import Any
 
 import torch
 
-from attacks.dagger.sanity.gradients import Differentiated, agreement, cosine_of, renderer_alone, slope_of, whole_chain
+from attacks.dagger.sanity.gradients import Differentiated, agreement, renderer_alone, whole_chain
 from attacks.dagger.sanity.runs import Runs, Scored
 from attacks.gaussian_subset import GaussianSubset
 from attacks.pgd import rank
@@ -56,6 +57,7 @@ CHAIN = (0.75, 0.4)
 Measured on the shipped scenes: cosines of 0.82 to 0.98 and slopes of 0.82 to 0.93 with `fasterrcnn_small`, which has
 proposals, and 0.96 to 0.99 and 1.00 to 1.22 with `yolov8n_small`. A gradient that lacks half of itself has about 0.7.
 """
+_LIMITS = "that equal finite differences (cosine >= {:g}, slope within {:g} of 1)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,29 +90,30 @@ Measured = tuple[bool | None, str, dict[str, Any]]
 """Whether a claim holds, what was measured in words, and the same as JSON can hold it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Check:
-    """What is asked of an attack.
-
-    Attributes:
-        name: A word or two.
-        claim: What holds of a sane attack.
-        meaning: What it means if it does not hold.
-        measure: Makes the attacks that it needs, and says whether the claim holds.
-    """
-
-    name: str
-    claim: str
-    meaning: str
-    measure: Callable[[Runs], Measured]
-
-    def finding(self, runs: Runs) -> Finding:
-        """What the attacks on a case say."""
-        passed, figures, values = self.measure(runs)
-        names = {"check": self.name, "claim": self.claim, "meaning": self.meaning}
-        return Finding(**names, passed=passed, figures=figures, values=values)
+CHECKS: dict[str, Callable[[Runs], Finding]] = {}
+"""Every check by its name, in the order of the report: each makes the attacks that it needs."""
 
 
+def _check(claim: str, meaning: str) -> Callable[[Callable[[Runs], Measured]], Callable[[Runs], Measured]]:
+    """Makes a check of a function that says whether a claim holds, with what it means if it does not."""
+
+    def kept(measure: Callable[[Runs], Measured]) -> Callable[[Runs], Measured]:
+        name = measure.__name__.lstrip("_")
+
+        def finding(runs: Runs) -> Finding:
+            passed, figures, values = measure(runs)
+            return Finding(check=name, claim=claim, passed=passed, figures=figures, meaning=meaning, values=values)
+
+        CHECKS[name] = finding
+        return measure
+
+    return kept
+
+
+@_check(
+    "starts where the object is found and the target is not",
+    "there is nothing to attack: success and failure say little",
+)
 def _clean(runs: Runs) -> Measured:
     label = runs.case.objective.label
     views = [view for result in runs.results(noise_draws=NOISE_DRAWS) for view in result.views]
@@ -120,6 +123,9 @@ def _clean(runs: Runs) -> Measured:
     return passed, f"object at {_list(original)}, {label} at {_list(wanted)}", {"object": original, "target": wanted}
 
 
+@_check(
+    "succeeds more often than random noise of its size", "it is the size of the change that counts, and not the attack"
+)
 def _noise(runs: Runs) -> Measured:
     attacks = runs.results(noise_draws=NOISE_DRAWS)
     draws, lucky = (sum(result.figures["noise"][name] for result in attacks) for name in ("draws", "successes"))
@@ -131,6 +137,10 @@ def _noise(runs: Runs) -> Measured:
     )
 
 
+@_check(
+    "succeeds more often in larger balls, never in one of radius 0, always in a large one",
+    "the attack ignores its budget, or its search fails before the budget is used up",
+)
 def _radius(runs: Runs) -> Measured:
     attacks = [runs.results(scale, **_settings(scale)) for scale in SCALES]
     counts, scores, total = list(map(_count, attacks)), list(map(runs.mean, attacks)), len(runs.case.cameras)
@@ -152,6 +162,7 @@ def _settings(scale: float) -> dict[str, Any]:
     return {"noise_draws": NOISE_DRAWS if scale == 1 else 0, **({} if scale else {"steps": 1})}
 
 
+@_check("does at least as well in many steps as in one", "steps are too long or too short, or lead astray")
 def _iterative(runs: Runs) -> Measured:
     single = [runs.results(scale, noise_draws=0, steps=1, step_factor=1.0) for scale in COMPARED]
     one_step = [result for results in single for result in results]
@@ -163,6 +174,7 @@ def _at_compared(runs: Runs) -> list[Any]:
     return [result for scale in COMPARED for result in runs.results(scale, **_settings(scale))]
 
 
+@_check("does at least as well as one on another detector", "gradients are masked: use another loss")
 def _white_box(runs: Runs) -> Measured:
     surrogate = runs.case.surrogate
     if surrogate is None:
@@ -172,6 +184,7 @@ def _white_box(runs: Runs) -> Measured:
     return _compared(runs, (attacks, "white box"), (moved, f"attack on {surrogate.name}"))
 
 
+@_check("does at least as well as a random search that looks as often", "gradients are masked or wrong")
 def _random_search(runs: Runs) -> Measured:
     attacks, drawn = _at_compared(runs), [line for scale in COMPARED for line in runs.random_search(scale)]
     losses = [min(line.loss for line in result.trace) for result in attacks]
@@ -189,6 +202,10 @@ def _random_search(runs: Runs) -> Measured:
     return not beaten, figures, {"beaten": beaten, "runs": total, "successes": successes, "loss": means}
 
 
+@_check(
+    "is never worse for going on, and keeps its best point",
+    "the search throws away what it had, or the file is not what the search has found",
+)
 def _more_steps(runs: Runs) -> Measured:
     config, scale = runs.case.config, COMPARED[0]
     half = max(1, config.steps // 2)
@@ -206,6 +223,7 @@ def _more_steps(runs: Runs) -> Measured:
     )
 
 
+@_check("always succeeds where no ball binds it", "the loss does not lead to success, whatever the budget")
 def _unbounded(runs: Runs) -> Measured:
     config = runs.case.config
     steps = 4 * config.steps
@@ -223,6 +241,10 @@ def _unbounded(runs: Runs) -> Measured:
     return count == len(free) and share < 1, figures, values
 
 
+@_check(  # after the others: it looks at all their attacks
+    "stays in its ball and changes no other Gaussian",
+    "the attack takes more than it was given, so that its successes are worth nothing",
+)
 def _budget(runs: Runs) -> Measured:
     case, share, strangers = runs.case, 0.0, 0
     for config, result in runs.made:
@@ -248,23 +270,38 @@ def _changed(after: torch.Tensor, before: torch.Tensor) -> list[int]:
 
 
 def _agreement(runs: Runs, differentiate: Differentiated, limits: tuple[float, float]) -> Measured:
+    """Cosine between derivatives and differences as vectors, and the factor between them by least squares."""
     automatic, measured = agreement(runs, differentiate)
-    values = {"cosine": cosine_of(automatic, measured), "slope": slope_of(automatic, measured)}
+    product = sum(a * b for a, b in zip(automatic, measured, strict=True))
+    length, sizes = math.hypot(*automatic), math.hypot(*automatic) * math.hypot(*measured)
+    cosine, slope = product / sizes if sizes else 0.0, product / length**2 if length**2 else 0.0
     return (
-        values["cosine"] >= limits[0] and abs(values["slope"] - 1) <= limits[1],
-        f"cosine {values['cosine']:.4f}, slope {values['slope']:.3f} over {len(automatic)} directions",
-        {**values, "automatic": automatic, "finite_differences": measured},
+        cosine >= limits[0] and abs(slope - 1) <= limits[1],
+        f"cosine {cosine:.4f}, slope {slope:.3f} over {len(automatic)} directions",
+        {"cosine": cosine, "slope": slope, "automatic": automatic, "finite_differences": measured},
     )
 
 
+@_check(
+    f"has gradients of the renderer {_LIMITS.format(*RENDERER)}",
+    "the renderer's gradient is wrong: the search is blind or goes astray",
+)
 def _renderer_gradient(runs: Runs) -> Measured:
     return _agreement(runs, renderer_alone, RENDERER)
 
 
+@_check(
+    f"has gradients from the Gaussians to the loss {_LIMITS.format(*CHAIN)}",
+    "the gradient is cut, reversed or wrong somewhere between detector and Gaussians",
+)
 def _gradient(runs: Runs) -> Measured:
     return _agreement(runs, whole_chain, CHAIN)
 
 
+@_check(
+    f"has gradients of which at most {ZERO_LIMIT:.0%} are exactly zero",
+    "most of the object has no gradient: it is out of sight, clamped, or cut off",
+)
 def _zero_gradients(runs: Runs) -> Measured:
     traces = [result.trace for result in runs.results(noise_draws=NOISE_DRAWS)]
     shares = [line.zero_gradient_fraction for trace in traces for line in trace]
@@ -290,85 +327,6 @@ def _count(scored: Sequence[Scored]) -> int:
 
 def _list(values: Sequence[float]) -> str:
     return ", ".join(f"{value:.2f}" for value in values)
-
-
-_LIMITS = "that equal finite differences (cosine >= {:g}, slope within {:g} of 1)"
-CHECKS = tuple(
-    Check(name=measure.__name__.lstrip("_"), claim=claim, meaning=meaning, measure=measure)
-    for measure, claim, meaning in (
-        (
-            _clean,
-            "starts where the object is found and the target is not",
-            "there is nothing to attack: success and failure say little",
-        ),
-        (
-            _noise,
-            "succeeds more often than random noise of its size",
-            "it is the size of the change that counts, and not the attack",
-        ),
-        (
-            _radius,
-            "succeeds more often in larger balls, never in one of radius 0, always in a large one",
-            "the attack ignores its budget, or its search fails before the budget is used up",
-        ),
-        (
-            _iterative,
-            "does at least as well in many steps as in one",
-            "steps are too long or too short, or lead astray",
-        ),
-        (_white_box, "does at least as well as one on another detector", "gradients are masked: use another loss"),
-        (
-            _random_search,
-            "does at least as well as a random search that looks as often",
-            "gradients are masked or wrong",
-        ),
-        (
-            _more_steps,
-            "is never worse for going on, and keeps its best point",
-            "the search throws away what it had, or the file is not what the search has found",
-        ),
-        (
-            _unbounded,
-            "always succeeds where no ball binds it",
-            "the loss does not lead to success, whatever the budget",
-        ),
-        (  # after the others: it looks at all their attacks
-            _budget,
-            "stays in its ball and changes no other Gaussian",
-            "the attack takes more than it was given, so that its successes are worth nothing",
-        ),
-        (
-            _renderer_gradient,
-            f"has gradients of the renderer {_LIMITS.format(*RENDERER)}",
-            "the renderer's gradient is wrong: the search is blind or goes astray",
-        ),
-        (
-            _gradient,
-            f"has gradients from the Gaussians to the loss {_LIMITS.format(*CHAIN)}",
-            "the gradient is cut, reversed or wrong somewhere between detector and Gaussians",
-        ),
-        (
-            _zero_gradients,
-            f"has gradients of which at most {ZERO_LIMIT:.0%} are exactly zero",
-            "most of the object has no gradient: it is out of sight, clamped, or cut off",
-        ),
-    )
-)
-"""Every check, in the order of the report."""
-
-
-def run_checks(runs: Runs, *, on_finding: Callable[[Finding], object]) -> list[Finding]:
-    """Make every check.
-
-    Args:
-        runs: The case and the attacks on it.
-        on_finding: Called with each finding as it comes.
-    """
-    findings = []
-    for check in CHECKS:
-        findings.append(check.finding(runs))
-        on_finding(findings[-1])
-    return findings
 
 
 def write_findings(findings: Sequence[Finding], runs: Runs, folder: Path, **more: Any) -> None:

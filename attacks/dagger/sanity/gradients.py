@@ -7,7 +7,7 @@ So its agreement is measured over directions, by cosine and slope, with a wider 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import torch
 from torch import Generator, Tensor
@@ -17,7 +17,7 @@ from attacks.dagger.problem import Problem
 from attacks.dagger.sanity.runs import Runs
 from attacks.dagger.views import View
 from attacks.pgd import Parameters
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras import Camera
 from mi_splat.scene import GaussianScene
 
 CONTRAST = 0.8
@@ -31,31 +31,6 @@ Value = Callable[[Parameters], float]
 
 Differentiated = Callable[[Problem, View, DaggerConfig, Parameters, Generator], tuple[Value, Parameters]]
 """A function and its gradients at a point, of a problem in one view; the generator draws what is random about it."""
-
-
-def cosine_of(automatic: Sequence[float], measured: Sequence[float]) -> float:
-    """Cosine between two lists of derivatives as vectors; 0 if one of them is zero."""
-    sizes = math.hypot(*automatic) * math.hypot(*measured)
-    return _product(automatic, measured) / sizes if sizes else 0.0
-
-
-def slope_of(automatic: Sequence[float], measured: Sequence[float]) -> float:
-    """Factor by which the measured ones are the automatic ones, by least squares; 0 if these are zero."""
-    size = math.hypot(*automatic) ** 2
-    return _product(automatic, measured) / size if size else 0.0
-
-
-def _product(automatic: Sequence[float], measured: Sequence[float]) -> float:
-    return sum(a * b for a, b in zip(automatic, measured, strict=True))
-
-
-def soft(render: RenderFn) -> RenderFn:
-    """The renderer with less contrast around middle grey."""
-
-    def softened(scene: GaussianScene, camera: Camera) -> Tensor:
-        return 0.5 + CONTRAST * (render(scene, camera) - 0.5)
-
-    return softened
 
 
 def random_directions(gradients: Parameters, count: int, generator: Generator) -> list[Parameters]:
@@ -93,9 +68,13 @@ def agreement(runs: Runs, differentiate: Differentiated) -> tuple[list[float], l
         differentiate: What is compared: `whole_chain` or `renderer_alone`.
     """
     automatic, measured, config = list[float](), list[float](), runs.case.config
+
+    def soft(scene: GaussianScene, camera: Camera) -> Tensor:
+        return 0.5 + CONTRAST * (runs.case.render(scene, camera) - 0.5)
+
     for seed in range(len(runs.case.cameras)):
         generator = Generator().manual_seed(2000 + seed)
-        problem, view = runs.problem(seed, render=soft(runs.case.render))
+        problem, view = runs.problem(seed, render=soft)
         clean = problem.subset.parameters(config.attributes)
         drawn = config.budget.uniform(clean, generator)
         point = {name: value + (drawn[name] - value) / 10 for name, value in clean.items()}
