@@ -108,7 +108,7 @@ def _plan(options: StudyOptions, study: Study) -> None:
         on = "" if options.workers < 2 else f", on {options.workers} workers"
         lines.append(f"About {_duration(seconds / max(1, options.workers))} by what was measured{on}.")
     if unknown:
-        lines.append(f"Of {unknown} jobs no like was done yet, so their time is not known.")
+        lines.append(f"{unknown} jobs are of kinds that were never done here, so how long they take is not known.")
     document |= {"not_measured": unknown, "searches": len(work.searches)}
     show_result(document, *lines, as_json=options.json)
 
@@ -257,7 +257,7 @@ def _clean(options: StudyOptions, study: Study) -> None:
 
     store = Store(options.store)
     others = [path.stem for path in (options.store / "plans").glob("*.json") if path.stem != study.name]
-    used = {entry.key for other in others for entry in status(store, other)}
+    used = {entry.key for name in others for entry in status(store, name)}
     keys = sorted({entry.key for entry in status(store, study.name) if entry.key} - used)
     for key in keys:
         store.remove(key)

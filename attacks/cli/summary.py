@@ -10,12 +10,13 @@ from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
 
 
-def show_summary(result: Path, *, as_json: bool) -> None:
-    """Print the figures, the conclusion and the warnings of a finished result, and where to look.
+def show_summary(result: Path, *, as_json: bool, tables: bool = False) -> None:
+    """Print the conclusion, the figures and the warnings of a finished result, and where to look.
 
     Args:
         result: Its folder.
         as_json: Whether to print its record instead, as one JSON document.
+        tables: Whether to print the tables of its page, too, where the figures are not all.
     """
     if as_json:
         show_json({**read_json(result / RECORD), "out": str(result)})
@@ -23,8 +24,12 @@ def show_summary(result: Path, *, as_json: bool) -> None:
     from attacks.report.results import read_section
 
     section = read_section(result)
-    show_table((_plain(figure.row[0]), _plain(figure.cell)) for figure in section.all_figures)
     show(_plain(section.conclusion))
+    cells = ((figure.label, "; ".join(filter(None, (figure.cell, figure.note)))) for figure in section.all_figures)
+    show_table((_plain(label), _plain(text)) for label, text in cells)
+    for table in section.tables if tables else ():
+        if table.rows:
+            show(f"\n{_plain(table.markdown)}\n")
     for text in section.warnings:
         warn(f"warning: {_plain(text)}")
     if section.pictures:

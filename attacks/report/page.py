@@ -114,7 +114,7 @@ def _rows(columns: Sequence[dict[str, str]]) -> tuple[tuple[str, ...], ...]:
 
 def _part(number: int, section: Section) -> dict[str, Any]:
     """A section with what the template needs besides: pictures as addresses, charts as SVG."""
-    charts = [(chart, svg(chart, f"chart-{number}-{place}")) for place, chart in enumerate(section.charts, start=1)]
+    charts = [(chart, svg(chart, f"chart-{number}-{index}")) for index, chart in enumerate(section.charts, start=1)]
     figures = tuple(figure.row for figure in section.all_figures)
     return {
         "section": section,

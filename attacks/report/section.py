@@ -110,11 +110,11 @@ class Line:
     def of(cls, name: str, role: Role, values: Iterable[Rate | Mapping[str, Any] | float | None]) -> Line:
         """Numbers, or rates as they are or as JSON has them, at 0, 1, ...; but none that is None or counts nothing."""
         known = [Rate.of(value) if isinstance(value, Mapping) else value for value in values]
-        places = [(x, value) for x, value in enumerate(known) if value is not None]
+        drawn = [(x, value) for x, value in enumerate(known) if value is not None]
         return cls(
             name=name,
             role=role,
-            points=tuple(Point.of(x, value) for x, value in places if not isinstance(value, Rate) or value.total),
+            points=tuple(Point.of(x, value) for x, value in drawn if not isinstance(value, Rate) or value.total),
         )
 
 

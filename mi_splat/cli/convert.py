@@ -110,18 +110,18 @@ def differences(before: GaussianScene, after: GaussianScene) -> dict[str, float]
     from mi_splat.sh import dc_to_colour
 
     degree = max(before.degree, after.degree)
-    one, two = before.with_degree(degree), after.with_degree(degree)
-    first, second = one.rotations.double(), two.rotations.double()
+    old, new = before.with_degree(degree), after.with_degree(degree)
+    first, second = old.rotations.double(), new.rotations.double()
     chord = torch.minimum((first - second).norm(dim=1), (first + second).norm(dim=1))  # q and -q are one rotation
     changes = {
-        "means, world units": _largest(one.means - two.means),
-        "scales, ratio": math.exp(_largest(one.scales.double().log() - two.scales.double().log())),
+        "means, world units": _largest(old.means - new.means),
+        "scales, ratio": math.exp(_largest(old.scales.double().log() - new.scales.double().log())),
         "rotations, degrees": math.degrees(4 * math.asin(min(1.0, _largest(chord) / 2))),
-        "opacity": _largest(one.opacities - two.opacities),
-        "colour": _largest(dc_to_colour(one.sh[:, 0]) - dc_to_colour(two.sh[:, 0])),
+        "opacity": _largest(old.opacities - new.opacities),
+        "colour": _largest(dc_to_colour(old.sh[:, 0]) - dc_to_colour(new.sh[:, 0])),
     }
     if degree:
-        changes["SH coefficients"] = _largest(one.sh[:, 1:] - two.sh[:, 1:])
+        changes["SH coefficients"] = _largest(old.sh[:, 1:] - new.sh[:, 1:])
     return changes
 
 

@@ -21,7 +21,7 @@ from mi_splat.fields import Called, Folder, Length, Range, between
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _AXIS = re.compile(r"[+-]?[xyz]")
 _AXES = {
-    f"{sign}{'xyz'[axis]}": tuple((-1.0 if sign == "-" else 1.0) if axis == place else 0.0 for place in range(3))
+    f"{sign}{'xyz'[axis]}": tuple((-1.0 if sign == "-" else 1.0) if axis == column else 0.0 for column in range(3))
     for sign in ("", "+", "-")
     for axis in range(3)
 }

@@ -165,8 +165,12 @@ def test_dagger_writes_its_report(toy: SplatScene, tmp_path: Path, capsys: pytes
     words = ["--object", "thing", "--target", "person", "--eps", "20", "--seed", "3", "--noise-draws", "1"]
     assert cli.main(["dagger", *words, "--out", str(out)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("views with the aim reached: report person")
-    assert "1 of 1" in lines[0]
+    said = (
+        "The attack succeeded: within a ball (l2: 20 over sh) it made fake_colour report person on the object in 1 of 1"
+    )
+    assert lines[0].startswith(said)
+    assert lines[1].startswith("views with the aim reached: report person  ")
+    assert "1 of 1 = 100 % (20.7 to 100 %); confidence " in lines[1]
     assert lines[-2] == f"Look at {out / 'detections.png'} first."
     names = {"before.png", "after.png", "difference.png", "detections.png", "attacked.ply", "result.json", "mask.npy"}
     names |= {"cameras.json", "rows.csv.gz", "detections.csv.gz"}
@@ -202,8 +206,10 @@ def test_an_attack_that_fails_is_a_result(
     words = ["--object", "thing", "--eps", eps, "--noise-draws", "1", "--out", str(tmp_path)]
     assert cli.main(["dagger", *words]) == 0
     text = capsys.readouterr().out
-    assert "The attack did not reach its aim: 0 of 1 view" in text
-    assert next(line for line in text.splitlines() if line.startswith("pictures, attacked")).endswith(change)
+    assert text.startswith("The attack failed: within a ball (l2: ")
+    assert " report person on the object in 0 of 1 view, where 100 % are asked for." in text.splitlines()[0]
+    cell = next(line for line in text.splitlines() if line.startswith("pictures, attacked")).partition(";")[0]
+    assert cell.endswith(change)
     psnr = json.loads((tmp_path / "result.json").read_text())["image_psnr"]
     assert (psnr is None) == (eps == "1e-6")
 

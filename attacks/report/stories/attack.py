@@ -38,6 +38,12 @@ _RATES = {
     "found_attacked": "attacked object found",
 }
 _CONDITIONS = ("scene", "selection", "cameras", "reference", "background", "near", "scene_hash", "redraws")
+_PICTURES = (
+    ("detections.png", "What the detector reports: before the attack on the left, after it on the right.", True),
+    ("difference.png", "What has changed, enlarged; grey is no change.", False),
+    ("held_out.png", "Held-out views all around: clean on the left of each pair, attacked on the right.", True),
+)
+"""Files, their captions, and whether they are wide."""
 FEW_DRAWS = 5
 """Draws of noise from which on they say something."""
 
@@ -52,7 +58,6 @@ def read(folder: Path, record: Record) -> Section:
     rate, noise, draws = Rate.of(record["rate"]), Rate.of(record["noise_rate"]), record["noise"]["draws"]
     needed, budget = record["config"]["required_views"], record["config"].get("image_psnr")
     drawn, names = "by_azimuth" in record, list(record["rates"])
-    control = f" Random noise of the same size: {noise.counts}." if noise.total else ""
     return Section(
         kind=f"DAGGER, from {'all cameras of a region' if drawn else 'chosen cameras'}",
         title=f"{_thing(record)} {_wish(record, 1)}{', all cameras' if drawn else ''}",
@@ -65,12 +70,7 @@ def read(folder: Path, record: Record) -> Section:
             f"{'that the search has never seen ' if drawn else ''}judged the saved file, rendered again, in 8-bit "
             "pictures."
         ),
-        conclusion=(
-            f"The attack {'reached' if record['success'] else 'did not reach'} its aim: {rate.successes} of "
-            f"{plural(rate.total, 'view')}, where {percent(needed)} are asked for.{control} In the first view "
-            f"{_change(record['views'][0], record['target'])}. This says nothing of other cameras, detectors or "
-            "renderers."
-        ),
+        conclusion=_conclusion(record, plural(rate.total, "held-out view" if drawn else "view")),
         headline=Figure(
             label=f"{'held-out ' if drawn else ''}views with the aim reached: {_wish(record, 2)}",
             rate=rate,
@@ -82,19 +82,7 @@ def read(folder: Path, record: Record) -> Section:
             *record["warnings"],
             *([f"Few draws of noise: {draws}. Ask for more with --noise-draws"] if 0 < draws < FEW_DRAWS else []),
         ),
-        pictures=(
-            Picture(
-                path=folder / "detections.png",
-                caption="What the detector reports: before the attack on the left, after it on the right.",
-                wide=True,
-            ),
-            Picture(path=folder / "difference.png", caption="What has changed, enlarged; grey is no change."),
-            Picture(
-                path=folder / "held_out.png",
-                caption="Held-out views all around: clean on the left of each pair, attacked on the right.",
-                wide=True,
-            ),
-        ),
+        pictures=tuple(Picture(path=folder / name, caption=caption, wide=wide) for name, caption, wide in _PICTURES),
         charts=(*(_by_angle(record, angle, needed) for angle in ("azimuth", "elevation")), _search(record)),
         tables=(
             Table.of(
@@ -115,6 +103,20 @@ def read(folder: Path, record: Record) -> Section:
             }
         ),
     )
+
+
+def _conclusion(record: Record, views: str) -> str:
+    """Whether the attack succeeded, in how many of all views, and what it changed."""
+    rate, noise = Rate.of(record["rate"]), Rate.of(record["noise_rate"])
+    parts = [
+        f"The attack {'succeeded' if record['success'] else 'failed'}: within {_ball(record)} it made "
+        f"{listed(list(record['rates']))} {_wish(record, 2)} on the object in {rate.successes} of {views}, where "
+        f"{percent(record['config']['required_views'])} are asked for.",
+        f"Random noise of the same size: {noise.counts}." if noise.total else "",
+        f"In the first view {_change(record['views'][0], record['target'])}.",
+        "This says nothing of other cameras, detectors or renderers.",
+    ]
+    return " ".join(filter(None, parts))
 
 
 def _thing(record: Record) -> str:

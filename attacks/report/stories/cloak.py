@@ -141,14 +141,14 @@ def figures(record: Mapping[str, Any], tables: Tables) -> Mapping[str, Any]:
 
 def _splats(record: Mapping[str, Any]) -> dict[tuple[str, int], str]:
     """The files of the splats in a result, which are those of the first seed."""
-    first = min(int(one["seed"]) for one in record["splats"])
+    first = min(int(splat["seed"]) for splat in record["splats"])
     return {(CLEAN, first): f"{CLEAN}.ply", (ATTACKED, first): f"{CLOAKED}.ply"}
 
 
 def _cells(record: Mapping[str, Any], seen: ViewDetections, row: Mapping[str, Any], detector: Detector) -> Row:
     """The scores that a detector gives to the object in one picture."""
     cells = report_cells(seen.detections, seen.box, original=row["original"])
-    wanted = {one["name"]: one["target_class"] for one in record["study"]["attack"] if one["target_class"]}
+    wanted = {attack["name"]: attack["target_class"] for attack in record["study"]["attack"] if attack["target_class"]}
     targets = {f"{TARGET_SCORE}{name}": seen.confidence(label) for name, label in wanted.items()}
     return {**{name: cells[name] for name in ("score", "original_score", "any_overlap")}, **targets}
 
@@ -157,8 +157,8 @@ def _rescored(record: Mapping[str, Any], rows: pl.DataFrame) -> dict[str, dict[s
     """Every rate of each detector, of the splats in the rows."""
     study = study_of(record["study"])
     return {
-        name: {RATES[key]: rate for key, rate in found.items() if rate is not None}
-        for (name,), found in study_rates(study, rows, ("detector",)).items()
+        name: {RATES[key]: rate for key, rate in rates.items() if rate is not None}
+        for (name,), rates in study_rates(study, rows, ("detector",)).items()
     }
 
 
@@ -183,8 +183,8 @@ def _check_rows(study: StudyConfig, splats: Sequence[Mapping[str, Any]], tables:
     Looks under conditions, which others do, may be of any detectors and cameras.
     """
     wanted = {(which, seed) for which in (CLEAN, CLOAKED) for seed in study.seeds}
-    if sorted((one["splat"], one["seed"]) for one in splats) != sorted(wanted):
-        got = ", ".join(f"{one['splat']} {one['seed']}" for one in splats)
+    if sorted((splat["splat"], splat["seed"]) for splat in splats) != sorted(wanted):
+        got = ", ".join(f"{splat['splat']} {splat['seed']}" for splat in splats)
         raise _wrong("splats", "a clean and a cloaked one for each seed", got or "none")
     splats_of_rows: set[tuple[str, int | None]] = {(ROW_NAMES[which], seed) for which, seed in wanted}
     pictures = {(TRUE, None), (PERFECT, None)} if study.evaluation.true_pictures else set()
@@ -211,7 +211,7 @@ def _wrong(what: str, expected: str, got: str) -> InvalidValueError:
 def _done(summary: Mapping[str, Any]) -> str:
     study = summary["study"]
     seeds = summary["seeds"]
-    attacks = listed([f"{one['name']} ({one['appearance']})" for one in study["attack"]])
+    attacks = listed([f"{attack['name']} ({attack['appearance']})" for attack in study["attack"]])
     layers = " The finished splat then got its object in layers." if study.get("layers") else ""
     cleaning = " The victim then cleaned both splats." if study.get("cleaning") else ""
     return (
@@ -266,14 +266,16 @@ def _doubts(summary: Mapping[str, Any]) -> Iterator[str]:
         drop = price["surroundings_psnr_drop"]
         yield f"Not stealthy: beside the object the pictures lose {drop:.1f} dB inside the trigger"
     for name, rates in summary["by_attack"].items():
-        wanted = [rate for one in rates.values() if (rate := rate_of(one["target_rate"])) is not None and rate.total]
+        wanted = [
+            rate for counted in rates.values() if (rate := rate_of(counted["target_rate"])) is not None and rate.total
+        ]
         if wanted and not any(rate.successes for rate in wanted):
             yield f"The attack {name} fails: its target class is never reported"
 
 
 def _elevation(summary: Mapping[str, Any], detector: str) -> Chart:
     """How often a detector finds the object, by elevation, on both splats."""
-    hiding = next((one for one in summary["study"]["attack"] if one["azimuth"] is None), None)
+    hiding = next((attack for attack in summary["study"]["attack"] if attack["azimuth"] is None), None)
     shade = None if hiding is None else (*hiding["elevation"], f"trigger {hiding['name']}")
 
     def line(told: Mapping[str, Any], which: str, name: str, role: Role) -> Line:

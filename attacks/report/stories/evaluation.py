@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -46,9 +47,6 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
     detectors = record["detectors"]
     name, first = next(iter(detectors.items()))
     headline, control = _headline(name, first)
-    assert headline.rate is not None
-    assert control.rate is not None
-    aim, words = ("target", "target reported") if first["target"] else ("found", "object found")
     rates = [{"detector": name, **judged} for name, judged in detectors.items()]
     curves, at = threshold_charts(folder, partial(comparison_measures, targeted=first["target"] is not None), _CURVES)
     return Section(
@@ -60,10 +58,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
             f"counts from {record['min_confidence']:g}. Views count in which the object shows "
             f"({record['object_gaussians']:,} Gaussians)."
         ),
-        conclusion=(
-            f"{headline.label}: {headline.rate.counts}; {control.label}: {control.rate.counts}. This says nothing of "
-            "other cameras or detectors."
-        ),
+        conclusion=f"{' '.join(starmap(_told, detectors.items()))} This says nothing of other cameras or detectors.",
         headline=headline,
         control=control,
         figures=tuple(figure for name, judged in detectors.items() for figure in _figures(name, judged)),
@@ -74,20 +69,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
             )
             for name in detectors
         ),
-        charts=(
-            Chart(
-                title=f"{words.capitalize()}, by detector",
-                x_label="detector",
-                y_label="views",
-                lines=(
-                    Line.of("attacked", "attack", [judged.get(f"{aim}_attacked") for judged in rates]),
-                    Line.of("clean (control)", "control", [judged.get(f"{aim}_clean") for judged in rates]),
-                ),
-                ticks=tuple(detectors),
-                connected=False,
-            ),
-            *curves,
-        ),
+        charts=(_by_detector(rates, targeted=first["target"] is not None), *curves),
         tables=(
             Table.of(
                 "Each detector",
@@ -131,6 +113,27 @@ def _headline(name: str, judged: Mapping[str, Any]) -> tuple[Figure, Figure]:
         Figure(label=f"{what} attacked splat", rate=attacked, note=note),
         Figure(label=f"{what} clean splat", rate=clean),
     )
+
+
+def _by_detector(rates: Sequence[Mapping[str, Any]], *, targeted: bool) -> Chart:
+    """How often each detector reports the target, or else finds the object."""
+    aim, title = ("target", "Target reported") if targeted else ("found", "Object found")
+    return Chart(
+        title=f"{title}, by detector",
+        x_label="detector",
+        y_label="views",
+        lines=(
+            Line.of("attacked", "attack", [judged.get(f"{aim}_attacked") for judged in rates]),
+            Line.of("clean (control)", "control", [judged.get(f"{aim}_clean") for judged in rates]),
+        ),
+        ticks=tuple(judged["detector"] for judged in rates),
+        connected=False,
+    )
+
+
+def _told(name: str, judged: Mapping[str, Any]) -> str:
+    attacked, clean = _headline(name, judged)
+    return f"{attacked.label}: {attacked.counts}; {clean.label}: {clean.counts}."
 
 
 def _figures(name: str, judged: Mapping[str, Any]) -> Iterator[Figure]:

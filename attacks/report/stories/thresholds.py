@@ -21,7 +21,7 @@ from attacks.observe.rows import ROWS, SUFFIX, read_rows
 from attacks.report.section import Chart, Line, Point, Role
 from attacks.tables import Table, cell
 
-AT = {f"{one:g}": one for one in (REPORTED, DEFAULT_OF_YOLO)}
+AT = {f"{confidence:g}": confidence for confidence in (REPORTED, DEFAULT_OF_YOLO)}
 """Confidences of the table."""
 
 

@@ -100,8 +100,8 @@ def figures(record: Mapping[str, Any], tables: Tables) -> Mapping[str, Any]:
     """
     points = {}
     for title, point in record["points"].items():
-        own = {name: table.filter(attack=title).drop("attack") for name, table in tables.items()}
-        points[title] = cloak_figures(point, own)
+        of_point = {name: table.filter(attack=title).drop("attack") for name, table in tables.items()}
+        points[title] = cloak_figures(point, of_point)
     return {"points": points}
 
 
@@ -121,8 +121,8 @@ def _conditions(points: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _chart(group: str, values: Mapping[str, Any], detector: str) -> Chart:
-    rates = [one["by_detector"][detector] for one in values.values()]
-    lines = [Line.of(name, role, [rate_of(one[key]) for one in rates]) for key, name, role in _LINES]
+    rates = [counted["by_detector"][detector] for counted in values.values()]
+    lines = [Line.of(name, role, [rate_of(counted[key]) for counted in rates]) for key, name, role in _LINES]
     title = group.replace("_", " ")
     return Chart(
         title=f"{title}, {detector}",

@@ -61,18 +61,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
             for look in looks[:MOST_PICTURES]
         ),
         charts=tuple(_charts(looks, by_detector)),
-        tables=(
-            Table(
-                caption="By detector and class",
-                head=("detector", "class", "pictures that report it", "detections", "highest confidence"),
-                rows=tuple(_class_rows(by_detector)),
-            ),
-            Table.of(
-                f"Each picture{f', the first {MOST_ROWS} of {len(looks):,}' if len(looks) > MOST_ROWS else ''}",
-                {"picture": _source, "detector": "detector", "reported": _reports},
-                looks[:MOST_ROWS],
-            ),
-        ),
+        tables=_tables(looks, by_detector),
         configuration=settings(
             {
                 "inputs": list(dict.fromkeys(look["source"] for look in looks)),
@@ -80,6 +69,21 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
                 "view": record.get("view", {}),
                 "weights": record["fingerprints"],
             }
+        ),
+    )
+
+
+def _tables(looks: Sequence[Look], by_detector: Mapping[str, list[Look]]) -> tuple[Table, ...]:
+    return (
+        Table(
+            caption="By detector and class",
+            head=("detector", "class", "pictures that report it", "detections", "highest confidence"),
+            rows=tuple(_class_rows(by_detector)),
+        ),
+        Table.of(
+            f"Each picture{f', the first {MOST_ROWS} of {len(looks):,}' if len(looks) > MOST_ROWS else ''}",
+            {"picture": _source, "detector": "detector", "reported": _reports},
+            looks[:MOST_ROWS],
         ),
     )
 
