@@ -21,7 +21,6 @@ the study says comes in the place of what stands there. Every point is done with
 from __future__ import annotations
 
 import statistics
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -38,7 +37,7 @@ from attacks.cloak.study import check_disk, check_study, detectors_of, forecast,
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import OWN, SunTable
 from attacks.observe.rows import SUFFIX, write_rows
-from attacks.studies.plan import Work
+from attacks.studies.plan import Work, check_apart
 from attacks.studies.scenes import street_of
 from attacks.studies.study_file import Point, Settings, Study, merged, with_none
 from attacks.tables import Column, Table, cell, sections
@@ -247,9 +246,7 @@ class CloakWork(Work):
         where = f"{self.study.name}, judge"
         judges = [decode(CloakJudge, with_none(judge.settings), where) for judge in self.study.judges]
         looks = [look for judge in judges for look in judge.looks(steps, detectors)]
-        if twice := [label for label, number in Counter(look.label for look in looks).items() if number > 1]:
-            do = "tell judges apart by detector and condition"
-            raise InvalidValueError(message(where, "one look", f"two: {twice[0]}", do))
+        check_apart(where, (look.label for look in looks))
         return CloakPoint(part=part, value=value, steps=steps, detectors=detectors, looks=looks)
 
     def check_room(self, store: Path) -> None:

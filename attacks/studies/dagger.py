@@ -21,10 +21,10 @@ from typing import Any
 
 from attacks.detectors.registry import detector_spec, load_detector
 from attacks.objectives import Hide, Relabel, Untargeted
-from attacks.observe.conditions import SunTable
+from attacks.observe.conditions import OWN, SunTable
 from attacks.studies.attack import SPLAT, WHOLE_SPLAT, DrawnAttack, FixedAttack
 from attacks.studies.look import Look
-from attacks.studies.plan import Work, bisection
+from attacks.studies.plan import Work, bisection, check_apart
 from attacks.studies.result import record_of, write_result
 from attacks.studies.scenes import check_scene, scene_files, street_of
 from attacks.studies.study_file import Point, Settings, Study, label_of, with_none
@@ -213,9 +213,12 @@ class DaggerWork(Work):
         name, kind = self.study.name, DrawnAttack if self.study.kind == "dagger-eot" else FixedAttack
         scene, job = attack_of(kind, point.settings, f"{name}, {point.part}" if point.part else name)
         label, looks = ": ".join(filter(None, (point.part, _named(point.labels)))) or name, dict[str, Job]()
+        where = f"{name}, judge"
         for judge in self.study.judges:
-            for look in decode(Judge, with_none(judge.settings), f"{name}, judge").looks(scene, job):
+            for look in decode(Judge, with_none(judge.settings), where).looks(scene, job):
                 looks[f"{label} / {_named({**judge.labels, 'detector': look.config.detector})}"] = look
+        configs = [look.config for look in looks.values()]
+        check_apart(where, (f"{look.detector}, {look.condition or OWN}" for look in configs))
         return Attempt(label=label, point=point, scene=scene, job=job, looks=looks)
 
     def plans(self) -> list[Plan]:

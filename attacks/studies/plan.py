@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol, TypeVar
 
 from attacks.studies.study_file import Study
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.ledger import Job
 from mi_splat.ledger.plans import Plan, Result, grid
 
@@ -83,3 +85,19 @@ def bisection(attempts: Sequence[_Attempt], suffices: Callable[[_Attempt, Mappin
         if enough is None:
             return
         low, high = (low, middle) if enough else (middle, high)
+
+
+def check_apart(where: str, looks: Iterable[str]) -> None:
+    """Raise if two looks at one splat are called the same: their rows would be counted as if they were one look's.
+
+    Args:
+        where: The table of the judges, for errors.
+        looks: What each is called, by detector and condition.
+
+    Raises:
+        InvalidValueError: Two are.
+    """
+    for name, number in Counter(looks).items():
+        if number > 1:
+            do = "tell judges apart by detector and condition"
+            raise InvalidValueError(message(where, "one look of each name", f"{number}: {name}", do))

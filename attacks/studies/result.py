@@ -62,13 +62,14 @@ def write_result(work: DaggerWork, results: Mapping[str, Result], out: Path) -> 
         The files.
     """
     done = list(work.done(results))
-    rows = frame_of(_whole([row for attempt, result in done for row in _rows(attempt, result, results)]))
+    named = list(zip(_names(done), done, strict=True))
+    rows = frame_of(_whole([row for name, (attempt, result) in named for row in _rows(name, attempt, result, results)]))
     record = {
         "story": STORY,
         "study": work.study.kind,
         "name": work.study.name,
         "question": work.study.question,
-        "attacks": {_name(result): _attack(attempt, result) for attempt, result in done},
+        "attacks": {name: _attack(attempt, result) for name, (attempt, result) in named},
         "seeds": sorted({attempt.job.config.attack.seed for attempt, _ in done}),
         "detectors": _detectors(done),
         **provenance.origin(),
@@ -82,14 +83,17 @@ def write_result(work: DaggerWork, results: Mapping[str, Result], out: Path) -> 
     return paths
 
 
-def _name(result: Done) -> str:
-    return result.key[:_NAME_DIGITS]
+def _names(done: Sequence[tuple[Attempt, Done]]) -> list[str]:
+    """What rows call each attack: the first digits of its key, with a number from the second part on that has it."""
+    keys = [result.key[:_NAME_DIGITS] for _, result in done]
+    earlier = [keys[:number].count(key) for number, key in enumerate(keys)]
+    return [f"{key}-{count + 1}" if count else key for key, count in zip(keys, earlier, strict=True)]
 
 
-def _rows(attempt: Attempt, result: Done, results: Mapping[str, Result]) -> Iterable[dict[str, Any]]:
+def _rows(name: str, attempt: Attempt, result: Done, results: Mapping[str, Result]) -> Iterable[dict[str, Any]]:
     """Every row of an attack and of the looks at it."""
     config = attempt.job.config
-    ids = {"attack": _name(result), "sources": "+".join(config.detectors), "seed": config.attack.seed}
+    ids = {"attack": name, "sources": "+".join(config.detectors), "seed": config.attack.seed}
     yield from ({**ids, **row} for row in result.rows)
     for look in attempt.looks:
         looked = results.get(look)

@@ -17,6 +17,7 @@ from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_json
 from mi_splat.io.folders import RECORD
+from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Done, Event, Job, Out
 from tests.fakes import ColourDetector, camera
 from tests.studies.toy import SCENE, done, key_of, running, settings, work_of, write_toy
@@ -133,6 +134,16 @@ def test_a_splat_is_looked_at_from_further_away_and_the_box_is_where_it_shows(
     assert widths[1] < widths[0]
 
 
+def test_an_attack_that_two_parts_have_counts_in_both(attacked: Path, tmp_path: Path) -> None:
+    table = settings(attacked, case=[{"name": "one"}, {"name": "same"}], judge={"condition": ".spz"})
+    work = work_of(table)
+    work.write(done(work, attacked / "store"), tmp_path)
+    record = read_json(tmp_path / RECORD)
+    assert [(group["part"], group["success"]["total"]) for group in record["groups"]] == [("one", 1), ("same", 1)]
+    assert [(look["part"], look["targeted"]["total"]) for look in record["looks"]] == [("one", 1), ("same", 1)]
+    assert len(record["attacks"]) == 2
+
+
 def test_what_is_done_is_not_done_again(attacked: Path) -> None:
     table = settings(attacked, matrix={"seed": [0, 1], "attack.eps": [0.5, 12.0]})
     events: list[Event] = []
@@ -224,6 +235,7 @@ def test_looks_say_what_they_need(tmp_path: Path) -> None:
         ({"judge": {"condition": "rey"}}, "did you mean ray"),
         ({"judge": {"condition": "09:30"}}, "need the street"),
         ({"judge": {"detectr": "a"}}, "did you mean detector"),
+        ({"judge": {"matrix": {"condition": ["", "as attacked"]}}}, "got 2: fake_colour, own renderer"),
     ],
 )
 def test_what_cannot_be_is_found_before_the_first_job(changes: dict[str, Any], match: str, tmp_path: Path) -> None:
