@@ -24,6 +24,7 @@ from attacks.observe import conditions
 from attacks.observe.conditions import SunTable
 from attacks.observe.rows import ATTACKED, CLEAN, DETECTIONS, PERFECT, ROWS, SUFFIX, TRUE, frame_of, read_rows
 from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.ledger import Out
 from mi_splat.mixed_scenes import MixedScene
@@ -146,6 +147,8 @@ def test_the_object_alone_stands_on_the_street_by_the_hour(tmp_path: Path, monke
     assert [one["sun_z"] for one in Street.made] == pytest.approx([0.353553, 0.707107, 0.353553], abs=1e-5)
     assert Street.made[0]["sun_x"] == pytest.approx(-Street.made[2]["sun_x"])
     assert all(float(camera.position[1]) < 4.0 for camera in Street.cameras)
+    with pytest.raises(InvalidValueError, match="cameras south of it, got none"):
+        looked(tmp_path / "north", gaussian(0.9), LAYERED, condition="08:00", sun=replace(STREET, north=-99.0))
 
 
 def test_another_car_can_stand_in_the_shipped_street(tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     Under a condition that is no street a row has the PSNR to what the victim sees from there.
 
     Raises:
-        InvalidValueError: The detector has other weights than those that were asked for.
+        InvalidValueError: The detector has other weights than those that were asked for, or a street has no camera.
     """
     study = config.study(inputs)
     target = setup.target_of(study.scene)
@@ -101,6 +101,9 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
         splat, condition = _NOTHING, rendered("", lambda scene, camera: pictures[camera])
     else:
         splat, condition = load_splat(inputs["splat"]), _condition(config, study, target, errors)
+    if not any(map(condition.holds, cameras)):
+        do = "raise it, or take more cameras by a smaller every"
+        raise InvalidValueError(message("sun.north", f"one of {len(cameras)} cameras south of it", "none", do))
     looked = look([condition], {"": splat}, cameras, [detector], boxes=partial(setup.box_of, target), cells=cells)
     rows, detections = (
         table.drop("splat", *(() if config.condition else ("condition",)), strict=False).with_columns(
