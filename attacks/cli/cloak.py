@@ -64,4 +64,4 @@ def run(options: CloakOptions) -> None:
         return
     with progress("starting", total=None) as advance:
         run_study(study, options.out, weights=weights, stages=options.stages, on_step=follow(advance))
-    show_summary(options.out, as_json=options.json)
+    show_summary(options.out, as_json=options.json, tables=1)

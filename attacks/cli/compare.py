@@ -104,7 +104,7 @@ def run(options: CompareOptions) -> None:
             save_sheets(comparison.pictures, folder, factor=options.amplify)
             save_json(document, folder / RECORD)
             _save_page(folder, options.out)
-    show_summary(options.out, as_json=options.json, tables=True)
+    show_summary(options.out, as_json=options.json, tables=4)
 
 
 def _lpips(warnings: list[str]) -> Perceptual | None:

@@ -10,13 +10,13 @@ from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
 
 
-def show_summary(result: Path, *, as_json: bool, tables: bool = False) -> None:
+def show_summary(result: Path, *, as_json: bool, tables: int = 0) -> None:
     """Print the conclusion, the figures and the warnings of a finished result, and where to look.
 
     Args:
         result: Its folder.
         as_json: Whether to print its record instead, as one JSON document.
-        tables: Whether to print the tables of its page, too, where the figures are not all.
+        tables: How many of the tables of its page to print, too, where the figures are not all.
     """
     if as_json:
         show_json({**read_json(result / RECORD), "out": str(result)})
@@ -27,9 +27,8 @@ def show_summary(result: Path, *, as_json: bool, tables: bool = False) -> None:
     show(_plain(section.conclusion))
     cells = ((figure.label, "; ".join(filter(None, (figure.cell, figure.note)))) for figure in section.all_figures)
     show_table((_plain(label), _plain(text)) for label, text in cells)
-    for table in section.tables if tables else ():
-        if table.rows:
-            show(f"\n{_plain(table.markdown)}\n")
+    for table in section.tables[:tables]:
+        show(f"\n{_plain(table.markdown)}\n")
     for text in section.warnings:
         warn(f"warning: {_plain(text)}")
     if section.pictures:

@@ -200,8 +200,8 @@ class Section:
 
     @property
     def all_figures(self) -> tuple[Figure, ...]:
-        """The headline, its control, and the others."""
-        return (self.headline, *([self.control] if self.control else []), *self.figures)
+        """The headline, its control, and the others, each once."""
+        return tuple(dict.fromkeys((self.headline, *([self.control] if self.control else []), *self.figures)))
 
     def doubts(self) -> list[str]:
         """Warnings of every attack: too little was counted, or there is nothing to compare with."""

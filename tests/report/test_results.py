@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from attacks.cli.summary import show_summary
 from attacks.cloak.config import StudyConfig, read_study
 from attacks.rate import Rate
 from attacks.report.page import page_text
@@ -68,6 +69,7 @@ def test_every_kind_is_read_and_its_command_is_stored(name: str, folders: dict[s
     for text in (section.done, section.conclusion, *section.warnings):
         assert text.endswith(".")
         assert "None" not in text
+    assert len(set(section.all_figures)) == len(section.all_figures)
     assert section.configuration
     assert section.versions
     for table in section.tables:
@@ -223,3 +225,11 @@ def test_a_page_calls_only_figures_of_attacks_attacks(folders: dict[str, Path]) 
     assert page.count('<p class="role">Result</p>') == 1
     assert page.count('<p class="role">Attack</p>') == 1
     assert f"folder <code>{folders['evaluate-detector']}</code>" in page
+
+
+def test_a_command_says_what_its_page_says(folders: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    show_summary(folders["cloak"], as_json=False, tables=1)
+    text = capsys.readouterr().out
+    assert text.startswith("From inside the trigger the ")
+    assert "\n## Rates by detector\n\n| rate | fasterrcnn_small | yolov8n_small |\n" in text
+    assert text.count("\n## ") == 1
