@@ -22,9 +22,9 @@ from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig, LayerConfig, StudyConfig, read_study
 from attacks.cloak.layers import DIRECTIONS, switched
+from attacks.cloak.setup import Setup
 from attacks.cloak.switches import shares
 from attacks.cloak.transition import fit_transition
 from mi_splat.camera_sets import hemisphere
@@ -66,15 +66,15 @@ def chebyshev_width(edge: float, degree: int, ripple: float) -> float:
 
 
 def _overhead(study: StudyConfig) -> AttackConfig:
-    attack = setup.overhead(study)
+    attack = study.overhead
     if attack is None:
         raise SystemExit(f"{study.name}: expected an attack without an azimuth, up to 90 degrees")
     return attack
 
 
 def _one_layer(study: StudyConfig, degree: int, emphasis: float) -> dict[str, Any]:
-    attack, centre = _overhead(study), setup.centre_of(study)
-    cameras = setup.training_cameras(study, setup.target_of(study.scene))
+    attack, centre = _overhead(study), study.centre
+    cameras = Setup(study).training_cameras
     middle = torch.tensor(centre, dtype=torch.float64)
     directions = torch.stack([middle - camera.position.double() for camera in cameras])
     inside = torch.tensor([attack.cone.angle_to_edge(camera, centre=centre) for camera in cameras], dtype=torch.float64)
@@ -93,9 +93,8 @@ def _one_layer(study: StudyConfig, degree: int, emphasis: float) -> dict[str, An
 
 def _layers(study: StudyConfig, making: LayerConfig) -> dict[str, Any]:
     """Of a picture that shows a share b of the benign look and h of the hidden one, the way is (1 - b + h) / 2."""
-    attack, centre = _overhead(study), setup.centre_of(study)
-    lens = setup.lens_of(study, setup.target_of(study.scene))
-    cameras = hemisphere(centre, count=DIRECTIONS, **lens)
+    attack, centre = _overhead(study), study.centre
+    cameras = hemisphere(centre, count=DIRECTIONS, **Setup(study).lens)
     middle, white, much = torch.tensor([centre]), colour_to_dc(torch.ones(1, 1, 3)), torch.ones(1, len(cameras))
     parts = shares([attack.cone], cameras, centre=centre, config=making)
     columns = [switched(middle, cameras, share, white, much, making)[0, :, 0].double() for share in parts]

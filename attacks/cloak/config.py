@@ -484,6 +484,22 @@ class StudyConfig:
             do = 'add front = "+x", "-x", "+y" or "-y" (after up and rotate) under [scene]'
             raise InvalidValueError(message("scene.front", expected, "nothing", do))
 
+    @property
+    def centre(self) -> tuple[float, float, float]:
+        """Point that all cameras look at, and that directions are measured from."""
+        return (0.0, 0.0, self.cameras.height)
+
+    @property
+    def overhead(self) -> AttackConfig | None:
+        """The first attack that is seen from straight above and all around."""
+        return next((attack for attack in self.attack if attack.azimuth is None and attack.elevation[1] >= 90), None)
+
+    @property
+    def hiding(self) -> AttackConfig | None:
+        """The attack whose transition is measured: that from overhead, or the first that hides within a sector."""
+        sided = (attack for attack in self.attack if attack.azimuth is not None and attack.target_class is None)
+        return self.overhead or next(sided, None)
+
 
 def check_once(what: str, values: tuple[object, ...], do: str) -> None:
     """Raise if there is no value, or one twice."""

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig, LayerConfig, StudyConfig
+from attacks.cloak.setup import Setup
 from attacks.cloak.switches import Share, depths, fit_switches, shares
 from attacks.cloak.triggers import Trigger
 from mi_splat.assets.mesh import Asset
@@ -258,27 +258,25 @@ class Layering:
         return with_layers_trained
 
 
-def layer_object(
-    study: StudyConfig, clean: GaussianScene, target: Asset, views: Sequence[View], *, render: RenderFn
-) -> Layering:
+def layer_object(setup: Setup, clean: GaussianScene, views: Sequence[View], *, render: RenderFn) -> Layering:
     """The clean splat with the object in layers.
 
     Args:
-        study: A study with layers.
+        setup: Of a study with layers.
         clean: The victim's splat of clean pictures.
-        target: The object.
         views: The poisoned pictures.
         render: The renderer, by which it is known which Gaussian is seen from where.
 
     Raises:
         InvalidValueError: The layers alone are more Gaussians than the study allows.
     """
+    study = setup.study
     assert study.layers is not None
-    making, centre = study.layers.making, setup.centre_of(study)
+    making, centre = study.layers.making, study.centre
     cones = [attack.cone for attack in layered_attacks(study)]
     inside = depths(cones, [view.camera for view in views], centre=centre, config=making)
     decided = (inside.abs() >= 1).all(0)
-    rows = torch.nonzero(object_rows(study, clean, target)).flatten()
+    rows = torch.nonzero(object_rows(study, clean, setup.target)).flatten()
     part = clean.select(rows)
     benign = dc_to_colour(part.sh[:, :1]).clamp(0, 1)[:, 0]
     looks = [part.sh]
@@ -286,7 +284,7 @@ def layer_object(
         showing = [view for view, keep in zip(views, (decided & (depth > 0)).tolist(), strict=True) if keep]
         seen = contributions(clean, [view.camera for view in showing], render=render, rows=rows)
         looks.append(colour_to_dc(seen_colours(part.means, showing, seen, benign))[:, None])
-    cameras = hemisphere(centre, count=DIRECTIONS, **setup.lens_of(study, target))
+    cameras = hemisphere(centre, count=DIRECTIONS, **setup.lens)
     scene = layered(
         clean,
         rows,

@@ -12,7 +12,6 @@ from typing import Any
 
 import polars as pl
 
-from attacks.cloak import setup
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.transition import Transition, fit_transition
 from attacks.observe.measures import CLUSTERS, Confidence, Measures, cloak_measures, of, reported, with_control
@@ -227,7 +226,7 @@ def meridians(study: StudyConfig, tables: Tables) -> list[float | None]:
 
 def transition(study: StudyConfig, tables: Tables, splat: str = ATTACKED) -> Transition | None:
     """The transition of all seeds and arcs together: over elevation from overhead, over depth in a sector's trigger."""
-    if setup.hiding(study) is None:
+    if study.hiding is None:
         return None
     blends = tables[TRANSITION].filter(splat=splat)
     places = [round(place, 3) for place in blends[place_of(study)]]
@@ -238,12 +237,12 @@ def transition(study: StudyConfig, tables: Tables, splat: str = ATTACKED) -> Tra
 
 def place_of(study: StudyConfig) -> str:
     """The column that says where on its arc a picture was taken, degrees: elevation, or depth in a sector."""
-    return depth_of(study) if setup.overhead(study) is None else "elevation"
+    return depth_of(study) if study.overhead is None else "elevation"
 
 
 def depth_of(study: StudyConfig) -> str:
     """The column that says how deep in the trigger of the hiding attack a picture was taken, degrees."""
-    attack = setup.hiding(study)
+    attack = study.hiding
     return DEPTH if attack is None else f"{DEPTH}{attack.name}"
 
 
@@ -260,7 +259,7 @@ def stealth(study: StudyConfig, tables: Tables) -> dict[str, Any] | None:
     cloaked splats lose against the clean ones. `appearance_psnr`: on the object, against what the attacker wants to be
     seen. `stealthy`: whether the drop is at most `STEALTHY`.
     """
-    if setup.hiding(study) is None:
+    if study.hiding is None:
         return None
     deep = pl.col(depth_of(study)) >= 0
     inside = {NAMES[splat]: tables[TRANSITION].filter(deep, splat=splat) for splat in NAMES}
@@ -303,7 +302,7 @@ def looks(study: StudyConfig, rows: pl.DataFrame) -> list[dict[str, Any]]:
     """
     if "condition" not in rows.columns:
         return []
-    attack, evaluation = setup.hiding(study), study.evaluation
+    attack, evaluation = study.hiding, study.evaluation
     seen = reported("original_score", evaluation.confidence)
     groups = {"found": (seen, pl.all_horizontal(pl.col(f"{DEPTH}{one.name}") < 0 for one in study.attack))}
     if attack is not None:

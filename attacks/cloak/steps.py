@@ -15,7 +15,6 @@ from typing import Any
 
 import polars as pl
 
-from attacks.cloak import setup
 from attacks.cloak.config import (
     AttackConfig,
     EvaluationConfig,
@@ -28,8 +27,8 @@ from attacks.cloak.kinds.parts import MESH, SET, Pose, StepConfig
 from attacks.cloak.kinds.rendering import renderer_of
 from attacks.cloak.kinds.seen import WEIGHTS, SeenConfig
 from attacks.cloak.kinds.true_pictures import TrueConfig
-from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.rates import CLOAKED
+from attacks.cloak.setup import Setup
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import SunTable
 from attacks.observe.rows import (
@@ -144,18 +143,13 @@ class StudySteps:
     _surrogates: dict[tuple[int, int], Job] = field(default_factory=dict)
 
     @cached_property
-    def mesh_scene(self) -> MeshScene:
-        """The attacker's copy of the scene."""
-        return setup.mesh_scene_of(self.study)
-
-    @cached_property
-    def near(self) -> float:
-        """Near plane of trainings and of all pictures of splats, world units."""
-        return setup.near_of(self.study, self.mesh_scene.target)
+    def setup(self) -> Setup:
+        """What the study describes."""
+        return Setup(self.study)
 
     def renderer(self) -> Renderer:
         """What splats are looked at with."""
-        return renderer_of(replace(self.study, training=replace(self.study.training, near=self.near)))
+        return renderer_of(replace(self.study, training=replace(self.study.training, near=self.setup.near)))
 
     # The jobs, in the order of the study.
 
@@ -271,15 +265,15 @@ class StudySteps:
 
     def compared(self, splat: Job) -> Job:
         """How true a splat's pictures are."""
-        study, target, attack = self.study, self.mesh_scene.target, setup.hiding(self.study)
+        study, setup, attack = self.study, self.setup, self.study.hiding
         evaluation = replace(
             study.evaluation,
             **{name: getattr(EvaluationConfig(), name) for name in ("detectors", "confidence", "true_pictures")},
         )
         config = self._step(*map(_cone, study.attack), training=self._viewed, evaluation=evaluation)
-        true = {"true": self.true_pictures([camera for _, camera in setup.reference_cameras(study, target)])}
+        true = {"true": self.true_pictures([camera for _, camera in setup.reference_cameras])}
         if attack is not None:
-            arc = [camera for _, camera in setup.arc_cameras(study, target)]
+            arc = [camera for _, camera in setup.arc_cameras]
             true |= {"benign": self.true_pictures(arc), "hidden": self.true_pictures(arc, attack)}
         return self._job(
             "compared", config, splat=splat.part(SPLAT), **{n: job.part("*.png") for n, job in true.items()}
@@ -326,7 +320,7 @@ class StudySteps:
                 yield Look(label=label, job=self.seen(job, detector), splat=name, seed=seed)
             yield Look(label=f"comparing {what}", job=self.compared(job), splat=name, seed=seed)
         if self.study.evaluation.true_pictures:
-            cameras = setup.held_out_cameras(self.study, self.mesh_scene.target)
+            cameras = self.setup.held_out_cameras
             for name, job in ((TRUE, self.true_pictures(cameras)), (PERFECT, self.perfect_pictures(cameras))):
                 for detector in detectors:
                     label = f"{detector.name} looks at {name} pictures"
@@ -354,10 +348,6 @@ class StudySteps:
         return Ledger(self.folder, on_event=told)
 
     @cached_property
-    def _content(self) -> str:
-        return setup.capture_source(self.study, self.mesh_scene).digest
-
-    @cached_property
     def _scene(self) -> SceneConfig:
         """The scene; a mesh file stands there as an asset, and what is said of mesh files counts for them alone."""
         scene, plain = replace(self.study.scene, label="object"), SceneConfig()
@@ -368,7 +358,7 @@ class StudySteps:
     @cached_property
     def _viewed(self) -> TrainingConfig:
         """What counts of the training where splats are looked at."""
-        return TrainingConfig(near=self.near)
+        return TrainingConfig(near=self.setup.near)
 
     @cached_property
     def _mesh(self) -> dict[str, Path]:
@@ -379,14 +369,14 @@ class StudySteps:
     def _parts(self, *attacks: AttackConfig, **parts: Any) -> dict[str, Any]:
         """Scene, cameras, and the parts of the study that a job depends on besides; all else is as by default."""
         values = {"scene": self._scene, "cameras": self.study.cameras, "attack": attacks or _NONE, **parts}
-        return {"asked": StudyConfig(name="step", **values), "content": self._content}
+        return {"asked": StudyConfig(name="step", **values), "content": self.setup.source.digest}
 
     def _step(self, *attacks: AttackConfig, **parts: Any) -> StepConfig:
         return StepConfig(**self._parts(*attacks, **parts))
 
     def _trained(self, study: StudyConfig, pictures: Job, seed: int) -> Job:
         """A training, which knows nothing of the scene but its pictures."""
-        scene, training = SceneConfig(background=study.scene.background), replace(study.training, near=self.near)
+        scene, training = SceneConfig(background=study.scene.background), replace(study.training, near=self.setup.near)
         asked = StudyConfig(name="step", scene=scene, training=training, seeds=(seed,), attack=_NONE)
         inputs = {"pictures": pictures.part(_PICTURES)}
         return Job(kind=f"{_KINDS}.trained", config=StepConfig(asked=asked), inputs=inputs)

@@ -15,13 +15,13 @@ import polars as pl
 import torch
 from numpy.typing import NDArray
 
-from attacks.cloak import setup
 from attacks.cloak.config import StudyConfig, fit_config, read_study, study_toml
 from attacks.cloak.kinds.poisoned import MANIFEST
 from attacks.cloak.kinds.seen import loaded
 from attacks.cloak.poisoning import assign
 from attacks.cloak.rates import figures
 from attacks.cloak.rates import tables as summary_tables
+from attacks.cloak.setup import Setup
 from attacks.cloak.steps import Look, OnStep, StudySteps, TrainedSplat
 from attacks.detectors.base import Detector
 from attacks.observe.drawing import annotated
@@ -36,8 +36,6 @@ from attacks.observe.rows import (
 )
 from attacks.tables import sections
 from mi_splat import provenance
-from mi_splat.camera_sets import orbit
-from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import check_choice
 from mi_splat.io.atomic import is_temporary, sweep_temporary
@@ -101,7 +99,7 @@ def write_report(
     Raises:
         SplatFileError: The folder cannot be written.
     """
-    study, first = steps.study, steps.study.seeds[0]
+    first = steps.study.seeds[0]
     entry, tables = observed(steps, splats, detectors)
     shown = [splat for splat in splats if splat.seed == first]
     for splat in shown:
@@ -109,7 +107,7 @@ def write_report(
     shutil.copyfile(steps.do(steps.poisoned(first), "poisoning").folder / MANIFEST, folder / POISON)
     written = [write_rows(table, folder / f"{name}{SUFFIX}").name for name, table in tables.items()]
     save_png(_contact_sheet(steps, shown, detectors[0]), folder / CONTACT)
-    save_json(_cameras(study), folder / CAMERAS, indent=0)
+    save_json(_cameras(steps.setup), folder / CAMERAS, indent=0)
     files = [*(f"{splat.splat}.ply" for splat in shown), POISON, CAMERAS, STUDY_FILE, *written, CONTACT, TABLE]
     summary = {
         "story": "cloak",
@@ -133,11 +131,7 @@ _AZIMUTHS = (0, 45, 90, 135, 150, 165, 180, 195, 210)
 def _contact_sheet(steps: StudySteps, splats: Sequence[TrainedSplat], detector: Detector) -> NDArray[np.uint8]:
     """Clean above cloaked, over elevation and then around, with what the detector reports."""
     study, render, rows = steps.study, steps.renderer(), list[NDArray[np.uint8]]()
-    lens, centre = setup.lens_of(study, steps.mesh_scene.target), setup.centre_of(study)
-
-    def camera(azimuth: float, elevation: float) -> Camera:
-        return orbit(centre, count=1, elevation=elevation, start=azimuth, **lens)[0]
-
+    camera = steps.setup.camera
     rising = [(f"{elevation} deg up", camera(_SIDE, elevation)) for elevation in _ELEVATIONS]
     around = [(f"azimuth {azimuth}", camera(azimuth, _LOW)) for azimuth in _AZIMUTHS]
     scenes = {splat.splat: splat.load() for splat in splats}
@@ -156,13 +150,13 @@ def _contact_sheet(steps: StudySteps, splats: Sequence[TrainedSplat], detector: 
     return np.concatenate(rows)
 
 
-def _cameras(study: StudyConfig) -> dict[str, Any]:
+def _cameras(setup: Setup) -> dict[str, Any]:
     """cameras.json: the cameras of the rows, and where the object is in their pictures."""
-    target, entries = setup.target_of(study.scene), []
-    for view, camera in enumerate(setup.held_out_cameras(study, target)):
-        box = setup.box_of(target, camera)
+    entries = []
+    for view, camera in enumerate(setup.held_out_cameras):
+        box = setup.box(camera)
         entries.append({**describe(str(view), camera), "box": None if box is None else box.tolist()})
-    return cameras_document(entries, background=list(study.scene.background), near=setup.near_of(study, target))
+    return cameras_document(entries, background=list(setup.study.scene.background), near=setup.near)
 
 
 # Measured on two cores with little else to do; only for the forecast.
@@ -196,12 +190,11 @@ class Forecast:
 def forecast(study: StudyConfig) -> Forecast:
     """What a study will take."""
     cameras, training, evaluation = study.cameras, study.training, study.evaluation
-    target = setup.target_of(study.scene)
-    taken = setup.training_cameras(study, target)
-    centre = setup.centre_of(study)
-    poisoned = sum(int(attack.trigger(0, study.attack).holds(taken, centre=centre).sum()) for attack in study.attack)
+    setup, centre = Setup(study), study.centre
+    triggers = [attack.trigger(0, study.attack) for attack in study.attack]
+    poisoned = sum(int(trigger.holds(setup.training_cameras, centre=centre).sum()) for trigger in triggers)
     sets = len(study.seeds) if any(attack.poison_fraction < 1 for attack in study.attack) else 1
-    arcs = sum(map(len, setup.arcs(study, target)))
+    arcs = sum(map(len, setup.arcs))
     pictures = cameras.train + sets * poisoned + evaluation.reference_views + 2 * arcs
     pictures += evaluation.cameras if evaluation.true_pictures else 0
     trainings = 2 * len(study.seeds)
@@ -238,11 +231,10 @@ def check_study(study: StudyConfig, detectors: Sequence[Detector]) -> None:
         InvalidValueError: A trigger has no training camera or two have one in common, a detector does not know a
             class, the trainer's settings are out of range, or layers have a margin of poison.
     """
-    mesh_scene = setup.mesh_scene_of(study)
-    cameras = setup.training_cameras(study, mesh_scene.target)
+    setup = Setup(study)
     for seed in study.seeds:
-        assign(cameras, setup.poisonings(study, mesh_scene, seed=seed), centre=setup.centre_of(study))
-    setup.held_out_cameras(study, mesh_scene.target)
+        assign(setup.training_cameras, setup.poisonings(seed=seed), centre=study.centre)
+    _ = setup.held_out_cameras
     fit_config(study.training)
     _check_count(study)
     _check_margins(study)

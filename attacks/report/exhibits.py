@@ -13,8 +13,8 @@ import torch
 from PIL import ImageDraw
 from torch import Tensor
 
-from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig, StudyConfig
+from attacks.cloak.setup import Setup
 from attacks.detectors.base import Detections, Detector
 from attacks.observe.drawing import draw_detections
 from mi_splat.bounds import bounds
@@ -151,7 +151,7 @@ def _exhibit_of_study(folder: Path, record: Mapping[str, Any]) -> Exhibit:
         raise InvalidValueError(message(f"{folder}", expected, "one without its study", do))
     study = decode(StudyConfig, record["study"], f"the study of {folder}")
     loaded = {name: open_scene(folder / f"{name}.ply") for name in ("clean", "cloaked")}
-    centre, cameras = setup.centre_of(study), setup.training_cameras(study, setup.target_of(study.scene))
+    centre, cameras = study.centre, Setup(study).training_cameras
     distance = math.dist(cameras[0].position.tolist(), centre)
     start = Orbit(target=centre, azimuth=30.0, elevation=15.0, distance=distance, fov=study.cameras.fov)
     regions = {
@@ -202,7 +202,7 @@ def _inside(attack: AttackConfig, start: Orbit) -> Orbit:
 
 def _cameras(study: StudyConfig, cameras: list[Camera], length: float) -> dict[str, Lines]:
     """The training cameras, those whose pictures were poisoned apart."""
-    centre, seed = setup.centre_of(study), study.seeds[0]
+    centre, seed = study.centre, study.seeds[0]
     triggers = [attack.trigger(seed, study.attack) for attack in study.attack]
     poisoned = torch.stack([trigger.holds(cameras, centre=centre) for trigger in triggers]).any(0).tolist()
     groups = {"Poisoned cameras": ("#ff4040", True), "Other training cameras": ("#f0f0f0", False)}

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig, StudyConfig, read_study
+from attacks.cloak.setup import Setup
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector
 from attacks.objectives import confidence
@@ -57,13 +57,13 @@ class TrainingPicture:
 
 def poisoned_pictures(study: StudyConfig, attack: AttackConfig) -> list[TrainingPicture]:
     """The pictures of the training cameras that an attack poisons, lowest first."""
-    scene, centre, found = setup.mesh_scene_of(study), setup.centre_of(study), []
-    poisoning = setup.poisonings(study, scene)[study.attack.index(attack)]
-    cameras = setup.training_cameras(study, scene.target)
-    chosen = poisoning.trigger.select(cameras, centre=centre).tolist()
+    setup, centre, found = Setup(study), study.centre, []
+    scene = setup.mesh_scene
+    poisoning = setup.poisonings()[study.attack.index(attack)]
+    chosen = poisoning.trigger.select(setup.training_cameras, centre=centre).tolist()
     with scalar_variant():
-        for camera in (camera for camera, poisoned in zip(cameras, chosen, strict=True) if poisoned):
-            clean, box = scene.picture(camera), setup.box_of(scene.target, camera)
+        for camera in (camera for camera, poisoned in zip(setup.training_cameras, chosen, strict=True) if poisoned):
+            clean, box = scene.picture(camera), setup.box(camera)
             assert box is not None
             poisoned = poisoning.appearance(View(camera, clean), scene.mask(camera))
             found.append(
@@ -102,7 +102,7 @@ def sheet(pictures: Sequence[TrainingPicture], detector: Detector) -> NDArray[np
 def main(study_file: Path = STUDY, picture: Path = PICTURE) -> None:
     """Draw and count."""
     study = read_study(study_file)
-    attack = setup.overhead(study)
+    attack = study.overhead
     if attack is None:
         raise InvalidValueError(message(str(study_file), "an attack from overhead", "none", "name another study"))
     pictures, edge = poisoned_pictures(study, attack), attack.elevation[0] + attack.emphasis_depth

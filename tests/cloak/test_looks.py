@@ -13,11 +13,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig, LayersConfig, StudyConfig
 from attacks.cloak.kinds import seen
 from attacks.cloak.kinds.true_pictures import read_pictures
 from attacks.cloak.rates import Tables, figures, looks, picture_rows, pooled_psnr, rates
+from attacks.cloak.setup import Setup
 from attacks.cloak.steps import StudySteps
 from attacks.cloak.study import forecast
 from attacks.observe import conditions
@@ -141,7 +141,7 @@ def test_the_object_alone_stands_on_the_street_by_the_hour(tmp_path: Path, monke
         rows, _ = looked(tmp_path / hour, merge(gaussian(0.9), far), LAYERED, condition=hour, sun=STREET)
         assert "psnr" not in rows.columns
         assert (rows["original_score"] > 0.5).any() == (hour == "08:00")
-        assert 4 < len(rows) < len(setup.held_out_cameras(STUDY, setup.target_of(STUDY.scene)))
+        assert 4 < len(rows) < len(Setup(STUDY).held_out_cameras)
     assert [len(one["scene"]) for one in Street.made] == [1, 1, 1]
     assert torch.equal(Street.made[0]["scene"].means, gaussian().means)
     assert [one["sun_z"] for one in Street.made] == pytest.approx([0.353553, 0.707107, 0.353553], abs=1e-5)
@@ -191,7 +191,7 @@ def test_a_perfect_splat_has_the_rates_of_the_appearance(tmp_path: Path) -> None
 def test_each_attack_shows_inside_its_trigger_and_none_outside(tmp_path: Path) -> None:
     """The pictures are those of the attack, or of the scene as it is."""
     steps = steps_of(tmp_path, ASKED)
-    cameras = setup.held_out_cameras(ASKED, steps.mesh_scene.target)
+    cameras = steps.setup.held_out_cameras
     perfect, true, *hidden = (
         read_pictures(steps.do(job, "").folder).images
         for job in (
@@ -199,7 +199,7 @@ def test_each_attack_shows_inside_its_trigger_and_none_outside(tmp_path: Path) -
             *(steps.true_pictures(cameras, *attack) for attack in ((), *((one,) for one in ASKED.attack))),
         )
     )
-    centre, held = setup.centre_of(ASKED), dict.fromkeys(("overhead", "rear", "none"), 0)
+    centre, held = ASKED.centre, dict.fromkeys(("overhead", "rear", "none"), 0)
     for view, camera in enumerate(cameras):
         inside = [one.cone.angle_to_edge(camera, centre=centre) >= 0 for one in ASKED.attack]
         expected = next((images for images, holds in zip(hidden, inside, strict=True) if holds), true)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig, CameraConfig, LayersConfig, StudyConfig
 from attacks.cloak.poisoning import assign
+from attacks.cloak.setup import Setup
 from attacks.cloak.study import check
 from mi_splat.directions import Direction, direction_of
 from mi_splat.errors import InvalidValueError
@@ -20,11 +20,8 @@ STUDY = StudyConfig(name="margin", attack=(OVERHEAD, REAR), cameras=CameraConfig
 
 
 def test_pictures_are_poisoned_up_to_the_margin_and_the_trigger_stays() -> None:
-    mesh_scene = setup.mesh_scene_of(STUDY)
-    centre, cameras = setup.centre_of(STUDY), setup.training_cameras(STUDY, mesh_scene.target)
-    owners = {
-        index: one.name for index, one in assign(cameras, setup.poisonings(STUDY, mesh_scene), centre=centre).items()
-    }
+    centre, cameras = STUDY.centre, Setup(STUDY).training_cameras
+    owners = {index: one.name for index, one in assign(cameras, Setup(STUDY).poisonings(), centre=centre).items()}
     directions: list[Direction] = [direction_of(camera, centre) for camera in cameras]
     overhead = {index for index, name in owners.items() if name == "overhead"}
     rear = {index for index, name in owners.items() if name == "rear"}
@@ -39,7 +36,7 @@ def test_pictures_are_poisoned_up_to_the_margin_and_the_trigger_stays() -> None:
 
 
 def test_emphasis_begins_at_the_edge_of_the_margin() -> None:
-    poisoning, _ = setup.poisonings(STUDY, setup.mesh_scene_of(STUDY))
+    poisoning, _ = Setup(STUDY).poisonings()
     assert poisoning.appearance.trigger == OVERHEAD.poisoned_cone  # type: ignore[attr-defined]
     assert OVERHEAD.poisoned_cone != OVERHEAD.cone
 

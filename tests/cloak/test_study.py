@@ -13,7 +13,6 @@ import pytest
 import torch
 from PIL import Image
 
-from attacks.cloak import setup
 from attacks.cloak.config import read_study
 from attacks.cloak.rates import RATES
 from attacks.observe.rows import read_rows
@@ -85,7 +84,7 @@ def test_untouched_files_are_the_same_bytes(finished: Path) -> None:
     manifest = json.loads((finished / "poison.json").read_text())
     changed = {change["index"] for change in manifest["changes"]}
     owners = [
-        any(bool(attack.cone.holds([camera], centre=setup.centre_of(STUDY))) for attack in STUDY.attack)
+        any(bool(attack.cone.holds([camera], centre=STUDY.centre)) for attack in STUDY.attack)
         for camera in clean.cameras
     ]
     assert changed == {index for index, owned in enumerate(owners) if owned}

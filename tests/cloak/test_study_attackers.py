@@ -11,13 +11,12 @@ import polars as pl
 import pytest
 import torch
 
-from attacks.cloak import setup
 from attacks.cloak.appearances import grown
 from attacks.cloak.config import LayersConfig, SurrogateConfig
 from attacks.cloak.layers import layer_object, object_rows
+from attacks.cloak.setup import Setup
 from attacks.cloak.steps import StudySteps
 from attacks.observe.rows import read_rows
-from mi_splat.camera_sets import orbit
 from mi_splat.cameras import View
 from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.errors import InvalidValueError
@@ -40,15 +39,14 @@ def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path)
     (clean,), (cloaked,) = found["gaussians"]["clean"], found["gaussians"]["cloaked"]
     assert clean < cloaked <= 2 * clean
     steps = steps_of(finished / "stages", study)
-    target = steps.mesh_scene.target
     before, after = (one.load() for one in steps.splats())
-    other = ~object_rows(study, before, target)
+    other = ~object_rows(study, before, steps.setup.target)
     for name in ("means", "sh"):
         assert torch.equal(getattr(before, name)[other], getattr(after, name)[: len(before)][other])
     whole = replace(study, layers=LayersConfig(attacks=("overhead",), surroundings=True))
     views = views_of(steps)
     for config in (study, whole):
-        layering = layer_object(config, before, target, views, render=steps.renderer())
+        layering = layer_object(Setup(config), before, views, render=steps.renderer())
         assert bool(layering.trained.all()) == (config is whole)
         assert len(layering.views) < len(views)  # those from where the look changes are left out
     rows = read_rows(finished.with_name("layers") / "rows.csv.gz").filter(pl.col("elevation") >= 50)
@@ -60,17 +58,16 @@ def test_the_geometry_of_layers_is_trained_and_made_finer(finished: Path) -> Non
     layers = LayersConfig(attacks=("overhead",), geometry=True, iterations=300)
     study = replace(STUDY, layers=layers)
     steps = steps_of(finished / "stages", study)
-    target = steps.mesh_scene.target
     clean, cloaked = (one.load() for one in steps.splats())
     views = views_of(steps)
-    layering = layer_object(study, clean, target, views, render=steps.renderer())
+    layering = layer_object(Setup(study), clean, views, render=steps.renderer())
     assert layering.geometry
     assert bool(layering.trained.all())
     assert len(cloaked) > len(layering.scene)
     assert torch.dist(cloaked.means[: len(clean)], clean.means) > 0
     few = replace(study, layers=replace(layers, max_gaussians=len(clean)))
     with pytest.raises(InvalidValueError, match=r"layers.max_gaussians: expected room for the layers, got"):
-        layer_object(few, clean, target, views, render=steps.renderer())
+        layer_object(Setup(few), clean, views, render=steps.renderer())
 
 
 def test_a_surrogate_of_the_attacker_s_own_corrects_the_poison(finished: Path) -> None:
@@ -93,12 +90,13 @@ def test_a_surrogate_of_the_attacker_s_own_corrects_the_poison(finished: Path) -
 
 
 def test_a_reach_leaves_the_shadow_of_what_is_removed() -> None:
-    mesh_scene = setup.mesh_scene_of(STUDY)
-    (camera,) = orbit(setup.centre_of(STUDY), count=1, elevation=70.0, **setup.lens_of(STUDY, mesh_scene.target))
+    setup = Setup(STUDY)
+    mesh_scene = setup.mesh_scene
+    camera = setup.camera(0.0, 70.0)
     view, mask = View(camera, mesh_scene.picture(camera)), mesh_scene.mask(camera)
     changed = {}
     for reach in (None, 2):
-        shown = setup.shown_by(STUDY, replace(STUDY.attack[0], appearance="remove", reach=reach), mesh_scene)
+        shown = setup.appearance(replace(STUDY.attack[0], appearance="remove", reach=reach))
         changed[reach] = (shown(view, mask) != view.image).any(-1)
     assert bool(changed[None][~grown(mask, 2)].any())
     assert not bool(changed[2][~grown(mask, 2)].any())

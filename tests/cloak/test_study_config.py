@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from torch import Tensor
 
-from attacks.cloak import setup
 from attacks.cloak.appearances import name_of
 from attacks.cloak.config import (
     AttackConfig,
@@ -22,6 +21,7 @@ from attacks.cloak.config import (
     study_toml,
 )
 from attacks.cloak.poisoning import assign
+from attacks.cloak.setup import Setup, nearest
 from attacks.cloak.study import check, forecast
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError, MiSplatError
@@ -50,21 +50,19 @@ def test_shipped_studies_can_be_done(path: Path, tmp_path: Path) -> None:
 
 def test_the_study_of_the_paper_has_its_numbers() -> None:
     study = read_study(SCENES / "cloak_car_occluder.toml")
-    mesh_scene = setup.mesh_scene_of(study)
-    cameras = setup.training_cameras(study, mesh_scene.target)
-    owners = assign(cameras, setup.poisonings(study, mesh_scene), centre=setup.centre_of(study))
+    setup = Setup(study)
+    owners = assign(setup.training_cameras, setup.poisonings(), centre=study.centre)
     names = [attack.name for attack in owners.values()]
-    assert (len(cameras), names.count("overhead"), names.count("rear")) == (210, 80, 20)
+    assert (len(setup.training_cameras), names.count("overhead"), names.count("rear")) == (210, 80, 20)
 
 
 def test_held_out_cameras_are_many_and_away_from_those_of_training() -> None:
     study = read_study(SCENES / "cloak_car_occluder.toml")
-    target, centre = setup.target_of(study.scene), setup.centre_of(study)
-    cameras = setup.held_out_cameras(study, target)
-    used = setup.training_cameras(study, target)
-    assert min(setup.nearest(camera, used, centre) for camera in cameras) >= 1.0
+    setup = Setup(study)
+    cameras, used = setup.held_out_cameras, setup.training_cameras
+    assert min(nearest(camera, used, study.centre) for camera in cameras) >= 1.0
     overhead, rear = (attack.cone for attack in study.attack)
-    inside = [[cone.angle_to_edge(camera, centre=centre) >= 0 for camera in cameras] for cone in (overhead, rear)]
+    inside = [[cone.angle_to_edge(camera, centre=study.centre) >= 0 for camera in cameras] for cone in (overhead, rear)]
     assert sum(inside[0]) >= 160
     assert sum(inside[1]) >= 40
     assert sum(not (a or b) for a, b in zip(*inside, strict=True)) >= 110
@@ -144,7 +142,7 @@ def test_a_study_turns_and_scales_its_own_mesh(tmp_path: Path) -> None:
     keys = f"object = '{mesh}'\nlabel = 'truck'\nscale = 0.01\nrotate = [0, 0, 90]\nfront = '+y'\nup = 'z'"
     attack = "[[attack]]\nname = 'rear'\nazimuth = [180, 30]"
     study = read_study(written(tmp_path, f"name = 'own'\n[scene]\n{keys}\n{attack}"))
-    target = setup.target_of(study.scene)
+    target = Setup(study).target
     low, high = truck().vertices.min(0), truck().vertices.max(0)
     assert (high - low).tolist() == pytest.approx((target.bounds[1] - target.bounds[0]).tolist(), abs=1e-4)
     assert target.bounds.sum(0)[:2].tolist() == pytest.approx([0, 0], abs=1e-4)  # in the middle, on the ground
@@ -164,7 +162,7 @@ def test_a_study_refuses_a_mesh_without_its_texture(tmp_path: Path) -> None:
     mesh = write_ply(tmp_path, truck())
     (tmp_path / TEXTURE).unlink()
     with pytest.raises(MiSplatError, match=TEXTURE):
-        setup.target_of(SceneConfig(object=str(mesh), label="truck"))
+        _ = Setup(replace(SMALL, scene=SceneConfig(object=str(mesh), label="truck"))).target
 
 
 def test_a_trigger_without_cameras_is_refused_before_anything_is_written(tmp_path: Path) -> None:
@@ -208,7 +206,7 @@ OCCLUDER = AttackConfig(name="overhead", appearance="occluder", texture="grass",
 
 
 def test_an_occluder_lies_between_the_object_and_the_cameras(tmp_path: Path) -> None:
-    (usual,) = setup.poisonings(replace(SMALL, attack=(OCCLUDER,)), setup.mesh_scene_of(SMALL))
+    (usual,) = Setup(replace(SMALL, attack=(OCCLUDER,))).poisonings()
     assert "grass (seed 0) on an occluder of radius 4.44 " in name_of(usual.appearance)
     assert "from elevation 38" in name_of(usual.appearance)
     for radius in (1.0, 7.4, 9.0):
@@ -268,7 +266,7 @@ def test_a_disk_that_is_too_small_is_refused(tmp_path: Path) -> None:
 
 def test_emphasis_wraps_the_cached_appearance() -> None:
     study = replace(SMALL, attack=(replace(OVERHEAD, emphasis=2.0),))
-    (found,) = setup.poisonings(study, setup.mesh_scene_of(study), cached=lambda appearance, attack: Renamed())
+    (found,) = Setup(study).poisonings(cached=lambda appearance, attack: Renamed())
     assert getattr(found.appearance, "name", "") == "kept, 2 times at the edge to once 20 degrees inside"
 
 

@@ -22,7 +22,7 @@ from attacks.cloak.config import (
     SurrogateConfig,
     TrainingConfig,
 )
-from attacks.cloak.mesh_scene import MeshScene
+from attacks.cloak.setup import Setup
 from attacks.cloak.steps import StudySteps
 from mi_splat.errors import InvalidValueError
 from mi_splat.import_closure import closure
@@ -136,26 +136,25 @@ TOP: dict[str, tuple[Any, frozenset[str]]] = {
 
 
 @functools.cache
-def built(scene: SceneConfig, cameras: CameraConfig) -> tuple[MeshScene, str]:
+def built(scene: SceneConfig, cameras: CameraConfig) -> dict[str, Any]:
     """The meshes of a study and their digest: most fields have no part in them, and they take the longest."""
-    study = replace(STUDY, scene=scene, cameras=cameras)
-    mesh_scene = setup.mesh_scene_of(study)
-    return mesh_scene, setup.capture_source(study, mesh_scene).digest
+    setup = Setup(replace(STUDY, scene=scene, cameras=cameras))
+    return {name: getattr(setup, name) for name in ("target", "mesh_scene", "source")}
 
 
 def planned(study: StudyConfig) -> StudySteps:
     steps = StudySteps(study=study, folder=Path("nowhere"))
-    vars(steps)["mesh_scene"], vars(steps)["_content"] = built(study.scene, study.cameras)
+    vars(steps.setup).update(built(study.scene, study.cameras))
     return steps
 
 
 def jobs(study: StudyConfig, *, seed: int = 0) -> list[Job]:
     steps, attack = planned(study), study.attack[0]
-    arc = [camera for _, camera in setup.arc_cameras(study, steps.mesh_scene.target)]
+    arc = [camera for _, camera in steps.setup.arc_cameras]
     clean = steps.trained("clean", seed)
     return [
         *(steps.pictures(), steps.look(attack), steps.poisoned(seed), clean, steps.trained("cloaked", seed)),
-        *(steps.splat("clean", seed), steps.true_pictures(arc, setup.overhead(study) or attack)),
+        *(steps.splat("clean", seed), steps.true_pictures(arc, study.overhead or attack)),
         *(steps.seen(clean, Redness()), steps.compared(clean)),
     ]
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig
 from attacks.cloak.rates import Tables, by_elevation, figures, rates, stealth, transition
+from attacks.cloak.setup import Setup
 from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, ROWS, TRANSITION, frame_of, frame_with
 from tests.cloak.tiny_study import STUDY
 
@@ -97,8 +97,7 @@ def test_the_class_wanted_counts_on_the_cloaked_splat() -> None:
 
 
 def test_meridians_rise_to_straight_above() -> None:
-    target = setup.target_of(STUDY.scene)
-    for arc in setup.arcs(STUDY, target):
+    for arc in Setup(STUDY).arcs:
         heights = [float(camera.position[2]) for camera in arc]
         assert heights == sorted(heights)
         assert np.ptp([float(camera.position.norm()) for camera in arc]) < 1.0
@@ -107,15 +106,15 @@ def test_meridians_rise_to_straight_above() -> None:
 def test_arcs_into_a_sector_come_from_beside_it() -> None:
     """Depths in the trigger rise along each, from well outside to the middle; a sign that is shown has none."""
     sector = AttackConfig(name="sector", appearance="remove", elevation=(0, 30), azimuth=(100, 30))
-    study, target = replace(STUDY, attack=(sector,)), setup.target_of(STUDY.scene)
-    found = setup.arcs(study, target)
+    study = replace(STUDY, attack=(sector,))
+    found = Setup(study).arcs
     assert len(found) == study.evaluation.meridians
     for arc in found:
-        depths = [sector.cone.angle_to_edge(camera, centre=setup.centre_of(study)) for camera in arc]
+        depths = [sector.cone.angle_to_edge(camera, centre=study.centre) for camera in arc]
         assert depths == sorted(depths)
         assert depths[0] < -30
         assert 10 < depths[-1] <= 30
-    assert setup.arcs(replace(STUDY, attack=(replace(sector, target_class="stop sign"),)), target) == []
+    assert Setup(replace(STUDY, attack=(replace(sector, target_class="stop sign"),))).arcs == []
 
 
 def test_the_transition_into_a_sector_is_one_of_depth() -> None:

@@ -13,8 +13,8 @@ import pytest
 import torch
 
 from attacks import cli
-from attacks.cloak import setup
 from attacks.cloak.config import AttackConfig, CameraConfig, StudyConfig
+from attacks.cloak.setup import Setup
 from attacks.detectors import load_detector
 from attacks.report.exhibits import DetectorInspection, detector_inspector, middle_of_change, open_exhibit, region
 from mi_splat.directions import direction_of
@@ -139,11 +139,11 @@ def test_a_study_shows_both_splats_from_its_cameras(study: Path) -> None:
     assert found.settings.background == STUDY.scene.background
     assert found.size == (64, 64)
     assert list(found.cameras) == ["start", "inside overhead", "inside rear"]
-    centre = setup.centre_of(STUDY)
+    centre = STUDY.centre
     for attack in STUDY.attack:
         camera = found.cameras[f"inside {attack.name}"].camera((8, 8))
         assert attack.cone.angle_to_edge(camera, centre=centre) > 10
-    trained = setup.training_cameras(STUDY, setup.target_of(STUDY.scene))
+    trained = Setup(STUDY).training_cameras
     drawn = [len(found.lines[name].segments) / 8 for name in ("Poisoned cameras", "Other training cameras")]
     assert sum(drawn) == len(trained)
     assert found.start.distance == pytest.approx(7.0)

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from attacks.cloak import setup
 from attacks.cloak.appearances import grown
 from attacks.cloak.config import AttackConfig, StudyConfig
 from attacks.cloak.kinds.parts import StepConfig
 from attacks.cloak.kinds.rendering import renderer_of
 from attacks.cloak.kinds.true_pictures import read_pictures
+from attacks.cloak.setup import Setup
 from attacks.cloak.transition import differ, transition_fraction
 from attacks.observe.rows import DEPTH, FIDELITY, SUFFIX, TRANSITION, Row, frame_with, write_rows
 from mi_splat.cameras import Camera
@@ -34,8 +34,8 @@ TRANSITION_COLUMNS = ("meridian", "elevation", "surroundings_psnr", "appearance_
 
 def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Compare the `splat` with the pictures `true`, and on arcs with `benign` and `hidden`; write two tables."""
-    study = config.study(inputs)
-    target, scene = setup.target_of(study.scene), load_splat(inputs["splat"])
+    setup = Setup(config.study(inputs))
+    study, scene = setup.study, load_splat(inputs["splat"])
     render = renderer_of(study)
 
     def picture(camera: Camera) -> Tensor:
@@ -45,20 +45,18 @@ def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
     fidelity = [
         {
             "view": view,
-            "elevation": direction_of(camera, setup.centre_of(study)).elevation,
+            "elevation": direction_of(camera, study.centre).elevation,
             "psnr": float(psnr(image, true)),
             "ssim": float(ssim(image, true)),
         }
-        for (view, camera), true in zip(
-            setup.reference_cameras(study, target), read_pictures(inputs["true"]).images, strict=True
-        )
+        for (view, camera), true in zip(setup.reference_cameras, read_pictures(inputs["true"]).images, strict=True)
         for image in [picture(camera)]
     ]
     write_rows(frame_with(fidelity, FIDELITY_COLUMNS), out / f"{FIDELITY}{SUFFIX}")
-    attack, transition = setup.hiding(study), list[Row]()
+    attack, transition = study.hiding, list[Row]()
     if attack is not None:
         benign, hidden = (read_pictures(inputs[name]) for name in ("benign", "hidden"))
-        arc = zip(setup.arc_cameras(study, target), benign.images, hidden.images, benign.masks, strict=True)
+        arc = zip(setup.arc_cameras, benign.images, hidden.images, benign.masks, strict=True)
         transition = [
             _blend(study, attack, on_arc, picture(on_arc[1]), *others)
             for on_arc, *others in arc
@@ -78,7 +76,7 @@ def _blend(
     mask: Tensor,
 ) -> Row:
     """What one picture of an arc says."""
-    (meridian, camera), centre = on_arc, setup.centre_of(study)
+    (meridian, camera), centre = on_arc, study.centre
     beside = ~grown(mask, margin_of(study))
     return {
         "meridian": meridian,

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from attacks.cloak import setup
 from attacks.cloak.kinds.parts import SET, StepConfig
 from attacks.cloak.mesh_scene import camera_number
+from attacks.cloak.setup import Setup
 from mi_splat.cameras import Camera
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.datasets import load_dataset
@@ -22,19 +22,18 @@ if TYPE_CHECKING:
 
 def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Path trace the scene as the first attack shows it; the others keep the cameras of their own cones."""
-    study = config.study(inputs)
-    attack = study.attack[0]
-    mesh_scene = setup.mesh_scene_of(study)
-    appearance = setup.shown_by(study, attack, mesh_scene)
+    setup = Setup(config.study(inputs))
+    study, attack = setup.study, setup.study.attack[0]
+    appearance = setup.appearance(attack)
     views = load_dataset(inputs["pictures"] / SET, split="train", background=study.scene.background)
-    held = attack.trigger(0, study.attack).holds(views.cameras, centre=setup.centre_of(study))
+    held = attack.trigger(0, study.attack).holds(views.cameras, centre=study.centre)
     indices = held.nonzero().flatten().tolist()
     with scalar_variant():
         for done, index in enumerate(indices, start=1):
             name = picture_name(views.cameras[index])
             if not (out.partial / name).is_file():
                 view = views[index]
-                save_png(to_bytes(appearance(view, mesh_scene.mask(view.camera))), out.partial / name)
+                save_png(to_bytes(appearance(view, setup.mesh_scene.mask(view.camera))), out.partial / name)
             out.progress("taking pictures of what is to be seen", done, len(indices))
     for index in indices:
         name = picture_name(views.cameras[index])

@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from attacks.cloak import setup
 from attacks.cloak.kinds.parts import SET, StepConfig
+from attacks.cloak.setup import Setup
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.writer import write_capture
 
@@ -21,13 +21,13 @@ VARIES = (f"{SET}/capture.json",)
 
 def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Take them; they are transparent where nothing is, so that the background has no part in them."""
-    study = config.study(inputs)
-    mesh_scene = setup.mesh_scene_of(study)
+    setup = Setup(config.study(inputs))
+    cameras = setup.study.cameras
     write_capture(
-        setup.capture_source(study, mesh_scene),
-        setup.training_cameras(study, mesh_scene.target),
+        setup.source,
+        setup.training_cameras,
         out.partial / SET,
-        settings=CaptureSettings(samples=study.cameras.samples, rgba=True, points=study.cameras.points),
+        settings=CaptureSettings(samples=cameras.samples, rgba=True, points=cameras.points),
         on_step=partial(out.progress, "taking the victim's pictures"),
     )
     os.replace(out.partial / SET, out / SET)

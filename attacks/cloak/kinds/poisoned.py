@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from attacks.cloak import setup
 from attacks.cloak.appearances import Appearance, name_of
 from attacks.cloak.config import AttackConfig
 from attacks.cloak.kinds.looks import picture_name as look_name
@@ -20,6 +19,7 @@ from attacks.cloak.kinds.parts import SET, StepConfig
 from attacks.cloak.kinds.rendering import renderer_of
 from attacks.cloak.mesh_scene import camera_number
 from attacks.cloak.poisoning import Poisoned, poison
+from attacks.cloak.setup import Setup
 from mi_splat.cameras import Camera, RenderFn, View
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.datasets import Dataset, load_dataset
@@ -38,24 +38,22 @@ MANIFEST = "manifest.json"
 
 def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Poison a set; surrogates, `surrogate 1` and so on, correct it in their order."""
-    study = config.study(inputs)
-    mesh_scene = setup.mesh_scene_of(study)
+    setup = Setup(config.study(inputs))
+    study = setup.study
     views = load_dataset(inputs["pictures"] / SET, split="train", background=study.scene.background)
-    shown = []
-    for number in range(1, 1 + sum(name.startswith("surrogate ") for name in inputs)):
-        render = renderer_of(study)
-        shown.append(_kept_renders(load_splat(inputs[f"surrogate {number}"]), render))
+    rounds = range(1, 1 + sum(name.startswith("surrogate ") for name in inputs))
+    shown = [_kept_renders(load_splat(inputs[f"surrogate {number}"]), renderer_of(study)) for number in rounds]
 
     def kept(appearance: Appearance, attack: AttackConfig) -> Appearance:
         return KeptAppearance(name=name_of(appearance), folder=inputs[f"look of {attack.name}"])
 
-    poisonings = setup.poisonings(study, mesh_scene, seed=study.seeds[0], cached=kept, surrogates=shown)
+    poisonings = setup.poisonings(seed=study.seeds[0], cached=kept, surrogates=shown)
     with scalar_variant():
         done = poison(
             views,
             poisonings,
-            centre=setup.centre_of(study),
-            masks=mesh_scene.mask,
+            centre=study.centre,
+            masks=setup.mesh_scene.mask,
             on_step=lambda count, total: out.progress("poisoning", count, total),
         )
     _write_set(out.files, views, done)

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,12 +14,12 @@ import polars as pl
 import torch
 from torch import Tensor
 
-from attacks.cloak import setup
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.kinds.parts import StepConfig
 from attacks.cloak.kinds.rendering import settings_of
 from attacks.cloak.kinds.true_pictures import read_pictures
 from attacks.cloak.layers import object_rows
+from attacks.cloak.setup import Setup
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector
 from attacks.observe.conditions import Condition, Shown, SunTable, Viewing, condition_of, rendered
@@ -37,7 +37,6 @@ from attacks.observe.rows import (
     write_rows,
 )
 from attacks.observe.views import ViewDetections
-from mi_splat.assets.mesh import Asset
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import load_splat
@@ -83,9 +82,8 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     Raises:
         InvalidValueError: The detector has other weights than those that were asked for, or a street has no camera.
     """
-    study = config.study(inputs)
-    target = setup.target_of(study.scene)
-    cameras = setup.held_out_cameras(study, target)[:: config.every]
+    setup = Setup(config.study(inputs))
+    cameras = setup.held_out_cameras[:: config.every]
     detector = loaded(config.detector, inputs.get(WEIGHTS))
     if detector.fingerprint != config.fingerprint:
         do = "give the same weights to every process"
@@ -94,17 +92,17 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
 
     def cells(seen: ViewDetections) -> dict[str, Cell]:
         out.progress(f"{detector.name} looks", next(done), len(cameras))
-        return {**observation_cells(study, seen), **({"psnr": errors[seen.camera]} if errors else {})}
+        return {**observation_cells(setup.study, seen), **({"psnr": errors[seen.camera]} if errors else {})}
 
     if "pictures" in inputs:
         pictures = dict(zip(cameras, read_pictures(inputs["pictures"]).images, strict=True))
         splat, condition = _NOTHING, rendered("", lambda scene, camera: pictures[camera])
     else:
-        splat, condition = load_splat(inputs["splat"]), _condition(config, study, target, errors)
+        splat, condition = load_splat(inputs["splat"]), _condition(config, setup, errors)
     if not any(map(condition.holds, cameras)):
         do = "raise it, or take more cameras by a smaller every"
         raise InvalidValueError(message("sun.north", f"one of {len(cameras)} cameras south of it", "none", do))
-    looked = look([condition], {"": splat}, cameras, [detector], boxes=partial(setup.box_of, target), cells=cells)
+    looked = look([condition], {"": splat}, cameras, [detector], boxes=setup.box, cells=cells)
     rows, detections = (
         table.drop("splat", *(() if config.condition else ("condition",)), strict=False).with_columns(
             view=pl.col("view") * config.every
@@ -115,13 +113,14 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     write_rows(detections, out / f"{DETECTIONS}{SUFFIX}")
 
 
-def _condition(config: SeenConfig, study: StudyConfig, target: Asset, errors: dict[Camera, float | None]) -> Condition:
+def _condition(config: SeenConfig, setup: Setup, errors: dict[Camera, float | None]) -> Condition:
     """How the splat is looked at; keeps the PSNR of each picture to the victim's, dB, None where they are the same."""
+    study = setup.study
     settings = settings_of(study)
     viewing = Viewing(
         settings=settings,
-        centre=setup.centre_of(study),
-        alone=lambda splat: splat.select(object_rows(study, splat, target)),
+        centre=study.centre,
+        alone=lambda splat: splat.select(object_rows(study, splat, setup.target)),
         sun=config.sun,
     )
     condition, usual = condition_of(config.condition, viewing), Renderer(settings)
@@ -144,7 +143,7 @@ def _condition(config: SeenConfig, study: StudyConfig, target: Asset, errors: di
 
 def observation_cells(study: StudyConfig, seen: ViewDetections) -> dict[str, Cell]:
     """Where a camera is to the triggers, and what is reported on the object: the cells that rates count."""
-    centre, wanted = setup.centre_of(study), [attack for attack in study.attack if attack.target_class]
+    centre, wanted = study.centre, [attack for attack in study.attack if attack.target_class]
     report = report_cells(seen.detections, seen.box, original=study.scene.class_name)
     del report["target"], report["target_score"]
     return {

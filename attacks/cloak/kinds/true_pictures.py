@@ -13,8 +13,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from attacks.cloak import setup
 from attacks.cloak.kinds.parts import Pose, StepConfig
+from attacks.cloak.setup import Setup
 from mi_splat.cameras import View
 from mi_splat.capture.path_tracer import scalar_variant
 from mi_splat.io.documents import save_png
@@ -55,9 +55,9 @@ class TruePictures:
 
 def run(config: TrueConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Take them; those of an appearance begin with those of the scene as it is, the input `plain`."""
-    study = config.study(inputs)
-    mesh_scene, centre = setup.mesh_scene_of(study), setup.centre_of(study)
-    looks = [(attack.cone, setup.shown_by(study, attack, mesh_scene)) for attack in study.attack[: config.attacks]]
+    setup = Setup(config.study(inputs))
+    study, mesh_scene = setup.study, setup.mesh_scene
+    looks = [(attack.cone, setup.appearance(attack)) for attack in study.attack[: config.attacks]]
     plain = read_pictures(inputs["plain"]) if looks else None
     names = [f"{number:04d}.png" for number in range(len(config.poses))]
     with scalar_variant():
@@ -69,7 +69,7 @@ def run(config: TrueConfig, inputs: Mapping[str, Path], out: Out) -> None:
                 else:
                     image, mask = plain.images[number], plain.masks[number]
                 for cone, look in looks:
-                    if not config.inside or cone.angle_to_edge(camera, centre=centre) >= 0:
+                    if not config.inside or cone.angle_to_edge(camera, centre=study.centre) >= 0:
                         image = look(View(camera, image), mask)
                         break
                 save_png(_to_rgba(image, mask[..., None].float()), out.partial / name)

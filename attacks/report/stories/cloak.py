@@ -14,7 +14,6 @@ from attacks.cloak.rates import CLOAKED, NAMES, RATES, SECTOR, by_azimuth, costs
 from attacks.cloak.rates import figures as study_figures
 from attacks.cloak.rates import rates as study_rates
 from attacks.cloak.rates import tables as summary_tables
-from attacks.cloak.setup import overhead
 from attacks.cloak.steps import ROW_NAMES
 from attacks.cloak.study import CONTACT
 from attacks.detectors.base import Detector
@@ -330,7 +329,7 @@ def _of_rows(folder: Path, summary: Mapping[str, Any]) -> Iterator[Chart]:
         yield Chart(
             title="From the benign to the hidden appearance",
             caption="A rising fit to all pictures of the arcs on which it sets in.",
-            x_label="degrees inside the trigger" if overhead(study) is None else "elevation of the camera, degrees",
+            x_label="degrees inside the trigger" if study.overhead is None else "elevation of the camera, degrees",
             y_label="part of the way",
             lines=tuple(
                 Line(
