@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -71,3 +71,16 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Cells as a table in Markdown, without an end of the last line."""
     lines = (head, ("---",) * len(head), *rows)
     return "\n".join(f"| {' | '.join(text.replace('|', chr(92) + '|') for text in line)} |" for line in lines)
+
+
+def named_settings(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Nested settings as names with dots and values; tables of a list are numbered."""
+    for key, value in values.items():
+        tables = {key: value}
+        if isinstance(value, (list, tuple)) and value and all(isinstance(entry, Mapping) for entry in value):
+            tables = {f"{key}.{number}": entry for number, entry in enumerate(value)}
+        for name, table in tables.items():
+            if isinstance(table, Mapping):
+                yield from ((f"{name}.{inner}", entry) for inner, entry in named_settings(table))
+            else:
+                yield name, table

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import shutil
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ from attacks.observe.rows import (
     TRANSITION,
     write_rows,
 )
-from attacks.tables import sections
+from attacks.tables import named_settings, sections
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import check_choice
@@ -57,29 +57,9 @@ def differences(there: StudyConfig, wanted: StudyConfig) -> list[str]:
         there: The study of earlier results.
         wanted: The study that is asked for.
     """
-    before, now = (dict(_flat(asdict(study))) for study in (there, wanted))
+    before, now = (dict(named_settings(asdict(study))) for study in (there, wanted))
     pairs = {name: (before.get(name), now.get(name)) for name in {**before, **now}}
     return [f"{name} {old} and not {new}" for name, (old, new) in pairs.items() if old != new]
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Names with dots and values of nested settings; several attacks are numbered."""
-    for key, value in values.items():
-        name = f"{prefix}{key}"
-        if isinstance(value, dict):
-            yield from _flat(value, f"{name}.")
-        elif isinstance(value, tuple) and value and isinstance(value[0], dict):
-            for number, entry in enumerate(value):
-                yield from _flat(entry, f"{name}.{number}.")
-        else:
-            yield name, value
-
-
-def begin_report(study: StudyConfig, folder: Path) -> None:
-    """Make the folder of the results and say in study.toml whose they are."""
-    folder.mkdir(parents=True, exist_ok=True)
-    sweep_temporary(folder)
-    save_text(study_toml(asdict(study)), folder / STUDY_FILE)
 
 
 def write_report(
@@ -91,7 +71,7 @@ def write_report(
         steps: The study.
         splats: Those of `StudySteps.splats`.
         detectors: Those that look.
-        folder: For the results; see `begin_report`.
+        folder: For the results, with study.toml, which says whose they are.
 
     Returns:
         The summary.
@@ -235,31 +215,20 @@ def check_study(study: StudyConfig, detectors: Sequence[Detector]) -> None:
     for seed in study.seeds:
         assign(setup.training_cameras, setup.poisonings(seed=seed), centre=study.centre)
     _ = setup.held_out_cameras
-    fit_config(study.training)
-    _check_count(study)
-    _check_margins(study)
+    points, most = study.cameras.points + study.training.outliers, study.training.max_gaussians
+    if fit_config(study.training).strategy.adds_gaussians and points > most:
+        expected = f"at least {points:,}, for cameras.points and training.outliers"
+        raise InvalidValueError(message("training.max_gaussians", expected, f"{most:,}", "raise it, or ask for fewer"))
+    wide = [attack for attack in study.attack if attack.poison_margin > 0]
+    if wide and study.layers is not None:  # from the margin's cameras its file is to show the benign look
+        expected, do = "0 in a study of layers", "move the edge by `shift` under [layers] making"
+        raise InvalidValueError(message(f"attack {wide[0].name!r}, poison_margin", expected, wide[0].poison_margin, do))
     wanted = [
         study.scene.class_name,
         *(attack.target_class for attack in study.attack if attack.target_class is not None),
     ]
     for label, detector in itertools.product(wanted, detectors):
         check_choice(f"class for {detector.name}", label, detector.classes)
-
-
-def _check_count(study: StudyConfig) -> None:
-    """Raise if trainings would begin with more Gaussians than they may have."""
-    points, most = study.cameras.points + study.training.outliers, study.training.max_gaussians
-    if fit_config(study.training).strategy.adds_gaussians and points > most:
-        expected = f"at least {points:,}, for cameras.points and training.outliers"
-        raise InvalidValueError(message("training.max_gaussians", expected, f"{most:,}", "raise it, or ask for fewer"))
-
-
-def _check_margins(study: StudyConfig) -> None:
-    """Raise if a study of layers has a margin of poison, from whose cameras its file is to show the benign look."""
-    wide = [attack for attack in study.attack if attack.poison_margin > 0]
-    if wide and study.layers is not None:
-        expected, do = "0 in a study of layers", "move the edge by `shift` under [layers] making"
-        raise InvalidValueError(message(f"attack {wide[0].name!r}, poison_margin", expected, wide[0].poison_margin, do))
 
 
 def check_folder(study: StudyConfig, folder: Path) -> None:
@@ -320,7 +289,9 @@ def run_study(
     detectors = detectors_of(study, weights)
     check(study, detectors, folder, stages)
     with locked_folder(folder):
-        begin_report(study, folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        sweep_temporary(folder)
+        save_text(study_toml(asdict(study)), folder / STUDY_FILE)
         steps = StudySteps(study=study, folder=stages, weights=weights, on_step=on_step)
         return write_report(steps, steps.splats(), detectors, folder)
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from attacks.rate import FIXED, Rate
+from attacks.tables import named_settings
 
 MOST_VALUES = 12
 """Values of one setting that are listed where several attacks differ in it."""
@@ -50,19 +51,7 @@ def capital(text: str) -> str:
 
 def settings(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     """Nested settings as names with dots and values."""
-    return tuple(_flat(values))
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
-    for key, value in values.items():
-        name = f"{prefix}{key}"
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{name}.")
-        elif isinstance(value, list) and value and all(isinstance(entry, Mapping) for entry in value):
-            for number, entry in enumerate(value):
-                yield from _flat(entry, f"{name}.{number}.")
-        else:
-            yield name, plain(value)
+    return tuple((name, plain(value)) for name, value in named_settings(values))
 
 
 def plain(value: Any) -> str:
