@@ -162,7 +162,7 @@ def figures(record: Record, tables: Tables) -> dict[str, Any]:
 def _of_attacks(attacks: Record, judged: pl.DataFrame) -> dict[str, dict[str, Any]]:
     """Whether each attack has its aim: in enough fixed views, or in enough of the views of a region."""
     each: dict[str, dict[str, Any]] = {}
-    for name, rows in _by_attack(judged).items():
+    for name, rows in ((str(name), rows) for (name,), rows in judged.group_by("attack", maintain_order=True)):
         config = attacks[name]["settings"]["attack"]
         attacked = rows.filter(splat=ATTACKED)
         if "held_out" in config:
@@ -177,10 +177,6 @@ def _of_attacks(attacks: Record, judged: pl.DataFrame) -> dict[str, dict[str, An
             each[name] = {**told, "noise": {"successes": noise["successes"], "draws": noise["draws"], "best": best}}
         each[name]["original_after"] = attacked["original_score"].max()
     return each
-
-
-def _by_attack(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:
-    return {str(name): part for (name,), part in rows.group_by("attack", maintain_order=True)}
 
 
 Group = tuple[str, dict[str, Any], list[str]]
@@ -206,28 +202,35 @@ def _group(
 ) -> dict[str, Any]:
     """What attacks that differ in the seed alone have reached."""
     known = [each[name] for name in members]
+    stated = [{**attacks[name].get("image", {}), **attacks[name]} for name in members]
     group: dict[str, Any] = {"part": part, "labels": labels, "attacks": len(members)}
-    for name in ("steps", "image_psnr", "psnr_object", "seconds"):
-        values = [value for attack in members if (value := _stated(attacks[attack], name)) is not None]
-        group[name] = statistics.median(values) if values else None
-    group["original_after"] = statistics.median(attack["original_after"] for attack in known)
+    group |= {name: _median(stated, name) for name in ("steps", "image_psnr", "psnr_object", "seconds")}
+    group["original_after"] = _median(known, "original_after")
     if "rate" in known[0]:
         rates = _pooled(judged.filter(pl.col("attack").is_in(members)), several=len(members) > 1)
         return {**group, **{key: rates[name].as_dict() for key, name in RATES.items()}}
     aims = ("success", "strict", "unambiguous")
     frame = pl.DataFrame([{"splat": ATTACKED, **{key: attack[key] for key in aims}} for attack in known])
     rates = count(frame, {key: AIMS[key] for key in aims})[()]
-    scores = [attack["score"] for attack in known if attack["score"] is not None]
-    best = [attack["noise"]["best"] for attack in known if attack["noise"]["best"] is not None]
+    noise = [attack["noise"] for attack in known]
     return {
         **group,
         **{key: rate.as_dict() for key, rate in rates.items()},
-        "score": statistics.median(scores) if scores else None,
-        "score_least": min(scores, default=None),
-        "noise_successes": sum(attack["noise"]["successes"] for attack in known),
-        "noise_draws": sum(attack["noise"]["draws"] for attack in known),
-        "noise_best": max(best, default=None),
+        "score": _median(known, "score"),
+        "score_least": min(_known(known, "score"), default=None),
+        "noise_successes": sum(_known(noise, "successes")),
+        "noise_draws": sum(_known(noise, "draws")),
+        "noise_best": max(_known(noise, "best"), default=None),
     }
+
+
+def _known(lines: Sequence[Record], name: str) -> list[Any]:
+    return [line[name] for line in lines if line.get(name) is not None]
+
+
+def _median(lines: Sequence[Record], name: str) -> Any:
+    values = _known(lines, name)
+    return statistics.median(values) if values else None
 
 
 def _pooled(rows: pl.DataFrame, *, several: bool) -> dict[str, Rate]:
@@ -239,10 +242,6 @@ def _pooled(rows: pl.DataFrame, *, several: bool) -> dict[str, Rate]:
     return count(views.join(blocks, on=("attack", "view"), maintain_order="left"), AIMS, clusters=CLUSTERS)[()]
 
 
-def _stated(attack: Record, name: str) -> Any:
-    return attack.get("image", {}).get("psnr_object") if name == "psnr_object" else attack.get(name)
-
-
 def _smallest(attacks: Record, each: Mapping[str, Record]) -> list[dict[str, Any]]:
     """Of every search the smallest value that sufficed, and the largest that did not."""
     lines = []
@@ -250,17 +249,10 @@ def _smallest(attacks: Record, each: Mapping[str, Record]) -> list[dict[str, Any
         searched = {name: attack for name, attack in attacks.items() if attack.get("bisected") == field}
         for part, labels, members in _grouped(searched, (field,)):
             values = {attacks[name]["labels"][field]: each[name]["success"] for name in members}
-            enough = [value for value, success in values.items() if success]
-            failed = [value for value, success in values.items() if not success]
-            lines.append(
-                {
-                    "part": part,
-                    "labels": labels,
-                    "field": field,
-                    "smallest": min(enough, default=None),
-                    "not_enough": max(failed, default=None),
-                }
-            )
+            smallest = min((value for value, success in values.items() if success), default=None)
+            not_enough = max((value for value, success in values.items() if not success), default=None)
+            line = {"part": part, "labels": labels, "field": field}
+            lines.append({**line, "smallest": smallest, "not_enough": not_enough})
     return lines
 
 
@@ -275,10 +267,11 @@ def _looks(attacks: Record, looks: pl.DataFrame) -> list[dict[str, Any]]:
         by = ("condition", "detector")
         medians = mine.filter(splat=ATTACKED).group_by(by).agg(pl.col("target_score").median())
         scores = {(condition, detector): score for condition, detector, score in medians.iter_rows()}
-        measures = transfer_measures(confidence)
-        if not first["target"]:
-            measures = {name: measure for name, measure in measures.items() if not name.endswith("_targeted")}
-            measures.pop("targeted")
+        measures = {
+            name: measure
+            for name, measure in transfer_measures(confidence).items()
+            if first["target"] or name.split("_")[-1] != "targeted"
+        }
         for (condition, detector), rates in count(mine, measures, by).items():
             lines.append(
                 {
