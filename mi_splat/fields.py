@@ -176,7 +176,8 @@ def decode(kind: type[_Value], table: Mapping[str, Any], where: str) -> _Value:
 
     Args:
         kind: The dataclass.
-        table: Its keys and values; lists stand for tuples, tables for other dataclasses.
+        table: Its keys and values; lists stand for tuples, and so does one value for a tuple of it; tables stand for
+            other dataclasses.
         where: Name of the table, for errors.
 
     Raises:
@@ -350,7 +351,8 @@ def _tuple(parts: tuple[Any, ...], value: Any, name: str, marks: tuple[Any, ...]
         read: Whether it comes from a file.
     """
     count = None if parts[-1] is Ellipsis else len(parts)
-    values = several(value) if not read or isinstance(value, list) else None
+    alone = count is None and not isinstance(value, Mapping)
+    values = several(value) if alone or not read or isinstance(value, list) else None
     if values is None or (count is not None and len(values) != count):
         if read:
             expected, do = "a list" if count is None else f"a list of {count}", "write it in brackets"

@@ -29,7 +29,7 @@ from attacks.studies.result import record_of, write_result
 from attacks.studies.scenes import check_scene, scene_files, street_of
 from attacks.studies.study_file import Point, Settings, Study, label_of, with_none
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.fields import FieldError, check_choice, decode, several
+from mi_splat.fields import FieldError, check_choice, decode
 from mi_splat.ledger import Done, Job, Part
 from mi_splat.ledger.plans import Plan, Result, grid
 
@@ -93,7 +93,7 @@ class Judge:
 
 
 def attack_of(kind: type[FixedAttack | DrawnAttack], settings: Settings, where: str) -> tuple[Path, Job]:
-    """The scene and the attack that settings ask for; "none" stands for None, and one value for a list of one.
+    """The scene and the attack that settings ask for; "none" stands for None.
 
     Args:
         kind: What they are the settings of.
@@ -113,9 +113,6 @@ def attack_of(kind: type[FixedAttack | DrawnAttack], settings: Settings, where: 
         raise FieldError.of(where, "the key scene", scene or "none", "name an XML file")
     if "seed" in values.get("attack", {}):
         raise InvalidValueError(message(f"attack in {where}", "no seed", attack["seed"], "write seed above the tables"))
-    for table, name in ((values, "detectors"), (attack, "eps"), (attack, "attributes")):
-        if name in table:
-            table[name] = list(several(table[name]))
     if region:
         views = {name: values.pop(name) for name in region if name in values}
         judged = views.pop("judged_pictures", None)

@@ -287,6 +287,7 @@ def test_values_become_those_of_python() -> None:
     assert decode(Shape, {"size": 2, "corners": [1], "width": [0.5, 1], "path": "a"}, "x") == Shape(
         size=2.0, corners=(1,), width=(0.5, 1.0), path=Path("a")
     )
+    assert decode(Shape, {"corners": 3}, "x").corners == (3,)
 
 
 @pytest.mark.parametrize(
@@ -310,7 +311,7 @@ def test_other_values_are_refused(values: dict[str, Any], said: str) -> None:
     ("table", "said"),
     [
         ({"siz": 1}, "key in x: expected one of size, .*, got siz; did you mean size"),
-        ({"corners": 1}, "x, corners: expected a list, got 1; write it in brackets"),
+        ({"corners": {"a": 1}}, "x, corners: expected a list, got {'a': 1}; write it in brackets"),
         ({"at": [1]}, r"x, at: expected a list of 2, got \[1\]"),
         ({"closed": "yes"}, "x, closed: expected true or false, got 'yes'"),
     ],

@@ -75,7 +75,7 @@ def test_held_out_cameras_are_many_and_away_from_those_of_training() -> None:
         ("seeds = [0]", "expected the key name"),
         ("name = 3", "expected a text, got 3"),
         ("name = 'x'", "names of attacks: expected one or more"),
-        ("name = 'x'\nseeds = 1", "a list"),
+        ("name = 'x'\nseeds = { first = 1 }", "a list"),
         ("name = 'x'\n[cameras]\ntrian = 3", "did you mean train"),
         ("name = 'x'\n[cameras]\ntrain = 3.5", "cameras, train: expected a whole number >= 1 (pictures), got 3.5"),
         ("name = 'x'\n[cameras]\ntrain = true", "a whole number >= 1 (pictures), got True"),
