@@ -17,7 +17,8 @@ from attacks.observe.conditions import SunTable, check_condition, renderer_of
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.comparison.methods import method_names
 from mi_splat.directions import Point
-from mi_splat.errors import InvalidValueError, message, nearest
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import check_choice
 from mi_splat.io.scene_parts import SceneParts, scene_parts
 from mi_splat.scene_files import SplatScene, read_scene
 
@@ -130,16 +131,12 @@ def check_scene(path: Path, name: str, *, camera: int = 0, renderers: Sequence[s
     """
     elements = _parts(path, _state(path) if path.is_file() else None).elements
     objects = [str(part.get("id")) for part in elements if part.tag == "shape" and part.get("type") == "gaussians"]
-    if name not in objects:
-        do = nearest(name, objects, "correct the study")
-        raise InvalidValueError(message(f"object of {path}", f"one of {', '.join(objects)}", name, do))
+    check_choice(f"object of {path}", name, objects)
     cameras = sum(part.tag == "sensor" for part in elements)
     if camera >= cameras:
         raise InvalidValueError(message(f"camera of {path}", f"0 to {cameras - 1}", camera, "choose another"))
-    for renderer in renderers:
-        if renderer and renderer not in method_names():
-            do = nearest(renderer, method_names(), "choose one of them")
-            raise InvalidValueError(message("renderer", f"one of {', '.join(method_names())}", renderer, do))
+    for renderer in filter(None, renderers):
+        check_choice("renderer", renderer, method_names())
 
 
 def jittered(

@@ -136,9 +136,8 @@ def study_of(table: Settings, name: str, text: str = "") -> Study:
         InvalidValueError: Some part is none.
     """
     kind, question = table.get("study"), table.get("question", "")
-    if kind not in KINDS:
-        do = nearest(str(kind), KINDS, 'write for instance study = "dagger" first')
-        raise InvalidValueError(message(f"study in {name}", " or ".join(KINDS), repr(kind), do))
+    do = nearest(str(kind), KINDS, 'write for instance study = "dagger" first')
+    _check(kind in [*KINDS], f"study in {name}", " or ".join(KINDS), repr(kind), do)
     _check(isinstance(question, str), f"question in {name}", "a sentence", question, "write it in quotes")
     judge = _table(table, "judge", name)
     judge_axes = _axes(_table(judge, "matrix", f"{name}, judge"), f"{name}, judge")

@@ -124,6 +124,7 @@ def test_some_parts_of_a_study() -> None:
     [
         ("", "study in s: expected dagger or dagger-eot, got 'None'|got None"),
         ('study = "daggr"', "did you mean dagger"),
+        ('study = ["dagger"]', "study in s: expected dagger or dagger-eot"),
         ('study = "dagger"\nquestion = 3', "question in s: expected a sentence, got 3"),
         ('study = "dagger"\nmatrix = 3', "matrix in s: expected a table, got 3"),
         ('study = "dagger"\n[matrix]\nseed = 3', "seed in s: expected a list of one or more values, got 3"),
