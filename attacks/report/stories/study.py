@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -13,6 +14,7 @@ from attacks.report.wording import capital, listed, plural, pooled, shared
 from attacks.studies.table import KINDS, by_part, tables, title_of
 
 Record = Mapping[str, Any]
+_NUMBER = re.compile(r"\d+(\.\d+)?")
 _JUDGES = {True: "attacked detectors", False: "detectors that were not attacked"}
 
 
@@ -53,14 +55,14 @@ def read(folder: Path, record: Record) -> Section:
 def _headline(record: Record) -> tuple[str, str, list[Record], str]:
     """The figure that matters: its name, what it counts, the lines that it is of, and their key.
 
-    It is that of the attacks of the first part; of a study of looks that of detectors that were not attacked, if there
-    are such.
+    It is that of the attacks of the first part; of a study of looks, whose attacks have no control of their own, that
+    of detectors that were not attacked, if there are such.
     """
     groups, looks = record["groups"], record["looks"]
-    if groups:
-        part, key = groups[0]["part"], _key(groups[0])
+    members = [group for group in groups if group["part"] == groups[0]["part"]]
+    if members and (not looks or pooled(_noise(group, _key(group)) for group in members).total):
+        part, key = members[0]["part"], _key(members[0])
         counting, aim = ("held-out views", "success") if key == "rate" else ("attacks", "the aim reached")
-        members = [group for group in groups if group["part"] == part]
         return f"{counting} with {aim}{f' ({part})' if part else ''}", counting, members, key
     others = [look for look in looks if not look["white_box"]] or list(looks)
     key = "targeted" if "targeted" in others[0] else "untargeted"
@@ -97,9 +99,13 @@ def _figures(record: Record) -> Iterator[Figure]:
 
 
 def _warnings(attacks: Sequence[Record]) -> Iterator[str]:
-    """The warnings of the attacks, each once."""
-    for text, times in Counter(text for attack in attacks for text in attack.get("warnings", ())).items():
-        yield f"{times} of {plural(len(attacks), 'attack')}: {text}"
+    """The warnings of the attacks; of those that differ in a number alone, the most frequent."""
+    kinds: dict[str, Counter[str]] = {}
+    for text in (text for attack in attacks for text in attack.get("warnings", ())):
+        kinds.setdefault(_NUMBER.sub("", text), Counter())[text] += 1
+    for texts in kinds.values():
+        example = "for instance, " if len(texts) > 1 else ""
+        yield f"{texts.total()} of {plural(len(attacks), 'attack')}: {example}{texts.most_common(1)[0][0]}"
 
 
 def _doubts(looks: Sequence[Record]) -> Iterator[str]:
