@@ -84,12 +84,15 @@ class Viewing:
         centre: (3,) world units, what cameras move towards.
         alone: The object without its surroundings, of a splat.
         sun: The street of conditions that are hours; None if there is none.
+        clean: The object as its file has it, whose Gaussians a street with a splat of its own must hold; None does not
+            ask.
     """
 
     settings: RenderSettings
     centre: Point
     alone: Callable[[GaussianScene], GaussianScene]
     sun: SunTable | None = None
+    clean: GaussianScene | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,7 +143,7 @@ def condition_of(name: str, viewing: Viewing) -> Condition:
     if (change := picture_change(name)) is not None:
         return _changed(name, own, change)
     if viewing.sun is not None and _HOUR.fullmatch(name):
-        return _on_street(name, viewing.sun, viewing.alone)
+        return _on_street(name, viewing.sun, viewing)
     return rendered(name, renderer_of(name, viewing.settings))
 
 
@@ -272,11 +275,16 @@ def hour_of(name: str) -> float:
     return int(hours) + int(minutes) / 60
 
 
-def _on_street(name: str, sun: SunTable, alone: Callable[[GaussianScene], GaussianScene]) -> Condition:
+def _on_street(name: str, sun: SunTable, viewing: Viewing) -> Condition:
     """The object alone, on a street of meshes."""
     east, north, up = sun_direction(hour_of(name), latitude=sun.latitude, declination=sun.declination)
     street_with = partial(MixedScene, Path(sun.scene), samples=sun.samples, sun_x=east, sun_y=north, sun_z=up)
-    fixed = None if sun.parameter else street_with()
+    fixed, alone, clean = None if sun.parameter else street_with(), viewing.alone, viewing.clean
+    if fixed is not None and clean is not None:
+        inside = fixed.splats.scene
+        if len(inside) != len(clean) or not torch.equal(inside.means, clean.means):
+            expected, do = "the Gaussians of the object and no others", "name the file of that object in the scene"
+            raise InvalidValueError(message(sun.scene, expected, f"{len(inside):,} others", do))
 
     def show(scene: GaussianScene) -> Shown:
         if fixed is not None:

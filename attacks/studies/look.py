@@ -79,6 +79,7 @@ def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, An
         centre=scene.centre(config.object),
         alone=lambda splat: splat.select(rows),
         sun=config.sun,
+        clean=scene.scene.select(rows),
     )
     condition = condition_of(config.condition, viewing)
     subset, render = GaussianSubset.of(scene.scene, rows), scene.renderer("")

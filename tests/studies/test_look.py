@@ -79,7 +79,13 @@ def test_a_scene_is_read_anew_when_its_files_change(tmp_path: Path) -> None:
 
 def viewing(scene: AttackScene, name: str = "car", sun: SunTable | None = None) -> Viewing:
     rows = scene.objects[name]
-    return Viewing(settings=scene.settings, centre=scene.centre(name), alone=lambda splat: splat.select(rows), sun=sun)
+    return Viewing(
+        settings=scene.settings,
+        centre=scene.centre(name),
+        alone=lambda splat: splat.select(rows),
+        sun=sun,
+        clean=scene.scene.select(rows),
+    )
 
 
 @pytest.mark.parametrize("name", ["", "tile", "ray", ".ply", ".splat", "SH in float16", "SH of degree 0"])
@@ -111,8 +117,13 @@ def test_the_car_stands_in_the_street_by_the_hour() -> None:
     assert isinstance(street, MixedScene)
     assert shown.sh.shape == (len(street.splats.scene), 16, 3)
     assert torch.equal(shown.means, street.splats.scene.means)
-    with pytest.raises(InvalidValueError, match=r"scene: expected .* Gaussians"):
-        condition_of("08:00", viewing(scene, "street", sun))(scene.scene, scene.cameras["front"])
+    with pytest.raises(InvalidValueError, match="the Gaussians of the object and no others"):
+        condition_of("08:00", viewing(scene, "street", sun))
+    moved = viewing(scene, sun=sun)
+    assert moved.clean is not None
+    moved = dataclasses.replace(moved, clean=moved.clean.replace(means=moved.clean.means + 1e-3))
+    with pytest.raises(InvalidValueError, match="the Gaussians of the object and no others"):
+        condition_of("08:00", moved)
 
 
 def test_what_was_not_attacked_is_the_clean_scene_s(scene: AttackScene) -> None:
