@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from attacks.cli.options import Processes, Threads
 from attacks.detectors.training.config import TrainConfig, TrainingSetConfig
-from mi_splat.cli.console import follow, progress, show
+from mi_splat.cli.console import follow, progress, show, warn
 from mi_splat.cli.flags import Flag
 from mi_splat.fields import Folder, at_least
 
@@ -69,7 +69,9 @@ def run(options: TrainDetectorOptions) -> int:
         tell = follow(advance)
 
         def told(event: Event) -> None:
-            if event.state == "progress":
+            if event.state == "progress" and ": " in event.text:  # the figures of an epoch, which stay on the screen
+                warn(event.text)
+            elif event.state == "progress":
                 tell(event.text, event.done, event.total)
 
         training, validation = training_sets(options.sets)
