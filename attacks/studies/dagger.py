@@ -25,7 +25,7 @@ from attacks.observe.conditions import OWN, SunTable
 from attacks.studies.attack import SPLAT, WHOLE_SPLAT, DrawnAttack, FixedAttack
 from attacks.studies.look import Look
 from attacks.studies.plan import Work, bisection, check_apart
-from attacks.studies.result import record_of, write_result
+from attacks.studies.result import Attempt, record_of, write_result
 from attacks.studies.scenes import check_scene, scene_files, street_of
 from attacks.studies.study_file import Point, Settings, Study, label_of, with_none
 from mi_splat.errors import InvalidValueError, message
@@ -164,29 +164,6 @@ def fingerprints(detectors: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(load_detector(name).fingerprint for name in detectors if detector_spec(name).weights is None)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Attempt:
-    """A point of a study as jobs.
-
-    Attributes:
-        label: Of the attack's job.
-        point: The point.
-        scene: Path of the scene.
-        job: The attack.
-        looks: Those at its splat, by their labels.
-    """
-
-    label: str
-    point: Point
-    scene: Path
-    job: Job
-    looks: Mapping[str, Job]
-
-    def jobs(self) -> dict[str, Job]:
-        """Every job by its label."""
-        return {self.label: self.job, **self.looks}
-
-
 class DaggerWork(Work):
     """The jobs of a study of DAGGER.
 
@@ -233,7 +210,7 @@ class DaggerWork(Work):
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
         """As in `Work`."""
-        return write_result(self, results, out)
+        return write_result(self.study, list(self.done(results)), results, out)
 
 
 def _suffices(attempt: Attempt, results: Mapping[str, Result]) -> bool | None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import polars as pl
 
@@ -16,16 +17,14 @@ from attacks.observe.measures import AIMS, CLUSTERS, REPORTED, joint_views, tran
 from attacks.observe.rates import blocks_of, count
 from attacks.observe.rows import ATTACKED, ROWS, SUFFIX, column_of, frame_of, write_rows
 from attacks.rate import Rate
+from attacks.studies.study_file import Point, Study
 from attacks.studies.table import markdown
 from mi_splat import provenance
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
-from mi_splat.ledger import Done
+from mi_splat.ledger import Done, Job
 from mi_splat.ledger.plans import Result
-
-if TYPE_CHECKING:
-    from attacks.studies.dagger import Attempt, DaggerWork
 
 STORY, STUDY_FILE, TABLE = "study", "study.toml", "table.md"
 POOLED = ("seed", "pair")
@@ -50,25 +49,50 @@ Record = Mapping[str, Any]
 Tables = Mapping[str, pl.DataFrame]
 
 
-def write_result(work: DaggerWork, results: Mapping[str, Result], out: Path) -> list[Path]:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Attempt:
+    """A point of a study as jobs.
+
+    Attributes:
+        label: Of the attack's job.
+        point: The point.
+        scene: Path of the scene.
+        job: The attack.
+        looks: Those at its splat, by their labels.
+    """
+
+    label: str
+    point: Point
+    scene: Path
+    job: Job
+    looks: Mapping[str, Job]
+
+    def jobs(self) -> dict[str, Job]:
+        """Every job by its label."""
+        return {self.label: self.job, **self.looks}
+
+
+def write_result(
+    study: Study, done: Sequence[tuple[Attempt, Done]], results: Mapping[str, Result], out: Path
+) -> list[Path]:
     """Write result.json, rows.csv.gz, study.toml and table.md into a folder that is there.
 
     Args:
-        work: The study.
-        results: Of its jobs, by their labels.
+        study: The study.
+        done: Its attacks that are done.
+        results: Of all jobs, by their labels.
         out: The folder.
 
     Returns:
         The files.
     """
-    done = list(work.done(results))
     named = list(zip(_names(done), done, strict=True))
     rows = frame_of(_whole([row for name, (attempt, result) in named for row in _rows(name, attempt, result, results)]))
     record = {
         "story": STORY,
-        "study": work.study.kind,
-        "name": work.study.name,
-        "question": work.study.question,
+        "study": study.kind,
+        "name": study.name,
+        "question": study.question,
         "attacks": {name: _attack(attempt, result) for name, (attempt, result) in named},
         "seeds": sorted({attempt.job.config.attack.seed for attempt, _ in done}),
         "detectors": _detectors(done),
@@ -78,7 +102,7 @@ def write_result(work: DaggerWork, results: Mapping[str, Result], out: Path) -> 
     paths = [out / name for name in (f"{ROWS}{SUFFIX}", RECORD, STUDY_FILE, TABLE)]
     write_rows(rows, paths[0])
     save_json(record, paths[1])
-    save_text(work.study.text, paths[2])
+    save_text(study.text, paths[2])
     save_text(markdown(record), paths[3])
     return paths
 

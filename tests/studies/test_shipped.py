@@ -10,7 +10,8 @@ import pytest
 
 from attacks.limits import NORM_NAMES
 from attacks.studies import dagger
-from attacks.studies.dagger import Attempt, DaggerWork
+from attacks.studies.dagger import DaggerWork
+from attacks.studies.result import Attempt
 from attacks.studies.study_file import read_study
 from mi_splat.attributes import ATTRIBUTES
 from tests.project.layers import ROOT
