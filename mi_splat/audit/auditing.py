@@ -32,6 +32,8 @@ LEAST_PIECES = 60
 """A splat of which fewer pieces of surface can be judged gets no verdict."""
 LEAST_CAMERAS, MOST_CAMERAS = 12, 300
 """Cameras that have to be given, and that are used of those given."""
+_GIVEN_SIZE = 2 * SIZE
+"""Pixels along the longer side of a picture from a given camera: an object is smaller there than in one made for it."""
 _CHANGED = 0.05
 """Score from which a piece of surface counts as changed."""
 _CARRIES = 1e-3
@@ -49,8 +51,8 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, on_o
 
     Args:
         scene: N Gaussians.
-        cameras: From where it is looked at, for instance those of its training pictures; all of what they see is one
-            object then. None is a sphere around each object, or what of it is above the ground.
+        cameras: From where it is looked at, for instance those of its training pictures; what they see around its
+            middle is one object then. None is a sphere around each object, or what of it is above the ground.
         on_object: Called after each object.
 
     Raises:
@@ -94,7 +96,7 @@ def _given(frame: Frame, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
     rotation, world = frame.to_world.rotation.double(), frame.to_world
     placed = []
     for camera in (cameras[number] for number in numbers):
-        factor = SIZE / max(camera.width, camera.height)
+        factor = _GIVEN_SIZE / max(camera.width, camera.height)
         size = max(8, round(camera.width * factor)), max(8, round(camera.height * factor))
         across, down = size[0] / camera.width, size[1] / camera.height
         pose = torch.eye(4, dtype=torch.float64)
@@ -121,10 +123,8 @@ def _object(frame: Frame, target: Target, cameras: tuple[Camera, ...]) -> tuple[
     pieces = elements(view, target)
     if not bool(pieces.judged.any()):
         return None
-    scores = explain(pieces, view, target.radius)
+    scores = explain(pieces, view)
     shown = cameras_of_look(pieces, view, scores)
-    if int(shown.sum()) * 2 > len(shown):
-        shown = ~shown
     shape = shape_of(view.directions, shown, target.up)
     by_piece = piece_scores(pieces, shown)
     area = (pieces.size * frame.to_world.scale) ** 2
@@ -141,6 +141,7 @@ def _object(frame: Frame, target: Target, cameras: tuple[Camera, ...]) -> tuple[
         score=scores.direction,
         incidence=scores.incidence,
         mirror=scores.mirror,
+        unexplained=scores.unexplained,
         area=int((by_piece > _CHANGED).sum()) * area,
     )
     judged = ObjectAudit(

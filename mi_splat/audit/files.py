@@ -64,6 +64,7 @@ def _of_object(item: ObjectAudit) -> dict[str, Any]:
             "score": look.score,
             "incidence": look.incidence,
             "mirror": look.mirror,
+            "unexplained": look.unexplained,
             "excess": look.excess,
             "area": look.area,
             "directions": dataclasses.asdict(look.region),

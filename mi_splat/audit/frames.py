@@ -28,11 +28,15 @@ _CROWD = 0.8
 _LEAST_SHARE, _LEAST_COUNT, _COMPONENTS = 0.03, 100, 6
 _FLAT = 0.04
 """A component is a plane if its thinnest extent is less than this share of its longest."""
+_UPRIGHT = 0.7
+"""A plane is an object, a sign or a board, if its normal has a smaller cosine to that of the ground it stands on."""
 _ROOM, _SAME, _FEW = 1.15, 0.4, 0.3
 """Radius of the ball around an object, by that of what holds nearly all of it; least radius and share of Gaussians of
 a part that needs no look of its own, by those of the whole."""
 _SAMPLE, _PLANE_SHARE, _GROUND = 5000, 0.15, 4.0
 """Points among which a ground is looked for, the share that has to lie on it, and how far around, in radii."""
+_WHOLE = 1.2
+"""Radius of a whole splat, by the distance from its middle within which half of it lies."""
 _PLANES, _TOUCH = 2, 0.4
 """Planes that are tried, and how far an object may be above its ground, in radii."""
 _ONE_SIDE, _UNDER, _BEYOND = 0.95, 0.15, 1.3
@@ -114,7 +118,7 @@ def frame_of(scene: GaussianScene) -> Frame:
 
 
 def targets(scene: GaussianScene) -> list[Target]:
-    """The objects of a splat: connected components that are no plane, at most `MOST_OBJECTS`; else where most of it is.
+    """The objects of a splat: at most `MOST_OBJECTS` connected components that are no ground; else where most of it is.
 
     Args:
         scene: In its own frame.
@@ -125,17 +129,28 @@ def targets(scene: GaussianScene) -> list[Target]:
     chosen: list[Target] = []
     for number in range(min(_COMPONENTS, int(label.max()) + 1)):
         part = points[label == number]
-        if len(part) < max(_LEAST_SHARE * len(points), _LEAST_COUNT) or _is_flat(part):
+        if len(part) < max(_LEAST_SHARE * len(points), _LEAST_COUNT):
             continue
         centre = part.median(0).values
         radius = _ROOM * quantile((part - centre).norm(dim=1), 0.95)
         if any(_is_part(part, centre, radius, larger) for larger in chosen):
             continue
+        thin = _normal_of_flat(part)
+        ground = next((target.up for target in chosen if target.up is not None), None)
+        if thin is not None and ground is not None and abs(float(thin @ ground)) > _UPRIGHT:
+            continue
         up = _up(part, centre, radius, points[label != number])
+        if thin is not None and (up is None or abs(float(thin @ up)) > _UPRIGHT):
+            continue
         chosen.append(Target(rows=rows[label == number], centre=centre, radius=radius, up=up))
     chosen = chosen[:MOST_OBJECTS] or [_crowd(rows, points)]
     ground = next((target.up for target in chosen if target.up is not None), None)
-    return [dataclasses.replace(target, up=ground) if target.up is None else target for target in chosen]
+    return [target if _agree(target.up, ground) else dataclasses.replace(target, up=ground) for target in chosen]
+
+
+def _agree(up: Tensor | None, ground: Tensor | None) -> bool:
+    """Whether an object stands on the ground of the largest, if not on the side of a sign."""
+    return ground is None or (up is not None and float(up @ ground) > _UPRIGHT)
 
 
 def _is_part(part: Tensor, centre: Tensor, radius: float, larger: Target) -> bool:
@@ -153,7 +168,7 @@ def whole(scene: GaussianScene) -> Target:
     rows = (scene.opacities > SOLID).nonzero()[:, 0]
     points = scene.means[rows].double()
     centre = points.median(0).values
-    return Target(rows=rows, centre=centre, radius=quantile((points - centre).norm(dim=1), 0.9), up=None)
+    return Target(rows=rows, centre=centre, radius=_WHOLE * quantile((points - centre).norm(dim=1), 0.5), up=None)
 
 
 def quantile(values: Tensor, share: float) -> float:
@@ -161,9 +176,10 @@ def quantile(values: Tensor, share: float) -> float:
     return float(values.kthvalue(min(len(values), 1 + int(share * len(values)))).values)
 
 
-def _is_flat(points: Tensor) -> bool:
-    extents = torch.linalg.svdvals(points[:: max(1, len(points) // _SAMPLE)] - points.mean(0))
-    return bool(extents[2] < _FLAT * extents[0])
+def _normal_of_flat(points: Tensor) -> Tensor | None:
+    """The normal of a component that is a plane; None if it is none."""
+    _, extents, axes = torch.linalg.svd(points[:: max(1, len(points) // _SAMPLE)] - points.mean(0), full_matrices=False)
+    return axes[2] if extents[2] < _FLAT * extents[0] else None
 
 
 def _crowd(rows: Tensor, points: Tensor) -> Target:

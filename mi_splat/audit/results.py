@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,7 +18,7 @@ _ORDER: tuple[Verdict, ...] = ("nothing found", "suspicious", "hidden look")
 
 Vector = tuple[float, float, float]
 
-EXCESS, SUSPICION = 0.006, 0.7
+EXCESS, SUSPICION = 0.0055, 0.6
 """Excess from which a look is called hidden, and share of it from which a splat is suspicious; see docs/audit.md."""
 COVERED = 0.1
 """Score of an occluder from which a splat is suspicious."""
@@ -52,6 +53,7 @@ class Look:
         score: How much of the surface changes between the sides, and how far (sRGB), in [0, 1].
         incidence: The same score, if colours follow the angle between surface and view.
         mirror: The same score, if colours follow the direction in which a mirror would reflect.
+        unexplained: Score of a set of directions on what is left when mirrored surroundings are taken off.
         area: World units squared of the surface that changes.
     """
 
@@ -60,12 +62,13 @@ class Look:
     score: float
     incidence: float
     mirror: float
+    unexplained: float
     area: float
 
     @property
     def excess(self) -> float:
-        """What neither rival explains; below 0 if one explains more."""
-        return self.score - max(self.incidence, self.mirror)
+        """What gloss does not explain: geometric mean of the score less the better rival, and what is unexplained."""
+        return math.sqrt(max(0.0, self.score - max(self.incidence, self.mirror)) * self.unexplained)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -133,8 +136,8 @@ class ObjectAudit:
 
     @property
     def evidence(self) -> float:
-        """Of a look, by which 1 is called hidden; not below 0."""
-        return max(0.0, self.look.excess / EXCESS)
+        """Of a look, by which 1 is called hidden; at least 0."""
+        return self.look.excess / EXCESS
 
     @property
     def covered(self) -> bool:

@@ -33,6 +33,9 @@ _OPAQUE, _FACING, _EDGE, _REACH, AROUND = 0.9, 0.25, 0.06, 2.4, 1.6
 radii, from which one does not; radii around the centre in which surface is judged."""
 _AGREED = 0.9
 """Length of the mean normal below which cameras disagree about it: that piece is an edge, and not judged."""
+_ACROSS = 0.3
+"""Cosine between the normals of two neighbours below which both are a rim, as that of a sign: there colours of several
+sides mix, and they are not judged. The two sides of a thin board face away from each other, and are."""
 _BACKGROUND = (0.55, 0.7, 0.9)
 
 
@@ -67,7 +70,7 @@ class Elements:
         moments: (E, K, 5) of each piece and camera: whether it is seen, its mean colour, and the sum of its squares.
         positions: (E, 3).
         normals: (E, 3) unit vectors.
-        judged: (E,) bool, no edge and near the object.
+        judged: (E,) bool, no edge, no rim and near the object.
         size: Side of a voxel.
         of_pixels: (P,) int64 piece of each pixel of the sight; -1 where too few cameras see it.
         unseen: Voxels near the object that show in some pictures, but of which no piece is seen by enough cameras.
@@ -222,18 +225,36 @@ def elements(view: Sight, target: Target) -> Elements:
     there = kept[pairs // count]
     moments = torch.zeros(int(kept.sum()) * count, 5)
     moments[number[pairs[there] // count] * count + pairs[there] % count] = rows[there]
-    length = normals.norm(dim=1)
+    length, kept_normals = normals.norm(dim=1), functional.normalize(normals[kept], dim=1)
     voxels, voxel_of = torch.unique(pieces[near] // 8, return_inverse=True)
     shown = _sums(torch.stack([pixels[near, 0].float(), kept[near].float()], 1), voxel_of, len(voxels))
     return Elements(
         moments=moments.reshape(-1, count, 5),
         positions=positions[kept],
-        normals=functional.normalize(normals[kept], dim=1),
-        judged=((length > _AGREED) & near)[kept],
+        normals=kept_normals,
+        judged=((length > _AGREED) & near)[kept] & ~_rims(pieces[kept], kept_normals),
         size=size,
         of_pixels=number[of_pixels],
         unseen=int(((shown[:, 0] >= _LEAST_PIXELS) & (shown[:, 1] == 0)).sum()),
     )
+
+
+def _rims(keys: Tensor, normals: Tensor) -> Tensor:
+    """(E,) bool, pieces that have a neighbour which faces across.
+
+    Args:
+        keys: (E,) voxel and face of each, sorted.
+        normals: (E, 3).
+    """
+    rims, last = torch.zeros(len(keys), dtype=torch.bool), max(len(keys) - 1, 0)
+    steps = torch.cartesian_prod(*[torch.arange(-1, 2)] * 3)
+    for step in ((steps[:, 0] * 1024 + steps[:, 1]) * 1024 + steps[:, 2]).tolist():
+        for face in range(6):
+            wanted = (keys // 8 + step) * 8 + face
+            neighbour = torch.searchsorted(keys, wanted).clamp(max=last)
+            across = (normals * normals[neighbour]).sum(1).abs() < _ACROSS
+            rims |= across & (keys[neighbour] == wanted)
+    return rims
 
 
 def _sums(values: Tensor, group: Tensor, groups: int) -> Tensor:

@@ -1,19 +1,19 @@
-"""Does one set of directions, the same for all of a surface, explain how its colours change; or does honest gloss?
+"""Does one set of directions, the same for all of a surface, explain how its colours change?
 
-The score of a set of directions on a piece of surface is the change of its mean colour, from inside to outside, times
-the share of the variance that this explains. Of an object it is the geometric mean of two numbers: the mean over all of
-its surface, and that over its six highest cells.
+The score of a set of directions on a cell of surface is the change of its mean colour, from inside to outside, times
+the share of the variance that this explains; changes that point everywhere cancel out. Of an object it is the geometric
+mean of two numbers: the mean over all of its surface, and that over its six highest cells.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
+from mi_splat.audit import gloss
 from mi_splat.audit.surfaces import Elements, Sight, lattice
 
 NOISE = 0.03
@@ -22,17 +22,17 @@ HALF_WIDTHS = (20.0, 27.0, 35.0, 43.0, 51.0, 60.0, 70.0)
 """Degrees from the axis of a cone to its edge."""
 AXES = 110
 """Axes of cones all around."""
-INSIDE, OUTSIDE = 3.0, 8.0
-"""Degrees at the edge of a cone that count as neither: a look may change there as it likes."""
+INSIDE, OUTSIDE = gloss.INSIDE, gloss.OUTSIDE
 LEAST_SEEN = 3
 """Cameras on each side of the edge that have to see a piece of surface."""
-MOST_PIECES = 5000
+MOST_PIECES = 2500
 """Pieces of surface on which sets of directions are compared, evenly taken of all."""
 _CHUNK = 256
-_CELL, _CELL_ELEMENTS, _CELLS = 0.25, 12, 6
-"""Side of a cell in radii, pieces that it has at least, and cells that count."""
-_COSINES = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-_MIRROR_AXES, _MIRROR_WIDTHS = 52, (30.0, 45.0, 60.0, 75.0, 90.0)
+_CELL, _CELL_ELEMENTS, _CELLS = 6, 6, 6
+"""Side of a cell in voxels, pieces that it has at least, and cells that count."""
+
+Sides = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+"""From (E,) rows and (E, K, 5) their moments to (E, T, 5) sums inside and outside of T sets of cameras."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,38 +55,6 @@ class Bank:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tally:
-    """Scores of sets of directions, summed over surface.
-
-    Attributes:
-        total: (T,) sum of the scores of all pieces.
-        cells: (C, T) the same by cell.
-        valid: (C, T) pieces of each cell that both sides see.
-    """
-
-    total: Tensor
-    cells: Tensor
-    valid: Tensor
-
-    @classmethod
-    def empty(cls, cells: int, sets: int) -> Tally:
-        """Nothing yet."""
-        return cls(total=torch.zeros(sets), cells=torch.zeros(cells, sets), valid=torch.zeros(cells, sets))
-
-    def add(self, score: Tensor, valid: Tensor, cell: Tensor) -> None:
-        """Add (E, T) scores of pieces in (E,) cells."""
-        self.total.add_(score.sum(0))
-        self.cells.index_add_(0, cell, score)
-        self.valid.index_add_(0, cell, valid.float())
-
-    def scores(self, pieces: int) -> Tensor:
-        """(T,) score of each set on the object, of which so many pieces can be judged."""
-        means = torch.where(self.valid >= _CELL_ELEMENTS, self.cells / self.valid.clamp(min=1), 0.0)
-        highest = means.topk(min(_CELLS, len(means)), dim=0).values.sum(0) / _CELLS
-        return (self.total / max(pieces, 1) * highest).clamp(min=0).sqrt()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scores:
     """How well each explanation fits an object.
 
@@ -94,6 +62,7 @@ class Scores:
         direction: Score of the best set of directions.
         incidence: Score of the best angle between surface and view.
         mirror: Score of the best set of mirrored directions.
+        unexplained: Score of the best set of directions on what mirrored surroundings leave.
         axis: (3,) of the best set of directions.
         half_width: Its, in degrees.
     """
@@ -101,6 +70,7 @@ class Scores:
     direction: float
     incidence: float
     mirror: float
+    unexplained: float
     axis: Tensor
     half_width: float
 
@@ -117,94 +87,114 @@ def bank() -> Bank:
     return Bank(axes=axes.repeat_interleave(len(widths), 0), half_widths=widths.repeat(AXES))
 
 
-def split_scores(inside: Tensor, outside: Tensor) -> tuple[Tensor, Tensor]:
-    """Scores of sets of directions on pieces of surface.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Split:
+    """Pieces of surface parted by sets of cameras.
 
-    Args:
-        inside: (..., 5) sums of the moments over the cameras inside.
-        outside: (..., 5) the same outside.
-
-    Returns:
-        (...) score, 0 where too few cameras see one side; and (...) bool, whether enough do.
+    Attributes:
+        change: (..., 3) mean colour inside less that outside.
+        weight: (...) how much each change is known, 0 where too few cameras see one side.
+        whole: (...) variance of the colours times their number.
+        valid: (...) bool, whether enough cameras see both sides.
     """
-    count_in, count_out = inside[..., 0], outside[..., 0]
-    mean_in = inside[..., 1:4] / count_in.clamp(min=1)[..., None]
-    mean_out = outside[..., 1:4] / count_out.clamp(min=1)[..., None]
-    count = (count_in + count_out).clamp(min=1)
-    change = (mean_in - mean_out).square().sum(-1)
-    between = count_in * count_out / count * change
-    whole = inside[..., 4] + outside[..., 4] - (inside[..., 1:4] + outside[..., 1:4]).square().sum(-1) / count
-    share = between / (whole + count * 3 * NOISE**2).clamp(min=1e-9)
-    valid = (count_in >= LEAST_SEEN) & (count_out >= LEAST_SEEN)
-    return (change / 3).sqrt() * share * valid, valid
+
+    change: Tensor
+    weight: Tensor
+    whole: Tensor
+    valid: Tensor
+
+    @classmethod
+    def of(cls, inside: Tensor, outside: Tensor) -> Split:
+        """Part pieces, given the (..., 5) sums of their moments over the cameras inside and outside."""
+        count_in, count_out = inside[..., 0], outside[..., 0]
+        count = (count_in + count_out).clamp(min=1)
+        mean_in = inside[..., 1:4] / count_in.clamp(min=1)[..., None]
+        mean_out = outside[..., 1:4] / count_out.clamp(min=1)[..., None]
+        valid = (count_in >= LEAST_SEEN) & (count_out >= LEAST_SEEN)
+        squares = (inside[..., 1:4] + outside[..., 1:4]).square().sum(-1)
+        whole = inside[..., 4] + outside[..., 4] - squares / count + count * 3 * NOISE**2
+        weight = count_in * count_out / count * valid
+        return cls(change=mean_in - mean_out, weight=weight, whole=whole, valid=valid)
+
+    def scores(self) -> Tensor:
+        """(...) score of each piece by itself, 0 where it is not valid."""
+        squares = self.change.square().sum(-1)
+        return (squares / 3).sqrt() * self.weight * squares / self.whole.clamp(min=1e-9)
 
 
-def cells_of(pieces: Elements, radius: float) -> Tensor:
-    """(E,) int64 cell of each piece, by its position."""
-    place = (pieces.positions / (_CELL * radius)).floor().long()
+def cells_of(pieces: Elements) -> Tensor:
+    """(E,) int64 cell of each piece, by its position and the axis that it faces along."""
+    place = (pieces.positions / (_CELL * pieces.size)).floor().long()
     place = place - place.amin(0)
     sizes = place.amax(0) + 1
-    number = (place[:, 0] * sizes[1] + place[:, 1]) * sizes[2] + place[:, 2]
+    axis = pieces.normals.abs().argmax(1)
+    face = 2 * axis + (pieces.normals.gather(1, axis[:, None])[:, 0] > 0)
+    number = ((place[:, 0] * sizes[1] + place[:, 1]) * sizes[2] + place[:, 2]) * 6 + face
     cell: Tensor = torch.unique(number, return_inverse=True)[1]
     return cell
 
 
-def explain(pieces: Elements, view: Sight, radius: float) -> Scores:
+def set_scores(moments: Tensor, cell: Tensor, sides: Sides) -> Tensor:
+    """(T,) score of each set of cameras on an object.
+
+    Args:
+        moments: (E, K, 5) of its pieces.
+        cell: (E,) int64 cell of each.
+        sides: What parts the cameras.
+    """
+    sums, able = torch.zeros(0), 0
+    for rows in torch.split(torch.arange(len(moments)), _CHUNK):
+        split = Split.of(*sides(rows, moments[rows]))
+        valid = split.valid.float()[..., None]
+        terms = [split.weight[..., None] * split.change, split.weight[..., None], split.whole[..., None] * valid, valid]
+        if not len(sums):
+            sums = torch.zeros(int(cell.max()) + 1, split.valid.shape[1], 6)
+        sums.index_add_(0, cell[rows], torch.cat(terms, -1))
+        able += int(split.valid.any(1).sum())
+    weight, count = sums[..., 3].clamp(min=1e-9), sums[..., 5]
+    squares = (sums[..., :3] / weight[..., None]).square().sum(-1)
+    score = (squares / 3).sqrt() * squares * weight / sums[..., 4].clamp(min=1e-9)
+    score = torch.where(count >= _CELL_ELEMENTS, score, 0.0)
+    highest = score.topk(min(_CELLS, len(score)), dim=0).values.sum(0) / _CELLS
+    return ((score * count).sum(0) / max(able, 1) * highest).sqrt()
+
+
+def explain(pieces: Elements, view: Sight) -> Scores:
     """Try sets of directions, and what gloss would do.
 
     Args:
-        pieces: The surface.
+        pieces: The surface, of which some can be judged.
         view: From where it was seen.
-        radius: Of the object.
     """
-    sets, mirrors = bank(), lattice(_MIRROR_AXES, -90.0, 90.0).float()
-    cell = cells_of(pieces, radius)
-    cells = int(cell.max()) + 1 if len(cell) else 0
-    inside, outside = sets.sides(view.directions)
-    direct = Tally.empty(cells, len(inside))
-    rivals = Tally.empty(cells, len(_COSINES) + len(mirrors) * len(_MIRROR_WIDTHS))
-    positions = torch.stack([camera.position for camera in view.cameras]).float()
-    able = 0
     judged = pieces.judged.nonzero()[:, 0]
     judged = judged[torch.linspace(0, len(judged) - 1, min(len(judged), MOST_PIECES)).round().long()]
-    for rows in torch.split(judged, _CHUNK):
-        moments = pieces.moments[rows]
-        flat = moments.transpose(0, 1).reshape(len(positions), -1)
-        sums = [(side @ flat).reshape(len(side), len(rows), 5).transpose(0, 1) for side in (inside, outside)]
-        score, valid = split_scores(*sums)
-        direct.add(score, valid, cell[rows])
-        able += int(valid.any(1).sum())
-        views = functional.normalize(positions - pieces.positions[rows, None], dim=-1)
-        sides = _gloss(views, pieces.normals[rows], mirrors)
-        rivals.add(*split_scores(*(torch.bmm(side, moments) for side in sides)), cell[rows])
-    by_direction, by_rival = direct.scores(able), rivals.scores(able)
-    best = int(by_direction.argmax())
+    cell = torch.unique(cells_of(pieces)[judged], return_inverse=True)[1]
+    moments = pieces.moments[judged]
+    rays = gloss.rays_of(view, pieces.positions[judged], pieces.normals[judged])
+    sets = bank()
+    cones = sets.sides(view.directions)
+
+    def by_direction(rows: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
+        flat = part.transpose(0, 1).reshape(part.shape[1], -1)
+        inside, outside = ((side @ flat).reshape(len(side), len(rows), 5).transpose(0, 1) for side in cones)
+        return inside, outside
+
+    def by_gloss(rows: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
+        inside, outside = gloss.sides(rays.cosines[rows], rays.mirrored[rows])
+        return torch.bmm(inside, part), torch.bmm(outside, part)
+
+    direct, rivals = set_scores(moments, cell, by_direction), set_scores(moments, cell, by_gloss)
+    unexplained = set_scores(gloss.without_surroundings(moments, rays, cell), cell, by_direction)
+    incidence, mirror = float(rivals[: gloss.ANGLES].max()), float(rivals[gloss.ANGLES :].max())
+    best = int(direct.argmax())
     return Scores(
-        direction=float(by_direction[best]),
-        incidence=float(by_rival[: len(_COSINES)].max()),
-        mirror=float(by_rival[len(_COSINES) :].max()),
+        direction=float(direct[best]),
+        incidence=incidence,
+        mirror=mirror,
+        unexplained=float(unexplained.max()),
         axis=sets.axes[best],
         half_width=float(sets.half_widths[best]),
     )
-
-
-def _gloss(views: Tensor, normals: Tensor, mirrors: Tensor) -> tuple[Tensor, Tensor]:
-    """(E, R, K) float32 cameras inside and outside of each set of angles of incidence, and of mirrored directions.
-
-    Args:
-        views: (E, K, 3) unit vectors to the cameras.
-        normals: (E, 3) of the pieces.
-        mirrors: (M, 3) axes of cones of mirrored directions.
-    """
-    cosines = (views * normals[:, None]).sum(-1)
-    limits = torch.tensor(_COSINES)[:, None]
-    reflected = 2 * cosines[..., None] * normals[:, None] - views
-    turned = (reflected @ mirrors.T).transpose(1, 2)
-    insides, outsides = [cosines[:, None] > limits + 0.03], [cosines[:, None] < limits - 0.06]
-    for width in _MIRROR_WIDTHS:
-        insides.append(turned > math.cos(math.radians(width - INSIDE)))
-        outsides.append(turned < math.cos(math.radians(width + OUTSIDE)))
-    return torch.cat(insides, 1).float(), torch.cat(outsides, 1).float()
 
 
 def sums_by_side(moments: Tensor, shown: Tensor) -> tuple[Tensor, Tensor]:
@@ -220,7 +210,7 @@ def piece_scores(pieces: Elements, shown: Tensor) -> Tensor:
         pieces: The surface.
         shown: (K,) bool, the cameras that see the look.
     """
-    return split_scores(*sums_by_side(pieces.moments, shown))[0] * pieces.judged
+    return Split.of(*sums_by_side(pieces.moments, shown)).scores() * pieces.judged
 
 
 def reachable(pieces: Elements, view: Sight) -> Tensor:
@@ -251,7 +241,7 @@ def cameras_of_look(pieces: Elements, view: Sight, scores: Scores, *, rounds: in
         mean_in = inside[:, 1:4] / inside[:, :1].clamp(min=1)
         mean_out = outside[:, 1:4] / outside[:, :1].clamp(min=1)
         change = mean_in - mean_out
-        weight = split_scores(inside, outside)[0] * pieces.judged / change.square().sum(1).clamp(min=1e-6)
+        weight = Split.of(inside, outside).scores() * pieces.judged / change.square().sum(1).clamp(min=1e-6)
         seen = pieces.moments[..., 0]
         colours = pieces.moments[..., 1:4]
         votes = ((colours - ((mean_in + mean_out) / 2)[:, None]) * change[:, None]).sum(-1) * seen
