@@ -134,7 +134,7 @@ def test_a_run_with_kills_leaves_the_bytes_of_one_without(tmp_path: Path) -> Non
 @pytest.mark.nightly
 @pytest.mark.parametrize("dask", [False, pytest.param(True, marks=DASK)])
 def test_200_kills(dask: bool, tmp_path: Path) -> None:
-    count = 1500  # so many that an idle machine is not through with them before the last kill
+    count = 1800  # so many that an idle machine is not through with them before the last kill
     processes = run_killed(tmp_path / "killed", count, 200, seed=3, dask=dask, every=1.5 if dask else 0.4)
     check(tmp_path, count, processes, 200)
 
