@@ -27,6 +27,7 @@ from mi_splat.audit.switches import cameras_of_look, explain, piece_scores, reac
 from mi_splat.cameras import Camera, as_cameras
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene, check_scene
+from mi_splat.scene_files import resized
 
 LEAST_PIECES = 60
 """A splat of which fewer pieces of surface can be judged gets no verdict."""
@@ -98,19 +99,10 @@ def _given(frame: Frame, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
     for camera in (cameras[number] for number in numbers):
         factor = _GIVEN_SIZE / max(camera.width, camera.height)
         size = max(8, round(camera.width * factor)), max(8, round(camera.height * factor))
-        across, down = size[0] / camera.width, size[1] / camera.height
         pose = torch.eye(4, dtype=torch.float64)
         pose[:3, :3] = rotation.T @ camera.to_world[:3, :3]
         pose[:3, 3] = rotation.T @ (camera.position - world.translation.double()) / world.scale
-        placed.append(
-            Camera(
-                to_world=pose,
-                focal=(camera.fx * across, camera.fy * down),
-                principal=(camera.cx * across, camera.cy * down),
-                width=size[0],
-                height=size[1],
-            )
-        )
+        placed.append(dataclasses.replace(resized(camera, size), to_world=pose))
     return tuple(placed)
 
 

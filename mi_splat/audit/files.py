@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.audit.results import COVERED, EXCESS, SUSPICION, Audit, ObjectAudit, Pair
-from mi_splat.audit.story import story
+from mi_splat.audit.summary import summary
 from mi_splat.bounds import near_plane
 from mi_splat.cameras import Camera
 from mi_splat.io import save_splat
@@ -25,6 +25,7 @@ from mi_splat.io.pictures import save_picture
 from mi_splat.provenance import origin
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
+from mi_splat.scene_files import resized
 from mi_splat.selection.masks import save_mask
 from mi_splat.sh import colour_to_dc, dc_to_colour
 
@@ -39,7 +40,7 @@ def document(audit: Audit) -> dict[str, Any]:
     """An audit as JSON can hold it."""
     return {
         "verdict": audit.verdict,
-        "story": story(audit),
+        "summary": summary(audit),
         "gaussians": len(audit.mask),
         "carrying": int(audit.mask.sum()),
         "near": audit.near,
@@ -107,15 +108,7 @@ def pair_picture(scene: GaussianScene, pair: Pair) -> NDArray[np.uint8]:
 
 def _enlarged(camera: Camera) -> Camera:
     factor = PICTURE / max(camera.width, camera.height)
-    width, height = round(camera.width * factor), round(camera.height * factor)
-    across, down = width / camera.width, height / camera.height
-    return dataclasses.replace(
-        camera,
-        width=width,
-        height=height,
-        focal=(camera.fx * across, camera.fy * down),
-        principal=(camera.cx * across, camera.cy * down),
-    )
+    return resized(camera, (round(camera.width * factor), round(camera.height * factor)))
 
 
 def heated(scene: GaussianScene, heat: Tensor) -> GaussianScene:

@@ -106,5 +106,5 @@ def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str
 
 def _lines(document: dict[str, Any]) -> list[str]:
     """A result for a human."""
-    first, *rest = document["story"]
+    first, *rest = document["summary"]
     return [f"{document['file']}: {first}", *(f"  {line}" for line in rest), *document["files"]]

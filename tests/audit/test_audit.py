@@ -21,7 +21,7 @@ from mi_splat.audit.frames import Target, frame_of, targets
 from mi_splat.audit.gloss import Rays, without_surroundings
 from mi_splat.audit.occluders import cover_of
 from mi_splat.audit.regions import shape_of
-from mi_splat.audit.story import headline
+from mi_splat.audit.summary import headline
 from mi_splat.audit.surfaces import Sight, cameras_around, lattice
 from mi_splat.cameras import Camera, look_at
 from mi_splat.errors import InvalidValueError
@@ -284,7 +284,7 @@ def test_the_command_writes_what_it_found(
     record = json.loads((out / "result.json").read_text())
     assert record["kind"] == "audit"
     assert record["verdict"] == "hidden look"
-    assert record["story"][0].startswith("hidden look")
+    assert record["summary"][0].startswith("hidden look")
     assert {camera["name"] for camera in record["cameras"]} == {"inside", "outside"}
     with Image.open(out / "pair.png") as picture:
         pixels = np.asarray(picture.convert("RGB")).astype(int)

@@ -50,7 +50,7 @@ def headline(audit: Audit) -> str:
     return f"{audit.verdict}: an object has other colours {where}"
 
 
-def story(audit: Audit) -> list[str]:
+def summary(audit: Audit) -> list[str]:
     """The whole account, sentence by sentence."""
     lines = [headline(audit)]
     for number, item in enumerate(audit.objects, 1):
