@@ -69,7 +69,7 @@ def run(options: TrainDetectorOptions) -> int:
         tell = follow(advance)
 
         def told(event: Event) -> None:
-            if event.state == "progress" and ": " in event.text:  # the figures of an epoch, which stay on the screen
+            if event.state == "note":
                 warn(event.text)
             elif event.state == "progress":
                 tell(event.text, event.done, event.total)

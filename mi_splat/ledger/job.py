@@ -190,8 +190,8 @@ class Event:
     """What happens to a job.
 
     Attributes:
-        state: "running", "progress", "done", "kept" (it was there), "held" (another process does it), "failed" (one
-            try), or "different" (made twice, with other bytes).
+        state: "running", "progress", "note" (a line for people to keep), "done", "kept" (it was there), "held" (another
+            process does it), "failed" (one try), or "different" (made twice, with other bytes).
         key: Of the job.
         kind: Of the job.
         text: What goes on, or why it failed.
@@ -241,11 +241,13 @@ class Out:
         files: Folder of what it leaves; new at every try. `out / name` is short for `out.files / name`.
         kept: Where `partial` is.
         progress: Called with what goes on, how many units of it are done, and how many there are.
+        note: Called with a line that people should keep, as the figures of an epoch.
     """
 
     files: Path
     kept: Path
     progress: Callable[[str, int, int], None]
+    note: Callable[[str], None] = lambda text: None
 
     @property
     def partial(self) -> Path:

@@ -179,10 +179,13 @@ def _run(store: Store, task: Task, on_event: OnEvent) -> None:
     def progress(text: str, done: int, total: int) -> None:
         on_event(Event(state="progress", key=task.key, kind=task.kind, text=text, done=done, total=total))
 
+    def note(text: str) -> None:
+        on_event(Event(state="note", key=task.key, kind=task.kind, text=text))
+
     with store.making(task.key) as (temporary, partial):
         begun = time.monotonic()
-        files = temporary / "files"
-        rows: Sequence[Row] | None = kind.run(config, inputs, Out(files=files, kept=partial, progress=progress))
+        out = Out(files=temporary / "files", kept=partial, progress=progress, note=note)
+        rows: Sequence[Row] | None = kind.run(config, inputs, out)
         record = {
             **{"kind": task.kind, "config": task.config, "inputs": task.inputs, "code": task.code},
             **{"seconds": round(time.monotonic() - begun, 3), **origin()},

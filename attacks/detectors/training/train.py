@@ -68,6 +68,7 @@ def run(config: DetectorTraining, inputs: Mapping[str, Path], out: Out) -> None:
         validate_every=config.validate_every,
         start=inputs.get(START),
         on_work=out.progress,
+        on_epoch=lambda record: out.note(line_of(record)),
     )
     for name in (WEIGHTS, CURVES):
         shutil.copyfile(out.partial / name, out / name)
@@ -93,6 +94,7 @@ def train(
     validate_every: int = 2,
     start: Path | None = None,
     on_work: OnWork,
+    on_epoch: Callable[[Mapping[str, Any]], None] = lambda record: None,
 ) -> None:
     """Do what is left of a training; write checkpoint, curves.json and the best weights so far after each epoch.
 
@@ -103,7 +105,8 @@ def train(
         folder: Where the files go.
         validate_every: Epochs between two validations.
         start: Weights that a new training begins from instead of pretraining.
-        on_work: Hears of the progress, and of the figures of each finished epoch.
+        on_work: Hears of the progress.
+        on_epoch: Hears of the figures of each finished epoch, and of those of the pretraining.
 
     Raises:
         DetectorError: The weights to start from are missing or do not fit.
@@ -115,7 +118,7 @@ def train(
         elif not training.history and config.pretraining:
             training.pretrain(pictures, on_step=_named("pretraining", on_work))
             training.save(folder)
-            on_work(line_of(training.history[-1]), 0, config.epochs)
+            on_epoch(training.history[-1])
         begun = time.monotonic()
         losses = training.run_epoch(pictures, on_step=_named(f"epoch {training.epoch + 1} of {config.epochs}", on_work))
         record: dict[str, object] = {
@@ -130,7 +133,7 @@ def train(
         training.save(folder)
         curves = {"config": asdict(config), "history": training.history}
         (folder / CURVES).write_text(json.dumps(curves, indent=1))
-        on_work(line_of(record), training.epoch, config.epochs)
+        on_epoch(record)
 
 
 def line_of(record: Mapping[str, Any]) -> str:
