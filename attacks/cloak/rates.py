@@ -302,7 +302,7 @@ def looks(study: StudyConfig, rows: pl.DataFrame) -> list[dict[str, Any]]:
     """
     if "condition" not in rows.columns:
         return []
-    attack, evaluation = study.hiding, study.evaluation
+    attack, evaluation = next((one for one in study.attack if one.target_class is None), None), study.evaluation
     seen = reported("original_score", evaluation.confidence)
     groups = {"found": (seen, pl.all_horizontal(pl.col(f"{DEPTH}{one.name}") < 0 for one in study.attack))}
     if attack is not None:

@@ -107,6 +107,20 @@ def test_what_two_detectors_report_is_counted_under_each_condition() -> None:
     assert told["control_recall"]["total"] == 2  # of the splats as the victim sees them alone
 
 
+def test_looks_count_the_trigger_that_all_rates_count() -> None:
+    overhead, rear = STUDY.attack
+    study = replace(STUDY, attack=(replace(overhead, target_class="stop sign"), replace(rear, target_class=None)))
+    depths = {"depth: overhead": 10.0, "depth: rear": -10.0, "target_score: overhead": 0.0, "target_score: rear": 0.0}
+    ids: dict[str, Any] = {"condition": ".spz", "seed": 0, "detector": "redness", "view": 0}
+    ids |= {"azimuth": 0.0, "elevation": 40.0}
+    scores = {"original_score": 0.9, "any_overlap": 0.9, "score": 0.9}
+    rows = frame_of({**ids, **depths, **scores, "splat": splat} for splat in (CLEAN, ATTACKED))
+    (look,) = looks(study, rows)
+    missed = rates(study, rows)[()]["trigger_miss_rate"]
+    assert missed is not None
+    assert look["missed_cloaked"]["total"] == missed.total == 0
+
+
 def tables_of(rows: pl.DataFrame) -> Tables:
     return {**study_rows(), ROWS: rows}
 
