@@ -25,8 +25,8 @@ SEE_ALSO = ("view", "evaluate", "dagger", "cloak")
 class ReportOptions(JsonOptions):
     """Write one page of results: pictures, curves with intervals, controls, warnings, settings, and how to repeat it.
 
-    Takes folders that mi-splat dagger, dagger-eot, study, dagger-sanity, evaluate, evaluate-detector, compare, detect
-    and cloak have written. The page is one file without a script, and asks nothing of any network.
+    Takes folders that mi-splat dagger, dagger-eot, study, dagger-sanity, evaluate, evaluate-detector, compare, detect,
+    cloak and audit have written. The page is one file without a script, and asks nothing of any network.
     """
 
     results: Positional[tuple[Folder, ...]] = ()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import io
+import math
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -19,6 +20,7 @@ from mi_splat.errors import InvalidValueError, install, message
 
 SIZE = (4.5, 2.9)
 """Width and height in inches of 72 points; a telephone shows them at about their size."""
+DOME_SIZE = (4.5, 4.2)
 LONGEST_TICK, LONGEST_LABEL = 24, 48
 """Letters in a chart."""
 MOST_TICKS = 12
@@ -86,9 +88,12 @@ def svg(chart: Chart, name: str) -> str:
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(style)
-        figure = Figure(figsize=SIZE, layout="constrained")
+        figure = Figure(figsize=DOME_SIZE if chart.dome else SIZE, layout="constrained")
         figure.patch.set_visible(False)
-        _draw(figure.add_subplot(), chart)
+        if chart.dome:
+            _draw_dome(figure.add_subplot(projection="polar"), chart)
+        else:
+            _draw(figure.add_subplot(), chart)
         buffer = io.StringIO()
         canvas: Any = FigureCanvasSVG(figure)
         canvas.print_svg(buffer, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
@@ -122,6 +127,20 @@ def _draw(axes: Any, chart: Chart) -> None:
         axes.xaxis.get_major_locator().set_params(integer=True)
     axes.set_xlabel(_short(chart.x_label, LONGEST_LABEL))
     axes.set_ylabel(_short(chart.y_label, LONGEST_LABEL))
+
+
+def _draw_dome(axes: Any, chart: Chart) -> None:
+    """Directions as seen from above: the middle is an elevation of 90 degrees, each ring 30 degrees less."""
+    axes.patch.set_visible(False)
+    axes.grid(color=_FAINT, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines["polar"].set_color(_FAINT)
+    for line, number in zip(chart.drawn, colours(chart), strict=True):
+        style = {"color": _COLOURS[number], "marker": _MARKERS[number], "markersize": 4, "linestyle": "none"}
+        axes.plot([math.radians(point.x) for point in line.points], [90 - point.y for point in line.points], **style)
+    rings = range(30, 91 if all(point.y > -1 for line in chart.drawn for point in line.points) else 181, 30)
+    axes.set_rlim(0, rings[-1])
+    axes.set_rgrids(rings, [f"{90 - ring}°" for ring in rings], angle=80, fontsize=8)
 
 
 def _short(text: str, most: int) -> str:

@@ -115,7 +115,8 @@ def _rows(columns: Sequence[dict[str, str]]) -> tuple[tuple[str, ...], ...]:
 def _part(number: int, section: Section) -> dict[str, Any]:
     """A section with what the template needs besides: pictures as addresses, charts as SVG."""
     charts = [(chart, svg(chart, f"chart-{number}-{index}")) for index, chart in enumerate(section.charts, start=1)]
-    figures = tuple(figure.row for figure in section.all_figures)
+    columns = 3 if section.has_intervals else 2
+    figures = tuple(figure.row[:columns] for figure in section.all_figures)
     return {
         "section": section,
         "pictures": [{"of": picture, **data_address(picture.path)} for picture in section.pictures],
@@ -123,7 +124,7 @@ def _part(number: int, section: Section) -> dict[str, Any]:
             {"of": chart, "svg": drawing, "legend": list(legend(chart)), "table": values_of(chart)}
             for chart, drawing in charts
         ],
-        "figures": Table(caption="The figures", head=("figure", "value", "95 % interval"), rows=figures),
+        "figures": Table(caption="The figures", head=("figure", "value", "95 % interval")[:columns], rows=figures),
         "settings": Table(caption="Every setting", head=("setting", "value"), rows=section.configuration),
         "versions": Table(caption="What made it", head=("package", "version"), rows=section.versions),
     }

@@ -14,6 +14,7 @@ from attacks.report.rescoring import Rescoring
 from attacks.report.section import Section
 from attacks.report.stories import (
     attack,
+    audit,
     cloak,
     evaluation,
     renderers,
@@ -55,6 +56,7 @@ STORIES = (
     Story(name="cloak", read=cloak.read, figures=cloak.figures, rescoring=cloak.RESCORING),
     Story(name="study", read=study.read, figures=study_figures),
     Story(name="cloak-study", read=variations.read, figures=variations.figures),
+    Story(name="audit", read=audit.read),
     Story(name="evaluate", read=evaluation.read, figures=evaluation.figures),
     Story(name="compare", read=renderers.read),
     Story(name="detect", read=pictures.read),

@@ -75,12 +75,14 @@ class Picture:
         caption: What is to be seen.
         alt: The same for who cannot see it; empty where the caption says it.
         wide: Whether it has so many columns that a small screen should scroll it.
+        large: Whether it takes the whole width of any screen.
     """
 
     path: Path
     caption: str
     alt: str = ""
     wide: bool = False
+    large: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +135,7 @@ class Chart:
         level: Height and name of a horizontal line; None for none.
         fractions: Whether heights are fractions, shown from 0 to 100 %.
         connected: Whether the points of a line belong together.
+        dome: Whether points are directions, x the azimuth and y the elevation in degrees, drawn as seen from above.
     """
 
     title: str
@@ -145,6 +148,7 @@ class Chart:
     level: tuple[float, str] | None = None
     fractions: bool = True
     connected: bool = True
+    dome: bool = False
 
     @property
     def drawn(self) -> tuple[Line, ...]:
@@ -202,6 +206,11 @@ class Section:
     def all_figures(self) -> tuple[Figure, ...]:
         """The headline, its control, and the others, each once."""
         return tuple(dict.fromkeys((self.headline, *([self.control] if self.control else []), *self.figures)))
+
+    @property
+    def has_intervals(self) -> bool:
+        """Whether one of its figures was counted."""
+        return any(figure.interval for figure in self.all_figures)
 
     def doubts(self) -> list[str]:
         """Warnings of every attack: too little was counted, or there is nothing to compare with."""

@@ -135,6 +135,7 @@ def _object(frame: Frame, target: Target, cameras: tuple[Camera, ...]) -> tuple[
         mirror=scores.mirror,
         unexplained=scores.unexplained,
         area=int((by_piece > _CHANGED).sum()) * area,
+        pair=_pair(frame, pieces, view, by_piece, shown),
     )
     judged = ObjectAudit(
         rows=frame.order[target.rows],
@@ -145,9 +146,8 @@ def _object(frame: Frame, target: Target, cameras: tuple[Camera, ...]) -> tuple[
         pieces=int((pieces.judged & able).sum()),
         area=int((pieces.judged & able).sum()) * area,
         uncontradicted=(pieces.unseen + int((pieces.judged & ~able).sum())) * area,
-        look=look,
+        looks=(look,),
         occluder=_occluder(frame, target, view),
-        pair=_pair(frame, pieces, view, by_piece, shown),
     )
     if judged.evidence < SUSPICION:
         return judged, None

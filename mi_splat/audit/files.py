@@ -12,8 +12,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mi_splat.audit.results import COVERED, EXCESS, SUSPICION, Audit, ObjectAudit, Pair
-from mi_splat.audit.summary import summary
+from mi_splat.audit.results import COVERED, EXCESS, SUSPICION, Audit, Look, ObjectAudit, Pair
+from mi_splat.audit.summary import directions_in_words, summary
 from mi_splat.bounds import near_plane
 from mi_splat.cameras import Camera
 from mi_splat.io import save_splat
@@ -30,6 +30,7 @@ from mi_splat.selection.masks import save_mask
 from mi_splat.sh import colour_to_dc, dc_to_colour
 
 PAIR, HEAT, MASK = "pair.png", "heat.ply", "mask.npy"
+HEAT_PICTURE = "heat.png"
 PICTURE = 512
 """Pixels along the longer side of each of the two pictures."""
 _GAP = 8
@@ -50,7 +51,7 @@ def document(audit: Audit) -> dict[str, Any]:
 
 
 def _of_object(item: ObjectAudit) -> dict[str, Any]:
-    look, cover, pair = item.look, item.occluder, item.pair
+    cover = item.occluder
     return {
         "verdict": item.verdict,
         "evidence": item.evidence,
@@ -61,32 +62,43 @@ def _of_object(item: ObjectAudit) -> dict[str, Any]:
         "pieces": item.pieces,
         "area": item.area,
         "uncontradicted": item.uncontradicted,
-        "look": {
-            "score": look.score,
-            "incidence": look.incidence,
-            "mirror": look.mirror,
-            "unexplained": look.unexplained,
-            "excess": look.excess,
-            "area": look.area,
-            "directions": dataclasses.asdict(look.region),
-        },
+        "looks": [_of_look(look, item) for look in item.looks],
         "occluder": cover and {"axis": cover.axis, "transparent": cover.transparent, "score": cover.score},
-        "pair": pair and {"change": pair.change, "cameras": pair_cameras(pair)},
         "seen_from": [
-            {"direction": direction, "shows_look": shows, "blocked": blocked}
-            for direction, shows, blocked in zip(
+            {
+                "direction": direction,
+                "looks": [number for number, shows in enumerate(shown) if shows],
+                "blocked": blocked,
+            }
+            for direction, shown, blocked in zip(
                 item.directions.tolist(),
-                look.shown.tolist(),
-                cover.blocked.tolist() if cover else [0.0] * len(look.shown),
+                torch.stack([look.shown for look in item.looks], 1).tolist(),
+                cover.blocked.tolist() if cover else [0.0] * len(item.directions),
                 strict=True,
             )
         ],
     }
 
 
-def pair_cameras(pair: Pair) -> list[dict[str, object]]:
-    """The two cameras as JSON can hold them."""
-    return [describe("inside", pair.inside), describe("outside", pair.outside)]
+def _of_look(look: Look, item: ObjectAudit) -> dict[str, Any]:
+    return {
+        "where": directions_in_words(look.region, item.up),
+        "score": look.score,
+        "incidence": look.incidence,
+        "mirror": look.mirror,
+        "unexplained": look.unexplained,
+        "excess": look.excess,
+        "area": look.area,
+        "cameras": int(look.shown.sum()),
+        "directions": dataclasses.asdict(look.region),
+        "pair": look.pair and {"change": look.pair.change, "cameras": pair_cameras(look.pair)},
+    }
+
+
+def pair_cameras(pair: Pair, number: int = 1) -> list[dict[str, object]]:
+    """The two cameras of a look with a number as JSON can hold them."""
+    end = f" {number}" if number > 1 else ""
+    return [describe(f"inside{end}", pair.inside), describe(f"outside{end}", pair.outside)]
 
 
 def pair_picture(scene: GaussianScene, pair: Pair) -> NDArray[np.uint8]:
@@ -118,7 +130,7 @@ def heated(scene: GaussianScene, heat: Tensor) -> GaussianScene:
         scene: N Gaussians.
         heat: (N,) at least 0.
     """
-    share = (heat / heat.max().clamp(min=1e-12)).sqrt()[:, None].to(scene.sh)
+    share = (heat / heat.max().clamp(min=1e-12))[:, None].to(scene.sh)
     grey = 0.4 + 0.5 * dc_to_colour(scene.sh[:, 0]).clamp(0, 1).mean(1, keepdim=True).expand(-1, 3)
     colour = (1 - share) * grey + share * grey.new_tensor([0.9, 0.05, 0.0])
     return GaussianScene.unchecked(*scene.tensors()[:4], colour_to_dc(colour)[:, None])
@@ -143,17 +155,38 @@ def write(
         SplatFileError: The folder cannot be written, or holds something.
     """
     target = Path(folder)
-    names = [RECORD]
+    names, pictures, cameras = [RECORD], list[dict[str, Any]](), list[dict[str, object]]()
     with new_folder(target, force=force) as temporary:
-        if audit.strongest.pair is not None:
-            save_picture(pair_picture(scene, audit.strongest.pair), temporary / PAIR)
-            names.append(PAIR)
+        for number, (place, pair) in enumerate(shown_pairs(audit), 1):
+            name = PAIR if number == 1 else f"pair-{number}.png"
+            save_picture(pair_picture(scene, pair), temporary / name)
+            names.append(name)
+            pictures.append({"file": name, "object": place[0], "look": place[1], "change": pair.change})
+            cameras += pair_cameras(pair, number)
         if bool(audit.mask.any()):
-            save_splat(heated(scene, audit.heat), temporary / HEAT)
+            hot = heated(scene, audit.heat)
+            save_splat(hot, temporary / HEAT)
             save_mask(audit.mask, temporary / MASK)
             names += [HEAT, MASK]
-        pair = audit.strongest.pair
-        cameras = pair_cameras(pair) if pair else []
-        record = {"kind": "audit", "file": source, **document(audit), "cameras": cameras, **origin()}
-        save_json(record, temporary / RECORD)
+            if audit.strongest.look.pair is not None:
+                save_picture(pair_picture(hot, audit.strongest.look.pair), temporary / HEAT_PICTURE)
+                names.append(HEAT_PICTURE)
+        record = {"story": "audit", "file": source, **document(audit), "pictures": pictures, "cameras": cameras}
+        save_json({**record, **origin()}, temporary / RECORD)
     return [target / name for name in names]
+
+
+def shown_pairs(audit: Audit) -> list[tuple[tuple[int, int], Pair]]:
+    """Pairs of cameras that are worth a picture, the strongest first: all with evidence, of none at least one.
+
+    Returns:
+        Number of the object and of its look, both from 0, and the pair.
+    """
+    found = [
+        ((index, number), look)
+        for index, item in enumerate(audit.objects)
+        for number, look in enumerate(item.looks)
+        if look.pair is not None and (look.evidence >= SUSPICION or item is audit.strongest)
+    ]
+    found.sort(key=lambda entry: (audit.objects[entry[0][0]] is not audit.strongest, -entry[1].evidence))
+    return [(place, look.pair) for place, look in found if look.pair is not None]

@@ -44,6 +44,21 @@ class Region:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Pair:
+    """Two cameras that prove a look: they see the same surface from inside and from outside of its directions.
+
+    Attributes:
+        inside: Sees the look.
+        outside: Sees the same surface without it.
+        change: Mean change of colour (sRGB) of the surface that both see, weighted by its score.
+    """
+
+    inside: Camera
+    outside: Camera
+    change: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Look:
     """The set of directions that best explains how the colours of a surface change, and what gloss would explain.
 
@@ -55,6 +70,7 @@ class Look:
         mirror: The same score, if colours follow the direction in which a mirror would reflect.
         unexplained: Score of a set of directions on what is left when mirrored surroundings are taken off.
         area: World units squared of the surface that changes.
+        pair: Two cameras that prove it; None if no two see the same surface.
     """
 
     region: Region
@@ -64,11 +80,17 @@ class Look:
     mirror: float
     unexplained: float
     area: float
+    pair: Pair | None
 
     @property
     def excess(self) -> float:
         """What gloss does not explain: geometric mean of the score less the better rival, and what is unexplained."""
         return math.sqrt(max(0.0, self.score - max(self.incidence, self.mirror)) * self.unexplained)
+
+    @property
+    def evidence(self) -> float:
+        """By which 1 is called hidden; at least 0."""
+        return self.excess / EXCESS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -89,21 +111,6 @@ class Occluder:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Pair:
-    """Two cameras that prove a look: they see the same surface from inside and from outside of its directions.
-
-    Attributes:
-        inside: Sees the look.
-        outside: Sees the same surface without it.
-        change: Mean change of colour (sRGB) of the surface that both see, weighted by its score.
-    """
-
-    inside: Camera
-    outside: Camera
-    change: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ObjectAudit:
     """One object and what its surface does.
 
@@ -117,9 +124,8 @@ class ObjectAudit:
         area: World units squared of the surface that was judged.
         uncontradicted: World units squared of surface that too few cameras see, or cameras of one side only: what is
             shown there is not contradicted by anything.
-        look: The set of directions that explains most.
+        looks: What explains most, and what else is found when that is taken off; at least one, from the strongest.
         occluder: What covers the object; None if nothing does.
-        pair: Two cameras that prove the look; None if no two see the same surface.
     """
 
     rows: Tensor
@@ -130,14 +136,18 @@ class ObjectAudit:
     pieces: int
     area: float
     uncontradicted: float
-    look: Look
+    looks: tuple[Look, ...]
     occluder: Occluder | None
-    pair: Pair | None
+
+    @property
+    def look(self) -> Look:
+        """The set of directions that explains most."""
+        return self.looks[0]
 
     @property
     def evidence(self) -> float:
-        """Of a look, by which 1 is called hidden; at least 0."""
-        return self.look.excess / EXCESS
+        """Of its strongest look."""
+        return self.look.evidence
 
     @property
     def covered(self) -> bool:

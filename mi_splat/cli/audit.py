@@ -20,6 +20,7 @@ EXAMPLES = (
     "audit street.ply",
     "audit a.ply b.spz --json",
     "audit street.ply --out out/street-audit",
+    "audit street.ply --sarif street.sarif",
 )
 SEE_ALSO = ("select", "info", "view")
 FOUND, FAILED = 3, 1
@@ -42,30 +43,38 @@ class AuditOptions(JsonOptions):
     out: Folder | None = None
     """Folder for result.json, the two pictures that prove a look, the splat coloured by heat, and the mask of the
     Gaussians that `mi-splat select --mask` takes; of several files a folder in it for each."""
+    sarif: Path | None = None
+    """Write what was found as SARIF 2.1.0, too, which build pipelines and editors read."""
     force: bool = False
-    """Replace an older result in --out."""
+    """Replace an older result in --out, and the file of --sarif."""
     strict: bool = False
     """Let the exit status be 3 for what is suspicious, too."""
 
 
 def run(options: AuditOptions) -> int:
     """Audit every file, also after one that could not be judged."""
-    from mi_splat.io.folders import check_new_folder
+    from mi_splat.audit.sarif import ENDINGS, sarif
+    from mi_splat.io.documents import save_json
+    from mi_splat.io.folders import check_new_file, check_new_folder
 
     folders = _folders(options)
     for folder in folders.values():
         check_new_folder(folder, force=options.force)
+    if options.sarif is not None:
+        check_new_file(options.sarif, ENDINGS, force=options.force)
     results, failures = [], 0
     for path in options.files:
         try:
             document = _audited(path, folders.get(path), options)
         except (MiSplatError, OSError) as error:
-            if len(options.files) == 1:
+            if len(options.files) == 1 and options.sarif is None:
                 raise
             failures += 1
             warn(f"{path}: {' '.join(str(error).split())}")
             document = {"file": str(path), "verdict": None, "error": str(error)}
         results.append(document)
+    if options.sarif is not None:
+        save_json(sarif(results), options.sarif)
     lines = [line for document in results if "error" not in document for line in _lines(document)]
     show_result(results[0] if len(results) == 1 else {"files": results}, *lines, as_json=options.json)
     bad = {"hidden look", "suspicious"} if options.strict else {"hidden look"}

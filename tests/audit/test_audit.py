@@ -80,9 +80,9 @@ def test_a_look_from_above_is_found_with_its_directions_and_gaussians(judged: Au
 
 def test_the_pair_of_pictures_proves_it(judged: Audit) -> None:
     item = judged.strongest
-    assert item.pair is not None
-    assert item.pair.change > 0.1
-    places = torch.stack([item.pair.inside.position, item.pair.outside.position]) - torch.tensor(item.centre)
+    assert item.look.pair is not None
+    assert item.look.pair.change > 0.1
+    places = torch.stack([item.look.pair.inside.position, item.look.pair.outside.position]) - torch.tensor(item.centre)
     heights = (places[:, 2] / places.norm(dim=1)).asin().rad2deg()
     assert heights[0] > heights[1] + 3
 
@@ -157,7 +157,7 @@ def test_an_occluder_alone_is_no_proof(judged: Audit) -> None:
     dark = torch.ones(len(item.directions))
     cover = Occluder(axis=(0.0, 0.0, 1.0), blocked=dark, transparent=0.5, score=0.5)
     plain = dataclasses.replace(item.look, score=0.0)
-    covered = dataclasses.replace(judged, objects=(dataclasses.replace(item, look=plain, occluder=cover),))
+    covered = dataclasses.replace(judged, objects=(dataclasses.replace(item, looks=(plain,), occluder=cover),))
     assert covered.verdict == "suspicious"
     assert headline(covered).startswith(
         "suspicious: something in the air covers an object from around (0.00 0.00 1.00)"
@@ -282,7 +282,7 @@ def test_the_command_writes_what_it_found(
     assert "bad.ply: hidden look: an object has other colours within" in text
     assert ", from above" in text
     record = json.loads((out / "result.json").read_text())
-    assert record["kind"] == "audit"
+    assert record["story"] == "audit"
     assert record["verdict"] == "hidden look"
     assert record["summary"][0].startswith("hidden look")
     assert {camera["name"] for camera in record["cameras"]} == {"inside", "outside"}

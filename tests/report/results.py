@@ -20,10 +20,12 @@ from attacks.dagger.sanity.runs import Runs
 from attacks.objectives import relabel
 from attacks.rate import Rate
 from mi_splat import provenance
+from mi_splat.audit.files import write as write_files
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.manifest import write_manifest
+from tests.audit.accounts import account, look
 from tests.dagger import test_sanity
 from tests.dagger.toy import quick
 from tests.detectors.made import evaluated
@@ -154,6 +156,16 @@ def write_comparison(folder: Path) -> Path:
     return _write_by_command(folder, "compare", splat, "--size", "16", "--rounds", "1")
 
 
+def write_audit(folder: Path) -> Path:
+    """Two looks, covered from above, and a number that is none."""
+    scene = toy_scene()[0]
+    write_files(account(look(), look(0.02, above=0.2), count=len(scene), covered=0.4), scene, folder, source="toy.ply")
+    finding = {"rule": "not-finite", "severity": "error", "reason": "Nothing shows", "rows": [3], "count": 1}
+    change(folder / "result.json", lint=[finding])
+    write_manifest(folder)
+    return folder
+
+
 MAKERS: dict[str, Callable[[Path], Path]] = {
     "study": write_study,
     "dagger": write_dagger,
@@ -161,6 +173,7 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "cloak": write_cloak,
     "cloak-study": write_cloak_study,
     "dagger-sanity": write_sanity,
+    "audit": write_audit,
     "evaluate": write_evaluation,
     "compare": write_comparison,
     "detect": write_detections,

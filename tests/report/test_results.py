@@ -15,6 +15,7 @@ from attacks.rate import Rate
 from attacks.report.page import page_text
 from attacks.report.results import STORIES, read_section
 from attacks.report.section import Section
+from attacks.report.stories.audit import angles
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import decode
 from mi_splat.io.manifest import read_manifest
@@ -52,7 +53,7 @@ def said(section: Section) -> str:
 
 
 LINE = ["mi-splat", "some command", "a b.ply", "--out", "x"]
-UNCONTROLLED = {"dagger-sanity", "compare", "detect"}
+UNCONTROLLED = {"dagger-sanity", "compare", "detect", "audit"}
 """Kinds without a control."""
 
 
@@ -184,6 +185,29 @@ def test_red_lines_of_sanity_are_warnings(folders: dict[str, Path]) -> None:
     section = read_section(folders["dagger-sanity"])
     assert section.headline.value == "1 of 2"
     assert len(section.warnings) == 2
+
+
+def test_an_audit_says_what_was_not_judged_and_from_where_its_looks_are_seen(folders: dict[str, Path]) -> None:
+    section = read_section(folders["audit"])
+    assert section.headline.words == "hidden look"
+    assert [picture.path.name for picture in section.pictures] == ["pair.png", "pair-2.png", "heat.png"]
+    seen, covered = section.charts
+    assert [line.name for line in seen.lines] == ["see look 1", "see look 2", "see none"]
+    assert min(point.y for point in seen.lines[0].points) > 44 > max(point.y for point in seen.lines[1].points)
+    assert [line.name for line in covered.lines] == ["covered", "not covered"]
+    warnings = " ".join(section.warnings)
+    for words in ("20% of the surface", "An honest canopy may do the same", "20% of the solid", "Nothing shows (1 Ga"):
+        assert words in warnings
+    assert len(section.tables) == 4
+
+
+def test_azimuths_are_from_the_file_s_x_axis() -> None:
+    up, side = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
+    assert angles((0.0, 1.0, 0.0), up) == (90.0, 0.0)
+    assert angles((1.0, 0.0, 0.0), side) == (0.0, 0.0)
+    assert angles((0.0, 0.0, 1.0), side) == (270.0, 0.0)
+    assert angles((0.0, 1.0, 0.0), (1.0, 0.0, 0.0)) == (0.0, 0.0)
+    assert angles(up, up)[1] == 90.0
 
 
 def test_what_detectors_report(folders: dict[str, Path]) -> None:

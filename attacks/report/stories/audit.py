@@ -1,0 +1,249 @@
+"""What `mi-splat audit` leaves behind: whether a splat shows something from some directions only."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section
+from attacks.report.wording import plural, sentence, settings
+from attacks.tables import Table
+from mi_splat.audit.occluders import BLOCKED
+from mi_splat.audit.results import Vector
+
+_ELSEWHERE = (
+    *("story", "file", "verdict", "summary", "objects", "pictures", "cameras", "lint"),
+    *("command", "versions", "variant", "commit", "torch"),
+)
+_PLAIN = {
+    "hidden look": (
+        "This file hides something: an object has other colours from some directions than from all others, and no "
+        "gloss explains it. Look at the two pictures."
+    ),
+    "suspicious": (
+        "This file is suspicious, which proves nothing: look at the pictures and at the directions before you trust it."
+    ),
+    "nothing found": "No hidden look was found. This does not say that the file is safe: see what was not judged.",
+}
+
+
+def read(folder: Path, record: Mapping[str, Any]) -> Section:
+    """The section of an audit.
+
+    Args:
+        folder: Where it lies.
+        record: Its result.json.
+    """
+    objects, first = record["objects"], record["summary"][0]
+    looks = [
+        (number, index, look) for number, item in enumerate(objects, 1) for index, look in enumerate(item["looks"])
+    ]
+    excess = max(look["excess"] for _, _, look in looks)
+    threshold, least = record["thresholds"]["excess"], record["thresholds"]["covered"]
+    cameras = sum(len(item["seen_from"]) for item in objects)
+    return Section(
+        kind="audit of a splat",
+        title=Path(record["file"]).name,
+        done=(
+            f"{plural(len(objects), 'object')} of {record['file']} ({record['gaussians']:,} Gaussians) "
+            f"{'was' if len(objects) == 1 else 'were'} looked at from {plural(cameras, 'direction')}, with nothing but "
+            "the file. For each set of directions the colours of the same surface from inside and from outside were "
+            "compared, and what honest gloss explains was taken off."
+        ),
+        conclusion=f"{_PLAIN[record['verdict']]} {sentence(first.partition(': ')[2])}",
+        headline=Figure(
+            label="verdict", words=record["verdict"], note=f"excess {excess:.4f}; hidden from {threshold:g}"
+        ),
+        attacked=False,
+        figures=(
+            Figure(label="Gaussians that carry it", words=f"{record['carrying']:,} of {record['gaussians']:,}"),
+            Figure(label="solid Gaussians near an object that was looked at", words=f"{record['near']:.0%}"),
+        ),
+        warnings=tuple(_doubts(record)),
+        pictures=tuple(_pictures(folder, record)),
+        charts=tuple(chart for place in enumerate(objects, 1) for chart in _domes(*place, len(objects), least)),
+        tables=(
+            _scores(looks),
+            Table.of(
+                "What was judged",
+                {
+                    "object": lambda row: f"object {row[0]}, {row[1]['gaussians']:,} Gaussians",
+                    "verdict": lambda row: row[1]["verdict"],
+                    "middle": lambda row: _numbers(row[1]["centre"]),
+                    "surface that was judged": lambda row: f"{row[1]['area']:.3g} square units",
+                    "surface that nothing contradicts": lambda row: f"{row[1]['uncontradicted']:.3g} square units",
+                },
+                list(enumerate(objects, 1)),
+            ),
+            _covers(objects, least),
+            _lint(record.get("lint") or ()),
+        ),
+        configuration=settings({key: value for key, value in record.items() if key not in _ELSEWHERE}),
+    )
+
+
+def _doubts(record: Mapping[str, Any]) -> Iterator[str]:
+    """What the reader may not conclude."""
+    for number, item in enumerate(record["objects"], 1):
+        share = item["uncontradicted"] / max(item["uncontradicted"] + item["area"], 1e-12)
+        if share >= 0.005:
+            yield (
+                f"Object {number}: {share:.0%} of the surface that shows is seen from one side or by few cameras. What "
+                "is shown there is not contradicted by anything, so nothing can be said of it"
+            )
+        cover = item["occluder"]
+        if cover is not None and cover["score"] >= record["thresholds"]["covered"]:
+            yield (
+                f"Object {number}: something in the air covers it from around ({_numbers(cover['axis'])}), and other "
+                "cameras look through it. An honest canopy may do the same"
+            )
+    if record["near"] < 0.995:
+        yield (
+            f"{1 - record['near']:.0%} of the solid Gaussians lie far from every object that was looked at: nothing is "
+            "said of them"
+        )
+    for row in record.get("lint") or ():
+        if row["severity"] == "error":
+            yield f"{row['rule']}: {row['reason']} ({plural(row['count'], 'Gaussian')})"
+
+
+def _pictures(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
+    """The pairs that prove looks, and the heat."""
+    for shown in record["pictures"]:
+        item = record["objects"][shown["object"]]
+        name = f"Object {shown['object'] + 1}"
+        if len(item["looks"]) > 1:
+            name += f", look {shown['look'] + 1}"
+        evidence = item["looks"][shown["look"]]["excess"] / record["thresholds"]["excess"]
+        what = "the look shows" if evidence >= record["thresholds"]["suspicion"] else "colours differ most"
+        yield Picture(
+            path=folder / shown["file"],
+            caption=(
+                f"{name}: the same surface, left from inside of the directions from which {what}, right from outside. "
+                f"The surface that both see differs by {shown['change']:.2f} in the mean (sRGB, 0 to 1)."
+            ),
+            alt=f"{name} from two directions, side by side",
+            large=True,
+        )
+    yield Picture(
+        path=folder / "heat.png",
+        caption=(
+            f"The same two views: the redder a Gaussian, the more of what was found it carries. "
+            f"{record['carrying']:,} of {record['gaussians']:,} carry most of it."
+        ),
+        alt="The splat in grey, with what carries the look in red",
+        large=True,
+    )
+
+
+def _domes(number: int, item: Mapping[str, Any], objects: int, least: float) -> Iterator[Chart]:
+    """Which cameras see which look, and which are covered, on the dome of directions above an object's ground."""
+    up = item["up"] or (0.0, 0.0, 1.0)
+    of = "" if objects == 1 else f" of object {number}"
+    where = "straight above the ground of the object" if item["up"] else "the z axis of the file"
+    seen = item["seen_from"]
+
+    def chart(title: str, groups: Mapping[str, tuple[Role, Sequence[Any]]]) -> Chart:
+        return Chart(
+            title=title,
+            caption=(
+                f"A mark is a camera. The middle is {where}, a ring is 30 degrees, and azimuth 0 is the x axis of the "
+                "file."
+            ),
+            x_label="azimuth, degrees",
+            y_label="elevation, degrees",
+            lines=tuple(
+                Line(name=name, role=role, points=tuple(Point(*angles(camera["direction"], up)) for camera in cameras))
+                for name, (role, cameras) in groups.items()
+            ),
+            fractions=False,
+            connected=False,
+            dome=True,
+        )
+
+    count, found = len(item["looks"]), item["verdict"] != "nothing found"
+    none = "see none" if count > 1 else "do not see it"
+    names = [f"see look {number + 1}" if count > 1 else "see the look" for number in range(count)]
+    if not found:
+        names, none = ["inside of the directions that explain most"], "outside"
+    sides: dict[str, tuple[Role, Sequence[Any]]] = {
+        name: ("attack", [camera for camera in seen if index in camera["looks"][:1]])
+        for index, name in enumerate(names)
+    }
+    sides[none] = ("control", [camera for camera in seen if not camera["looks"]])
+    yield chart(f"From where {'a look is seen' if found else 'colours differ most'}{of}", sides)
+    if item["occluder"] is not None and item["occluder"]["score"] >= least:
+        covered, free = (
+            [camera for camera in seen if (camera["blocked"] > BLOCKED) is which] for which in (True, False)
+        )
+        yield chart(f"What covers the object{of}", {"covered": ("other", covered), "not covered": ("control", free)})
+
+
+def angles(direction: Vector, up: Vector) -> tuple[float, float]:
+    """Azimuth from the file's x axis and elevation above the ground of an object, degrees.
+
+    Args:
+        direction: (3,) unit vector.
+        up: (3,) unit vector, away from the ground; where x points up, azimuths are from y.
+    """
+    start = (1.0, 0.0, 0.0) if abs(up[0]) < 0.9 else (0.0, 1.0, 0.0)
+    height = _dot(direction, up)
+    east = [a - _dot(start, up) * b for a, b in zip(start, up, strict=True)]
+    north = [up[(i + 1) % 3] * east[(i + 2) % 3] - up[(i + 2) % 3] * east[(i + 1) % 3] for i in range(3)]
+    azimuth = math.degrees(math.atan2(_dot(direction, north), _dot(direction, east))) % 360
+    return round(azimuth, 1), round(math.degrees(math.asin(max(-1.0, min(1.0, height)))), 1)
+
+
+def _dot(a: Sequence[float], b: Sequence[float]) -> float:
+    return math.fsum(x * y for x, y in zip(a, b, strict=True))
+
+
+def _scores(looks: Sequence[tuple[int, int, Mapping[str, Any]]]) -> Table:
+    """Each look beside what gloss would explain of it."""
+    return Table.of(
+        "How well each explanation fits: what is left when gloss is taken off decides",
+        {
+            "look": lambda row: f"object {row[0]}" + (f", look {row[1] + 1}" if row[1] else ""),
+            "by direction": lambda row: f"{row[2]['score']:.4f}",
+            "rival: angle of incidence": lambda row: f"{row[2]['incidence']:.4f}",
+            "rival: mirrored direction": lambda row: f"{row[2]['mirror']:.4f}",
+            "without mirrored surroundings": lambda row: f"{row[2]['unexplained']:.4f}",
+            "excess": lambda row: f"{row[2]['excess']:.4f}",
+            "cameras that see it": lambda row: str(row[2]["cameras"]),
+        },
+        looks,
+    )
+
+
+def _covers(objects: Sequence[Mapping[str, Any]], least: float) -> Table:
+    """What covers objects."""
+    return Table.of(
+        "What covers an object from some directions, while others look through it",
+        {
+            "object": lambda row: f"object {row[0]}",
+            "from around": lambda row: _numbers(row[1]["occluder"]["axis"]),
+            "of it, cameras elsewhere look through": lambda row: f"{row[1]['occluder']['transparent']:.0%}",
+            "score": lambda row: f"{row[1]['occluder']['score']:.3f}",
+        },
+        [row for row in enumerate(objects, 1) if row[1]["occluder"] and row[1]["occluder"]["score"] >= least],
+    )
+
+
+def _lint(findings: Sequence[Mapping[str, Any]]) -> Table:
+    """What rules about numbers have found."""
+    return Table.of(
+        "What is wrong with the numbers of the file",
+        {
+            "rule": "rule",
+            "severity": "severity",
+            "Gaussians": lambda row: f"{row['count']:,}",
+            "why it matters": "reason",
+        },
+        findings,
+    )
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return " ".join(f"{value + 0.0:.2f}" for value in values)

@@ -1,0 +1,50 @@
+"""Accounts of audits that were never made: of one object that somebody could have judged."""
+
+from __future__ import annotations
+
+import torch
+
+from mi_splat.audit import Audit, Look, ObjectAudit, Occluder, Pair, Region
+from mi_splat.audit.surfaces import lattice
+from mi_splat.cameras import Camera, look_at
+
+DIRECTIONS = lattice(40, 5.0, 85.0)
+
+
+def camera(*eye: float) -> Camera:
+    return Camera(to_world=look_at(eye, (0.0, 0.0, 0.0)), focal=20.0, width=16, height=16)
+
+
+def look(score: float = 0.05, *, above: float = 0.7) -> Look:
+    """From above; of the score half is left."""
+    return Look(
+        region=Region(axis=(0.0, 0.0, 1.0), half_width=45.0, overlap=0.9),
+        shown=DIRECTIONS[:, 2] > above,
+        score=score,
+        incidence=score / 8,
+        mirror=score / 4,
+        unexplained=score / 3,
+        area=2.0,
+        pair=Pair(inside=camera(0.5, 0.0, 3.0), outside=camera(3.0, 0.0, 0.5), change=0.2),
+    )
+
+
+def account(*looks: Look, count: int, covered: float = 0.0) -> Audit:
+    """Of a splat of so many Gaussians, the first half an object with these looks, covered from above or not."""
+    half = torch.arange(count) < count // 2
+    item = ObjectAudit(
+        rows=half.nonzero()[:, 0],
+        centre=(0.0, 0.0, 0.0),
+        radius=1.0,
+        up=(0.0, 0.0, 1.0),
+        directions=DIRECTIONS,
+        pieces=100,
+        area=4.0,
+        uncontradicted=1.0,
+        looks=looks,
+        occluder=Occluder(
+            axis=(0.0, 0.0, 1.0), blocked=(DIRECTIONS[:, 2] > 0.5).double(), transparent=0.8, score=covered
+        ),
+    )
+    found = half if item.evidence >= 0.6 else torch.zeros_like(half)
+    return Audit(objects=(item,), heat=found.float(), mask=found, near=0.8)
