@@ -133,7 +133,8 @@ def _object(frame: Frame, target: Target, cameras: tuple[Camera, ...]) -> tuple[
         score=scores.direction,
         incidence=scores.incidence,
         mirror=scores.mirror,
-        unexplained=scores.unexplained,
+        shift=scores.shift,
+        fade=scores.fade,
         area=int((by_piece > _CHANGED).sum()) * area,
         pair=_pair(frame, pieces, view, by_piece, shown),
     )

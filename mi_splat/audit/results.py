@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,6 +19,8 @@ Vector = tuple[float, float, float]
 
 EXCESS, SUSPICION = 0.0055, 0.6
 """Excess from which a look is called hidden, and share of it from which a splat is suspicious; see docs/audit.md."""
+CONTRAST = 0.1
+"""Contrast (sRGB) that a fade is counted with."""
 COVERED = 0.1
 """Score of an occluder from which a splat is suspicious."""
 
@@ -68,7 +69,8 @@ class Look:
         score: How much of the surface changes between the sides, and how far (sRGB), in [0, 1].
         incidence: The same score, if colours follow the angle between surface and view.
         mirror: The same score, if colours follow the direction in which a mirror would reflect.
-        unexplained: Score of a set of directions on what is left when mirrored surroundings are taken off.
+        shift: Change of the mean colour (sRGB) from the same directions for faces that look different ways.
+        fade: Share of the contrast that changes so, less what the angle of incidence explains.
         area: World units squared of the surface that changes.
         pair: Two cameras that prove it; None if no two see the same surface.
     """
@@ -78,14 +80,16 @@ class Look:
     score: float
     incidence: float
     mirror: float
-    unexplained: float
+    shift: float
+    fade: float
     area: float
     pair: Pair | None
 
     @property
     def excess(self) -> float:
-        """What gloss does not explain: geometric mean of the score less the better rival, and what is unexplained."""
-        return math.sqrt(max(0.0, self.score - max(self.incidence, self.mirror)) * self.unexplained)
+        """What gloss does not explain, sRGB: shift and fade, by how far the better rival is behind the score."""
+        ahead = 1 - max(self.incidence, self.mirror) / max(self.score, 1e-9)
+        return (self.shift + CONTRAST * self.fade) * max(0.0, ahead)
 
     @property
     def evidence(self) -> float:

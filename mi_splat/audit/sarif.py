@@ -79,7 +79,7 @@ def _findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
             if evidence >= thresholds["suspicion"]:
                 name = "hidden-look" if evidence >= 1 else "suspicious-look"
                 text = f"Object {number}, look {index}: other colours {look['where']}; excess {look['excess']:.4f}."
-                values = {key: look[key] for key in ("score", "incidence", "mirror", "unexplained", "excess")}
+                values = {key: look[key] for key in ("score", "incidence", "mirror", "shift", "fade", "excess")}
                 yield name, _RULES[name][0], text, values
         cover = item["occluder"]
         if cover is not None and cover["score"] >= thresholds["covered"]:

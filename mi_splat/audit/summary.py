@@ -75,7 +75,8 @@ def _of_object(item: ObjectAudit) -> list[str]:
     rival = "the angle of incidence" if look.incidence > look.mirror else "a mirrored direction"
     lines.append(
         f"score {look.score:.4f} by direction, {max(look.incidence, look.mirror):.4f} by {rival}, "
-        f"{look.unexplained:.4f} without mirrored surroundings; excess {look.excess:.4f}"
+        f"common to faces that look different ways: {look.shift:.4f}, and {look.fade:.0%} of the contrast; "
+        f"excess {look.excess:.4f}"
     )
     if item.evidence >= SUSPICION:
         lines.append(f"{look.area / max(item.area, 1e-12):.0%} of its surface changes; seen by {_cameras(item)}")

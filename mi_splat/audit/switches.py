@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.audit import gloss
+from mi_splat.audit.agreement import Profiles, face_of
 from mi_splat.audit.surfaces import Elements, Sight, lattice
 
 NOISE = 0.03
@@ -62,7 +63,8 @@ class Scores:
         direction: Score of the best set of directions.
         incidence: Score of the best angle between surface and view.
         mirror: Score of the best set of mirrored directions.
-        unexplained: Score of the best set of directions on what mirrored surroundings leave.
+        shift: Of the set of directions that has most of it; see `mi_splat.audit.agreement`.
+        fade: The same, less the most that a set of angles of incidence has.
         axis: (3,) of the best set of directions.
         half_width: Its, in degrees.
     """
@@ -70,7 +72,8 @@ class Scores:
     direction: float
     incidence: float
     mirror: float
-    unexplained: float
+    shift: float
+    fade: float
     axis: Tensor
     half_width: float
 
@@ -127,9 +130,7 @@ def cells_of(pieces: Elements) -> Tensor:
     place = (pieces.positions / (_CELL * pieces.size)).floor().long()
     place = place - place.amin(0)
     sizes = place.amax(0) + 1
-    axis = pieces.normals.abs().argmax(1)
-    face = 2 * axis + (pieces.normals.gather(1, axis[:, None])[:, 0] > 0)
-    number = ((place[:, 0] * sizes[1] + place[:, 1]) * sizes[2] + place[:, 2]) * 6 + face
+    number = ((place[:, 0] * sizes[1] + place[:, 1]) * sizes[2] + place[:, 2]) * 6 + face_of(pieces.normals)
     cell: Tensor = torch.unique(number, return_inverse=True)[1]
     return cell
 
@@ -179,19 +180,28 @@ def explain(pieces: Elements, view: Sight) -> Scores:
         inside, outside = ((side @ flat).reshape(len(side), len(rows), 5).transpose(0, 1) for side in cones)
         return inside, outside
 
+    def by_incidence(cosines: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
+        inside, outside = gloss.incidence(cosines)
+        return torch.bmm(inside, part), torch.bmm(outside, part)
+
     def by_gloss(rows: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
         inside, outside = gloss.sides(rays.cosines[rows], rays.mirrored[rows])
         return torch.bmm(inside, part), torch.bmm(outside, part)
 
     direct, rivals = set_scores(moments, cell, by_direction), set_scores(moments, cell, by_gloss)
-    unexplained = set_scores(gloss.without_surroundings(moments, rays, cell), cell, by_direction)
+    profiles = Profiles.of(moments, pieces.normals[judged], cell)
+    at_cells = profiles.of_cells()
+    parted = [torch.einsum("ckx,tk->ctx", at_cells, side) for side in cones]
+    by_angle = profiles.parted(lambda rows, part: by_incidence(rays.cosines[rows], part), _CHUNK)
+    fade = float(profiles.fades(*parted).max() - profiles.fades(*by_angle).max())
     incidence, mirror = float(rivals[: gloss.ANGLES].max()), float(rivals[gloss.ANGLES :].max())
     best = int(direct.argmax())
     return Scores(
         direction=float(direct[best]),
         incidence=incidence,
         mirror=mirror,
-        unexplained=float(unexplained.max()),
+        shift=float(profiles.shifts(*parted).max()),
+        fade=max(0.0, fade),
         axis=sets.axes[best],
         half_width=float(sets.half_widths[best]),
     )

@@ -23,7 +23,8 @@ def look(score: float = 0.05, *, above: float = 0.7) -> Look:
         score=score,
         incidence=score / 8,
         mirror=score / 4,
-        unexplained=score / 3,
+        shift=score * 2 / 3,
+        fade=0.0,
         area=2.0,
         pair=Pair(inside=camera(0.5, 0.0, 3.0), outside=camera(3.0, 0.0, 0.5), change=0.2),
     )

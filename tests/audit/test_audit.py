@@ -16,9 +16,9 @@ from PIL import Image
 from attacks import cli
 from mi_splat.audit import Audit, Occluder, audit
 from mi_splat.audit import surfaces as seen_surfaces
+from mi_splat.audit.agreement import Profiles
 from mi_splat.audit.evidence import split_of
 from mi_splat.audit.frames import Target, frame_of, targets
-from mi_splat.audit.gloss import Rays, without_surroundings
 from mi_splat.audit.occluders import cover_of
 from mi_splat.audit.regions import shape_of
 from mi_splat.audit.summary import headline
@@ -122,26 +122,30 @@ def test_a_thin_sign_is_an_object_and_not_the_ground_of_its_pole() -> None:
         assert frame.direction(item.up).tolist() == pytest.approx([0, 0, 1], abs=0.02)
 
 
-def test_metal_on_dull_ground_is_explained_and_a_look_is_not() -> None:
-    """Two walls that face apart, and a floor that mirrors nothing."""
+def test_a_look_is_common_to_faces_that_look_different_ways_and_gloss_is_not() -> None:
+    """Two walls and a floor, spotted; a highlight is elsewhere on each, and a look takes their contrast as well."""
     directions = lattice(60, 5.0, 85.0).float()
-    normals = torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]).repeat_interleave(20, 0)
-    cell = torch.arange(3).repeat_interleave(20)
+    normals = torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]).repeat_interleave(80, 0)
+    cell, spots = torch.arange(240) // 8, (torch.arange(240) % 2)[:, None, None].float()
     cosines = normals @ directions.T
     mirrored = 2 * cosines[..., None] * normals[:, None] - directions
-    seen = (cosines > 0.2).float()[..., None]
-    sky = 0.3 * (3 * mirrored[..., 2:] + mirrored[..., :1]).sigmoid() * (cell < 2).float()[:, None, None]
-    look = 0.3 * (directions[:, 2] > 0.7).float()[None, :, None].expand(60, -1, 1)
-    left = []
-    for change in (sky, look):
-        colours = (0.4 + change).expand(-1, -1, 3) * seen
-        moments = torch.cat([seen, colours, colours.square().sum(-1, keepdim=True)], -1)
-        rest = without_surroundings(moments, Rays(cosines=cosines, mirrored=mirrored), cell)
-        mean = moments[..., 1:4].sum(1) / moments[..., :1].sum(1)
-        before = ((moments[..., 1:4] - mean[:, None]) * seen).square().sum()
-        left.append(float(rest[..., 4].sum() / before))
-    assert left[0] < 0.03
-    assert left[1] > 4 * left[0]
+    seen = (cosines > 0.1).float()[..., None]
+    own = (0.3 + 0.4 * spots).expand(-1, 60, 3)
+    above = (directions[:, 2] > 0.7).float()[None, :, None]
+    highlight = own + 0.2 * (mirrored @ direction(50, 20))[..., None].clamp(min=0) ** 8
+    found = []
+    for colours in (own, highlight, own * (1 - above) + 0.5 * above):
+        moments = torch.cat([seen, colours * seen, colours.square().sum(-1, keepdim=True) * seen], -1)
+        profiles = Profiles.of(moments, normals, cell)
+        parts = [
+            torch.einsum("ckx,k->cx", profiles.of_cells(), side)[:, None]
+            for side in (above[0, :, 0], 1 - above[0, :, 0])
+        ]
+        found.append((float(profiles.shifts(*parts)), float(profiles.fades(*parts))))
+    (still, _), (_, kept), (_, lost) = found
+    assert still == pytest.approx(0, abs=1e-6)
+    assert kept < 0.05
+    assert lost > 0.9
 
 
 def test_leaves_over_an_object_are_honest(suitcase: Made) -> None:
