@@ -86,6 +86,10 @@ def _work(study: Study) -> Work:
         from attacks.studies.cloak import CloakWork
 
         return CloakWork(study)
+    if study.kind == "audit":
+        from attacks.studies.audit import AuditWork
+
+        return AuditWork(study)
     from attacks.studies.dagger import DaggerWork
 
     return DaggerWork(study)

@@ -208,6 +208,10 @@ class StudySteps:
         config = self._step(*cones, layers=layers, seeds=(seed,), training=self._viewed)
         return self._job("layered", config, clean=clean.part(SPLAT), pictures=poisoned.part(_PICTURES))
 
+    def of_pictures(self, pictures: Job, seed: int) -> Job:
+        """A splat of pictures that another kind of job has taken, trained as the study's are."""
+        return self._trained(self.study, pictures, seed)
+
     def true_pictures(self, cameras: Sequence[Camera], attack: AttackConfig | None = None) -> Job:
         """Path-traced pictures from cameras that no training used; with an attack, of the object as it shows it."""
         poses = tuple(map(Pose.of, cameras))

@@ -44,6 +44,7 @@ KINDS: dict[str, str] = {
     "dagger": "attacks.studies.dagger",
     "dagger-eot": "attacks.studies.dagger",
     "cloak": "attacks.studies.cloak",
+    "audit": "attacks.studies.audit",
 }
 """Kinds of studies, and the modules that know their settings and jobs."""
 

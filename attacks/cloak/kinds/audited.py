@@ -1,0 +1,110 @@
+"""What `mi_splat.audit` says of a splat, and how near that is to what is known of its attack."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from attacks.cloak.config import StudyConfig
+from attacks.cloak.setup import Setup
+from mi_splat.audit.auditing import audit
+from mi_splat.audit.files import document
+from mi_splat.audit.results import ObjectAudit
+from mi_splat.directions import POLE, Direction
+from mi_splat.io.documents import save_json
+from mi_splat.scene import GaussianScene
+from mi_splat.scene_files import open_scene
+from mi_splat.selection.masks import box_mask
+
+if TYPE_CHECKING:
+    from mi_splat.ledger import Out
+
+AUDIT, COST = "audit.json", "cost.json"
+VARIES = (COST,)
+_MARGIN, _OCCLUDER = 0.05, 0.8
+"""Metres around the object's box, and share of an occluder's radius from which Gaussians are its own."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AuditedConfig:
+    """Whose splat is audited.
+
+    Attributes:
+        truth: The study with its one attack, if the splat is one that it cloaked: then directions and Gaussians are
+            compared with it. A mesh file is not known here: the object has to be an asset.
+    """
+
+    truth: StudyConfig | None = None
+
+
+def run(config: AuditedConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
+    """Audit the splat, and return a row: what was found, and how near that is to the truth.
+
+    Raises:
+        InvalidValueError: It cannot be judged.
+    """
+    scene = open_scene(inputs["splat"]).scene
+    begun = time.process_time()
+    judged = audit(scene)
+    seconds = time.process_time() - begun
+    save_json(document(judged), out / AUDIT)
+    save_json({"seconds": seconds, "gaussians": len(scene)}, out / COST)
+    item = judged.strongest
+    row: dict[str, Any] = {
+        "verdict": judged.verdict,
+        "evidence": item.evidence,
+        "excess": item.look.excess,
+        "occluder": item.occluder.score if item.occluder is not None else 0.0,
+        "gaussians": len(scene),
+    }
+    if config.truth is not None:
+        rows = carriers(config.truth, scene)
+        row |= {"directions": direction_overlap(config.truth, item)}
+        if bool(judged.heat.any()):
+            row |= {
+                "heat": rank_of(judged.heat, rows),
+                "mask": float((judged.mask & rows).sum() / (judged.mask | rows).sum()),
+            }
+    return [row]
+
+
+def carriers(study: StudyConfig, scene: GaussianScene) -> Tensor:
+    """(N,) bool, the Gaussians that an attack has changed: those in the object's box, or those of the occluder."""
+    setup, attack = Setup(study), study.attack[0]
+    if attack.appearance != "occluder":
+        (x0, y0, z0), (x1, y1, z1) = setup.target.bounds.tolist()
+        return box_mask(scene, (x0 - _MARGIN, y0 - _MARGIN, z0, x1 + _MARGIN, y1 + _MARGIN, z1 + _MARGIN))
+    radius = attack.occluder_radius or 0.6 * float(setup.lens["distance"])
+    offset = scene.means.double() - torch.tensor(study.centre, dtype=torch.float64)
+    return (offset.norm(dim=1) > _OCCLUDER * radius) & (scene.means[:, 2] > 0.1 * radius)
+
+
+def direction_overlap(study: StudyConfig, item: ObjectAudit) -> float:
+    """Intersection over union of the cameras that are said to see a look with those in the attack's region."""
+    cone = study.attack[0].cone
+    truth = torch.tensor([cone.contains(_towards(*vector)) for vector in item.directions.tolist()])
+    return float((item.look.shown & truth).sum() / (item.look.shown | truth).sum())
+
+
+def _towards(x: float, y: float, z: float) -> Direction:
+    flat = math.hypot(x, y)
+    azimuth = math.degrees(math.atan2(y, x)) % 360.0
+    return Direction(azimuth=azimuth, elevation=math.degrees(math.atan2(z, flat)), pole=flat < POLE)
+
+
+def rank_of(heat: Tensor, rows: Tensor) -> float:
+    """Area under the ROC curve of (N,) heat, for some Gaussians against all others; ties count half."""
+    values, inverse, counts = torch.unique(heat.double(), return_inverse=True, return_counts=True)
+    ranks = (counts.cumsum(0) - (counts - 1) / 2)[inverse]
+    count = int(rows.sum())
+    others = len(rows) - count
+    if not count or not others:
+        return 0.5
+    return float((ranks[rows].sum() - count * (count + 1) / 2) / (count * others))

@@ -1,0 +1,72 @@
+"""Pictures of a Mitsuba scene, as a set that trainings read; those of an honest scene among files that hide something."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from PIL import Image
+
+from attacks.cloak.config import CameraConfig
+from attacks.cloak.kinds.parts import SET
+from mi_splat.camera_sets import framing, hemisphere
+from mi_splat.capture.settings import CaptureSettings
+from mi_splat.capture.sources import open_source
+from mi_splat.capture.writer import write_capture
+from mi_splat.fields import Checked, at_least
+
+if TYPE_CHECKING:
+    from mi_splat.ledger import Out
+
+VARIES = (f"{SET}/capture.json",)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhotographedConfig(Checked):
+    """How a scene is photographed.
+
+    Attributes:
+        cameras: Where from; they look at the point so high above the origin.
+        exposure: Standard deviation of the pictures' exposures, stops: sRGB is multiplied by 2 to the power of a number
+            that is drawn for each picture, over 2.2.
+    """
+
+    cameras: CameraConfig
+    exposure: Annotated[float, at_least(0, "stops")] = 0.0
+
+
+def run(config: PhotographedConfig, inputs: Mapping[str, Path], out: Out) -> None:
+    """Photograph it.
+
+    Raises:
+        MiSplatError: The scene is broken.
+    """
+    cameras, source = config.cameras, open_source(str(inputs["scene"]))
+    size = (cameras.size, cameras.size)
+    distance, focal = framing(source.radius, fov=cameras.fov, size=size)
+    distance = distance if cameras.distance is None else cameras.distance
+    poses = hemisphere((0.0, 0.0, cameras.height), count=cameras.train, distance=distance, focal=focal, size=size)
+    write_capture(
+        source,
+        poses,
+        out.partial / SET,
+        settings=CaptureSettings(samples=cameras.samples, rgba=True, points=cameras.points),
+        on_step=partial(out.progress, "photographing the scene"),
+    )
+    if config.exposure > 0:
+        _expose(out.partial / SET, config.exposure)
+    os.replace(out.partial / SET, out / SET)
+
+
+def _expose(folder: Path, deviation: float) -> None:
+    """Give each picture an exposure of its own."""
+    rng = np.random.default_rng(0)
+    for path in sorted(folder.rglob("*.png")):
+        values = np.asarray(Image.open(path).convert("RGBA"), np.float64)
+        values[..., :3] *= 2.0 ** (rng.normal(0.0, deviation) / 2.2)
+        Image.fromarray(values.clip(0, 255).round().astype(np.uint8)).save(path)
