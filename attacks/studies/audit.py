@@ -62,7 +62,7 @@ class Audited:
     """A splat and what is done with it.
 
     Attributes:
-        part: Case that it belongs to.
+        part: Case that it belongs to, or its label on the axis `kind`, if there is one.
         value: What varies in it.
         content: What is shown: the object, or the scene.
         splat: "clean", "cloaked", or "honest" for a scene or file without an attack.
@@ -121,13 +121,14 @@ class AuditWork(Work):
         settings = dict(point.settings)
         self.chosen_on = tuple(settings.pop("chosen_on", ()))
         capture, file, exposure = (settings.pop(key, None) for key in ("capture", "file", "exposure"))
-        value = ", ".join(str(label) for label in point.labels.values())
-        title = f"{point.part}: {value}"
+        labels = {axis: str(label) for axis, label in point.labels.items()}
+        part, value = labels.pop("kind", point.part), ", ".join(labels.values())
+        title = f"{part}: {value}"
         for path in (capture, file):
             if path is not None and not Path(str(path)).is_file():
                 raise InvalidValueError(message(title, "a file", f"no file {path}", "check the path"))
         if file is not None:
-            self._splat(point.part, value, Path(str(file)).stem, "honest", Path(str(file)))
+            self._splat(part, value, Path(str(file)).stem, "honest", Path(str(file)))
             return
         config = config_of(settings, self.study.name)
         steps = StudySteps(study=config, folder=Path("."))
@@ -136,12 +137,12 @@ class AuditWork(Work):
             pictures = Job(kind=f"{_KINDS}.photographed", config=photographed, inputs={"scene": Path(str(capture))})
             trained = steps.of_pictures(pictures, config.seeds[0])
             self.labels |= {f"{title} / photographing": pictures, f"{title} / training": trained}
-            self._splat(point.part, value, Path(str(capture)).stem, "honest", trained.part(SPLAT))
+            self._splat(part, value, Path(str(capture)).stem, "honest", trained.part(SPLAT))
             return
         if len(config.attack) != 1:
             do = "give it one [[attack]]"
             raise InvalidValueError(message(title, "one attack", f"{len(config.attack)}", do))
-        self._cloak(point.part, value, steps)
+        self._cloak(part, value, steps)
 
     def _cloak(self, part: str, value: str, steps: StudySteps) -> None:
         """The clean and the cloaked splat of a study, for its first seed."""
