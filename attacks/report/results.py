@@ -15,6 +15,7 @@ from attacks.report.section import Section
 from attacks.report.stories import (
     attack,
     audit,
+    audit_study,
     cloak,
     evaluation,
     renderers,
@@ -57,6 +58,7 @@ STORIES = (
     Story(name="study", read=study.read, figures=study_figures),
     Story(name="cloak-study", read=variations.read, figures=variations.figures),
     Story(name="audit", read=audit.read),
+    Story(name="audit-study", read=audit_study.read),
     Story(name="evaluate", read=evaluation.read, figures=evaluation.figures),
     Story(name="compare", read=renderers.read),
     Story(name="detect", read=pictures.read),

@@ -22,6 +22,8 @@ Each point is one of three:
 
 from __future__ import annotations
 
+import re
+import shutil
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -43,6 +45,7 @@ from attacks.studies.plan import Work
 from attacks.studies.study_file import Point, Study
 from attacks.tables import Column, Table, cell, sections
 from mi_splat import provenance
+from mi_splat.audit.files import PAIR
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD
@@ -50,7 +53,7 @@ from mi_splat.ledger import Done, Job
 from mi_splat.ledger.plans import Result
 from mi_splat.training.resume import SPLAT
 
-STORY, STUDY_FILE, TABLE = "audit-study", "study.toml", "table.md"
+STORY, STUDY_FILE, TABLE, PAIRS = "audit-study", "study.toml", "table.md", "pairs"
 HIDES = 0.5
 """Share of the trigger's cameras from which every detector has to miss the object of a splat that hides something."""
 _KINDS = "attacks.cloak.kinds"
@@ -87,6 +90,15 @@ class Audited:
         hides = bool(missed) and all(rate.total and rate.successes >= HIDES * rate.total for rate in missed.values())
         told = {"part": self.part, "value": self.value, "content": self.content, "splat": self.splat}
         return {**told, "hides": hides, "missed": {n: r.as_dict() for n, r in missed.items()}, **audit.rows[0]}
+
+    def copy_pair(self, results: Mapping[str, Done], folder: Path) -> Path | None:
+        """Copy the two pictures that speak against the splat, if there are any, under its name; returns the file."""
+        done = results.get(self.audit.identity)
+        if done is None or not (done.folder / PAIR).is_file():
+            return None
+        name = re.sub(r"[^0-9A-Za-z.]+", "-", f"{self.part} {self.value} {self.splat}")
+        folder.mkdir(exist_ok=True)
+        return Path(shutil.copyfile(done.folder / PAIR, folder / f"{name}.png"))
 
 
 def missed_of(clean: Done, cloaked: Done) -> Rate:
@@ -187,13 +199,14 @@ class AuditWork(Work):
             job.identity: result for label, job in self.labels.items() if isinstance(result := results.get(label), Done)
         }
         rows = [row for one in self.audited if (row := one.row(done)) is not None]
+        pairs = [path for one in self.audited if (path := one.copy_pair(done, out / PAIRS)) is not None]
         named = {"study": self.study.kind, "name": self.study.name, "question": self.study.question}
         record = {"story": STORY, **named, "chosen_on": list(self.chosen_on), "files": rows, **provenance.origin()}
         record["figures"] = figures(rows, self.chosen_on)
         save_text(sections(tables(record)), out / TABLE)
         save_text(self.study.text, out / STUDY_FILE)
         save_json(record, out / RECORD)
-        return [out / name for name in (TABLE, STUDY_FILE, RECORD)]
+        return [*pairs, *(out / name for name in (TABLE, STUDY_FILE, RECORD))]
 
 
 Row = Mapping[str, Any]

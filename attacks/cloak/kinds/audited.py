@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,10 +14,11 @@ from torch import Tensor
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.setup import Setup
 from mi_splat.audit.auditing import audit
-from mi_splat.audit.files import document
-from mi_splat.audit.results import ObjectAudit
-from mi_splat.directions import POLE, Direction
+from mi_splat.audit.files import PAIR, document, pair_picture
+from mi_splat.audit.results import SUSPICION, ObjectAudit
+from mi_splat.cameras import Camera
 from mi_splat.io.documents import save_json
+from mi_splat.io.pictures import save_picture
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import open_scene
 from mi_splat.selection.masks import box_mask
@@ -57,6 +57,8 @@ def run(config: AuditedConfig, inputs: Mapping[str, Path], out: Out) -> list[dic
     save_json(document(judged), out / AUDIT)
     save_json({"seconds": seconds, "gaussians": len(scene)}, out / COST)
     item = judged.strongest
+    if item.evidence >= SUSPICION and item.look.pair is not None:
+        save_picture(pair_picture(scene, item.look.pair), out / PAIR)
     row: dict[str, Any] = {
         "verdict": judged.verdict,
         "evidence": item.evidence,
@@ -83,25 +85,27 @@ def carriers(study: StudyConfig, scene: GaussianScene) -> Tensor:
         return box_mask(scene, (x0 - _MARGIN, y0 - _MARGIN, z0, x1 + _MARGIN, y1 + _MARGIN, z1 + _MARGIN))
     radius = attack.occluder_radius or 0.6 * float(setup.lens["distance"])
     offset = scene.means.double() - torch.tensor(study.centre, dtype=torch.float64)
-    return (offset.norm(dim=1) > _OCCLUDER * radius) & (scene.means[:, 2] > 0.1 * radius)
+    far: Tensor = offset.norm(dim=1) > _OCCLUDER * radius
+    return far & (scene.means[:, 2] > 0.1 * radius)
 
 
 def direction_overlap(study: StudyConfig, item: ObjectAudit) -> float:
     """Intersection over union of the cameras that are said to see a look with those in the attack's region."""
-    cone = study.attack[0].cone
-    truth = torch.tensor([cone.contains(_towards(*vector)) for vector in item.directions.tolist()])
+    places = [(*vector, 1.0) for vector in item.directions.tolist()]
+    cameras = [Camera(to_world=_at(place), focal=1.0, width=1, height=1) for place in places]
+    truth = study.attack[0].cone.holds(cameras, centre=(0.0, 0.0, 0.0))
     return float((item.look.shown & truth).sum() / (item.look.shown | truth).sum())
 
 
-def _towards(x: float, y: float, z: float) -> Direction:
-    flat = math.hypot(x, y)
-    azimuth = math.degrees(math.atan2(y, x)) % 360.0
-    return Direction(azimuth=azimuth, elevation=math.degrees(math.atan2(z, flat)), pole=flat < POLE)
+def _at(place: tuple[float, ...]) -> Tensor:
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:, 3] = torch.tensor(place)
+    return pose
 
 
 def rank_of(heat: Tensor, rows: Tensor) -> float:
     """Area under the ROC curve of (N,) heat, for some Gaussians against all others; ties count half."""
-    values, inverse, counts = torch.unique(heat.double(), return_inverse=True, return_counts=True)
+    _, inverse, counts = torch.unique(heat.double(), return_inverse=True, return_counts=True)
     ranks = (counts.cumsum(0) - (counts - 1) / 2)[inverse]
     count = int(rows.sum())
     others = len(rows) - count

@@ -1,4 +1,4 @@
-"""Pictures of a Mitsuba scene, as a set that trainings read; those of an honest scene among files that hide something."""
+"""Pictures of a Mitsuba scene, as a set that trainings read: an honest scene among files that hide something."""
 
 from __future__ import annotations
 
