@@ -1,0 +1,144 @@
+"""`study = "audit"`: what counts as hiding something, that a control counts once, and the figures of what is found."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import pytest
+
+from attacks import cli
+from attacks.cloak.config import study_toml
+from attacks.detectors import registry
+from attacks.report.results import read_section
+from attacks.studies.audit import AuditWork, figures, tables
+from attacks.studies.study_file import read_study, study_of
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import save_splat
+from tests.audit.measure import ABOVE
+from tests.audit.scenes import hidden, standing
+from tests.cloak.tiny_study import KNOWN, STUDY
+from tests.project.layers import ROOT
+
+
+def test_the_shipped_study_has_every_kind() -> None:
+    study = read_study(ROOT / "scenes" / "studies" / "audit.toml")
+    counts = {part: len(points) for part, points in study.parts.items()}
+    assert counts == {
+        "object removed": 21,
+        "occluder": 4,
+        "another look": 9,
+        "strength": 12,
+        "SH degree 0": 4,
+        "cleaned": 8,
+        "honest scenes": 12,
+        "poor captures": 9,
+        "files": 2,
+    }
+    shown = {point.settings["capture"] for point in study.points if "capture" in point.settings}
+    assert {ROOT / path for path in shown} == set((ROOT / "scenes" / "honest").glob("*.xml"))
+
+
+def test_a_control_that_attacks_share_counts_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr("attacks.studies.audit.detectors_of", lambda config, weights: [])
+    kinds = [{"name": "above"}, {"name": "side", "attack": {"hidden": {"elevation": [0, 35], "azimuth": [100, 40]}}}]
+    table = {"study": "audit", "base": "scenes/audit_base.toml", "matrix": {"kind": kinds}, "chosen_on": ["tv"]}
+    work = AuditWork(study_of(table, "x"))
+    assert [(one.part, one.splat) for one in work.audited] == [
+        ("above", "clean"),
+        ("above", "cloaked"),
+        ("side", "cloaked"),
+    ]
+    assert work.chosen_on == ("tv",)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ({"file": "nowhere.ply"}, "expected a file, got no file nowhere.ply"),
+        ({"capture": "nowhere.xml"}, "expected a file, got no file nowhere.xml"),
+        ({"attack": [{"name": n, "elevation": [50, 90]} for n in "ab"]}, "expected one attack, got 2"),
+        ({"attack": [{"name": "a", "elevation": [50, 90]}], "colour": 1}, "colour"),
+    ],
+)
+def test_what_cannot_be_is_refused(table: dict[str, object], said: str) -> None:
+    with pytest.raises(InvalidValueError, match=said):
+        AuditWork(study_of({"study": "audit", **table}, "x"))
+
+
+def row(part: str, splat: str, evidence: float, *, hides: bool = False, content: str = "tv") -> dict[str, Any]:
+    """A row of a result."""
+    told = {"part": part, "value": "x", "content": content, "splat": splat, "hides": hides, "missed": {}}
+    measured = {"verdict": "suspicious", "evidence": evidence, "excess": 0.01, "occluder": 0.0, "gaussians": 9}
+    return {**told, **measured, **({"directions": evidence / 4} if splat == "cloaked" else {})}
+
+
+def test_figures_count_what_hides_and_leave_out_what_was_chosen_on() -> None:
+    rows = [
+        row("above", "cloaked", 2.0, hides=True),
+        row("above", "cloaked", 0.5, hides=True),
+        row("sector", "cloaked", 1.0, hides=True),
+        row("sector", "cloaked", 0.0),  # a failed attack
+        row("above", "cloaked", 0.0, hides=True, content="car"),
+        row("above", "clean", 0.6),
+        row("scenes", "honest", 1.5),
+        row("scenes", "honest", 0.1),
+        row("scenes", "honest", 9.0, content="car"),
+    ]
+    told = figures(rows, ["car"])
+    assert told["honest"] == 3
+    assert told["false_alarms"]["successes"] == 1
+    parts = told["parts"]
+    assert {name: (one["found"]["successes"], one["found"]["total"]) for name, one in parts.items()} == {
+        "all": (2, 3),
+        "above": (1, 2),
+        "sector": (1, 1),
+    }
+    assert parts["all"]["auroc"] == pytest.approx((3 + 1 + 2) / 9)
+    low, high = parts["all"]["interval"]
+    assert 0 <= low <= parts["all"]["auroc"] <= high <= 1
+    assert parts["all"]["directions"] == pytest.approx(0.25)
+    first, hiding, honest, failed = tables({"figures": told, "chosen_on": ["car"], "files": rows})
+    assert first.rows[0][0] == "all"
+    assert (len(hiding.rows), len(honest.rows), len(failed.rows)) == (4, 4, 1)
+
+
+@pytest.mark.slow
+def test_a_study_is_done_and_has_a_page(tmp_path: Path) -> None:
+    """Files are audited; a scene is photographed first, and of a cloaked splat it is asked whether it hides."""
+    plain = standing("car", count=1500)
+    save_splat(plain.scene, tmp_path / "plain.ply")
+    save_splat(hidden(plain, ABOVE).scene, tmp_path / "hidden.ply")
+    base = {**asdict(STUDY), "attack": [asdict(STUDY.attack[0])]}
+    (tmp_path / "base.toml").write_text(study_toml(base))
+    file = tmp_path / "tiny.toml"
+    file.write_text(
+        f'study = "audit"\nbase = "{tmp_path / "base.toml"}"\nchosen_on = ["suitcase"]\n'
+        '[[case]]\nname = "files"\n[case.matrix]\n'
+        f'file = ["{tmp_path / "plain.ply"}", "{tmp_path / "hidden.ply"}"]\n'
+        '[[case]]\nname = "scenes"\nexposure = 0.3\ncameras = { distance = 5.5 }\n'
+        f'capture = "{ROOT / "scenes" / "honest" / "still_life.xml"}"\n'
+        '[[case]]\nname = "above"\n'
+    )
+    out = tmp_path / "out"
+    words = ["study", "run", str(file), "--store", str(tmp_path / "store"), "--out", str(out), "--workers", "0"]
+    with patch.dict(registry._REGISTRY._specs, KNOWN):
+        assert cli.main(words) == 0
+    record = json.loads((out / "result.json").read_text())
+    found = {(one["part"], one["splat"]): one for one in record["files"]}
+    assert set(found) == {("files", "honest"), ("scenes", "honest"), ("above", "clean"), ("above", "cloaked")}
+    evidence = {one["value"].rpartition("/")[2]: one["evidence"] for one in record["files"] if one["part"] == "files"}
+    assert evidence["hidden.ply"] > 1 > evidence["plain.ply"]
+    cloaked = found["above", "cloaked"]
+    (missed,) = cloaked["missed"].values()
+    assert cloaked["hides"] is (missed["total"] > 0 and missed["successes"] >= missed["total"] / 2)
+    assert 0 <= cloaked["directions"] <= 1
+    assert [path.name for path in (out / "pairs").iterdir() if "hidden" in path.name]
+    section = read_section(out)
+    assert re.search(r"\d of \d|nothing counted", section.control.value if section.control else "")
+    assert "5 splats were audited" in section.done
