@@ -20,6 +20,7 @@ from mi_splat.audit.surfaces import (
     Sight,
     cameras_around,
     elements,
+    in_sight,
     near_of,
     sight,
 )
@@ -106,12 +107,15 @@ def _given(frame: Frame, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
     return tuple(placed)
 
 
-Heat = tuple[Tensor, Tensor]
+Heat = tuple[Tensor, Tensor, Tensor]
+"""Rows of M Gaussians in sight, and (M,) sums of scores and of weights over pixels."""
 
 
 def _object(frame: Frame, target: Target, cameras: tuple[Camera, ...]) -> tuple[ObjectAudit, Heat | None] | None:
     """Judge one object; None if nothing of its surface can be judged. With evidence, heat comes along."""
-    view = sight(frame.scene, target, cameras)
+    rows = in_sight(frame.scene, target, cameras)
+    scene = frame.scene.select(rows)
+    view = sight(scene, target, cameras)
     pieces = elements(view, target)
     if not bool(pieces.judged.any()):
         return None
@@ -152,7 +156,7 @@ def _object(frame: Frame, target: Target, cameras: tuple[Camera, ...]) -> tuple[
     )
     if judged.evidence < SUSPICION:
         return judged, None
-    return judged, heat_of(frame.scene, pieces, view, by_piece, near_of(target, cameras))
+    return judged, (rows, *heat_of(scene, pieces, view, by_piece, near_of(target, cameras)))
 
 
 def _occluder(frame: Frame, target: Target, view: Sight) -> Occluder | None:
@@ -189,8 +193,9 @@ def _heat(objects: list[ObjectAudit], heats: list[Heat | None], count: int) -> T
     total, weight = torch.zeros(count), torch.zeros(count)
     for heat in heats:
         if heat is not None:
-            total += heat[0]
-            weight += heat[1]
+            rows, scores, weights = heat
+            total[rows] += scores
+            weight[rows] += weights
     return torch.where(weight > _CARRIES, total / weight.clamp(min=_CARRIES), 0.0)
 
 

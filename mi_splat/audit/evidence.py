@@ -11,8 +11,6 @@ from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc
 
-EVERY = 6
-"""Of so many cameras one takes part in saying which Gaussians carry a look."""
 _PIECES = 800
 _BINS = 128
 
@@ -67,17 +65,12 @@ def heat_of(scene: GaussianScene, pieces: Elements, view: Sight, score: Tensor, 
     render = Renderer(RenderSettings(near=near))
     geometry, count = scene.tensors()[:4], len(scene)
     step = float(colour_to_dc(torch.tensor(1.0)) - colour_to_dc(torch.tensor(0.0)))
-    sizes = torch.tensor([camera.width * camera.height for camera in view.cameras])
-    ends = sizes.cumsum(0)
-    known = pieces.of_pixels >= 0
-    value = torch.where(known, score[pieces.of_pixels.clamp(min=0)], 0.0) if len(score) else known.float()
+    value = torch.cat([torch.stack([score, torch.ones(len(score))], 1), torch.zeros(1, 2)])[pieces.of_seen]
     total, weight = torch.zeros(count), torch.zeros(count)
-    for number in range(0, len(view.cameras), EVERY):
-        camera, end = view.cameras[number], int(ends[number])
-        first = end - int(sizes[number])
-        inside = known & (view.pixels >= first) & (view.pixels < end)
-        wanted = torch.zeros(int(sizes[number]), 2)
-        wanted[view.pixels[inside] - first] = torch.stack([value[inside], torch.ones(int(inside.sum()))], 1)
+    for number, (pixels, seen) in view.pixels.items():
+        camera = view.cameras[number]
+        wanted = torch.zeros(camera.height * camera.width, 2)
+        wanted[pixels] = value[seen]
         wanted = wanted.reshape(camera.height, camera.width, 2)
         sh = torch.zeros(count, 1, 3, requires_grad=True)
         with torch.enable_grad():

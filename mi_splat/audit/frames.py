@@ -17,12 +17,14 @@ from torch import Tensor
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.selection.clusters import clusters
-from mi_splat.selection.neighbours import nearest_neighbours
+from mi_splat.selection.neighbours import nearest_neighbours, nearest_of
 from mi_splat.selection.planes import find_plane
 
 SOLID = 0.1
 """Gaussians of a smaller opacity do not say where things are."""
 MOST_OBJECTS = 3
+MOST_LINKED = 60_000
+"""Gaussians that are linked to each other; of more an even choice is, and each of the others goes with the nearest."""
 _CROWD = 0.8
 """Share of the solid Gaussians that the frame is made of: those nearest to their middle."""
 _LEAST_SHARE, _LEAST_COUNT, _COMPONENTS = 0.03, 100, 6
@@ -125,7 +127,7 @@ def targets(scene: GaussianScene) -> list[Target]:
     """
     rows = (scene.opacities > SOLID).nonzero()[:, 0]
     points = scene.means[rows].double()
-    label = clusters(scene.select(rows))
+    label = _components(scene.select(rows))
     chosen: list[Target] = []
     for number in range(min(_COMPONENTS, int(label.max()) + 1)):
         part = points[label == number]
@@ -146,6 +148,15 @@ def targets(scene: GaussianScene) -> list[Target]:
     chosen = chosen[:MOST_OBJECTS] or [_crowd(rows, points)]
     ground = next((target.up for target in chosen if target.up is not None), None)
     return [target if _agree(target.up, ground) else dataclasses.replace(target, up=ground) for target in chosen]
+
+
+def _components(scene: GaussianScene) -> Tensor:
+    """(N,) int64 the connected component of each Gaussian, from the largest; -1 if nothing near it was linked."""
+    every = math.ceil(len(scene) / MOST_LINKED)
+    if every <= 1:
+        return clusters(scene)
+    label, nearest = clusters(scene.select(slice(None, None, every))), nearest_of(scene.means, every)
+    return torch.where(nearest < 0, -1, label[nearest.clamp(min=0) // every])
 
 
 def _agree(up: Tensor | None, ground: Tensor | None) -> bool:

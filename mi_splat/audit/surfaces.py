@@ -21,6 +21,10 @@ CAMERAS, CAMERAS_ALL_AROUND = 150, 240
 """Cameras above a ground, and those around an object that stands on none."""
 LEAST_CAMERAS = 8
 """A piece of surface that fewer cameras see is not judged."""
+EVERY = 6
+"""Of so many cameras one takes part in saying which Gaussians carry a look."""
+_EXTENT, _SHOWS = 4.0, 1 / 255
+"""Standard deviations beyond which, and opacity up to which a Gaussian shows in no picture."""
 _LEAST_PIXELS = 6
 """A voxel that shows in fewer pixels of all pictures together is noise."""
 _LOWEST, _HIGHEST = 4.0, 88.0
@@ -47,19 +51,19 @@ class Sight:
         cameras: K of them.
         directions: (K, 3) float64 unit vectors from the centre to the cameras.
         depths: The (H, W) median depth of each picture, infinite where nothing is.
-        pixels: (P,) int64 number of each pixel that shows surface, over all pictures.
-        points: (P, 3) where they are.
-        normals: (P, 3) towards the camera.
-        colours: (P, 3) sRGB in [0, 1].
+        keys: (S,) int64 voxel and face, of each piece that a camera sees.
+        seen_by: (S,) int64 which camera that is.
+        sums: (S, 10) over the pixels of the piece: their number, points, normals towards the camera, and colours.
+        pixels: Of every `EVERY`-th camera (P,) int64 the pixels that show surface, and (P,) which of the S they show.
     """
 
     cameras: tuple[Camera, ...]
     directions: Tensor
     depths: tuple[Tensor, ...]
-    pixels: Tensor
-    points: Tensor
-    normals: Tensor
-    colours: Tensor
+    keys: Tensor
+    seen_by: Tensor
+    sums: Tensor
+    pixels: dict[int, tuple[Tensor, Tensor]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,7 +76,7 @@ class Elements:
         normals: (E, 3) unit vectors.
         judged: (E,) bool, no edge, no rim and near the object.
         size: Side of a voxel.
-        of_pixels: (P,) int64 piece of each pixel of the sight; -1 where too few cameras see it.
+        of_seen: (S,) int64 piece of each that a camera sees; -1 where too few cameras do.
         unseen: Voxels near the object that show in some pictures, but of which no piece is seen by enough cameras.
     """
 
@@ -81,7 +85,7 @@ class Elements:
     normals: Tensor
     judged: Tensor
     size: float
-    of_pixels: Tensor
+    of_seen: Tensor
     unseen: int
 
 
@@ -126,38 +130,68 @@ def near_of(target: Target, cameras: Sequence[Camera]) -> float:
     return _NEAR * float(torch.stack([camera.position - target.centre for camera in cameras]).norm(dim=1).median())
 
 
-def sight(scene: GaussianScene, target: Target, cameras: Sequence[Camera]) -> Sight:
-    """Look at an object from all cameras.
+def in_sight(scene: GaussianScene, target: Target, cameras: Sequence[Camera]) -> Tensor:
+    """(M,) rows of the Gaussians that can show before or on surface that is judged; what is behind it is left out.
 
     Args:
         scene: All Gaussians.
         target: The object.
+        cameras: Those that look at it.
+    """
+    eyes = torch.stack([camera.position for camera in cameras]) - target.centre
+    reach = max(_REACH * target.radius, float(eyes.norm(dim=1).max()))
+    far = (scene.means - target.centre.float()).norm(dim=1) - _EXTENT * scene.scales.amax(1)
+    rows: Tensor = ((far < reach) & (scene.opacities > _SHOWS)).nonzero()[:, 0]
+    return rows
+
+
+def sight(scene: GaussianScene, target: Target, cameras: Sequence[Camera]) -> Sight:
+    """Look at an object from all cameras.
+
+    Args:
+        scene: The Gaussians in sight.
+        target: The object.
         cameras: K cameras.
     """
     render = Renderer(RenderSettings(background=_BACKGROUND, near=near_of(target, cameras)))
-    depths, parts, first = [], [], 0
+    depths, parts, shown_by, first = [], [], {}, 0
     with torch.no_grad():
-        for camera in cameras:
+        for number, camera in enumerate(cameras):
             outputs = render.outputs(scene, camera)
-            depth = outputs.median_depth.masked_fill(outputs.alpha <= 0.5, math.inf)
+            depths.append(outputs.median_depth.masked_fill(outputs.alpha <= 0.5, math.inf))
             points, normals, shown = _surface(outputs.median_depth, outputs.alpha, camera, target)
-            depths.append(depth)
             pixels = shown.flatten().nonzero()[:, 0]
-            colours = outputs.image.clamp(0, 1).reshape(-1, 3)[pixels]
-            parts.append((pixels + first, points.reshape(-1, 3)[pixels], normals.reshape(-1, 3)[pixels], colours))
-            first += camera.width * camera.height
-    pixels, points, normals, colours = (torch.cat(values) for values in zip(*parts, strict=True))
+            values = torch.cat([points, normals, outputs.image.clamp(0, 1)], -1).reshape(-1, 9)[pixels]
+            keys, seen = torch.unique(_keys(values, target), return_inverse=True)
+            sums = _sums(torch.cat([torch.ones(len(pixels), 1), values], 1), seen, len(keys))
+            parts.append((keys, torch.full_like(keys, number), sums))
+            if number % EVERY == 0:
+                shown_by[number] = pixels, seen + first
+            first += len(keys)
+    keys, seen_by, sums = (torch.cat(values) for values in zip(*parts, strict=True))
     positions = torch.stack([camera.position for camera in cameras])
-    directions = functional.normalize(positions - target.centre, dim=1)
     return Sight(
         cameras=tuple(cameras),
-        directions=directions,
+        directions=functional.normalize(positions - target.centre, dim=1),
         depths=tuple(depths),
-        pixels=pixels,
-        points=points,
-        normals=normals,
-        colours=colours,
+        keys=keys,
+        seen_by=seen_by,
+        sums=sums,
+        pixels=shown_by,
     )
+
+
+def _keys(values: Tensor, target: Target) -> Tensor:
+    """(P,) int64 number of the voxel and the face of surface at (P, 6 or more) points and normals."""
+    voxel = ((values[:, :3] - target.centre.float()) / _size(target)).floor().long() + 512
+    axis = values[:, 3:6].abs().argmax(1)
+    face = 2 * axis + (values[:, 3:6].gather(1, axis[:, None])[:, 0] > 0)
+    return ((voxel[:, 0] * 1024 + voxel[:, 1]) * 1024 + voxel[:, 2]) * 8 + face
+
+
+def _size(target: Target) -> float:
+    """Side of a voxel."""
+    return 2 * target.radius / _CELLS
 
 
 def rays(camera: Camera) -> Tensor:
@@ -204,37 +238,29 @@ def elements(view: Sight, target: Target) -> Elements:
         view: What the cameras see.
         target: The object.
     """
-    size, count = 2 * target.radius / _CELLS, len(view.cameras)
-    sizes = torch.tensor([camera.width * camera.height for camera in view.cameras])
-    camera_of = torch.repeat_interleave(torch.arange(count), sizes)[view.pixels]
-    voxel = ((view.points - target.centre.float()) / size).floor().long() + 512
-    axis = view.normals.abs().argmax(1)
-    face = 2 * axis + (view.normals.gather(1, axis[:, None])[:, 0] > 0)
-    key = ((voxel[:, 0] * 1024 + voxel[:, 1]) * 1024 + voxel[:, 2]) * 8 + face
-    pieces, of_pixels = torch.unique(key, return_inverse=True)
-    pixels = torch.bincount(of_pixels, minlength=len(pieces))[:, None]
-    positions = _sums(view.points, of_pixels, len(pieces)) / pixels
-    normals = _sums(view.normals, of_pixels, len(pieces)) / pixels
+    count = len(view.cameras)
+    pieces, of_seen = torch.unique(view.keys, return_inverse=True)
+    sums = _sums(view.sums, of_seen, len(pieces))
+    pixels, positions, normals = sums[:, :1], sums[:, 1:4] / sums[:, :1], sums[:, 4:7] / sums[:, :1]
     near = (positions - target.centre.float()).norm(dim=1) < AROUND * target.radius
-    pairs, pair_of = torch.unique(of_pixels * count + camera_of, return_inverse=True)
-    seen_by = torch.bincount(pairs // count, minlength=len(pieces))
-    kept = seen_by >= LEAST_CAMERAS
-    number = torch.where(kept, kept.cumsum(0) - 1, -1)
-    colours = _sums(view.colours, pair_of, len(pairs)) / torch.bincount(pair_of)[:, None]
-    rows = torch.cat([torch.ones(len(pairs), 1), colours, colours.square().sum(1, keepdim=True)], 1)
-    there = kept[pairs // count]
+    kept = torch.bincount(of_seen, minlength=len(pieces)) >= LEAST_CAMERAS
+    number = torch.where(kept, kept.cumsum(0) - 1, -1)[of_seen]
+    there = number >= 0
+    colours = view.sums[there, 7:] / view.sums[there, :1]
     moments = torch.zeros(int(kept.sum()) * count, 5)
-    moments[number[pairs[there] // count] * count + pairs[there] % count] = rows[there]
+    moments[number[there] * count + view.seen_by[there]] = torch.cat(
+        [torch.ones(len(colours), 1), colours, colours.square().sum(1, keepdim=True)], 1
+    )
     length, kept_normals = normals.norm(dim=1), functional.normalize(normals[kept], dim=1)
     voxels, voxel_of = torch.unique(pieces[near] // 8, return_inverse=True)
-    shown = _sums(torch.stack([pixels[near, 0].float(), kept[near].float()], 1), voxel_of, len(voxels))
+    shown = _sums(torch.stack([pixels[near, 0], kept[near].float()], 1), voxel_of, len(voxels))
     return Elements(
         moments=moments.reshape(-1, count, 5),
         positions=positions[kept],
         normals=kept_normals,
         judged=((length > _AGREED) & near)[kept] & ~_rims(pieces[kept], kept_normals),
-        size=size,
-        of_pixels=number[of_pixels],
+        size=_size(target),
+        of_seen=number,
         unseen=int(((shown[:, 0] >= _LEAST_PIXELS) & (shown[:, 1] == 0)).sum()),
     )
 

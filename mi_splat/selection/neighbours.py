@@ -44,9 +44,31 @@ def nearest_neighbours(points: Tensor, count: int) -> tuple[Tensor, Tensor]:
     return distances, rows
 
 
-def _leaves(points: Tensor) -> Tensor:
+def nearest_of(points: Tensor, every: int) -> Tensor:
+    """The nearest of a few points to each of many, as far as both lie in the same leaf of a k-d tree.
+
+    Args:
+        points: (N, 3) world units.
+        every: The few are each so manieth point, which should lie anywhere among the others.
+
+    Returns:
+        (N,) int64 rows, multiples of `every`; -1 where no such point lies in the leaf.
+    """
+    result = torch.full((len(points),), -1)
+    for members in torch.split(_leaves(points.double(), LEAF * every), max(1, _GROUPS // every)):
+        few = members % every == 0
+        width = int(few.sum(1).max())
+        ours = few.byte().argsort(dim=1, descending=True, stable=True)[:, :width]
+        ours, known = members.gather(1, ours), few.gather(1, ours)
+        gaps = torch.cdist(points[members].double(), points[ours].double(), compute_mode=_EXACT)
+        least, at = gaps.masked_fill(~known[:, None], math.inf).min(2)
+        result[members] = torch.where(least.isfinite(), ours.gather(1, at), -1)
+    return result
+
+
+def _leaves(points: Tensor, size: int = LEAF) -> Tensor:
     """(G, L) rows of points that lie together; where N is not G L, some points stand twice."""
-    levels = max(0, math.ceil(math.log2(len(points) / LEAF)))
+    levels = max(0, math.ceil(math.log2(len(points) / size)))
     width = math.ceil(len(points) / 2**levels)
     groups = (torch.arange(width * 2**levels) % len(points))[None]
     for _ in range(levels):

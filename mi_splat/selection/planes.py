@@ -8,6 +8,8 @@ from torch import Generator, Tensor
 TOLERANCE = 0.75
 """How far from a plane its Gaussians may lie, as a multiple of how far apart the Gaussians are there."""
 _TRIALS, _SAMPLE, _ROUNDS = 4000, 4000, 5
+_AT_ONCE = 250
+"""Planes whose distances to the sample are held at once."""
 
 
 def find_plane(points: Tensor, spacing: Tensor, *, least: int) -> Tensor | None:
@@ -36,8 +38,12 @@ def find_plane(points: Tensor, spacing: Tensor, *, least: int) -> Tensor | None:
     if not len(corners):
         return None
     normals = across / length[:, None]
-    gaps = (points[sample] @ normals.T - (normals * corners[:, 0]).sum(1)).abs()
-    best = int((gaps < limit[sample, None]).sum(0).argmax())
+    placed, near = points[sample], limit[sample, None]
+    counts = [
+        ((placed @ part.T).sub_((part * on).sum(1)).abs_() < near).sum(0)
+        for part, on in zip(normals.split(_AT_ONCE), corners[:, 0].split(_AT_ONCE), strict=True)
+    ]
+    best = int(torch.cat(counts).argmax())
     normal, on = normals[best], corners[best, 0]
     inside = _on_plane(points, normal, on, limit)
     for _ in range(_ROUNDS):

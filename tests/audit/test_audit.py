@@ -228,15 +228,15 @@ def test_what_covers_an_object_from_above_and_lets_others_through() -> None:
     directions = torch.stack([camera.position for camera in cameras]) / 2.6
     lid, thing = torch.full((96, 96), 1.0), torch.full((96, 96), 2.6)
     depths = tuple(lid if float(d[2]) > 0.7 else thing for d in directions)
-    nothing = torch.zeros(0, 3)
+    none = torch.zeros(0, dtype=torch.int64)
     view = Sight(
         cameras=cameras,
         directions=directions,
         depths=depths,
-        pixels=torch.zeros(0, dtype=torch.int64),
-        points=nothing,
-        normals=nothing,
-        colours=nothing,
+        keys=none,
+        seen_by=none,
+        sums=torch.zeros(0, 10),
+        pixels={},
     )
     scene = GaussianScene(
         means=torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, 0.2]]),
