@@ -70,7 +70,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "transformations": ("attacks.transformations",),
     "observation": ("attacks.observe",),
     "training of detectors": ("attacks.detectors.training", "attacks.detectors.evaluation"),
-    "attacks": ("attacks.dagger", "attacks.cloak"),
+    "attacks": ("attacks.dagger", "attacks.cloak", "attacks.audits"),
     "studies": ("attacks.studies",),
     "reports": ("attacks.report",),
     "command line": ("attacks.cli", "attacks.__main__"),

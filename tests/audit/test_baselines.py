@@ -1,0 +1,72 @@
+"""Other ways to find a hidden look: each ranks what it is made for above what it is not."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from attacks.audits.baselines import BASELINES, band_share, baselines, measured
+from attacks.audits.learnt import attributes, fit
+from mi_splat.errors import InvalidValueError
+from mi_splat.scene import GaussianScene, Similarity, merge
+from tests.audit.scenes import Made, cone, direction, glossy, hidden, standing
+
+
+@pytest.fixture(scope="module")
+def plain() -> Made:
+    return standing("suitcase", count=500)
+
+
+def looks(made: Made) -> Made:
+    return hidden(made, cone(direction(90, 0), 50))
+
+
+def test_a_look_ranges_over_more_colours_and_needs_higher_bands(plain: Made) -> None:
+    clean, timed = baselines(plain.scene), measured(looks(plain).scene)
+    hiding = {name: score for name, (score, _) in timed.items()}
+    assert set(clean) == set(hiding) == set(BASELINES)
+    assert timed["colour range"][1] > timed["band 1"][1] >= 0
+    assert hiding["colour range"] > 1.5 * clean["colour range"]
+    assert all(hiding[name] > clean[name] == 0 for name in ("band 1", "band 2", "band 3"))
+    assert hiding["contributions"] == pytest.approx(clean["contributions"], abs=0.01)
+
+
+def test_shares_of_bands_and_of_grey_make_one(plain: Made) -> None:
+    sh = looks(plain).scene.sh.double()
+    parts = sum(band_share(number)(looks(plain).scene) for number in range(4))
+    assert parts == pytest.approx(1.0)
+    assert band_share(1)(looks(plain).scene) == pytest.approx(float(sh[:, 1:4].square().sum() / sh.square().sum()))
+
+
+def test_what_few_cameras_see_beside_what_many_do_is_a_cluster(plain: Made) -> None:
+    score = BASELINES["contributions"]
+    part = plain.scene.select(plain.rows)
+    inner = part.replace(means=part.means * 0.97, opacities=0.3 * part.opacities)
+    assert score(merge(plain.scene, inner)) > score(plain.scene)
+
+
+def test_attributes_do_not_depend_on_axes_unit_or_order(plain: Made) -> None:
+    scene = looks(plain).scene
+    turn = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)).Q
+    turn = turn * torch.linalg.det(turn).sign()
+    moved = scene.transform(Similarity(rotation=turn, translation=torch.tensor([1.0, 2.0, 3.0]), scale=2.0))
+    first, second = attributes(scene), attributes(moved.select(torch.arange(len(scene)).flip(0)))
+    assert torch.allclose(first, second, atol=0.05)
+
+
+def test_a_classifier_finds_the_kind_of_attack_that_it_was_trained_on() -> None:
+    def kinds(name: str) -> list[GaussianScene]:
+        made = standing(name, count=300)
+        return [made.scene, glossy(made).scene, looks(made).scene]
+
+    trained = fit([*kinds("suitcase"), *kinds("bird")], [False, False, True] * 2)
+    plain, shiny, look = trained.scores(kinds("tv"))
+    assert look > max(plain, shiny)
+    assert look > 0
+
+
+def test_a_classifier_needs_both_kinds(plain: Made) -> None:
+    with pytest.raises(InvalidValueError, match="labels: expected one for each splat, and both kinds"):
+        fit([plain.scene], [True])
+    with pytest.raises(InvalidValueError, match="over 4 Gaussians that show"):
+        attributes(plain.scene.replace(opacities=torch.zeros_like(plain.scene.opacities)))
