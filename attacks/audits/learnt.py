@@ -82,13 +82,13 @@ class AttributeClassifier:
     weights: Tensor
     bias: float
 
-    def score(self, scene: GaussianScene) -> float:
-        """Log odds that a splat hides something."""
-        return float(((attributes(scene) - self.middle) / self.spread) @ self.weights) + self.bias
+    def odds(self, values: Tensor) -> Tensor:
+        """(N,) log odds that splats of (N, F) attributes hide something."""
+        return ((values - self.middle) / self.spread) @ self.weights + self.bias
 
     def scores(self, scenes: Iterable[GaussianScene]) -> list[float]:
-        """`score` of each."""
-        return [self.score(scene) for scene in scenes]
+        """Log odds that each splat hides something."""
+        return [float(self.odds(attributes(scene)[None])) for scene in scenes]
 
 
 def fit(scenes: Iterable[GaussianScene], labels: Sequence[bool]) -> AttributeClassifier:
@@ -101,11 +101,15 @@ def fit(scenes: Iterable[GaussianScene], labels: Sequence[bool]) -> AttributeCla
     Raises:
         InvalidValueError: There is not a label for each, or not one of either kind.
     """
-    rows = [attributes(scene) for scene in scenes]
-    if len(rows) != len(labels) or len(set(labels)) != 2:
-        got = f"{len(labels)} for {len(rows)} splats, {sum(labels)} of them hiding"
+    return fit_attributes(torch.stack([attributes(scene) for scene in scenes]), labels)
+
+
+def fit_attributes(values: Tensor, labels: Sequence[bool]) -> AttributeClassifier:
+    """As `fit`, of (N, F) attributes."""
+    if len(values) != len(labels) or len(set(labels)) != 2:
+        got = f"{len(labels)} for {len(values)} splats, {sum(labels)} of them hiding"
         raise InvalidValueError(message("labels", "one for each splat, and both kinds", got, "add what is missing"))
-    values, wanted = torch.stack(rows), torch.tensor(labels).double()
+    wanted = torch.tensor(labels).double()
     middle, spread = values.mean(0), values.std(0)
     spread = torch.where(spread > 1e-9, spread, 1.0)
     values = (values - middle) / spread
