@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from mi_splat.audit.evidence import heat_of, pair_of, split_of
+from mi_splat.audit.evidence import cover_heat, heat_of, pair_of, split_of
 from mi_splat.audit.frames import SOLID, Frame, Target, frame_of, targets, whole
-from mi_splat.audit.occluders import BLOCKED, cover_of, middle_of
+from mi_splat.audit.occluders import BLOCKED, Cover, cover_of, middle_of
 from mi_splat.audit.regions import shape_of
 from mi_splat.audit.results import SUSPICION, Audit, Look, ObjectAudit, Occluder, Pair, Region, vector
 from mi_splat.audit.surfaces import (
@@ -21,7 +21,6 @@ from mi_splat.audit.surfaces import (
     cameras_around,
     elements,
     in_sight,
-    near_of,
     sight,
 )
 from mi_splat.audit.switches import cameras_of_look, explain, piece_scores, reachable
@@ -38,8 +37,6 @@ _GIVEN_SIZE = 2 * SIZE
 """Pixels along the longer side of a picture from a given camera: an object is smaller there than in one made for it."""
 _CHANGED = 0.05
 """Score from which a piece of surface counts as changed."""
-_CARRIES = 1e-3
-"""Pixels that a Gaussian makes up at least to have heat."""
 
 OnObject = Callable[[int, int], None]
 """Called after each object with the number done and the number of all."""
@@ -79,9 +76,9 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, on_o
         expected = f"at least {LEAST_PIECES} pieces of surface that cameras on two sides see"
         do = "pass a splat of something solid" if cameras is None else "pass cameras that see more of it"
         raise InvalidValueError(message("scene" if cameras is None else "cameras", expected, pieces, do))
-    heat = _heat(objects, heats, len(scene))
+    heat = _heat(heats, len(scene))
     mask = torch.zeros(len(scene), dtype=torch.bool)
-    if any(item.evidence >= SUSPICION for item in objects):
+    if any(item.verdict != "nothing found" for item in objects):
         mask[frame.order] = heat > split_of(heat[heat > 0])
     unsorted = torch.zeros(len(scene))
     unsorted[frame.order] = heat
@@ -107,8 +104,8 @@ def _given(frame: Frame, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
     return tuple(placed)
 
 
-Heat = tuple[Tensor, Tensor, Tensor]
-"""Rows of M Gaussians in sight, and (M,) sums of scores and of weights over pixels."""
+Heat = tuple[Tensor, Tensor]
+"""Rows of M Gaussians in sight, and (M,) their heat."""
 
 
 def _object(frame: Frame, target: Target, cameras: tuple[Camera, ...]) -> tuple[ObjectAudit, Heat | None] | None:
@@ -142,6 +139,7 @@ def _object(frame: Frame, target: Target, cameras: tuple[Camera, ...]) -> tuple[
         area=int((by_piece > _CHANGED).sum()) * area,
         pair=_pair(frame, pieces, view, by_piece, shown),
     )
+    cover = cover_of(frame.scene, view, target)
     judged = ObjectAudit(
         rows=frame.order[target.rows],
         centre=vector(frame.point(target.centre)),
@@ -152,16 +150,20 @@ def _object(frame: Frame, target: Target, cameras: tuple[Camera, ...]) -> tuple[
         area=int((pieces.judged & able).sum()) * area,
         uncontradicted=(pieces.unseen + int((pieces.judged & ~able).sum())) * area,
         looks=(look,),
-        occluder=_occluder(frame, target, view),
+        occluder=_occluder(frame, view, cover),
     )
-    if judged.evidence < SUSPICION:
+    if judged.verdict == "nothing found":
         return judged, None
-    return judged, (rows, *heat_of(scene, pieces, view, by_piece, near_of(target, cameras)))
+    heat = torch.zeros(len(rows))
+    if judged.look.evidence >= SUSPICION:
+        heat = heat_of(scene, pieces, view, by_piece, target, judged.looks)
+    if judged.covered:
+        heat = torch.maximum(heat, cover_heat(scene, view, cover, target))
+    return judged, (rows, heat)
 
 
-def _occluder(frame: Frame, target: Target, view: Sight) -> Occluder | None:
+def _occluder(frame: Frame, view: Sight, cover: Cover) -> Occluder | None:
     """What covers the object, in the world."""
-    cover = cover_of(frame.scene, view, target)
     if not bool((cover.blocked > BLOCKED).any()):
         return None
     return Occluder(
@@ -188,15 +190,13 @@ def _in_world(frame: Frame, camera: Camera) -> Camera:
     return dataclasses.replace(camera, to_world=pose)
 
 
-def _heat(objects: list[ObjectAudit], heats: list[Heat | None], count: int) -> Tensor:
-    """(N,) mean score of the surface that each Gaussian makes up, of objects with evidence, in the frame's order."""
-    total, weight = torch.zeros(count), torch.zeros(count)
+def _heat(heats: list[Heat | None], count: int) -> Tensor:
+    """(N,) heat of each Gaussian, the most that it has of any object, in the frame's order."""
+    most = torch.zeros(count)
     for heat in heats:
         if heat is not None:
-            rows, scores, weights = heat
-            total[rows] += scores
-            weight[rows] += weights
-    return torch.where(weight > _CARRIES, total / weight.clamp(min=_CARRIES), 0.0)
+            most[heat[0]] = torch.maximum(most[heat[0]], heat[1])
+    return most
 
 
 def _near(frame: Frame, objects: list[Target]) -> float:

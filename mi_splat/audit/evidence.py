@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
+from torch.nn import functional
 
-from mi_splat.audit.surfaces import Elements, Sight
-from mi_splat.audit.switches import angles_between
+from mi_splat.audit.frames import Target
+from mi_splat.audit.occluders import AIR, Cover
+from mi_splat.audit.results import Look
+from mi_splat.audit.surfaces import AROUND, Elements, Sight, near_of
+from mi_splat.audit.switches import Split, angles_between
+from mi_splat.cameras import Camera
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import colour_to_dc
+from mi_splat.sh import colour_to_dc, sh_to_colour
 
 _PIECES = 800
 _BINS = 128
+_CARRIES = 1e-3
+"""Pixels that a Gaussian makes up at least to have heat of the surface."""
+_COLOURS = 16
+"""Cameras on each side of a look from which the colours of Gaussians are compared, and that see what covers."""
+_COVERS, _PIXELS = 0.2, 1.0
+"""Heat of what covers an object, and pixels of it that a Gaussian makes up to have half of that."""
 
 
 def pair_of(pieces: Elements, view: Sight, score: Tensor, shown: Tensor) -> tuple[int, int, float] | None:
@@ -47,46 +60,100 @@ def pair_of(pieces: Elements, view: Sight, score: Tensor, shown: Tensor) -> tupl
     return int(inside[first]), int(outside[second]), float(change[first, second] / weight[first, second])
 
 
-def heat_of(scene: GaussianScene, pieces: Elements, view: Sight, score: Tensor, near: float) -> tuple[Tensor, Tensor]:
-    """How much of each score each Gaussian makes up: sums over the pixels of some cameras.
+def heat_of(
+    scene: GaussianScene, pieces: Elements, view: Sight, score: Tensor, target: Target, looks: Sequence[Look]
+) -> Tensor:
+    """(N,) how much of the looks of an object each Gaussian carries.
 
-    A picture is linear in the colours, so the derivative by a Gaussian's colour is the sum of its weights.
+    It is the larger of two scores: that of the surface that it makes up in some pictures, and that of its own colour,
+    between the cameras that see a look and those that do not; so the back of an object has heat as well.
 
     Args:
         scene: N Gaussians.
         pieces: The surface.
         view: Its cameras.
         score: (E,) of each piece.
-        near: Near plane of the pictures.
-
-    Returns:
-        (N,) sum of weight times score, and (N,) sum of weights, both over pixels that show judged surface.
+        target: The object.
+        looks: Of it.
     """
-    render = Renderer(RenderSettings(near=near))
-    geometry, count = scene.tensors()[:4], len(scene)
-    step = float(colour_to_dc(torch.tensor(1.0)) - colour_to_dc(torch.tensor(0.0)))
     value = torch.cat([torch.stack([score, torch.ones(len(score))], 1), torch.zeros(1, 2)])[pieces.of_seen]
-    total, weight = torch.zeros(count), torch.zeros(count)
+    sums = torch.zeros(len(scene), 2)
     for number, (pixels, seen) in view.pixels.items():
         camera = view.cameras[number]
         wanted = torch.zeros(camera.height * camera.width, 2)
         wanted[pixels] = value[seen]
-        wanted = wanted.reshape(camera.height, camera.width, 2)
-        sh = torch.zeros(count, 1, 3, requires_grad=True)
-        with torch.enable_grad():
-            picture = render(GaussianScene.unchecked(*geometry, sh), camera)
-            (gradient,) = torch.autograd.grad((picture[..., :2] * wanted).sum(), sh)
-        total += gradient[:, 0, 0] * step
-        weight += gradient[:, 0, 1] * step
-    return total, weight
+        sums += _made_up(scene, camera, wanted.reshape(camera.height, camera.width, 2), near_of(target, view.cameras))
+    heat = torch.where(sums[:, 1] > _CARRIES, sums[:, 0] / sums[:, 1].clamp(min=_CARRIES), 0.0)
+    near = ((scene.means - target.centre.float()).norm(dim=1) < AROUND * target.radius).nonzero()[:, 0]
+    for look in looks:
+        heat[near] = torch.maximum(heat[near], own_scores(scene.select(near), view, look.shown))
+    return heat
+
+
+def own_scores(scene: GaussianScene, view: Sight, shown: Tensor) -> Tensor:
+    """(N,) score of each Gaussian by itself: how far its colour switches with a look.
+
+    Args:
+        scene: N Gaussians.
+        view: The cameras.
+        shown: (K,) bool, which of them see the look.
+    """
+    sums = []
+    for side in (shown, ~shown):
+        total = torch.zeros(len(scene), 5)
+        for number in _evenly(side.nonzero()[:, 0], _COLOURS):
+            towards = functional.normalize(scene.means - view.cameras[number].position.float(), dim=1)
+            colours = sh_to_colour(scene.sh, towards).clamp(0, 1)
+            total += torch.cat([torch.ones(len(scene), 1), colours, colours.square().sum(1, keepdim=True)], 1)
+        sums.append(total)
+    return Split.of(*sums).scores()
+
+
+def cover_heat(scene: GaussianScene, view: Sight, cover: Cover, target: Target) -> Tensor:
+    """(N,) which Gaussians in the air cover an object: `_COVERS` of those that make up many pixels of what does.
+
+    Args:
+        scene: N Gaussians.
+        view: The cameras.
+        cover: What covers the object.
+        target: The object.
+    """
+    sums, near = torch.zeros(len(scene)), near_of(target, view.cameras)
+    for number in _evenly(torch.tensor(list(cover.air)), _COLOURS):
+        air = cover.air[number].float()
+        sums += _made_up(scene, view.cameras[number], torch.stack([air, air], -1), near)[:, 0]
+    in_air = (scene.means - target.centre.float()).norm(dim=1) > AIR * target.radius
+    heat: Tensor = _COVERS * in_air * sums / (sums + _PIXELS)
+    return heat
+
+
+def _evenly(values: Tensor, most: int) -> list[int]:
+    """At most so many of (M,) values, evenly taken."""
+    chosen: list[int] = values[torch.linspace(0, len(values) - 1, min(len(values), most)).round().long()].tolist()
+    return chosen
+
+
+def _made_up(scene: GaussianScene, camera: Camera, wanted: Tensor, near: float) -> Tensor:
+    """(N, 2) sums over the pixels of a picture of each Gaussian's weight there times (H, W, 2) values.
+
+    A picture is linear in the colours, so the derivative by a Gaussian's colour is the sum of its weights.
+    """
+    step = float(colour_to_dc(torch.tensor(1.0)) - colour_to_dc(torch.tensor(0.0)))
+    sh = torch.zeros(len(scene), 1, 3, requires_grad=True)
+    with torch.enable_grad():
+        picture = Renderer(RenderSettings(near=near))(GaussianScene.unchecked(*scene.tensors()[:4], sh), camera)
+        (gradient,) = torch.autograd.grad((picture[..., :2] * wanted).sum(), sh)
+    sums: Tensor = gradient[:, 0, :2] * step
+    return sums
 
 
 def split_of(values: Tensor) -> float:
-    """The number that best parts values into two groups (Otsu 1979).
+    """The number that best parts values that are spread over decades into two groups (Otsu 1979, of fourth roots).
 
     Args:
         values: (M,) at least 0.
     """
+    values = values**0.25
     top = float(values.max()) if len(values) else 0.0
     if not top > 0:
         return 0.0
@@ -95,4 +162,4 @@ def split_of(values: Tensor) -> float:
     low, sums = counts.cumsum(0), (counts * middles).cumsum(0)
     high = counts.sum() - low
     gap = sums / low.clamp(min=1) - (sums[-1] - sums) / high.clamp(min=1)
-    return float(((low * high * gap.square()).argmax() + 1) * top / _BINS)
+    return float((((low * high * gap.square()).argmax() + 1) * top / _BINS) ** 4)

@@ -16,7 +16,7 @@ from mi_splat.scene import GaussianScene
 
 BLOCKED, FREE = 0.3, 0.1
 """Share of the rays to the object that end before it, from which a camera is blocked, and up to which it is free."""
-_CORE, _AIR, _FLOOR, _TOLERANCE = 0.5, 1.15, 0.15, 0.15
+_CORE, AIR, _FLOOR, _TOLERANCE = 0.5, 1.15, 0.15, 0.15
 """Radii: rays that pass so near the centre count; air begins so far from it, and so far above the ground; depths that
 differ by less are the same."""
 _POINTS, _LEAST_POINTS = 60, 200
@@ -31,11 +31,13 @@ class Cover:
         blocked: (K,) share of the rays to the object that end at something in the air, by camera.
         transparent: Share of that something that free cameras look through; 0 if they hardly look at it.
         points: (P, 3) points of it.
+        air: Of each blocked camera its number, and the (H, W) bool pixels that show it.
     """
 
     blocked: Tensor
     transparent: float
     points: Tensor
+    air: dict[int, Tensor]
 
     @property
     def score(self) -> float:
@@ -55,6 +57,7 @@ def cover_of(scene: GaussianScene, view: Sight, target: Target) -> Cover:
     heights = scene.means[target.rows] @ (centre if target.up is None else target.up.float())
     floor = float(heights.kthvalue(max(1, len(heights) // 50)).values)
     blocked, points = torch.zeros(len(view.cameras)), [torch.zeros(0, 3)]
+    shown: dict[int, Tensor] = {}
     for number, (camera, depth) in enumerate(zip(view.cameras, view.depths, strict=True)):
         eye, directions = camera.position.float(), rays(camera)
         unit = functional.normalize(directions, dim=-1)
@@ -63,16 +66,17 @@ def cover_of(scene: GaussianScene, view: Sight, target: Target) -> Cover:
         core = miss < _CORE * target.radius
         ends = depth.isfinite()
         place = eye + directions * depth.masked_fill(~ends, 0)[..., None]
-        air = core & ends & ((place - centre).norm(dim=-1) > _AIR * target.radius)
+        air = core & ends & ((place - centre).norm(dim=-1) > AIR * target.radius)
         air &= (place - eye).norm(dim=-1) < along
         if target.up is not None:
             air &= place @ target.up.float() > floor + _FLOOR * target.radius
         blocked[number] = air.sum() / max(int(core.sum()), 1)
         if blocked[number] > BLOCKED:
+            shown[number] = air
             points.append(place[air][:: max(1, int(air.sum()) // _POINTS)])
     cover = torch.cat(points)
     through = _through(view, cover, (blocked < FREE).nonzero()[:, 0], target.radius) if len(cover) else 0.0
-    return Cover(blocked=blocked, transparent=through, points=cover)
+    return Cover(blocked=blocked, transparent=through, points=cover, air=shown)
 
 
 def _through(view: Sight, points: Tensor, free: Tensor, radius: float) -> float:

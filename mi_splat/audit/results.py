@@ -21,8 +21,9 @@ EXCESS, SUSPICION = 0.0055, 0.6
 """Excess from which a look is called hidden, and share of it from which a splat is suspicious; see docs/audit.md."""
 CONTRAST = 0.1
 """Contrast (sRGB) that a fade is counted with."""
-COVERED = 0.1
-"""Score of an occluder from which a splat is suspicious."""
+COVERED, SEEN_THROUGH = 0.1, 0.5
+"""Score of an occluder from which a splat is suspicious, and share of the looks from other directions that pass it from
+which it is one that no leaves or roof would be: those are seen from the side as well."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,6 +114,11 @@ class Occluder:
     transparent: float
     score: float
 
+    @property
+    def evidence(self) -> float:
+        """By which 1 is called hidden: it covers from enough directions, and most looks from others pass it."""
+        return min(self.score / COVERED, self.transparent / SEEN_THROUGH)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ObjectAudit:
@@ -150,12 +156,12 @@ class ObjectAudit:
 
     @property
     def evidence(self) -> float:
-        """Of its strongest look."""
-        return self.look.evidence
+        """Of its strongest look, or of what covers it."""
+        return max(self.look.evidence, self.occluder.evidence if self.occluder else 0.0)
 
     @property
     def covered(self) -> bool:
-        """Whether something covers the object that others see through; an honest canopy may, so it proves nothing."""
+        """Whether something covers the object that others see through; a few, as honest leaves, or most."""
         return self.occluder is not None and self.occluder.score >= COVERED
 
     @property

@@ -43,7 +43,7 @@ def headline(audit: Audit) -> str:
     item = audit.strongest
     if audit.verdict == "nothing found":
         return "nothing found: no set of directions explains how colours change better than honest gloss does"
-    if item.evidence < SUSPICION and item.occluder is not None:
+    if item.occluder is not None and (item.look.evidence < SUSPICION or item.occluder.evidence >= 1):
         axis = " ".join(f"{value + 0.0:.2f}" for value in item.occluder.axis)
         return f"{audit.verdict}: something in the air covers an object from around ({axis}), and others see through it"
     where = directions_in_words(item.look.region, item.up)
@@ -78,7 +78,7 @@ def _of_object(item: ObjectAudit) -> list[str]:
         f"common to faces that look different ways: {look.shift:.4f}, and {look.fade:.0%} of the contrast; "
         f"excess {look.excess:.4f}"
     )
-    if item.evidence >= SUSPICION:
+    if item.look.evidence >= SUSPICION:
         lines.append(f"{look.area / max(item.area, 1e-12):.0%} of its surface changes; seen by {_cameras(item)}")
     if item.occluder is not None and item.covered:
         lines.append(f"{item.occluder.transparent:.0%} of the looks from other directions pass what covers it")

@@ -17,7 +17,7 @@ from attacks import cli
 from mi_splat.audit import Audit, Occluder, audit
 from mi_splat.audit import surfaces as seen_surfaces
 from mi_splat.audit.agreement import Profiles
-from mi_splat.audit.evidence import split_of
+from mi_splat.audit.evidence import cover_heat, split_of
 from mi_splat.audit.frames import Target, frame_of, targets
 from mi_splat.audit.occluders import cover_of
 from mi_splat.audit.regions import shape_of
@@ -75,7 +75,7 @@ def test_a_look_from_above_is_found_with_its_directions_and_gaussians(judged: Au
     assert item.look.excess > max(item.look.incidence, item.look.mirror) / 3
     ours, others = judged.heat[from_above.rows], judged.heat[~from_above.rows]
     assert float(ours.median()) > 4 * float(others.median())
-    assert float((judged.mask & from_above.rows).sum() / judged.mask.sum()) > 0.5
+    assert float((judged.mask & from_above.rows).sum() / (judged.mask | from_above.rows).sum()) > 0.8
 
 
 def test_the_pair_of_pictures_proves_it(judged: Audit) -> None:
@@ -155,16 +155,17 @@ def test_leaves_over_an_object_are_honest(suitcase: Made) -> None:
     assert judged.strongest.up == pytest.approx((0, 0, 1), abs=0.02)
 
 
-def test_an_occluder_alone_is_no_proof(judged: Audit) -> None:
-    """It is named, and no more: an honest canopy may look the same."""
+@pytest.mark.parametrize(("transparent", "verdict"), [(0.35, "suspicious"), (0.8, "hidden look")])
+def test_an_occluder_is_proof_if_others_look_through_it(judged: Audit, transparent: float, verdict: str) -> None:
+    """An honest canopy covers an object as well, but is seen from the side."""
     item = judged.strongest
     dark = torch.ones(len(item.directions))
-    cover = Occluder(axis=(0.0, 0.0, 1.0), blocked=dark, transparent=0.5, score=0.5)
+    cover = Occluder(axis=(0.0, 0.0, 1.0), blocked=dark, transparent=transparent, score=0.5)
     plain = dataclasses.replace(item.look, score=0.0)
     covered = dataclasses.replace(judged, objects=(dataclasses.replace(item, looks=(plain,), occluder=cover),))
-    assert covered.verdict == "suspicious"
+    assert covered.verdict == verdict
     assert headline(covered).startswith(
-        "suspicious: something in the air covers an object from around (0.00 0.00 1.00)"
+        f"{verdict}: something in the air covers an object from around (0.00 0.00 1.00)"
     )
 
 
@@ -239,16 +240,19 @@ def test_what_covers_an_object_from_above_and_lets_others_through() -> None:
         pixels={},
     )
     scene = GaussianScene(
-        means=torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, 0.2]]),
-        scales=torch.full((2, 3), 0.1),
-        rotations=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).expand(2, 4).contiguous(),
-        opacities=torch.ones(2),
-        sh=torch.zeros(2, 1, 3),
+        means=torch.tensor([[0.0, 0.0, -0.2], [0.0, 0.0, 0.2], [0.0, 0.0, 1.6]]),
+        scales=torch.full((3, 3), 0.1),
+        rotations=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).expand(3, 4).contiguous(),
+        opacities=torch.ones(3),
+        sh=torch.zeros(3, 1, 3),
     )
     cover = cover_of(scene, view, target)
     assert torch.equal(cover.blocked > 0.3, directions[:, 2] > 0.7)
     assert cover.transparent > 0.9
     assert cover.score == pytest.approx(float((directions[:, 2] > 0.7).double().mean()), rel=0.1)
+    heat = cover_heat(scene, view, cover, target)
+    assert float(heat[2]) > 0.1
+    assert not heat[:2].any()
 
 
 def test_shapes_of_directions_are_named() -> None:
