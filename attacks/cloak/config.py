@@ -415,6 +415,7 @@ class CleaningConfig:
     """What is done to a finished splat, in this order; None leaves a step out.
 
     Attributes:
+        repair: Looks that an audit finds are removed, the rest stays as it is; see `mi_splat.audit.repaired`.
         lowest_opacity: Gaussians of a lower opacity are removed, in (0, 1]; see `prune_opacity`.
         outlier_deviations: Standard deviations from which a Gaussian is an outlier; see `remove_outliers`.
         floater_voxel: Side of a voxel, in multiples of how far Gaussians lie apart; see `remove_floaters`.
@@ -422,6 +423,7 @@ class CleaningConfig:
         sh_bits: Bits of an SH coefficient, 1 to 16; see `quantise_sh`.
     """
 
+    repair: bool = False
     lowest_opacity: PositiveFraction | None = None
     outlier_deviations: Annotated[float, at_least(0)] | None = None
     floater_voxel: Annotated[float, above(0)] | None = None
@@ -437,7 +439,7 @@ class CleaningConfig:
     @property
     def steps(self) -> dict[str, float]:
         """Names and values of the steps that are done."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
+        return {name: value for name, value in asdict(self).items() if value is not None and value is not False}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,14 +8,16 @@ from mi_splat import _lazy
 
 if TYPE_CHECKING:
     from mi_splat.audit.auditing import audit
+    from mi_splat.audit.repair import repaired
     from mi_splat.audit.results import Audit, Look, ObjectAudit, Occluder, Pair, Region
 
-__all__ = ["Audit", "Look", "ObjectAudit", "Occluder", "Pair", "Region", "audit"]
+__all__ = ["Audit", "Look", "ObjectAudit", "Occluder", "Pair", "Region", "audit", "repaired"]
 
 __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
         "mi_splat.audit.auditing": ("audit",),
+        "mi_splat.audit.repair": ("repaired",),
         "mi_splat.audit.results": ("Audit", "Look", "ObjectAudit", "Occluder", "Pair", "Region"),
     },
 )

@@ -149,6 +149,7 @@ def _object(frame: Frame, target: Target, cameras: tuple[Camera, ...]) -> tuple[
         pieces=int((pieces.judged & able).sum()),
         area=int((pieces.judged & able).sum()) * area,
         uncontradicted=(pieces.unseen + int((pieces.judged & ~able).sum())) * area,
+        cameras=tuple(_in_world(frame, camera) for camera in cameras),
         looks=(look,),
         occluder=_occluder(frame, view, cover),
     )

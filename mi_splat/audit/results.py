@@ -134,6 +134,7 @@ class ObjectAudit:
         area: World units squared of the surface that was judged.
         uncontradicted: World units squared of surface that too few cameras see, or cameras of one side only: what is
             shown there is not contradicted by anything.
+        cameras: The K cameras, in the world.
         looks: What explains most, and what else is found when that is taken off; at least one, from the strongest.
         occluder: What covers the object; None if nothing does.
     """
@@ -146,6 +147,7 @@ class ObjectAudit:
     pieces: int
     area: float
     uncontradicted: float
+    cameras: tuple[Camera, ...]
     looks: tuple[Look, ...]
     occluder: Occluder | None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from mi_splat.cli.console import UsageError, progress, show_result, warn
 from mi_splat.cli.flags import Positional
@@ -13,7 +13,11 @@ from mi_splat.errors import MiSplatError, message
 from mi_splat.fields import Called, Folder
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from mi_splat.audit.results import Audit
+    from mi_splat.cameras import Camera
+    from mi_splat.scene import GaussianScene
 
 
 EXAMPLES = (
@@ -21,6 +25,7 @@ EXAMPLES = (
     "audit a.ply b.spz --json",
     "audit street.ply --out out/street-audit",
     "audit street.ply --sarif street.sarif",
+    "audit street.ply --repair street-repaired.ply",
 )
 SEE_ALSO = ("select", "info", "view")
 FOUND, FAILED = 3, 1
@@ -45,8 +50,13 @@ class AuditOptions(JsonOptions):
     Gaussians that `mi-splat select --mask` takes; of several files a folder in it for each."""
     sarif: Path | None = None
     """Write what was found as SARIF 2.1.0, too, which build pipelines and editors read."""
+    repair: Annotated[Path | None, Called("FILE")] = None
+    """Write the splat without what was found, in the format that this name ends with, and audit it again. Where nothing
+    was found nothing is written."""
+    keep: Literal["outside", "inside"] = "outside"
+    """Directions of a look whose colours --repair believes: which are true, no file can tell."""
     force: bool = False
-    """Replace an older result in --out, and the file of --sarif."""
+    """Replace an older result in --out, and the files of --sarif and --repair."""
     strict: bool = False
     """Let the exit status be 3 for what is suspicious, too."""
 
@@ -62,6 +72,7 @@ def run(options: AuditOptions) -> int:
         check_new_folder(folder, force=options.force)
     if options.sarif is not None:
         check_new_file(options.sarif, ENDINGS, force=options.force)
+    _check_repair(options)
     results, failures = [], 0
     for path in options.files:
         try:
@@ -96,6 +107,40 @@ def _folders(options: AuditOptions) -> dict[Path, Path]:
     return folders
 
 
+def _check_repair(options: AuditOptions) -> None:
+    """Raise, before any work is done, unless a repaired splat can be written where it is wanted."""
+    from mi_splat.io.folders import check_new_file, check_not_input
+    from mi_splat.io.formats.detection import format_to_write
+
+    if options.repair is None:
+        if options.keep != "outside":
+            raise UsageError(message("--keep", "--repair beside it", "none", "say where the repaired splat goes"))
+        return
+    if len(options.files) > 1:
+        raise UsageError(message("--repair", "one file to audit", len(options.files), "repair them one by one"))
+    format_to_write(str(options.repair))
+    check_not_input(options.repair, options.files[0])
+    check_new_file(options.repair, (options.repair.suffix.lower(),), force=options.force)
+
+
+def _repair(
+    scene: GaussianScene, judged: Audit, cameras: Sequence[Camera] | None, options: AuditOptions
+) -> dict[str, Any] | None:
+    """Write the splat without what was found, and say what is found in that; None where nothing was found."""
+    from mi_splat.audit.auditing import audit
+    from mi_splat.audit.repair import repaired
+    from mi_splat.io import save_splat
+
+    again = repaired(scene, judged, keep=options.keep)
+    if again is scene:
+        return None
+    after = audit(again, cameras=cameras)
+    assert options.repair is not None
+    save_splat(again, options.repair)
+    changed = int((again.sh != scene.sh).flatten(1).any(1).sum())
+    return {"file": str(options.repair), "keep": options.keep, "coloured_anew": changed, "verdict": after.verdict}
+
+
 def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str, Any]:
     """Audit one file and write its result, if that is wanted."""
     from mi_splat.audit.auditing import audit
@@ -110,10 +155,24 @@ def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str
             cameras = tuple(find_cameras(loaded, CameraOptions(cameras=options.cameras)).values())
         judged: Audit = audit(loaded.scene, cameras=cameras)
         files = write(judged, loaded.scene, folder, source=str(path), force=options.force) if folder else []
-    return {"file": str(path), **document(judged), "files": [str(file) for file in files]}
+        repair = {"repair": _repair(loaded.scene, judged, cameras, options)} if options.repair else {}
+    return {"file": str(path), **document(judged), **repair, "files": [str(file) for file in files]}
 
 
 def _lines(document: dict[str, Any]) -> list[str]:
     """A result for a human."""
     first, *rest = document["summary"]
+    if "repair" in document:
+        rest.append(_repair_line(document["repair"]))
     return [f"{document['file']}: {first}", *(f"  {line}" for line in rest), *document["files"]]
+
+
+def _repair_line(repair: dict[str, Any] | None) -> str:
+    """What --repair did, for a human."""
+    if repair is None:
+        return "nothing was found that could be repaired, and nothing is written"
+    side = "outside" if repair["keep"] == "outside" else "inside"
+    return (
+        f"{repair['file']}: {repair['coloured_anew']:,} Gaussians have the colours that directions {side} of the look "
+        f"show; audited again: {repair['verdict']}"
+    )

@@ -42,6 +42,7 @@ def account(*looks: Look, count: int, covered: float = 0.0) -> Audit:
         pieces=100,
         area=4.0,
         uncontradicted=1.0,
+        cameras=tuple(camera(*place) for place in (3 * DIRECTIONS).tolist()),
         looks=looks,
         occluder=Occluder(
             axis=(0.0, 0.0, 1.0), blocked=(DIRECTIONS[:, 2] > 0.5).double(), transparent=0.8, score=covered

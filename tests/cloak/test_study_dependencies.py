@@ -123,6 +123,7 @@ LAYERS: dict[str, tuple[Any, frozenset[str]]] = {
 }
 CLEANED = frozenset({"cleaned"})
 CLEANING: dict[str, tuple[Any, frozenset[str]]] = {
+    "repair": (True, CLEANED),
     "lowest_opacity": (0.2, CLEANED),
     "outlier_deviations": (2.0, CLEANED),
     "floater_voxel": (1.0, CLEANED),

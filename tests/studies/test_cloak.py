@@ -44,7 +44,7 @@ def test_a_shipped_study_changes_one_thing_and_keeps_all_seeds(monkeypatch: pyte
     monkeypatch.chdir(ROOT)
     groups = configs("cloak")
     base = asdict(read_study(ROOT / "scenes" / "cloak_car_stealthy_short.toml"))
-    counts = {"poison_fraction": 6, "cameras": 4, "cleaning": 12, "points": 2, "appearance": 8, "emphasis": 5}
+    counts = {"poison_fraction": 6, "cameras": 4, "cleaning": 13, "points": 2, "appearance": 8, "emphasis": 5}
     counts |= {"sh_degree": 4, "strategy": 2, "iterations": 3, "max_gaussians": 3, "outliers": 3, "object": 4}
     assert {part: len(values) for part, values in groups.items()} == counts
     for part, values in groups.items():

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from attacks.cloak.cleaning import cleaned
 from attacks.cloak.config import CleaningConfig
+from mi_splat.audit import audit, repaired
 from mi_splat.io import load_splat, save_splat
 from mi_splat.training.resume import SPLAT
 
@@ -19,6 +20,9 @@ def run(config: CleaningConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Clean it.
 
     Raises:
-        InvalidValueError: Nothing would be left of the splat.
+        InvalidValueError: Nothing would be left of the splat, or it cannot be audited.
     """
-    save_splat(cleaned(load_splat(inputs["splat"]), config), out / SPLAT)
+    scene = load_splat(inputs["splat"])
+    if config.repair:
+        scene = repaired(scene, audit(scene))
+    save_splat(cleaned(scene, config), out / SPLAT)

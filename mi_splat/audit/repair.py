@@ -1,0 +1,153 @@
+"""Takes a look out of a splat: its Gaussians get the colours that the other directions show.
+
+Every Gaussian of the object that cameras see is coloured anew by least squares. Towards directions that are believed it
+keeps the colours it has, by how much of the pictures it makes up there. Towards the others it shall have the mean of
+those. What is hardly seen from believed directions takes part of its mean from its neighbours. A layer that is black
+from there becomes black from everywhere.
+
+Which of two looks is the true one no file can tell, so whoever repairs says which directions are to be believed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from mi_splat.audit.results import SUSPICION, Audit, ObjectAudit
+from mi_splat.audit.surfaces import AROUND
+from mi_splat.audit.switches import angles_between
+from mi_splat.bounds import near_plane
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+from mi_splat.selection.neighbours import nearest_neighbours
+from mi_splat.selection.visibility import contributions
+from mi_splat.sh import sh_basis
+
+Keep = Literal["outside", "inside"]
+"""The directions whose colours are believed: those outside of a look, or those inside."""
+MARGINS = (25.0, 20.0, 15.0, 10.0, 5.0, 0.0)
+"""Degrees from the other directions from which a direction is believed, for a look fades: the first that leaves enough
+cameras."""
+_LEAST_SHARE, _LEAST_CAMERAS = 0.15, 6
+"""Share of the cameras, and cameras, that have to be believed."""
+_EDGE = 0.002
+"""Weight of a direction within the margin, where only such directions show a Gaussian."""
+_NEIGHBOURS, _BORROWED = 16, 0.1
+"""Neighbours that lend their colour, and their weight as a share of what a Gaussian shows of itself elsewhere."""
+_STRICT, _RIDGE = 3.0, 1e-2
+"""Weight of the wanted colours by that of the kept ones, and of coefficients above degree 0 against all of them."""
+_SHOWS = 0.01
+"""Pixels that a Gaussian makes up at least, towards all believed directions together, to be coloured anew: others
+are contradicted by nothing."""
+_MOST_WEIGHTS, _CHUNK = 10**8, 2048
+
+
+def repaired(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> GaussianScene:
+    """The splat without the looks that were found in it, but for what no other direction shows.
+
+    Args:
+        scene: N Gaussians.
+        judged: Its audit.
+        keep: Which of the two sides of a look is believed; of several looks of an object "inside" is that of the
+            strongest.
+
+    Returns:
+        The splat itself where nothing was found.
+    """
+    found = [item for item in judged.objects if item.evidence >= SUSPICION]
+    if not found:
+        return scene
+    plain = scene.detach().to("cpu", torch.float32)
+    sh = plain.sh.clone()
+    for item in found:
+        colour_anew(plain, sh, item, believed(item, keep))
+    return scene.replace(sh=sh.to(scene.sh))
+
+
+def believed(item: ObjectAudit, keep: Keep) -> Tensor:
+    """(K,) float32 weight of each camera: 1 where it is believed, 0 where not, and little near the others.
+
+    Args:
+        item: The object.
+        keep: Which side of its looks is believed.
+    """
+    looks = [look.shown for look in item.looks if look is item.look or look.evidence >= SUSPICION]
+    other = torch.stack(looks).any(0) if keep == "outside" else ~item.look.shown
+    gap = angles_between(item.directions, item.directions[other]).amin(1)
+    least = max(_LEAST_CAMERAS, _LEAST_SHARE * len(gap))
+    margin = next((margin for margin in MARGINS if int((gap > margin).sum()) >= least), 0.0)
+    return torch.where(~other & (gap > margin), 1.0, torch.where(other, 0.0, _EDGE))
+
+
+def colour_anew(scene: GaussianScene, sh: Tensor, item: ObjectAudit, trust: Tensor) -> None:
+    """Put new coefficients of the Gaussians of an object into a tensor.
+
+    Args:
+        scene: N Gaussians.
+        sh: (N, C, 3) which is changed.
+        item: The object.
+        trust: (K,) weight of each of its cameras.
+    """
+    near = (scene.means.double() - torch.tensor(item.centre, dtype=torch.float64)).norm(dim=1) < AROUND * item.radius
+    rows = near.nonzero()[:, 0]
+    every = math.ceil(len(rows) * len(trust) / _MOST_WEIGHTS)
+    cameras, trust = item.cameras[::every], trust[::every]
+    render = Renderer(RenderSettings(near=near_plane(scene, cameras)))
+    shows = contributions(scene, cameras, render=render, rows=rows)
+    known = shows @ trust
+    rows, shows, known = (values[known > _SHOWS] for values in (rows, shows, known))
+    eyes = torch.stack([camera.position for camera in cameras]).float()
+    parts = [(rows[part], shows[part]) for part in torch.split(torch.arange(len(rows)), _CHUNK)]
+    means = torch.cat([_mean(scene.select(part), weights, eyes, trust) for part, weights in parts])
+    wanted = _with_neighbours(scene.means[rows], means, known, shows @ (trust < 1).float())
+    for (part, weights), colours in zip(parts, torch.split(wanted, _CHUNK), strict=True):
+        sh[part] = _fitted(scene.select(part), weights, eyes, trust, colours)
+
+
+def _views(part: GaussianScene, eyes: Tensor) -> tuple[Tensor, Tensor]:
+    """(M, K, C) basis of the directions from K eyes to M Gaussians, and (M, K, 3) their colours there."""
+    basis = sh_basis(functional.normalize(part.means[:, None] - eyes, dim=-1), part.degree)
+    return basis, (basis @ part.sh + 0.5).clamp(min=0)
+
+
+def _mean(part: GaussianScene, shows: Tensor, eyes: Tensor, trust: Tensor) -> Tensor:
+    """(M, 3) mean colour of Gaussians towards what is believed; 0 of one that shows nothing there."""
+    weights = shows * trust
+    return torch.einsum("mk,mkc->mc", weights, _views(part, eyes)[1]) / weights.sum(1, keepdim=True).clamp(min=1e-9)
+
+
+def _with_neighbours(points: Tensor, colours: Tensor, known: Tensor, unknown: Tensor) -> Tensor:
+    """(M, 3) colours, the less known a colour the more of it from its neighbours.
+
+    Args:
+        points: (M, 3) world.
+        colours: (M, 3).
+        known: (M,) pixels that show each colour.
+        unknown: (M,) pixels that show the Gaussian and not that colour.
+    """
+    distances, neighbours = nearest_neighbours(points, min(_NEIGHBOURS, max(len(points) - 1, 1)))
+    exists = distances.isfinite()
+    if not bool(exists.any()):
+        return colours
+    weights = known[neighbours] * exists / (1 + (distances / distances[exists].median().clamp(min=1e-12)).float())
+    lent = torch.einsum("mn,mnc->mc", weights.nan_to_num(0.0), colours[neighbours])
+    lent = lent / weights.nan_to_num(0.0).sum(1, keepdim=True).clamp(min=1e-9)
+    borrowed = (_BORROWED * unknown)[:, None]
+    return (known[:, None] * colours + borrowed * lent) / (known[:, None] + borrowed).clamp(min=1e-9)
+
+
+def _fitted(part: GaussianScene, shows: Tensor, eyes: Tensor, trust: Tensor, wanted: Tensor) -> Tensor:
+    """(M, C, 3) coefficients by least squares: own colours towards what is believed, the wanted ones elsewhere."""
+    basis, colours = _views(part, eyes)
+    kept = trust == 1
+    target = torch.where(kept[:, None], colours, wanted[:, None]) - 0.5
+    weights = (shows * torch.where(kept, 1.0, _STRICT)).double()
+    ridge = _RIDGE * weights.sum(1, keepdim=True) * (torch.arange(basis.shape[-1]) > 0)
+    basis, target = basis.double(), target.double()
+    left = torch.einsum("mk,mki,mkj->mij", weights, basis, basis) + torch.diag_embed(ridge)
+    solution: Tensor = torch.linalg.solve(left, torch.einsum("mk,mki,mkc->mic", weights, basis, target))
+    return solution.to(part.sh)
