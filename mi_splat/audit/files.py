@@ -12,6 +12,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mi_splat.audit.lint.checking import Lint
+from mi_splat.audit.lint.cost import overdraw_picture
 from mi_splat.audit.results import COVERED, EXCESS, SUSPICION, Audit, Look, ObjectAudit, Pair
 from mi_splat.audit.summary import directions_in_words, summary
 from mi_splat.bounds import near_plane
@@ -29,23 +31,47 @@ from mi_splat.scene_files import resized
 from mi_splat.selection.masks import save_mask
 from mi_splat.sh import colour_to_dc, dc_to_colour
 
-PAIR, HEAT, MASK = "pair.png", "heat.ply", "mask.npy"
+PAIR, HEAT, MASK, OVERDRAW = "pair.png", "heat.ply", "mask.npy", "overdraw.png"
 HEAT_PICTURE = "heat.png"
 PICTURE = 512
 """Pixels along the longer side of each of the two pictures."""
+_THRESHOLDS = {"excess": EXCESS, "covered": COVERED, "suspicion": SUSPICION}
 _GAP = 8
 _BACKGROUND = (0.55, 0.7, 0.9)
 
 
-def document(audit: Audit) -> dict[str, Any]:
-    """An audit as JSON can hold it."""
+def document(audit: Audit | None, lint: Lint | None = None, *, unjudged: str = "") -> dict[str, Any]:
+    """An audit as JSON can hold it.
+
+    Args:
+        audit: What was found; None if nothing was looked for.
+        lint: What the rules say; None if they were not asked.
+        unjudged: Why nothing was looked for.
+    """
+    return {**(_judged(audit) if audit else _unjudged(lint, unjudged)), **(lint.document() if lint else {})}
+
+
+def _unjudged(lint: Lint | None, why: str) -> dict[str, Any]:
+    """In the form of an audit that found no object."""
+    return {
+        "verdict": None,
+        "summary": [f"not looked at for hidden looks: {why}"],
+        "gaussians": lint.gaussians if lint else None,
+        "carrying": 0,
+        "near": 0.0,
+        "thresholds": _THRESHOLDS,
+        "objects": [],
+    }
+
+
+def _judged(audit: Audit) -> dict[str, Any]:
     return {
         "verdict": audit.verdict,
         "summary": summary(audit),
         "gaussians": len(audit.mask),
         "carrying": int(audit.mask.sum()),
         "near": audit.near,
-        "thresholds": {"excess": EXCESS, "covered": COVERED, "suspicion": SUSPICION},
+        "thresholds": _THRESHOLDS,
         "objects": [_of_object(item) for item in audit.objects],
     }
 
@@ -138,15 +164,24 @@ def heated(scene: GaussianScene, heat: Tensor) -> GaussianScene:
 
 
 def write(
-    audit: Audit, scene: GaussianScene, folder: str | os.PathLike[str], *, source: str, force: bool = False
+    audit: Audit | None,
+    scene: GaussianScene | None,
+    folder: str | os.PathLike[str],
+    *,
+    source: str,
+    lint: Lint | None = None,
+    unjudged: str = "",
+    force: bool = False,
 ) -> list[Path]:
     """Write the files of an audit into a new folder, whole or not at all.
 
     Args:
-        audit: The audit.
-        scene: The splat.
+        audit: The audit; None if nothing was looked for.
+        scene: The splat of the audit.
         folder: Where.
         source: The file that was audited, for the record.
+        lint: What the rules say of it, if they were asked.
+        unjudged: Why there is no audit.
         force: Whether an older result there may be replaced.
 
     Returns:
@@ -156,25 +191,36 @@ def write(
         SplatFileError: The folder cannot be written, or holds something.
     """
     target = Path(folder)
-    names, pictures, cameras = [RECORD], list[dict[str, Any]](), list[dict[str, object]]()
+    names, more = [RECORD], dict[str, Any](pictures=[], cameras=[])
     with new_folder(target, force=force) as temporary:
-        for number, (place, pair) in enumerate(shown_pairs(audit), 1):
-            name = PAIR if number == 1 else f"pair-{number}.png"
-            save_picture(pair_picture(scene, pair), temporary / name)
-            names.append(name)
-            pictures.append({"file": name, "object": place[0], "look": place[1], "change": pair.change})
-            cameras += pair_cameras(pair, number)
-        if bool(audit.mask.any()):
-            hot = heated(scene, audit.heat)
-            save_splat(hot, temporary / HEAT)
-            save_mask(audit.mask, temporary / MASK)
-            names += [HEAT, MASK]
-            if audit.strongest.look.pair is not None:
-                save_picture(pair_picture(hot, audit.strongest.look.pair), temporary / HEAT_PICTURE)
-                names.append(HEAT_PICTURE)
-        record = {"story": "audit", "file": source, **document(audit), "pictures": pictures, "cameras": cameras}
+        if audit is not None and scene is not None:
+            more = _evidence(audit, scene, temporary, names)
+        if lint is not None and lint.overdraw is not None:
+            save_picture(overdraw_picture(lint.overdraw), temporary / OVERDRAW)
+            names.append(OVERDRAW)
+        record = {"story": "audit", "file": source, **document(audit, lint, unjudged=unjudged), **more}
         save_json({**record, **origin()}, temporary / RECORD)
     return [target / name for name in names]
+
+
+def _evidence(audit: Audit, scene: GaussianScene, folder: Path, names: list[str]) -> dict[str, Any]:
+    """Save what proves an audit, add the files to `names`, and say which pictures and cameras they show."""
+    pictures, cameras = list[dict[str, Any]](), list[dict[str, object]]()
+    for number, (place, pair) in enumerate(shown_pairs(audit), 1):
+        name = PAIR if number == 1 else f"pair-{number}.png"
+        save_picture(pair_picture(scene, pair), folder / name)
+        names.append(name)
+        pictures.append({"file": name, "object": place[0], "look": place[1], "change": pair.change})
+        cameras += pair_cameras(pair, number)
+    if bool(audit.mask.any()):
+        hot = heated(scene, audit.heat)
+        save_splat(hot, folder / HEAT)
+        save_mask(audit.mask, folder / MASK)
+        names += [HEAT, MASK]
+        if audit.strongest.look.pair is not None:
+            save_picture(pair_picture(hot, audit.strongest.look.pair), folder / HEAT_PICTURE)
+            names.append(HEAT_PICTURE)
+    return {"pictures": pictures, "cameras": cameras}
 
 
 def shown_pairs(audit: Audit) -> list[tuple[tuple[int, int], Pair]]:

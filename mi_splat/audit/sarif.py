@@ -87,7 +87,8 @@ def _findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
             text = f"Object {number}: something in the air covers it from around ({axis}), and others see through it."
             yield "occluder", _RULES["occluder"][0], text, {"score": cover["score"]}
     for finding in document.get("lint") or ():
-        text = f"{finding['rule']}: {finding['count']:,} Gaussians. {finding['reason']}"
+        count = f"{finding['count']:,} Gaussians. " if finding["count"] else ""
+        text = f"{finding['rule']}: {count}{finding['reason']}"
         yield f"lint/{finding['rule']}", _level(finding["severity"]), text, {"rows": finding["rows"]}
 
 

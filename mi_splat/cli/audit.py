@@ -15,6 +15,7 @@ from mi_splat.fields import Called, Folder
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from mi_splat.audit.lint.checking import Lint
     from mi_splat.audit.results import Audit
     from mi_splat.cameras import Camera
     from mi_splat.scene import GaussianScene
@@ -26,6 +27,7 @@ EXAMPLES = (
     "audit street.ply --out out/street-audit",
     "audit street.ply --sarif street.sarif",
     "audit street.ply --repair street-repaired.ply",
+    "audit street.glb --only lint --strict",
 )
 SEE_ALSO = ("select", "info", "view")
 FOUND, FAILED = 3, 1
@@ -34,10 +36,10 @@ FOUND, FAILED = 3, 1
 
 @dataclass(frozen=True, kw_only=True)
 class AuditOptions(JsonOptions):
-    """Say whether a splat shows something from some directions only, from where, and which Gaussians carry it.
+    """Say whether a splat shows something from some directions only, which Gaussians carry it, and what is wrong in it.
 
-    Nothing but the file is used. Exit status: 0 nothing found, 3 something was, 1 a file could not be judged. What no
-    file can tell, its page in the documentation says.
+    Nothing but the file is used. Exit status: 0 nothing found, 3 a hidden look or an error of lint, 1 a file could not
+    be judged. What no file can tell, its page in the documentation says.
     """
 
     files: Positional[Annotated[tuple[Path, ...], Called("FILE")]]
@@ -46,8 +48,10 @@ class AuditOptions(JsonOptions):
     """Look from these, in the forms that `mi-splat render` takes: the cameras.json beside a splat, for instance, or
     of a room those that stand in it. Without, from a sphere around each object."""
     out: Folder | None = None
-    """Folder for result.json, the two pictures that prove a look, the splat coloured by heat, and the mask of the
-    Gaussians that `mi-splat select --mask` takes; of several files a folder in it for each."""
+    """Folder for result.json, the two pictures that prove a look, the splat coloured by heat, the mask of the Gaussians
+    that `mi-splat select --mask` takes, and a picture of the overdraw; of several files a folder in it for each."""
+    only: Literal["looks", "lint"] | None = None
+    """Look for hidden looks only, or only check the numbers, which is much faster."""
     sarif: Path | None = None
     """Write what was found as SARIF 2.1.0, too, which build pipelines and editors read."""
     repair: Annotated[Path | None, Called("FILE")] = None
@@ -58,7 +62,7 @@ class AuditOptions(JsonOptions):
     force: bool = False
     """Replace an older result in --out, and the files of --sarif and --repair."""
     strict: bool = False
-    """Let the exit status be 3 for what is suspicious, too."""
+    """Let the exit status be 3 for what is suspicious and for warnings of lint, too."""
 
 
 def run(options: AuditOptions) -> int:
@@ -88,10 +92,10 @@ def run(options: AuditOptions) -> int:
         save_json(sarif(results), options.sarif)
     lines = [line for document in results if "error" not in document for line in _lines(document)]
     show_result(results[0] if len(results) == 1 else {"files": results}, *lines, as_json=options.json)
-    bad = {"hidden look", "suspicious"} if options.strict else {"hidden look"}
+    bad = {"hidden look", "error"} | ({"suspicious", "warning"} if options.strict else set())
     if failures:
         return FAILED
-    return FOUND if any(document["verdict"] in bad for document in results) else 0
+    return FOUND if any(bad & {document["verdict"], *_severities(document)} for document in results) else 0
 
 
 def _folders(options: AuditOptions) -> dict[Path, Path]:
@@ -116,6 +120,8 @@ def _check_repair(options: AuditOptions) -> None:
         if options.keep != "outside":
             raise UsageError(message("--keep", "--repair beside it", "none", "say where the repaired splat goes"))
         return
+    if options.only == "lint":
+        raise UsageError(message("--repair", "hidden looks to be looked for", "--only lint", "leave that out"))
     if len(options.files) > 1:
         raise UsageError(message("--repair", "one file to audit", len(options.files), "repair them one by one"))
     format_to_write(str(options.repair))
@@ -143,20 +149,52 @@ def _repair(
 
 def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str, Any]:
     """Audit one file and write its result, if that is wanted."""
-    from mi_splat.audit.auditing import audit
     from mi_splat.audit.files import document, write
+
+    with progress(f"auditing {path.name}"):
+        lint = _linted(path) if options.only != "looks" else None
+        scene, judged, cameras, unjudged = None, None, None, "only lint was asked for"
+        if lint is not None and any(item.rule == "overdraw" and item.severity == "error" for item in lint.findings):
+            unjudged = "it would stop the renderer, see overdraw"
+        elif options.only != "lint":
+            try:
+                scene, judged, cameras = _looked_at(path, options)
+            except MiSplatError as error:
+                if lint is None or not any(item.severity == "error" for item in lint.findings):
+                    raise
+                unjudged = " ".join(str(error).split())
+        files = list[Path]()
+        if folder:
+            files = write(judged, scene, folder, source=str(path), lint=lint, unjudged=unjudged, force=options.force)
+        account = document(judged, lint, unjudged=unjudged)
+        if options.repair and scene is not None and judged is not None:
+            account["repair"] = _repair(scene, judged, cameras, options)
+    return {"file": str(path), **account, "files": [str(file) for file in files]}
+
+
+def _linted(path: Path) -> Lint:
+    """What the rules say of a splat file, as it is stored, or of what a scene XML loads."""
+    from mi_splat.audit.lint.checking import lint_file, lint_scene
+    from mi_splat.scene_files import open_scene
+
+    return lint_scene(open_scene(path).scene) if path.suffix.lower() == ".xml" else lint_file(path)
+
+
+def _looked_at(path: Path, options: AuditOptions) -> tuple[GaussianScene, Audit, Sequence[Camera] | None]:
+    """A scene, its hidden looks, and the cameras that were given."""
+    from mi_splat.audit.auditing import audit
     from mi_splat.cli.cameras import find_cameras
     from mi_splat.scene_files import open_scene
 
-    with progress(f"auditing {path.name}"):
-        loaded = open_scene(path)
-        cameras = None
-        if options.cameras:
-            cameras = tuple(find_cameras(loaded, CameraOptions(cameras=options.cameras)).values())
-        judged: Audit = audit(loaded.scene, cameras=cameras)
-        files = write(judged, loaded.scene, folder, source=str(path), force=options.force) if folder else []
-        repair = {"repair": _repair(loaded.scene, judged, cameras, options)} if options.repair else {}
-    return {"file": str(path), **document(judged), **repair, "files": [str(file) for file in files]}
+    loaded = open_scene(path)
+    cameras = None
+    if options.cameras:
+        cameras = tuple(find_cameras(loaded, CameraOptions(cameras=options.cameras)).values())
+    return loaded.scene, audit(loaded.scene, cameras=cameras), cameras
+
+
+def _severities(document: dict[str, Any]) -> set[str]:
+    return {finding["severity"] for finding in document.get("lint", ())}
 
 
 def _lines(document: dict[str, Any]) -> list[str]:
@@ -164,7 +202,22 @@ def _lines(document: dict[str, Any]) -> list[str]:
     first, *rest = document["summary"]
     if "repair" in document:
         rest.append(_repair_line(document["repair"]))
+    rest += [_finding(finding) for finding in document.get("lint", ())]
+    cost = document.get("cost")
+    if cost and cost["overdraw"]:
+        worst = cost["overdraw"]
+        rest.append(
+            f"cost: fillRatio {cost['fill_ratio']:.3g}; from the worst of {worst['cameras']} cameras "
+            f"{worst['mean']:,.0f} Gaussians over each other in the mean, {worst['highest']:,} at most"
+        )
     return [f"{document['file']}: {first}", *(f"  {line}" for line in rest), *document["files"]]
+
+
+def _finding(finding: dict[str, Any]) -> str:
+    """One finding of lint for a human."""
+    shown = ", ".join(map(str, finding["rows"][:5])) + (", ..." if finding["count"] > 5 else "")
+    where = f" {finding['count']:,} Gaussians (rows {shown})." if finding["count"] else ""
+    return f"{finding['severity']}, {finding['rule']}:{where} {finding['reason']}"
 
 
 def _repair_line(repair: dict[str, Any] | None) -> str:

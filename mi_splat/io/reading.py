@@ -44,14 +44,26 @@ def load_arrays(
     """
     if on_invalid not in ("raise", "drop"):
         raise InvalidValueError(message("on_invalid", "'raise' or 'drop'", repr(on_invalid), "pass one of the two"))
+    return load_stored(path).settle(path_name(path), on_invalid, stacklevel=stacklevel + 1)
+
+
+def load_stored(path: str | os.PathLike[str]) -> Loaded:
+    """All Gaussians of a file, valid or not, in its order, and which are not.
+
+    Args:
+        path: As `load_splat` takes it.
+
+    Raises:
+        SplatFileError: The file cannot be read, is no splat, or is damaged.
+        InvalidValueError: path is no path.
+    """
     name = path_name(path)
     try:
         # Values that are not finite make NumPy warn where they are cast; each reader judges them at its end.
         with open_regular(name) as file, np.errstate(all="ignore"):
-            loaded = _reader(format_to_read(name, os.pread(file.fileno(), HEAD, 0)))(file, name)
+            return _reader(format_to_read(name, os.pread(file.fileno(), HEAD, 0)))(file, name)
     except OSError as error:
         raise from_os_error(name, "a splat file that can be read", error) from error
-    return loaded.settle(name, on_invalid, stacklevel=stacklevel + 1)
 
 
 def _reader(kind: str) -> Callable[[io.FileIO, str], Loaded]:

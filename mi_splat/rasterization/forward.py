@@ -16,8 +16,8 @@ from mi_splat.rasterization.binning import NO_TILE, TILE
 from mi_splat.rasterization.blending import RECORD
 from mi_splat.rasterization.layouts import Layout
 from mi_splat.rasterization.picture import PictureBuffers, tile_columns, width_and_height
-from mi_splat.rasterization.pinhole import StageCamera
-from mi_splat.rasterization.projection import Splat, project
+from mi_splat.rasterization.pinhole import KernelCamera, StageCamera
+from mi_splat.rasterization.projection import Gaussians, Splat, project
 from mi_splat.rasterization.sorting import length_key
 
 BROKEN = 0xFFFFFFFF
@@ -25,6 +25,14 @@ BROKEN = 0xFFFFFFFF
 
 BROKEN_ROWS = 1 << 40
 """What such a Gaussian counts for among the rows: more than memory has, so that one number tells the host both."""
+
+
+def projected(gaussians: Gaussians, camera: KernelCamera) -> tuple[Splat, Any, Any, Any]:
+    """What `project` returns, and a Bool: whether the Gaussian may touch a tile at all."""
+    splat, extent, depth = project(gaussians, camera)
+    visible = (depth >= camera.near) & (extent.x >= 0.0)
+    visible &= dr.isfinite(splat.u0 + splat.u1 + splat.v1 + splat.centre.x + splat.centre.y)
+    return splat, extent, depth, visible
 
 
 def project_gaussians(
@@ -54,9 +62,7 @@ def project_gaussians(
     """
     camera = pinhole.unpack(stage_camera.numbers, antialiased=stage_camera.antialiased)
     gaussians = layout.read(arrays, index, terms)
-    splat, extent, depth = project(gaussians, camera)
-    visible = (depth >= camera.near) & (extent.x >= 0.0)
-    visible &= dr.isfinite(splat.u0 + splat.u1 + splat.v1 + splat.centre.x + splat.centre.y)
+    splat, extent, depth, visible = projected(gaussians, camera)
     width, height = width_and_height(buffers.size)
     count = binning.count_tiles(splat, extent, visible, width, height)
     components = splat.components()

@@ -48,6 +48,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "mi_splat.side_outputs",
         "mi_splat.frozen_view",
         "mi_splat.view_freezing",
+        "mi_splat.overdraw",
         "mi_splat.volprim",
         "mi_splat.scene_files",
         "mi_splat.mixed_scenes",

@@ -30,6 +30,7 @@ RENDERERS = (
     "mi_splat.variant",
     "mi_splat.rendering",
     "mi_splat.frozen_view",
+    "mi_splat.overdraw",
     "mi_splat.volprim",
 )
 """Parts that may import Mitsuba or Dr.Jit, besides those of `PATH_TRACERS` and the reader of scene files."""

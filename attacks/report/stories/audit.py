@@ -14,7 +14,7 @@ from mi_splat.audit.occluders import BLOCKED
 from mi_splat.audit.results import Vector
 
 _ELSEWHERE = (
-    *("story", "file", "verdict", "summary", "objects", "pictures", "cameras", "lint"),
+    *("story", "file", "verdict", "summary", "objects", "pictures", "cameras", "lint", "cost"),
     *("command", "versions", "variant", "commit", "torch"),
 )
 _PLAIN = {
@@ -37,6 +37,8 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         record: Its result.json.
     """
     objects, first = record["objects"], record["summary"][0]
+    if not objects:
+        return _only_numbers(folder, record)
     looks = [
         (number, index, look) for number, item in enumerate(objects, 1) for index, look in enumerate(item["looks"])
     ]
@@ -84,6 +86,43 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
     )
 
 
+def _only_numbers(folder: Path, record: Mapping[str, Any]) -> Section:
+    """The section of a file of which lint alone was asked for, or that could not be looked at."""
+    findings = record.get("lint") or ()
+    count = sum(row["severity"] == "error" for row in findings)
+    return Section(
+        kind="audit of a splat",
+        title=Path(record["file"]).name,
+        done=f"The numbers of {record['file']} were checked; it was {record['summary'][0]}.",
+        conclusion=(
+            "Whether the file hides a look was not asked. "
+            f"The rules found {plural(count, 'error')} and {plural(len(findings) - count, 'lesser thing')}."
+        ),
+        headline=Figure(label="errors", words=str(count)),
+        attacked=False,
+        warnings=[f"{row['rule']}: {row['reason']}" for row in findings if row["severity"] == "error"],
+        pictures=tuple(_overdraw(folder, record)),
+        tables=(_lint(findings),),
+        configuration=settings({key: value for key, value in record.items() if key not in _ELSEWHERE}),
+    )
+
+
+def _overdraw(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
+    """What the splat costs from the worst camera."""
+    cost = record.get("cost") or {}
+    if cost.get("overdraw"):
+        worst = cost["overdraw"]
+        yield Picture(
+            path=folder / "overdraw.png",
+            caption=(
+                f"How many Gaussians lie over each other from the worst of {worst['cameras']} cameras: "
+                f"{worst['mean']:,.0f} in the mean, {worst['highest']:,} at most. The fillRatio of splat-transform is "
+                f"{cost['fill_ratio']:.3g}."
+            ),
+            alt="Heat map of the number of Gaussians over each other",
+        )
+
+
 def _doubts(record: Mapping[str, Any]) -> Iterator[str]:
     """What the reader may not conclude."""
     for number, item in enumerate(record["objects"], 1):
@@ -106,7 +145,8 @@ def _doubts(record: Mapping[str, Any]) -> Iterator[str]:
         )
     for row in record.get("lint") or ():
         if row["severity"] == "error":
-            yield f"{row['rule']}: {row['reason']} ({plural(row['count'], 'Gaussian')})"
+            count = f" ({plural(row['count'], 'Gaussian')})" if row["count"] else ""
+            yield f"{row['rule']}: {row['reason']}{count}"
 
 
 def _pictures(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
@@ -136,6 +176,7 @@ def _pictures(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
         alt="The splat in grey, with what carries the look in red",
         large=True,
     )
+    yield from _overdraw(folder, record)
 
 
 def _domes(number: int, item: Mapping[str, Any], objects: int, least: float) -> Iterator[Chart]:

@@ -25,9 +25,9 @@ _OTHERS = {
     ".csv": "save it as .ply; splat-transform writes .csv from that",
     ".html": "save it as .ply; splat-transform makes a page from that",
     ".usdz": "export it as .ply",
-    ".pt": "export the checkpoint as .ply with the trainer that wrote it",
-    ".ckpt": "export the checkpoint as .ply with the trainer that wrote it",
 }
+_PROGRAMS = (".pt", ".pth", ".ckpt", ".pkl", ".pickle")
+"""Checkpoints of PyTorch: to unpickle one runs what is in it, so none is opened, whatever it begins with."""
 
 
 def suffix_of(path: str) -> str | None:
@@ -55,6 +55,8 @@ def format_to_read(path: str, head: bytes) -> str:
     Raises:
         SplatFileError: No format fits, or name and mark disagree.
     """
+    if os.path.basename(path).lower().endswith(_PROGRAMS):
+        raise _unknown(path)
     named, marked = suffix_of(path), by_content(head)
     named = ".ply" if named == ".compressed.ply" else named
     if named is None and marked is None:
@@ -87,5 +89,10 @@ def _unknown(path: str) -> SplatFileError:
     """The error for a name that fits no format."""
     ending = os.path.splitext(path)[1].lower()
     do = _OTHERS.get(ending, "convert it to .ply, for instance with splat-transform")
+    if ending in _PROGRAMS:
+        do = (
+            "a checkpoint can be a program, and is not opened: export a .ply where you trust it, with ns-export "
+            "gaussian-splat of nerfstudio, gsplat.export_splats, or save_ply of 3DGS"
+        )
     names = ", ".join(entry.suffix for entry in FORMATS)
     return SplatFileError(message(path, f"a name that ends in {names}", ending or "no ending", do))

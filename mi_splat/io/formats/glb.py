@@ -17,8 +17,8 @@ from mi_splat.io.formats.encoded import Array
 
 _HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 _JSON_LIMIT = 1 << 22
-_COMPONENTS = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
-_CODES = {kind: code for code, kind in _COMPONENTS.items()}
+COMPONENTS = {5120: "i1", 5121: "u1", 5122: "i2", 5123: "u2", 5125: "u4", 5126: "f4"}
+_CODES = {kind: code for code, kind in COMPONENTS.items()}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TYPES = {width: name for name, width in _WIDTHS.items()}
 _AGAIN = "write or download it again"
@@ -51,7 +51,7 @@ class Glb:
             SplatFileError: It is missing, of another form, or not inside of the buffer.
         """
         accessor = self._accessor(attributes, name)
-        kind = _COMPONENTS.get(accessor.whole("componentType", 0, 1 << 16), "")
+        kind = COMPONENTS.get(accessor.whole("componentType", 0, 1 << 16), "")
         elements, form = accessor.whole("count", 1, 1 << 31), accessor.text("type")
         if form != _TYPES[width] or kind not in kinds or elements != count:
             got = f"{elements} {form} of {kind or 'another kind'}"

@@ -71,7 +71,7 @@ def read_glb(file: io.FileIO, path: str) -> Loaded:
         raise SplatFileError(message(path, f"a primitive with {EXTENSION}", got, "export the splat again"))
     if others:
         text = message(path, "splats only", f"{others} other primitives", "they were left out")
-        warnings.warn(text, SplatFileWarning, stacklevel=4)
+        warnings.warn(text, SplatFileWarning, stacklevel=5)
     return _together(parts)
 
 

@@ -1,0 +1,262 @@
+"""Rules about the numbers of a splat, each with its threshold and the threshold's reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mi_splat.attributes import LARGEST
+from mi_splat.audit.lint.findings import Finding, Severity
+from mi_splat.io.loaded import Arrays, Loaded
+from mi_splat.sh import band, degree_of, even_directions
+
+Mask = NDArray[np.bool_]
+
+VISIBLE = 1 / 255
+"""Opacity from which a Gaussian reaches a pixel: renderers leave out what is fainter."""
+_DIRECTIONS = even_directions(32)
+_CHUNK = 1 << 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stored:
+    """The Gaussians of a file as it stores them, in its order.
+
+    Attributes:
+        arrays: N Gaussians, unchecked; quaternions are normalised.
+        valid: (N,) those that a scene can hold.
+        shown: (N,) those of them with an opacity from `VISIBLE`.
+    """
+
+    arrays: Arrays
+    valid: Mask
+    shown: Mask
+
+    @classmethod
+    def of(cls, loaded: Loaded) -> Stored:
+        """What a reader handed over."""
+        valid = np.ones(len(loaded.arrays["means"]), np.bool_)
+        valid[loaded.invalid] = False
+        with np.errstate(invalid="ignore"):
+            return cls(loaded.arrays, valid, valid & (loaded.arrays["opacities"] >= VISIBLE))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rule:
+    """One rule.
+
+    Attributes:
+        name: As findings state it.
+        severity: Of its findings.
+        threshold: From where it finds something.
+        reason: Why that matters, in a sentence.
+        find: From the Gaussians and the threshold to the (N,) rows that it is about.
+    """
+
+    name: str
+    severity: Severity
+    threshold: float
+    reason: str
+    find: Callable[[Stored, float], Mask]
+
+    def __call__(self, stored: Stored) -> Finding | None:
+        """The finding; None if there is none."""
+        with np.errstate(all="ignore"):
+            rows = self.find(stored, self.threshold)
+        return Finding.of(self.name, self.severity, self.reason, rows) if rows.any() else None
+
+
+def _any(values: NDArray[np.bool_]) -> Mask:
+    """(N,) whether anything in a row holds."""
+    return np.asarray(values.any(axis=tuple(range(1, values.ndim))))
+
+
+def _out_of_range(stored: Stored, largest: float) -> Mask:
+    arrays = stored.arrays
+    rows = _any((arrays["scales"] <= 0) | (arrays["scales"] > largest))
+    rows |= _any((arrays["opacities"] < 0) | (arrays["opacities"] > 1))
+    for name in ("means", "sh"):
+        size = np.abs(arrays[name])
+        rows |= _any((size > largest) & np.isfinite(size))
+    return rows
+
+
+def _quaternion(stored: Stored, _: float) -> Mask:
+    return _any(~np.isfinite(stored.arrays["rotations"]))
+
+
+def _not_finite(stored: Stored, largest: float) -> Mask:
+    arrays = stored.arrays
+    rows = _any(np.isnan(arrays["scales"]))
+    for name in ("means", "opacities", "sh"):
+        rows |= _any(~np.isfinite(arrays[name]))
+    # What a reader refuses for another reason is not finite in the file only: an infinite logit has a sigmoid.
+    return rows | (~stored.valid & ~_out_of_range(stored, largest) & ~_quaternion(stored, 0))
+
+
+def _giant(stored: Stored, factor: float) -> Mask:
+    radius = scene_radius(stored)
+    return stored.shown & _any(stored.arrays["scales"] > (factor * radius or np.inf))
+
+
+def scene_radius(stored: Stored) -> float:
+    """Half of the diagonal of the box around the middle 98 % of the means; 0 without any."""
+    means = stored.arrays["means"][stored.valid]
+    if not len(means):
+        return 0.0
+    low, high = np.quantile(means, (0.01, 0.99), axis=0)
+    return float(np.linalg.norm(high - low) / 2)
+
+
+def _needle(stored: Stored, ratio: float) -> Mask:
+    ordered = np.sort(stored.arrays["scales"], axis=1)
+    return stored.shown & _any(ordered[:, 2:] > ratio * ordered[:, 1:2])
+
+
+def _invisible(stored: Stored, share: float) -> Mask:
+    return _if_many(stored.valid & ~stored.shown, share)
+
+
+def _if_many(rows: Mask, share: float) -> Mask:
+    """The rows if they are at least so large a share of all, else none."""
+    return rows if rows.sum() >= share * len(rows) else np.zeros_like(rows)
+
+
+def _duplicate(stored: Stored, share: float) -> Mask:
+    return _if_many(repeats(stored.arrays) & stored.valid, share)
+
+
+def repeats(arrays: Arrays) -> Mask:
+    """(N,) which Gaussians equal an earlier one to the bit; by a hash of 64 bits."""
+    count = len(arrays["means"])
+    key = np.zeros(count, np.uint64)
+    for value in arrays.values():
+        for column in np.ascontiguousarray(value).view(np.uint32).reshape(count, -1).T:
+            key = (key ^ column) * np.uint64(0x9E3779B97F4A7C15)
+            key ^= key >> np.uint64(32)
+    again = np.ones(count, np.bool_)
+    again[np.unique(key, return_index=True)[1]] = False
+    return again
+
+
+def _colour(stored: Stored, by: float) -> Mask:
+    rows = stored.shown.copy()
+    rows[rows] = colour_overshoot(stored.arrays["sh"][rows]) > by
+    return _if_many(rows, COLOUR_SHARE)
+
+
+def colour_overshoot(sh: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(N,) how far a Gaussian's colour leaves [0, 1] (sRGB) in the direction and channel where it does so most.
+
+    Args:
+        sh: (N, K, 3) coefficients.
+    """
+    x, y, z = _DIRECTIONS.T
+    values = [value for degree in range(degree_of(sh.shape[1]) + 1) for value in band((x, y, z), degree)]
+    basis = np.stack(values, axis=1).astype(np.float32)
+    far = np.zeros(len(sh), np.float32)
+    for first in range(0, len(sh), _CHUNK):
+        part = sh[first : first + _CHUNK]
+        from_grey = np.abs(np.einsum("dk,nkc->ndc", basis, part, optimize=True))
+        far[first : first + _CHUNK] = from_grey.reshape(len(part), -1).max(1) - 0.5
+    return far
+
+
+def _bands(stored: Stored) -> list[Mask]:
+    """For each band from 1 on, the (N,) rows in which it is not all zero."""
+    sh = stored.arrays["sh"]
+    return [_any(sh[:, degree**2 : (degree + 1) ** 2] != 0) for degree in range(1, degree_of(sh.shape[1]) + 1)]
+
+
+def _empty_degree(stored: Stored, _: float) -> Mask:
+    bands = _bands(stored)
+    return stored.valid & (len(bands) > 0 and not bands[-1].any())
+
+
+def _partial_degree(stored: Stored, share: float) -> Mask:
+    few = [rows for rows in _bands(stored) if 0 < rows.sum() <= share * len(rows)]
+    return few[0] if few else np.zeros_like(stored.valid)
+
+
+COLOUR_SHARE = 0.01
+"""Of all Gaussians, from which colours out of range are told."""
+
+RULES = (
+    Rule(
+        name="not-finite",
+        severity="error",
+        threshold=LARGEST,
+        reason="A number is not finite (NaN or infinite): renderers show black squares, or nothing.",
+        find=_not_finite,
+    ),
+    Rule(
+        name="out-of-range",
+        severity="error",
+        threshold=LARGEST,
+        reason=f"A scale is 0 or negative, an opacity is outside 0 to 1, or a number is above {LARGEST:g}.",
+        find=_out_of_range,
+    ),
+    Rule(
+        name="quaternion",
+        severity="error",
+        threshold=0,
+        reason="The quaternion is zero or not finite, so the Gaussian has no orientation.",
+        find=_quaternion,
+    ),
+    Rule(
+        name="giant",
+        severity="warning",
+        threshold=1.0,
+        reason="A standard deviation is larger than the radius of the whole splat: it covers every picture.",
+        find=_giant,
+    ),
+    Rule(
+        name="needle",
+        severity="note",
+        threshold=1000.0,
+        reason="It is more than 1,000 times as long as wide: renderers that compute in float32 draw it wrong.",
+        find=_needle,
+    ),
+    Rule(
+        name="invisible",
+        severity="note",
+        threshold=0.05,
+        reason="The opacity is under 1/255: no renderer shows it, but it is in the file.",
+        find=_invisible,
+    ),
+    Rule(
+        name="duplicate",
+        severity="warning",
+        threshold=0.01,
+        reason="It repeats an earlier Gaussian in every number.",
+        find=_duplicate,
+    ),
+    Rule(
+        name="colour",
+        severity="warning",
+        threshold=1.0,
+        reason=(
+            "From some directions its colour is more than 1 below black or above white. Renderers cut that off, and "
+            "looks in layers need this: each is black where another shows."
+        ),
+        find=_colour,
+    ),
+    Rule(
+        name="empty-degree",
+        severity="note",
+        threshold=0,
+        reason="The highest band of its SH is 0, as in all of the file: the file is larger than it need be.",
+        find=_empty_degree,
+    ),
+    Rule(
+        name="partial-degree",
+        severity="warning",
+        threshold=0.1,
+        reason="It alone has SH of a band that is 0 in all others: it was made or changed in another way.",
+        find=_partial_degree,
+    ),
+)
+"""The table; docs/audit_lint.md gives the reason of each threshold."""

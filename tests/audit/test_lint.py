@@ -1,0 +1,457 @@
+"""Every rule of lint has a file that it finds, and one that it does not; the validator of glTF, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import pickle
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+
+from attacks import cli
+from mi_splat import load_splat, save_splat
+from mi_splat.audit.lint import cost
+from mi_splat.audit.lint.checking import Lint, lint_file, lint_scene
+from mi_splat.audit.lint.cost import overdraw_picture, worst_overdraw
+from mi_splat.audit.lint.fill import binned_quantile, fill_ratio
+from mi_splat.audit.lint.findings import SHOWN
+from mi_splat.audit.lint.gltf import validate
+from mi_splat.audit.lint.rules import RULES, Rule, Stored
+from mi_splat.cameras import Camera, look_at
+from mi_splat.io import SplatFileError
+from mi_splat.io.fields import Fields
+from mi_splat.io.formats.glb import open_glb
+from mi_splat.io.loaded import Arrays
+from mi_splat.io.ply.rows import file_record
+from mi_splat.overdraw import overdraw
+from mi_splat.scene import GaussianScene, merge
+from tests.audit import scenes
+
+COUNT = 60
+BY_NAME = {rule.name: rule for rule in RULES}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _small_pictures() -> object:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cost, "SIZE", 256)
+        yield
+
+
+def cloud(count: int = COUNT, *, degree: int = 1, seed: int = 0) -> GaussianScene:
+    """Honest: small round Gaussians in a ball, of different colours."""
+    generator = torch.Generator().manual_seed(seed)
+    sh = 0.3 * torch.randn(count, (degree + 1) ** 2, 3, generator=generator)
+    return GaussianScene(
+        means=torch.randn(count, 3, generator=generator),
+        scales=torch.full((count, 3), 0.05),
+        rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
+        opacities=torch.full((count,), 0.9),
+        sh=sh,
+    )
+
+
+def arrays_of(scene: GaussianScene) -> Arrays:
+    values = (value.numpy().copy() for value in scene.tensors())
+    return dict(zip(("means", "scales", "rotations", "opacities", "sh"), values, strict=True))
+
+
+def stored(arrays: Arrays) -> Stored:
+    from mi_splat.io.loaded import judged
+
+    return Stored.of(judged(*arrays.values()))
+
+
+def _set(name: str, value: float, rows: int = 1) -> Callable[[Arrays], None]:
+    def change(arrays: Arrays) -> None:
+        arrays[name][3 : 3 + rows] = value  # type: ignore[index]
+
+    return change
+
+
+def _thin(ratio: float) -> Callable[[Arrays], None]:
+    def change(arrays: Arrays) -> None:
+        arrays["scales"][3] = (0.5, 0.5 / ratio, 0.5 / ratio)
+
+    return change
+
+
+def _repeat(rows: int) -> Callable[[Arrays], None]:
+    def change(arrays: Arrays) -> None:
+        for value in arrays.values():
+            value[3 : 3 + rows] = value[40]
+
+    return change
+
+
+def _bands(rows: slice) -> Callable[[Arrays], None]:
+    def change(arrays: Arrays) -> None:
+        arrays["sh"][rows, 1:] = 0
+
+    return change
+
+
+def _nothing(arrays: Arrays) -> None:
+    pass
+
+
+CASES: dict[str, tuple[Callable[[Arrays], None], Callable[[Arrays], None], list[int]]] = {
+    "not-finite": (_set("means", np.nan), _set("means", 1e8), [3]),
+    "out-of-range": (_set("scales", 0.0), _set("scales", 1e-9), [3]),
+    "quaternion": (_set("rotations", 0.0), _set("rotations", 0.1), [3]),
+    "giant": (_set("scales", 5.0), _set("scales", 2.0), [3]),
+    "needle": (_thin(2000), _thin(500), [3]),
+    "invisible": (_set("opacities", 0.003, 4), _set("opacities", 0.004, 4), [3, 4, 5, 6]),
+    "duplicate": (_repeat(2), _nothing, [4, 40]),
+    "colour": (_set("sh", -4.0), _set("sh", -1.0), [3]),
+    "empty-degree": (_bands(slice(None)), _nothing, list(range(COUNT))),
+    "partial-degree": (_bands(slice(4, None)), _bands(slice(4, 20)), [0, 1, 2, 3]),
+}
+"""Of each rule: what it must find, what it must not find, and the rows of the first."""
+
+
+@pytest.mark.parametrize("rule", RULES, ids=[rule.name for rule in RULES])
+def test_each_rule_finds_its_rows_and_only_these(rule: Rule) -> None:
+    bad, good, rows = CASES[rule.name]
+    broken, fine = arrays_of(cloud()), arrays_of(cloud())
+    bad(broken)
+    good(fine)
+    finding = rule(stored(broken))
+    assert finding is not None
+    assert list(finding.rows) == rows
+    assert finding.count == len(rows)
+    assert finding.severity == rule.severity
+    assert finding.reason.endswith(".")
+    assert rule(stored(fine)) is None
+    assert rule(stored(arrays_of(cloud()))) is None
+
+
+def test_a_flat_gaussian_is_no_needle() -> None:
+    flat = arrays_of(cloud())
+    flat["scales"][:, 2] = 1e-6
+    assert BY_NAME["needle"](stored(flat)) is None
+
+
+def test_what_is_refused_for_another_reason_is_told_once() -> None:
+    both = arrays_of(cloud())
+    both["scales"][3], both["rotations"][5] = 0, 0
+    found = {rule.name: finding.rows for rule in RULES if (finding := rule(stored(both))) is not None}
+    assert found == {"out-of-range": (3,), "quaternion": (5,)}
+
+
+def test_rows_are_counted_and_the_list_is_bounded() -> None:
+    many = arrays_of(cloud(500))
+    many["opacities"][:300] = 0.001
+    finding = BY_NAME["invisible"](stored(many))
+    assert finding is not None
+    assert (len(finding.rows), finding.count) == (SHOWN, 300)
+
+
+@pytest.mark.parametrize("made", [scenes.glossy, scenes.noisy, scenes.velvet])
+def test_honest_gloss_and_noise_have_no_finding(made: Callable[[scenes.Made], scenes.Made]) -> None:
+    assert lint_scene(made(scenes.standing("suitcase", count=300)).scene).findings == ()
+
+
+def test_layers_need_colours_that_are_cut_off() -> None:
+    findings = lint_scene(scenes.layered(scenes.standing("suitcase", count=300)).scene).findings
+    assert [finding.rule for finding in findings] == ["colour"]
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".compressed.ply", ".glb", ".spz", ".sog", ".splat"])
+def test_no_converter_makes_a_finding(suffix: str, tmp_path: Path) -> None:
+    save_splat(cloud(400, degree=0), tmp_path / f"s{suffix}")
+    assert lint_file(tmp_path / f"s{suffix}").findings == ()
+
+
+# --- cost
+
+
+def test_fill_ratio_is_that_of_splat_transform() -> None:
+    """Version 3.7.0 says so of these Gaussians as a PLY; docs/audit_lint.md has more files."""
+    spread = cloud(2000)
+    spread = spread.replace(means=spread.means * torch.tensor([1.0, 2.0, 0.5]), scales=spread.scales * 3)
+    assert fill_ratio(arrays_of(spread)) == pytest.approx(5.844925, rel=1e-4)
+    spread.means[7], spread.means[1500] = torch.tensor([1e5, -3e4, 2e5]), torch.tensor([-1e6, 3.0, 1e4])
+    assert fill_ratio(arrays_of(spread)) == pytest.approx(0.000906, rel=0.01)
+
+
+def test_quantiles_are_of_a_histogram_that_floaters_widen() -> None:
+    values = np.linspace(0, 1, 1001)
+    assert binned_quantile(values, 0.99) == pytest.approx(0.99, abs=1e-3)
+    assert binned_quantile(np.append(values, 1e6), 0.99) > 100
+    assert binned_quantile(np.full(5, 2.0), 0.5) == 2
+
+
+def test_a_stack_has_as_many_layers_as_gaussians() -> None:
+    stack = cloud(1)
+    many = merge(*[stack] * 50)
+    assert fill_ratio(arrays_of(many)) == pytest.approx(50)
+
+
+def test_overdraw_is_the_length_of_the_rasteriser_s_lists() -> None:
+    import mitsuba as mi
+
+    from mi_splat.rasterization import layouts, pinhole
+    from mi_splat.rasterization.frozen import aligned
+    from mi_splat.rasterization.pipeline import rasterize
+
+    scene = scenes.standing("suitcase", count=300).scene
+    camera = Camera(to_world=look_at((2, 1, 1), (0, 0, 0.2)), focal=60, width=71, height=50)
+    layers = next(overdraw(scene, [camera], near=0.05))
+    arrays = tuple(aligned(mi.Float(value.contiguous().flatten())) for value in scene.tensors())
+    state = rasterize(layouts.TENSORS, arrays, pinhole.from_camera(camera, near=0.05), (0, 0, 0)).state
+    assert state is not None
+    first, last = (edge.numpy().astype(np.int64) for edge in state.pair_ranges)
+    assert layers.shape == (13, 18)
+    assert np.array_equal(layers.ravel(), last - first)
+    assert layers.max() > 5
+
+
+def masked(count: int = 5000, *, spread: float = 0.01) -> GaussianScene:
+    """A crowd at one place, and two Gaussians far away, which widen the box that `fillRatio` divides by."""
+    crowd = cloud(count, degree=0)
+    means = crowd.means * spread
+    means[7], means[1500] = torch.tensor([1e5, -3e4, 2e5]), torch.tensor([-1e6, 3.0, 1e4])
+    return crowd.replace(means=means, scales=torch.full((count, 3), 0.5))
+
+
+def test_what_passes_fill_ratio_and_stops_a_renderer_is_found() -> None:
+    lint = lint_scene(masked())
+    assert lint.fill_ratio is not None
+    assert lint.fill_ratio < 1
+    assert ("overdraw", "error") in [(finding.rule, finding.severity) for finding in lint.findings]
+    assert lint_scene(masked(spread=40.0)).findings == ()
+
+
+def test_many_over_each_other_are_found_by_both() -> None:
+    stack = cloud(1500)
+    lint = lint_scene(stack.replace(means=stack.means * 0.01, scales=stack.scales * 10))
+    assert [(finding.rule, finding.severity) for finding in lint.findings] == [
+        ("giant", "warning"),
+        ("fill-ratio", "warning"),
+        ("overdraw", "warning"),
+    ]
+
+
+def test_the_picture_of_overdraw_is_brighter_where_more_lies() -> None:
+    worst = worst_overdraw(cloud(300))
+    assert worst is not None
+    picture = overdraw_picture(worst)[: 3 * len(worst.layers) : 3, ::3].astype(int).sum(-1)
+    most = worst.layers == worst.layers.max()
+    assert picture[most].min() >= picture[~most].max()
+    assert worst_overdraw(cloud(1).select(slice(0, 0))) is None
+
+
+# --- glTF
+
+Json = dict[str, Any]
+ROTATION = "KHR_gaussian_splatting:ROTATION"
+
+
+def glb(path: Path, scene: GaussianScene | None = None) -> Path:
+    save_splat(scene or cloud(20), path)
+    return path
+
+
+def faults(path: Path, change: Callable[[Json], object]) -> list[tuple[str, str]]:
+    """What is found in the document of a file after a change."""
+    document = open_glb(path.read_bytes(), str(path))
+    root = json.loads(json.dumps(document.root.values))
+    change(root)
+    fields = Fields(root, str(path))
+    changed = dataclasses.replace(
+        document, root=fields, accessors=fields.objects("accessors"), views=fields.objects("bufferViews")
+    )
+    return [(finding.rule, finding.severity) for finding in validate(changed)]
+
+
+def _primitive(root: Json) -> Json:
+    found: Json = root["meshes"][0]["primitives"][0]
+    return found
+
+
+def _extension(root: Json) -> Json:
+    found: Json = _primitive(root)["extensions"]["KHR_gaussian_splatting"]
+    return found
+
+
+def _accessor(root: Json, name: str) -> Json:
+    found: Json = root["accessors"][_primitive(root)["attributes"][name]]
+    return found
+
+
+FAULTS: dict[str, tuple[Callable[[Json], object], tuple[str, str]]] = {
+    "no points": (lambda root: _primitive(root).update(mode=4), ("gltf-mode", "error")),
+    "not used": (lambda root: root.update(extensionsUsed=[]), ("gltf-extension", "error")),
+    "no kernel": (lambda root: _extension(root).pop("kernel"), ("gltf-extension", "error")),
+    "no colour space": (lambda root: _extension(root).pop("colorSpace"), ("gltf-extension", "error")),
+    "number": (lambda root: _extension(root).update(projection=3), ("gltf-extension", "error")),
+    "other kernel": (lambda root: _extension(root).update(kernel="cube"), ("gltf-extension", "warning")),
+    "no rotation": (lambda root: _primitive(root)["attributes"].pop(ROTATION), ("gltf-attribute", "error")),
+    "half a degree": (
+        lambda root: _primitive(root)["attributes"].pop("KHR_gaussian_splatting:SH_DEGREE_1_COEF_1"),
+        ("gltf-degree", "error"),
+    ),
+    "strange attribute": (
+        lambda root: _primitive(root)["attributes"].update({"KHR_gaussian_splatting:GLOW": 0}),
+        ("gltf-attribute", "warning"),
+    ),
+    "wrong type": (lambda root: _accessor(root, ROTATION).update(type="VEC3"), ("gltf-accessor", "error")),
+    "wrong kind": (lambda root: _accessor(root, ROTATION).update(componentType=5121), ("gltf-accessor", "error")),
+    "no accessor": (lambda root: _primitive(root)["attributes"].update({ROTATION: 99}), ("gltf-accessor", "error")),
+    "other count": (lambda root: _accessor(root, ROTATION).update(count=5), ("gltf-accessor", "error")),
+    "past the end": (lambda root: _accessor(root, ROTATION).update(byteOffset=64), ("gltf-accessor", "error")),
+    "no bounds": (lambda root: _accessor(root, "POSITION").pop("min"), ("gltf-bounds", "error")),
+    "wrong bounds": (lambda root: _accessor(root, "POSITION").update(max=[0, 0, 0]), ("gltf-bounds", "error")),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_each_fault_of_a_gltf_is_found_and_nothing_else(fault: str, tmp_path: Path) -> None:
+    change, expected = FAULTS[fault]
+    assert faults(glb(tmp_path / "s.glb"), change) == [expected]
+
+
+def test_what_is_right_in_a_gltf_is_not_found(tmp_path: Path) -> None:
+    path = glb(tmp_path / "s.glb")
+    assert faults(path, lambda root: None) == []
+    assert faults(path, lambda root: _extension(root).update(colorSpace="lin_rec709_display")) == []
+    assert faults(path, lambda root: _extension(root).pop("projection")) == []
+
+
+@pytest.mark.parametrize(
+    ("attribute", "value", "words"),
+    [
+        ("ROTATION", 0.4, "a quaternion has length 1"),
+        ("SCALE", -4.0, "logarithms"),
+        ("OPACITY", 1.5, "an opacity lies in"),
+        ("OPACITY", np.nan, "not finite"),
+    ],
+)
+def test_values_of_a_gltf_are_checked_with_their_rows(attribute: str, value: float, words: str, tmp_path: Path) -> None:
+    path = glb(tmp_path / "s.glb")
+    document = open_glb(path.read_bytes(), str(path))
+    index = document.root.objects("meshes")[0].objects("primitives")[0].object("attributes")
+    view = document.views[
+        document.accessors[index.whole(f"KHR_gaussian_splatting:{attribute}", 0, 99)].whole("bufferView", 0, 99)
+    ]
+    data = bytearray(path.read_bytes())
+    start = len(data) - len(document.buffer) + view.whole("byteOffset", 0, len(data))
+    values: NDArray[np.float32] = np.frombuffer(data, "<f4", view.whole("byteLength", 0, len(data)) // 4, start)
+    values.reshape(20, -1)[4:18] = value
+    path.write_bytes(data)
+    finding = lint_file(path).findings[0]
+    assert (finding.rule, finding.severity, finding.count, finding.rows[0]) == ("gltf-values", "error", 14, 4)
+    assert words in finding.reason
+
+
+def test_a_gltf_that_is_refused_is_described(tmp_path: Path) -> None:
+    path = glb(tmp_path / "s.glb")
+    path.write_bytes(path.read_bytes().replace(b'"colorSpace"', b'"colourSpac"'))
+    lint = lint_file(path)
+    assert [finding.rule for finding in lint.findings] == ["gltf-extension"]
+    assert lint.gaussians is None
+
+
+# --- the command
+
+
+def broken_ply(path: Path) -> Path:
+    """Row 7 has no position, row 9 an infinite logit, which has a sigmoid."""
+    save_splat(cloud(), path)
+    head, _, body = path.read_bytes().partition(b"end_header\n")
+    rows = np.frombuffer(bytearray(body), file_record(9))
+    rows["means"][7, 0], rows["opacities"][9] = np.nan, np.inf
+    path.write_bytes(head + b"end_header\n" + rows.tobytes())
+    return path
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, Mapping[str, Any]]:
+    status = cli.main(["audit", *map(str, words), "--json"])
+    return status, json.loads(capsys.readouterr().out)
+
+
+def test_a_file_that_is_refused_has_a_finding_and_no_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = broken_ply(tmp_path / "s.ply")
+    with pytest.raises(SplatFileError):
+        load_splat(path)
+    status, account = run(capsys, path, "--out", tmp_path / "out", "--sarif", tmp_path / "s.sarif")
+    assert status == 3
+    assert account["verdict"] is None
+    assert "valid Gaussians" in account["summary"][0]
+    (finding,) = account["lint"]
+    assert (finding["rule"], finding["severity"], finding["rows"], finding["count"]) == (
+        "not-finite",
+        "error",
+        [7, 9],
+        2,
+    )
+    record = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert record["lint"] == account["lint"]
+    with Image.open(tmp_path / "out" / "overdraw.png") as picture:
+        assert picture.size == (192, 192 + 70)
+    results = json.loads((tmp_path / "s.sarif").read_text())["runs"][0]["results"]
+    assert [(result["ruleId"], result["level"]) for result in results] == [("lint/not-finite", "error")]
+
+
+def test_warnings_count_where_the_command_is_strict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    giant = cloud()
+    giant.scales[3] = 5.0
+    save_splat(giant, tmp_path / "giant.ply")
+    save_splat(cloud(), tmp_path / "fine.ply")
+    assert run(capsys, tmp_path / "giant.ply", "--only", "lint")[0] == 0
+    assert run(capsys, tmp_path / "giant.ply", "--only", "lint", "--strict")[0] == 3
+    status, account = run(capsys, tmp_path / "fine.ply", "--only", "lint", "--strict")
+    assert status == 0
+    assert account["lint"] == []
+    assert account["cost"]["overdraw"]["cameras"] >= 14
+
+
+def test_findings_are_printed_with_their_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["audit", str(broken_ply(tmp_path / "s.ply")), "--only", "lint"]) == 3
+    out = capsys.readouterr().out
+    assert "error, not-finite: 2 Gaussians (rows 7, 9). A number is not finite" in out
+    assert "cost: fillRatio" in out
+
+
+def test_what_stops_a_renderer_is_not_looked_at(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_splat(masked(), tmp_path / "masked.ply")
+    status, account = run(capsys, tmp_path / "masked.ply")
+    assert status == 3
+    assert account["verdict"] is None
+    assert "would stop the renderer" in account["summary"][0]
+
+
+@pytest.mark.parametrize("name", ["s.pth", "s.ckpt", "S.PT", "s.pkl"])
+def test_a_checkpoint_is_never_unpickled(name: str, tmp_path: Path) -> None:
+    class Program:
+        def __reduce__(self) -> tuple[object, tuple[str]]:
+            return os.mkdir, (str(tmp_path / "ran"),)
+
+    for write in (torch.save, lambda value, path: path.write_bytes(pickle.dumps(value))):
+        write({"splats": Program()}, tmp_path / name)
+        with pytest.raises(SplatFileError, match="can be a program"):
+            lint_file(tmp_path / name)
+        assert not (tmp_path / "ran").exists()
+
+
+def test_the_documentation_has_every_rule() -> None:
+    text = Path("docs/audit_lint.md").read_text()
+    names = [*BY_NAME, "fill-ratio", "overdraw", *{expected[0] for _, expected in FAULTS.values()}, "gltf-values"]
+    assert not [name for name in names if f"`{name}`" not in text]
+
+
+def test_lint_of_nothing() -> None:
+    nothing = lint_scene(cloud().select(slice(0, 0)))
+    assert isinstance(nothing, Lint)
+    assert (nothing.findings, nothing.gaussians, nothing.overdraw) == ((), 0, None)
