@@ -16,7 +16,7 @@ from mi_splat.scene import GaussianScene
 
 BLOCKED, FREE = 0.3, 0.1
 """Share of the rays to the object that end before it, from which a camera is blocked, and up to which it is free."""
-_CORE, AIR, _FLOOR, _TOLERANCE = 0.5, 1.15, 0.15, 0.15
+_CORE, AIR, FLOOR, _TOLERANCE = 0.5, 1.15, 0.15, 0.15
 """Radii: rays that pass so near the centre count; air begins so far from it, and so far above the ground; depths that
 differ by less are the same."""
 _POINTS, _LEAST_POINTS = 60, 200
@@ -69,7 +69,7 @@ def cover_of(scene: GaussianScene, view: Sight, target: Target) -> Cover:
         air = core & ends & ((place - centre).norm(dim=-1) > AIR * target.radius)
         air &= (place - eye).norm(dim=-1) < along
         if target.up is not None:
-            air &= place @ target.up.float() > floor + _FLOOR * target.radius
+            air &= place @ target.up.float() > floor + FLOOR * target.radius
         blocked[number] = air.sum() / max(int(core.sum()), 1)
         if blocked[number] > BLOCKED:
             shown[number] = air

@@ -5,18 +5,21 @@ keeps the colours it has, by how much of the pictures it makes up there. Towards
 those. What is hardly seen from believed directions takes part of its mean from its neighbours. A layer that is black
 from there becomes black from everywhere.
 
+Gaussians in the air that cover an object, and that most looks from elsewhere pass, are left out.
+
 Which of two looks is the true one no file can tell, so whoever repairs says which directions are to be believed.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from mi_splat.audit.occluders import AIR, FLOOR
 from mi_splat.audit.results import SUSPICION, Audit, ObjectAudit
 from mi_splat.audit.surfaces import AROUND
 from mi_splat.audit.switches import angles_between
@@ -46,26 +49,58 @@ are contradicted by nothing."""
 _MOST_WEIGHTS, _CHUNK = 10**8, 2048
 
 
+class Repair(NamedTuple):
+    """A repaired splat, and what is other in it."""
+
+    scene: GaussianScene
+    """The splat itself where nothing was found that could be repaired."""
+    coloured: int
+    """Gaussians that have other colours."""
+    left_out: int
+    """Gaussians that are no longer there."""
+
+
 def repaired(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> GaussianScene:
-    """The splat without the looks that were found in it, but for what no other direction shows.
+    """The splat without what was found in it; see `repair`."""
+    return repair(scene, judged, keep=keep).scene
+
+
+def repair(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> Repair:
+    """Take what was found out of a splat, but for what no other direction shows.
 
     Args:
         scene: N Gaussians.
         judged: Its audit.
         keep: Which of the two sides of a look is believed; of several looks of an object "inside" is that of the
             strongest.
-
-    Returns:
-        The splat itself where nothing was found.
     """
-    found = [item for item in judged.objects if item.evidence >= SUSPICION]
-    if not found:
-        return scene
     plain = scene.detach().to("cpu", torch.float32)
-    sh = plain.sh.clone()
-    for item in found:
-        colour_anew(plain, sh, item, believed(item, keep))
-    return scene.replace(sh=sh.to(scene.sh))
+    sh, stays = plain.sh.clone(), torch.ones(len(scene), dtype=torch.bool)
+    for item in judged.objects:
+        if item.look.evidence >= SUSPICION:
+            colour_anew(plain, sh, item, believed(item, keep))
+        if item.occluder is not None and item.occluder.evidence >= 1:
+            stays &= ~(judged.mask & in_the_air(plain, item))
+    coloured, left_out = int((sh != plain.sh).flatten(1).any(1)[stays].sum()), int((~stays).sum())
+    if not coloured and not left_out:
+        return Repair(scene, 0, 0)
+    return Repair(scene.replace(sh=sh.to(scene.sh)).select(stays), coloured, left_out)
+
+
+def in_the_air(scene: GaussianScene, item: ObjectAudit) -> Tensor:
+    """(N,) bool, which Gaussians lie where something that covers an object would: off it, and above its ground.
+
+    Args:
+        scene: N Gaussians.
+        item: The object.
+    """
+    offsets = scene.means.double() - torch.tensor(item.centre, dtype=torch.float64)
+    off: Tensor = offsets.norm(dim=1) > AIR * item.radius
+    if item.up is None:
+        return off
+    heights = offsets @ torch.tensor(item.up, dtype=torch.float64)
+    off &= heights > heights[item.rows].quantile(0.02) + FLOOR * item.radius
+    return off
 
 
 def believed(item: ObjectAudit, keep: Keep) -> Tensor:

@@ -134,17 +134,17 @@ def _repair(
 ) -> dict[str, Any] | None:
     """Write the splat without what was found, and say what is found in that; None where nothing was found."""
     from mi_splat.audit.auditing import audit
-    from mi_splat.audit.repair import repaired
+    from mi_splat.audit.repair import repair
     from mi_splat.io import save_splat
 
-    again = repaired(scene, judged, keep=options.keep)
+    again, coloured, left_out = repair(scene, judged, keep=options.keep)
     if again is scene:
         return None
     after = audit(again, cameras=cameras)
     assert options.repair is not None
     save_splat(again, options.repair)
-    changed = int((again.sh != scene.sh).flatten(1).any(1).sum())
-    return {"file": str(options.repair), "keep": options.keep, "coloured_anew": changed, "verdict": after.verdict}
+    counts = {"coloured_anew": coloured, "left_out": left_out}
+    return {"file": str(options.repair), "keep": options.keep, **counts, "verdict": after.verdict}
 
 
 def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str, Any]:
@@ -224,8 +224,7 @@ def _repair_line(repair: dict[str, Any] | None) -> str:
     """What --repair did, for a human."""
     if repair is None:
         return "nothing was found that could be repaired, and nothing is written"
-    side = "outside" if repair["keep"] == "outside" else "inside"
     return (
-        f"{repair['file']}: {repair['coloured_anew']:,} Gaussians have the colours that directions {side} of the look "
-        f"show; audited again: {repair['verdict']}"
+        f"{repair['file']}: {repair['coloured_anew']:,} Gaussians have the colours that directions {repair['keep']} of "
+        f"the look show, {repair['left_out']:,} are left out; audited again: {repair['verdict']}"
     )

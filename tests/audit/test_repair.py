@@ -82,6 +82,16 @@ def test_an_honest_splat_is_returned_as_it_is() -> None:
     assert repaired(scene, account(look(0.002), count=len(scene))) is scene
 
 
+def test_what_covers_an_object_is_left_out_where_others_look_through_it() -> None:
+    places = torch.zeros(6, 3)
+    places[:, 2] = torch.tensor([-0.1, 0.1, 2.0, 2.0, 0.0, 0.0])
+    scene = standing("suitcase", count=8).scene.select(slice(0, 6)).replace(means=places)
+    covered = account(look(0.0), count=6, covered=0.3)
+    again = repaired(scene, covered)
+    assert again.means[:, 2].tolist() == pytest.approx([-0.1, 0.1, 2.0, 0.0, 0.0])  # one of the two is in the mask
+    assert repaired(scene, account(look(0.0), count=6, covered=0.05)) is scene
+
+
 def test_directions_near_a_look_are_hardly_believed() -> None:
     item = account(look(0.05), count=10).strongest
     shown = item.look.shown
