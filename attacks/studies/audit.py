@@ -31,9 +31,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
+from attacks.audits.audited import AuditedConfig
+from attacks.audits.learnt import fit_attributes
+from attacks.audits.rivals import RivalsConfig
 from attacks.cloak.config import StudyConfig
-from attacks.cloak.kinds.audited import AuditedConfig
 from attacks.cloak.kinds.photographed import PhotographedConfig
 from attacks.cloak.rates import CLOAKED
 from attacks.cloak.steps import StudySteps
@@ -70,6 +74,7 @@ class Audited:
         content: What is shown: the object, or the scene.
         splat: "clean", "cloaked", or "honest" for a scene or file without an attack.
         audit: The job that audits it.
+        rivals: The job that asks other ways to find a hidden look.
         seen: Of a cloaked splat the jobs of each detector that look at the clean and at the cloaked one.
     """
 
@@ -78,18 +83,25 @@ class Audited:
     content: str
     splat: str
     audit: Job
+    rivals: Job
     seen: Mapping[str, tuple[Job, Job]]
 
     def row(self, results: Mapping[str, Done]) -> dict[str, Any] | None:
         """What was found; None if a job has failed."""
-        audit = results.get(self.audit.identity)
+        audit, rivals = results.get(self.audit.identity), results.get(self.rivals.identity)
         looks = {name: [results.get(job.identity) for job in pair] for name, pair in self.seen.items()}
-        if audit is None or any(done is None for pair in looks.values() for done in pair):
+        if audit is None or rivals is None or any(done is None for pair in looks.values() for done in pair):
             return None
         missed = {name: missed_of(pair[0], pair[1]) for name, pair in looks.items()}  # type: ignore[arg-type]
         hides = bool(missed) and all(rate.total and rate.successes >= HIDES * rate.total for rate in missed.values())
-        told = {"part": self.part, "value": self.value, "content": self.content, "splat": self.splat}
-        return {**told, "hides": hides, "missed": {n: r.as_dict() for n, r in missed.items()}, **audit.rows[0]}
+        told: dict[str, Any] = {"part": self.part, "value": self.value, "content": self.content, "splat": self.splat}
+        return {
+            **told,
+            "hides": hides,
+            "missed": {n: r.as_dict() for n, r in missed.items()},
+            **audit.rows[0],
+            **rivals.rows[0],
+        }
 
     def copy_pair(self, results: Mapping[str, Done], folder: Path) -> Path | None:
         """Copy the two pictures that speak against the splat, if there are any, under its name; returns the file."""
@@ -186,12 +198,14 @@ class AuditWork(Work):
         truth: StudyConfig | None = None,
         seen: Mapping[str, tuple[Job, Job]] | None = None,
     ) -> None:
-        job = Job(kind=f"{_KINDS}.audited", config=AuditedConfig(truth=truth), inputs={"splat": source})
+        job = Job(kind="attacks.audits.audited", config=AuditedConfig(truth=truth), inputs={"splat": source})
+        rivals = Job(kind="attacks.audits.rivals", config=RivalsConfig(), inputs={"splat": source})
         if splat != CLOAKED and any(one.audit.identity == job.identity for one in self.audited):
             return  # a control that several attacks share counts once
         self.labels[f"{part}: {value} / auditing the {splat} splat"] = job
-        audited = Audited(part=part, value=value, content=content, splat=splat, audit=job, seen=seen or {})
-        self.audited.append(audited)
+        self.labels[f"{part}: {value} / asking rivals of the audit about the {splat} splat"] = rivals
+        named = {"part": part, "value": value, "content": content, "splat": splat}
+        self.audited.append(Audited(**named, audit=job, rivals=rivals, seen=seen or {}))
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
         """As in `Work`."""
@@ -251,7 +265,35 @@ def figures(rows: Sequence[Row], chosen_on: Sequence[str]) -> dict[str, Any]:
         "honest": len(honest),
         "false_alarms": Rate(successes=sum(value >= 1 for value in honest), total=len(honest)).as_dict(),
         "parts": {name: _figures(group, honest) for name, group in hiding.items() if group and honest},
+        "rivals": rivals_of(rows, chosen_on) if hiding["all"] and honest else {},
     }
+
+
+def rivals_of(rows: Sequence[Row], chosen_on: Sequence[str]) -> dict[str, float]:
+    """Of every other way to find a hidden look how well it ranks the same splats (area under the ROC curve).
+
+    The classifier is trained on what the method was chosen on: the contents named, and their first kind of attack.
+    """
+    held = [row for row in rows if row["content"] not in chosen_on]
+    known = [row for row in rows if row["content"] in chosen_on]
+    names = list(held[0].get("scores", ()))
+    told = {
+        name: ranked_above(*([row["scores"][name] for row in some(held)] for some in (positives, negatives)))
+        for name in names
+    }
+    hiding, honest = positives(known), negatives(known)
+    hiding = [row for row in hiding if row["part"] == hiding[0]["part"]]
+    if names and hiding and honest:
+        labels = [True] * len(hiding) + [False] * len(honest)
+        classifier = fit_attributes(_attributes([*hiding, *honest]), labels)
+        ranked = (classifier.odds(_attributes(some(held))).tolist() for some in (positives, negatives))
+        told["classifier of attributes"] = ranked_above(*ranked)
+    return told
+
+
+def _attributes(rows: Sequence[Row]) -> Tensor:
+    """(N, F) attributes of splats."""
+    return torch.tensor([row["attributes"] for row in rows], dtype=torch.float64)
 
 
 def _figures(group: Sequence[Row], honest: Sequence[float]) -> dict[str, Any]:
@@ -282,6 +324,9 @@ def tables(record: Mapping[str, Any]) -> Iterator[Table]:
     }
     caption = f"Told from {told['honest']} honest files; without {chosen}" if chosen else "Told from honest files"
     yield Table.of(f"{caption}; false alarms {cell(told['false_alarms'])}", heads, told["parts"].items())
+    rivals = {"the audit": told["parts"]["all"]["auroc"], **told["rivals"]} if told["parts"] else {}
+    heads = {"what ranks them": lambda line: line[0], "AUROC": lambda line: f"{line[1]:.3f}"}
+    yield Table.of("Other ways to find a hidden look", heads, rivals.items())
     for title, chosen_rows in (("hide something", positives), ("are honest", negatives), ("failed attacks", _failed)):
         rows = sorted(chosen_rows(record["files"]), key=lambda row: -row["evidence"])
         columns: dict[str, Column[Any]] = {

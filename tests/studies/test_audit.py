@@ -75,6 +75,7 @@ def row(part: str, splat: str, evidence: float, *, hides: bool = False, content:
     """A row of a result."""
     told = {"part": part, "value": "x", "content": content, "splat": splat, "hides": hides, "missed": {}}
     measured = {"verdict": "suspicious", "evidence": evidence, "excess": 0.01, "occluder": 0.0, "gaussians": 9}
+    measured |= {"scores": {"band 1": -evidence}, "attributes": [evidence, 1.0]}
     return {**told, **measured, **({"directions": evidence / 4} if splat == "cloaked" else {})}
 
 
@@ -88,7 +89,7 @@ def test_figures_count_what_hides_and_leave_out_what_was_chosen_on() -> None:
         row("above", "clean", 0.6),
         row("scenes", "honest", 1.5),
         row("scenes", "honest", 0.1),
-        row("scenes", "honest", 9.0, content="car"),
+        row("scenes", "clean", 9.0, content="car"),
     ]
     told = figures(rows, ["car"])
     assert told["honest"] == 3
@@ -103,8 +104,10 @@ def test_figures_count_what_hides_and_leave_out_what_was_chosen_on() -> None:
     low, high = parts["all"]["interval"]
     assert 0 <= low <= parts["all"]["auroc"] <= high <= 1
     assert parts["all"]["directions"] == pytest.approx(0.25)
-    first, hiding, honest, failed = tables({"figures": told, "chosen_on": ["car"], "files": rows})
+    first, rivals, hiding, honest, failed = tables({"figures": told, "chosen_on": ["car"], "files": rows})
     assert first.rows[0][0] == "all"
+    assert [line[0] for line in rivals.rows] == ["the audit", "band 1", "classifier of attributes"]
+    assert told["rivals"]["band 1"] == pytest.approx(1 - parts["all"]["auroc"])
     assert (len(hiding.rows), len(honest.rows), len(failed.rows)) == (4, 4, 1)
 
 
