@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
+from mi_splat.audit.edits import edit_of
 from mi_splat.audit.evidence import cover_heat, heat_of, pair_of, split_of
 from mi_splat.audit.frames import SOLID, Frame, Target, frame_of, targets, whole
 from mi_splat.audit.occluders import BLOCKED, Cover, cover_of, middle_of
@@ -152,6 +153,7 @@ def _object(frame: Frame, target: Target, cameras: tuple[Camera, ...]) -> tuple[
         cameras=tuple(_in_world(frame, camera) for camera in cameras),
         looks=(look,),
         occluder=_occluder(frame, view, cover),
+        edit=edit_of(frame, target),
     )
     if judged.verdict == "nothing found":
         return judged, None

@@ -33,6 +33,7 @@ from mi_splat.sh import colour_to_dc, dc_to_colour
 
 PAIR, HEAT, MASK, OVERDRAW = "pair.png", "heat.ply", "mask.npy", "overdraw.png"
 HEAT_PICTURE = "heat.png"
+EDITED, AGAINST, CHANGED = "edited.npy", "against.png", "changed.npy"
 PICTURE = 512
 """Pixels along the longer side of each of the two pictures."""
 _THRESHOLDS = {"excess": EXCESS, "covered": COVERED, "suspicion": SUSPICION}
@@ -73,6 +74,7 @@ def _judged(audit: Audit) -> dict[str, Any]:
         "near": audit.near,
         "thresholds": _THRESHOLDS,
         "objects": [_of_object(item) for item in audit.objects],
+        **({"against": audit.against.as_dict()} if audit.against else {}),
     }
 
 
@@ -90,6 +92,7 @@ def _of_object(item: ObjectAudit) -> dict[str, Any]:
         "uncontradicted": item.uncontradicted,
         "looks": [_of_look(look, item) for look in item.looks],
         "occluder": cover and {"axis": cover.axis, "transparent": cover.transparent, "score": cover.score},
+        "edited": _of_edit(item),
         "seen_from": [
             {
                 "direction": direction,
@@ -104,6 +107,15 @@ def _of_object(item: ObjectAudit) -> dict[str, Any]:
             )
         ],
     }
+
+
+def _of_edit(item: ObjectAudit) -> dict[str, Any] | None:
+    edit = item.edit
+    if edit is None:
+        return None
+    values = {name: getattr(edit, name) for name in ("score", "share", "usual_share", "grain", "usual_grain", "peak")}
+    rows = sorted(edit.rows.tolist()) if item.edited else []
+    return {**values, "camera": edit.direction if edit.camera_known else None, "rows": rows}
 
 
 def _of_look(look: Look, item: ObjectAudit) -> dict[str, Any]:
@@ -220,6 +232,14 @@ def _evidence(audit: Audit, scene: GaussianScene, folder: Path, names: list[str]
         if audit.strongest.look.pair is not None:
             save_picture(pair_picture(hot, audit.strongest.look.pair), folder / HEAT_PICTURE)
             names.append(HEAT_PICTURE)
+    edited = [item.edit.rows for item in audit.objects if item.edit is not None and item.edited]
+    if edited:
+        save_mask(torch.zeros(len(scene), dtype=torch.bool).index_fill_(0, torch.cat(edited), True), folder / EDITED)
+        names.append(EDITED)
+    if audit.against is not None and audit.against.cameras:
+        save_picture(audit.against.pictures(scene), folder / AGAINST)
+        save_mask(audit.against.mask, folder / CHANGED)
+        names += [AGAINST, CHANGED]
     return {"pictures": pictures, "cameras": cameras}
 
 

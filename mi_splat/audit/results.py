@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera
+
+if TYPE_CHECKING:
+    from mi_splat.audit.against import Changes
 
 Verdict = Literal["nothing found", "suspicious", "hidden look"]
 """What a splat is called, from the least to the most evidence."""
@@ -21,6 +24,9 @@ EXCESS, SUSPICION = 0.0055, 0.6
 """Excess from which a look is called hidden, and share of it from which a splat is suspicious; see docs/audit.md."""
 CONTRAST = 0.1
 """Contrast (sRGB) that a fade is counted with."""
+AIMED, GRAIN, PEAKED = 0.115, 0.14, 3.0
+"""Scores from which colours are an edit, of an attack on few views and on many, and peak from which a camera is named;
+see docs/audit.md."""
 COVERED, SEEN_THROUGH = 0.1, 0.5
 """Score of an occluder from which a splat is suspicious, and share of the looks from other directions that pass it from
 which it is one that no leaves or roof would be: those are seen from the side as well."""
@@ -121,6 +127,46 @@ class Occluder:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Edit:
+    """Colours that no training by photographs leaves; see `mi_splat.audit.edits`.
+
+    Attributes:
+        share: Of how colours change with the direction of view, the part that neither the own colour nor grey explains,
+            in [0, 1]; a third where the channels are independent.
+        usual_share: The same of what is around the object; 0 where there is too little.
+        grain: Of how a colour differs from those around it, the part that neither these nor grey explain, the median,
+            in [0, 1]; a half where the channels are independent.
+        usual_grain: The same of what is around the object.
+        peak: How often more of `share` there is towards one camera than in the mean over all directions, at least 1.
+        direction: (3,) unit vector, world, from the object to that camera.
+        rows: (M,) the object's Gaussians that have most of it.
+    """
+
+    share: float
+    usual_share: float
+    grain: float
+    usual_grain: float
+    peak: float
+    direction: Vector
+    rows: Tensor
+
+    @property
+    def aimed(self) -> float:
+        """Score of an attack on few views: what of the share is more than usual, times its peak."""
+        return max(0.0, self.share - self.usual_share) * self.peak
+
+    @property
+    def score(self) -> float:
+        """Of an attack on few views or on many, by which 1 is an edit; at least 0."""
+        return max(self.aimed / AIMED, (self.grain - self.usual_grain) / GRAIN, 0.0)
+
+    @property
+    def camera_known(self) -> bool:
+        """Whether colours peak enough to say where an attacked camera stood."""
+        return self.aimed >= AIMED and self.peak >= PEAKED
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ObjectAudit:
     """One object and what its surface does.
 
@@ -137,6 +183,7 @@ class ObjectAudit:
         cameras: The K cameras, in the world.
         looks: What explains most, and what else is found when that is taken off; at least one, from the strongest.
         occluder: What covers the object; None if nothing does.
+        edit: What looks like an edit of the finished file; None where it has too few Gaussians.
     """
 
     rows: Tensor
@@ -150,6 +197,12 @@ class ObjectAudit:
     cameras: tuple[Camera, ...]
     looks: tuple[Look, ...]
     occluder: Occluder | None
+    edit: Edit | None = None
+
+    @property
+    def edited(self) -> bool:
+        """Whether its colours look like an attack on a detector."""
+        return self.edit is not None and self.edit.score >= 1
 
     @property
     def look(self) -> Look:
@@ -171,7 +224,7 @@ class ObjectAudit:
         """Of this object alone."""
         if self.evidence >= 1:
             return "hidden look"
-        return "suspicious" if self.evidence >= SUSPICION or self.covered else "nothing found"
+        return "suspicious" if self.evidence >= SUSPICION or self.covered or self.edited else "nothing found"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -184,12 +237,14 @@ class Audit:
         mask: (N,) bool, the Gaussians that carry most of what was found; none where nothing was.
         near: Share of the Gaussians with an opacity above 0.1 that lie near one of the objects; nothing is known of the
             others.
+        against: How it differs from the clean splat, if one was given.
     """
 
     objects: tuple[ObjectAudit, ...]
     heat: Tensor
     mask: Tensor
     near: float
+    against: Changes | None = None
 
     @property
     def strongest(self) -> ObjectAudit:

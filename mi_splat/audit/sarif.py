@@ -29,6 +29,11 @@ _RULES: dict[str, tuple[Level, str, str]] = {
         "Something in the air covers an object from some directions, and cameras elsewhere look through it.",
         "Look at the object from the directions that are named; an honest canopy may look the same.",
     ),
+    "edited": (
+        "warning",
+        "Colours of an object have shades that neither paint nor light explains; an attack on a detector leaves them.",
+        "Compare it with an older copy by `mi-splat audit --against`, or train it again.",
+    ),
 }
 """Level, what is wrong, and what to do, by the name of the rule. Rules of lint bring their own."""
 
@@ -86,6 +91,10 @@ def _findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
             axis = " ".join(f"{value + 0.0:.2f}" for value in cover["axis"])
             text = f"Object {number}: something in the air covers it from around ({axis}), and others see through it."
             yield "occluder", _RULES["occluder"][0], text, {"score": cover["score"]}
+        edit = item.get("edited")
+        if edit is not None and edit["score"] >= 1:
+            text = f"Object {number}: its colours look edited, as an attack on a detector leaves them."
+            yield "edited", _RULES["edited"][0], text, edit
     for finding in document.get("lint") or ():
         count = f"{finding['count']:,} Gaussians. " if finding["count"] else ""
         text = f"{finding['rule']}: {count}{finding['reason']}"

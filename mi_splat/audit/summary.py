@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from mi_splat.audit.results import SUSPICION, Audit, ObjectAudit, Region, Vector
+from mi_splat.audit.results import SUSPICION, Audit, Edit, ObjectAudit, Region, Vector
 
 _STEEP, _LEVEL = 60.0, 15.0
 """Degrees above the ground from which a direction is from above, and up to which it is from the side."""
@@ -41,6 +41,8 @@ def _height(axis: Vector, up: Vector | None) -> str:
 def headline(audit: Audit) -> str:
     """The verdict and where it is from, in one sentence."""
     item = audit.strongest
+    if item.evidence < SUSPICION and item.edit is not None and item.edited:
+        return f"{audit.verdict}: colours of an object look edited{_aim(item.edit)}"
     if audit.verdict == "nothing found":
         return "nothing found: no set of directions explains how colours change better than honest gloss does"
     if item.occluder is not None and (item.look.evidence < SUSPICION or item.occluder.evidence >= 1):
@@ -50,11 +52,19 @@ def headline(audit: Audit) -> str:
     return f"{audit.verdict}: an object has other colours {where}"
 
 
+def _aim(edit: Edit) -> str:
+    if not edit.camera_known:
+        return ""
+    return f", aimed at a camera towards ({' '.join(f'{value + 0.0:.2f}' for value in edit.direction)})"
+
+
 def summary(audit: Audit) -> list[str]:
     """The whole account, sentence by sentence."""
     lines = [headline(audit)]
     for number, item in enumerate(audit.objects, 1):
         lines.append(f"object {number}, {_where(item)}: {'; '.join(_of_object(item))}")
+    if audit.against is not None:
+        lines += audit.against.in_words()
     count = int(audit.mask.sum())
     if count:
         lines.append(f"{count:,} of {len(audit.mask):,} Gaussians carry it")
@@ -82,6 +92,10 @@ def _of_object(item: ObjectAudit) -> list[str]:
         lines.append(f"{look.area / max(item.area, 1e-12):.0%} of its surface changes; seen by {_cameras(item)}")
     if item.occluder is not None and item.covered:
         lines.append(f"{item.occluder.transparent:.0%} of the looks from other directions pass what covers it")
+    if item.edit is not None and item.edited:
+        lines.append(
+            f"its colours look like an attack on a detector{_aim(item.edit)}: {item.edit.score:.1f} times the bound"
+        )
     open_share = item.uncontradicted / max(item.uncontradicted + item.area, 1e-12)
     lines.append(f"{open_share:.0%} of what shows is seen from one side or by few cameras: nothing contradicts it")
     return lines

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -28,6 +28,7 @@ EXAMPLES = (
     "audit street.ply --sarif street.sarif",
     "audit street.ply --repair street-repaired.ply",
     "audit street.glb --only lint --strict",
+    "audit received.ply --against street.ply --out out/changes",
 )
 SEE_ALSO = ("select", "info", "view")
 FOUND, FAILED = 3, 1
@@ -50,6 +51,10 @@ class AuditOptions(JsonOptions):
     out: Folder | None = None
     """Folder for result.json, the two pictures that prove a look, the splat coloured by heat, the mask of the Gaussians
     that `mi-splat select --mask` takes, and a picture of the overdraw; of several files a folder in it for each."""
+    against: Path | None = None
+    """The file as it was before it left your hands: say as well which Gaussians changed since, in what and by how much;
+    rows may be shuffled. --out then has the two worst pictures of both (against.png) and the mask of what changed
+    (changed.npy)."""
     only: Literal["looks", "lint"] | None = None
     """Look for hidden looks only, or only check the numbers, which is much faster."""
     sarif: Path | None = None
@@ -62,7 +67,7 @@ class AuditOptions(JsonOptions):
     force: bool = False
     """Replace an older result in --out, and the files of --sarif and --repair."""
     strict: bool = False
-    """Let the exit status be 3 for what is suspicious and for warnings of lint, too."""
+    """Let the exit status be 3 for what is suspicious, for warnings of lint, and for any change --against, too."""
 
 
 def run(options: AuditOptions) -> int:
@@ -76,6 +81,8 @@ def run(options: AuditOptions) -> int:
         check_new_folder(folder, force=options.force)
     if options.sarif is not None:
         check_new_file(options.sarif, ENDINGS, force=options.force)
+    if options.against is not None and options.only == "lint":
+        raise UsageError(message("--against", "looks to be audited, too", "--only lint", "leave that out"))
     _check_repair(options)
     results, failures = [], 0
     for path in options.files:
@@ -92,10 +99,20 @@ def run(options: AuditOptions) -> int:
         save_json(sarif(results), options.sarif)
     lines = [line for document in results if "error" not in document for line in _lines(document)]
     show_result(results[0] if len(results) == 1 else {"files": results}, *lines, as_json=options.json)
-    bad = {"hidden look", "error"} | ({"suspicious", "warning"} if options.strict else set())
+    bad = {"hidden look", "error"} | ({"suspicious", "warning", "changed"} if options.strict else set())
     if failures:
         return FAILED
-    return FOUND if any(bad & {document["verdict"], *_severities(document)} for document in results) else 0
+    return (
+        FOUND
+        if any(bad & {document["verdict"], _state(document), *_severities(document)} for document in results)
+        else 0
+    )
+
+
+def _state(document: dict[str, Any]) -> str:
+    """Whether anything is not as in the clean file, if there was one."""
+    against = document.get("against", {})
+    return "changed" if against.get("changed") or against.get("removed") else "as it was"
 
 
 def _folders(options: AuditOptions) -> dict[Path, Path]:
@@ -182,6 +199,7 @@ def _linted(path: Path) -> Lint:
 
 def _looked_at(path: Path, options: AuditOptions) -> tuple[GaussianScene, Audit, Sequence[Camera] | None]:
     """A scene, its hidden looks, and the cameras that were given."""
+    from mi_splat.audit.against import changes
     from mi_splat.audit.auditing import audit
     from mi_splat.cli.cameras import find_cameras
     from mi_splat.scene_files import open_scene
@@ -190,7 +208,8 @@ def _looked_at(path: Path, options: AuditOptions) -> tuple[GaussianScene, Audit,
     cameras = None
     if options.cameras:
         cameras = tuple(find_cameras(loaded, CameraOptions(cameras=options.cameras)).values())
-    return loaded.scene, audit(loaded.scene, cameras=cameras), cameras
+    against = changes(loaded.scene, open_scene(options.against).scene) if options.against else None
+    return loaded.scene, replace(audit(loaded.scene, cameras=cameras), against=against), cameras
 
 
 def _severities(document: dict[str, Any]) -> set[str]:

@@ -10,11 +10,12 @@ from typing import Any
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section
 from attacks.report.wording import plural, sentence, settings
 from attacks.tables import Table
+from mi_splat.audit.files import AGAINST
 from mi_splat.audit.occluders import BLOCKED
 from mi_splat.audit.results import Vector
 
 _ELSEWHERE = (
-    *("story", "file", "verdict", "summary", "objects", "pictures", "cameras", "lint", "cost"),
+    *("story", "file", "verdict", "summary", "objects", "pictures", "cameras", "lint", "cost", "against"),
     *("command", "versions", "variant", "commit", "torch"),
 )
 _PLAIN = {
@@ -81,6 +82,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
             ),
             _covers(objects, least),
             _lint(record.get("lint") or ()),
+            _changes(record.get("against") or {}),
         ),
         configuration=settings({key: value for key, value in record.items() if key not in _ELSEWHERE}),
     )
@@ -138,6 +140,13 @@ def _doubts(record: Mapping[str, Any]) -> Iterator[str]:
                 f"Object {number}: something in the air covers it from around ({_numbers(cover['axis'])}), and other "
                 "cameras look through it. An honest canopy may do the same"
             )
+        edit = item.get("edited")
+        if edit and edit["score"] >= 1:
+            camera = f", aimed at a camera towards ({_numbers(edit['camera'])})" if edit["camera"] else ""
+            yield (
+                f"Object {number}: its colours have shades that neither paint nor light explains{camera}. An attack on "
+                "a detector leaves such; a training by photographs does not"
+            )
     if record["near"] < 0.995:
         yield (
             f"{1 - record['near']:.0%} of the solid Gaussians lie far from every object that was looked at: nothing is "
@@ -177,6 +186,13 @@ def _pictures(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
         large=True,
     )
     yield from _overdraw(folder, record)
+    if (folder / AGAINST).is_file():
+        yield Picture(
+            path=folder / AGAINST,
+            caption="The two views that changed most: left the clean file, right this one.",
+            alt="The clean splat and this one, side by side",
+            large=True,
+        )
 
 
 def _domes(number: int, item: Mapping[str, Any], objects: int, least: float) -> Iterator[Chart]:
@@ -284,6 +300,22 @@ def _lint(findings: Sequence[Mapping[str, Any]]) -> Table:
             "why it matters": "reason",
         },
         findings,
+    )
+
+
+def _changes(against: Mapping[str, Any]) -> Table:
+    """What changed since a clean file."""
+    return Table.of(
+        f"What changed since the clean file, over {against.get('gaussians', 0):,} Gaussians",
+        {
+            "attribute": "attribute",
+            "Gaussians that changed": lambda row: f"{row['count']:,}",
+            "median change": lambda row: f"{row['median']:.3g}",
+            "largest": lambda row: f"{row['most']:.3g}",
+            "unit": "unit",
+            "distance of the distributions, standard deviations": lambda row: f"{row['distribution']:.3g}",
+        },
+        against.get("attributes", ()),
     )
 
 

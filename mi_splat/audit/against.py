@@ -1,0 +1,289 @@
+"""What changed between a splat and the file it was made from: which Gaussians, in what, and by how much."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mi_splat.audit.evidence import split_of
+from mi_splat.audit.frames import Target, quantile
+from mi_splat.audit.surfaces import cameras_around, near_of
+from mi_splat.bounds import near_plane
+from mi_splat.cameras import Camera
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.images import to_bytes
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.rotation import multiply
+from mi_splat.scene import GaussianScene, check_scene
+from mi_splat.scene_files import resized
+from mi_splat.selection.neighbours import nearest_neighbours
+from mi_splat.sh import colour_to_dc
+
+_IN_PLACE, _PARTNER, _SHARE = 0.1, 0.5, 0.5
+"""Distances, in the spacing of the clean splat, within which a Gaussian is in its place, and within which it may have a
+partner; and the share of the smaller splat that has to be in its place for one to be made from the other."""
+_CANDIDATES, _SPACING = 8, 3
+"""Neighbours among which a partner is looked for, and the one whose distance is the spacing."""
+_SAME = 1e-5
+"""Differences that files round away, in units of each attribute; of a position in the spacing."""
+_QUANTILES = 512
+_LOOKS, _EVERY, _PICTURES, _WIDTH = 48, 5, 2, 384
+"""Pixels of pictures that choose the worst cameras, of which every so many is tried; how many are shown, how wide."""
+_ROOM = 1.2
+"""Radius of what is looked at, by that of what changed."""
+_GAP = 8
+_BACKGROUND = (0.55, 0.7, 0.9)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """What became of one attribute, over the Gaussians that have a partner in the clean splat.
+
+    Attributes:
+        attribute: Its name.
+        unit: Of `median` and `most`.
+        count: Gaussians in which it differs.
+        median: Median difference of these; 0 if there are none.
+        most: Largest difference.
+        distribution: Wasserstein distance between the values of both splats, mean over the components, in standard
+            deviations; it needs no partners. (KeySS compares distributions of all attributes at once by Sinkhorn's
+            distance; one attribute a row says which one gives an edit away.)
+    """
+
+    attribute: str
+    unit: str
+    count: int
+    median: float
+    most: float
+    distribution: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Changes:
+    """How a splat differs from the one it was made from.
+
+    Attributes:
+        changed: (N,) bool, Gaussians that differ from their partner, or have none.
+        mask: (N,) bool, the same; where every Gaussian differs, as after compression, those that differ most.
+        attributes: One row each.
+        added: Gaussians without a partner.
+        removed: Gaussians of the clean splat without a partner.
+        by_order: Whether partners stand in the same row; else they are at the same place.
+        cameras: Those from which the pictures of both differ most, the worst first; none if nothing changed.
+        clean: The clean splat.
+    """
+
+    changed: Tensor
+    mask: Tensor
+    attributes: tuple[Change, ...]
+    added: int
+    removed: int
+    by_order: bool
+    cameras: tuple[Camera, ...]
+    clean: GaussianScene
+
+    def pictures(self, scene: GaussianScene) -> NDArray[np.uint8]:
+        """(H, W, 3) the clean splat on the left, another on the right, a row for each camera.
+
+        Args:
+            scene: The other splat.
+        """
+        render, rows = Renderer(RenderSettings(background=_BACKGROUND, near=near_plane(scene, self.cameras))), []
+        for camera in self.cameras:
+            with torch.no_grad():
+                both = [to_bytes(render(item, camera).clamp(0, 1)) for item in (self.clean, scene)]
+            gap = np.full((len(both[0]), _GAP, 3), 255, np.uint8)
+            rows.append(np.concatenate([both[0], gap, both[1]], axis=1))
+            rows.append(np.full((_GAP, rows[-1].shape[1], 3), 255, np.uint8))
+        return np.concatenate(rows[:-1])
+
+    def as_dict(self) -> dict[str, Any]:
+        """As JSON can hold it."""
+        return {
+            "gaussians": len(self.changed),
+            "changed": int(self.changed.sum()),
+            "masked": int(self.mask.sum()),
+            "added": self.added,
+            "removed": self.removed,
+            "matched_by": "row" if self.by_order else "place",
+            "attributes": [dataclasses.asdict(row) for row in self.attributes],
+        }
+
+    def in_words(self) -> list[str]:
+        """What changed, in sentences."""
+        if not bool(self.changed.any()) and not self.removed:
+            return ["against the clean splat: nothing changed"]
+        order = "in the same order" if self.by_order else "matched by their places"
+        lines = [
+            f"against the clean splat: {int(self.changed.sum()):,} of {len(self.changed):,} Gaussians changed, "
+            f"{self.added:,} of them have no counterpart; {self.removed:,} are missing; rows {order}"
+        ]
+        lines += [
+            f"{row.attribute}: {row.count:,} changed, median {row.median:.3g}, most {row.most:.3g} ({row.unit}); "
+            f"distributions {row.distribution:.3g} standard deviations apart"
+            for row in self.attributes
+            if row.count
+        ]
+        return lines
+
+
+def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
+    """Say how a splat differs from the one it was made from.
+
+    Args:
+        scene: N Gaussians.
+        clean: M Gaussians, before the edit; rows may be shuffled, missing or added.
+
+    Raises:
+        InvalidValueError: Fewer than half of the Gaussians are where those of the other are: one was not made from the
+            other.
+    """
+    check_scene("scene", scene)
+    check_scene("clean", clean)
+    scene, clean = (item.detach().to("cpu", torch.float32) for item in (scene, clean))
+    degree = max(scene.degree, clean.degree)
+    scene, clean = scene.with_degree(degree), clean.with_degree(degree)
+    spacing = _spacing(clean)
+    partner, by_order = _partners(scene, clean, spacing)
+    there = partner >= 0
+    differences = _differences(scene.select(there), clean.select(partner[there]))
+    changed = ~there
+    amount = torch.zeros(int(there.sum()))
+    rows = []
+    for (name, unit), values in differences.items():
+        differs = values > (_SAME * spacing if name == "position" else _SAME)
+        changed[there] |= differs
+        amount = torch.maximum(amount, values / {"position": spacing, "rotation": 57.3}.get(name, 1.0))
+        rows.append(_row(name, unit, values[differs], _components(name, scene), _components(name, clean)))
+    mask = changed.clone()
+    if bool(changed[there].all()) and len(amount):
+        mask[there] = amount > split_of(amount)
+    return Changes(
+        changed=changed,
+        mask=mask,
+        attributes=tuple(rows),
+        added=int((~there).sum()),
+        removed=len(clean) - len(torch.unique(partner[there])),
+        by_order=by_order,
+        cameras=_worst(scene, clean, mask if bool(mask.any()) else None, partner),
+        clean=clean,
+    )
+
+
+def _spacing(scene: GaussianScene) -> float:
+    """Median distance of a Gaussian to its third neighbour, world units; that of its size where it has none."""
+    distances, _ = nearest_neighbours(scene.means, _SPACING)
+    if not distances.shape[1]:
+        return float(scene.scales.max())
+    return max(float(distances[:, -1].median()), 1e-12)
+
+
+def _partners(scene: GaussianScene, clean: GaussianScene, spacing: float) -> tuple[Tensor, bool]:
+    """(N,) the row of the clean splat that each Gaussian came from, -1 if none; and whether it is the same row."""
+    if len(scene) == len(clean):
+        apart = (scene.means - clean.means).norm(dim=1)
+        if float((apart < _IN_PLACE * spacing).double().mean()) >= _SHARE:
+            return torch.arange(len(scene)), True
+    count = len(scene)
+    distances, rows = nearest_neighbours(torch.cat([scene.means, clean.means]), _CANDIDATES)
+    distances, rows = distances[:count].float() / spacing, rows[:count] - count
+    colours = (clean.sh[rows.clamp(min=0), 0] - scene.sh[:, None, 0]).abs().mean(-1)
+    cost = (distances + colours).masked_fill((rows < 0) | (distances > _PARTNER), math.inf)
+    if not cost.shape[1]:
+        cost, rows = torch.full((count, 1), math.inf), torch.zeros(count, 1, dtype=torch.int64)
+    least, at = cost.min(1)
+    partner = torch.where(least < math.inf, rows.gather(1, at[:, None])[:, 0], -1)
+    in_place = (least < math.inf) & (distances.gather(1, at[:, None])[:, 0] < _IN_PLACE)
+    share = float(in_place.sum()) / min(count, len(clean))
+    if share < _SHARE:
+        expected = "the splat that the other was made from, with most Gaussians in the same place"
+        do = "pass the file as it was before the edit, in the same units and axes"
+        raise InvalidValueError(message("--against", expected, f"{min(share, 1):.0%} of them there", do))
+    order = least.argsort(
+        stable=True
+    )  # the best of several that came from one Gaussian keeps it, the others were added
+    first = torch.full((len(clean),), count).scatter_reduce_(
+        0, partner[order].clamp(min=0), torch.where(partner[order] >= 0, torch.arange(count), count), "amin"
+    )
+    kept = torch.zeros(count, dtype=torch.bool)
+    kept[order[first[first < count]]] = True
+    return torch.where(kept, partner, -1), False
+
+
+def _differences(scene: GaussianScene, clean: GaussianScene) -> dict[tuple[str, str], Tensor]:
+    """(M,) difference of each Gaussian from its partner, by attribute and unit."""
+    conjugate = clean.rotations * clean.rotations.new_tensor([1.0, -1.0, -1.0, -1.0])
+    turn = multiply(scene.rotations.double(), conjugate.double())
+    turn = turn / turn.norm(dim=1, keepdim=True).clamp(min=1e-12)
+    step = float(colour_to_dc(torch.tensor(1.0)) - colour_to_dc(torch.tensor(0.0)))
+    gap = (scene.sh - clean.sh).abs()
+    found = {
+        ("position", "world units"): (scene.means - clean.means).norm(dim=1),
+        ("scale", "of its logarithm"): (scene.scales.log() - clean.scales.log()).nan_to_num().abs().amax(1),
+        ("rotation", "degrees"): 2 * torch.atan2(turn[:, 1:].norm(dim=1), turn[:, 0].abs()).rad2deg().float(),
+        ("opacity", "of 1"): (scene.opacities - clean.opacities).abs(),
+        ("colour", "sRGB"): gap[:, 0].amax(1) / step,
+    }
+    for band in range(1, scene.degree + 1):
+        found[f"SH of degree {band}", "coefficient"] = gap[:, band**2 : (band + 1) ** 2].flatten(1).amax(1)
+    return found
+
+
+def _components(attribute: str, scene: GaussianScene) -> Tensor:
+    """(N, C) values of an attribute."""
+    if attribute.startswith("SH"):
+        band = int(attribute[-1])
+        return scene.sh[:, band**2 : (band + 1) ** 2].flatten(1)
+    return {
+        "position": scene.means,
+        "scale": scene.scales.clamp(min=1e-12).log(),
+        "rotation": scene.rotations * torch.where(scene.rotations[:, :1] < 0, -1.0, 1.0),
+        "opacity": scene.opacities[:, None],
+        "colour": scene.sh[:, 0],
+    }[attribute]
+
+
+def _row(name: str, unit: str, values: Tensor, ours: Tensor, clean: Tensor) -> Change:
+    """One row of the table, of the differences that are any and of all values of both."""
+    ranks = torch.linspace(0, 1, _QUANTILES, dtype=torch.float64)
+
+    def at(sample: Tensor) -> Tensor:
+        return sample.double().sort(0).values[(ranks * (len(sample) - 1)).round().long()]
+
+    spread = ((ours.double().var(0, correction=0) + clean.double().var(0, correction=0)) / 2).sqrt()
+    gap = (at(ours) - at(clean)).abs().mean(0)
+    distance = torch.where(spread > 0, gap / spread.clamp(min=1e-12), (gap > 0).double())
+    return Change(
+        attribute=name,
+        unit=unit,
+        count=len(values),
+        median=float(values.median()) if len(values) else 0.0,
+        most=float(values.max()) if len(values) else 0.0,
+        distribution=float(distance.mean()),
+    )
+
+
+def _worst(scene: GaussianScene, clean: GaussianScene, mask: Tensor | None, partner: Tensor) -> tuple[Camera, ...]:
+    """The cameras around what changed from which both differ most."""
+    lost = torch.ones(len(clean), dtype=torch.bool)
+    lost[partner[partner >= 0]] = False
+    points = torch.cat([scene.means[mask] if mask is not None else scene.means[:0], clean.means[lost]]).double()
+    if not len(points):
+        return ()
+    centre = points.median(0).values
+    size = max(quantile((points - centre).norm(dim=1), 0.9), float(scene.scales.median()))
+    target = Target(rows=torch.arange(0), centre=centre, radius=_ROOM * size, up=None)
+    cameras = cameras_around(target)[::_EVERY]
+    render = Renderer(RenderSettings(near=near_of(target, cameras), background=_BACKGROUND))
+    with torch.no_grad():
+        small = [resized(camera, (_LOOKS, _LOOKS)) for camera in cameras]
+        gaps = [float((render(scene, c).clamp(0, 1) - render(clean, c).clamp(0, 1)).square().mean()) for c in small]
+    order = sorted(range(len(gaps)), key=lambda number: -gaps[number])
+    return tuple(resized(cameras[number], (_WIDTH, _WIDTH)) for number in order[:_PICTURES] if gaps[number] > 0)

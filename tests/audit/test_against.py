@@ -1,0 +1,116 @@
+"""With the clean file at hand, an audit says what changed since, whatever became of the order of the rows."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+
+from attacks import cli
+from mi_splat.audit import auditing
+from mi_splat.audit import surfaces as seen_surfaces
+from mi_splat.audit.against import Changes, changes
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import save_splat
+from mi_splat.scene import GaussianScene, merge
+from mi_splat.selection.masks import load_mask
+from tests.audit.scenes import standing
+
+
+@pytest.fixture(scope="module")
+def clean() -> GaussianScene:
+    return standing("suitcase", count=600).scene.with_degree(1)
+
+
+@pytest.fixture(scope="module")
+def edited(clean: GaussianScene) -> GaussianScene:
+    """A tenth of the Gaussians has another colour, a few are brighter from one side, one has moved."""
+    sh, means = clean.sh.clone(), clean.means.clone()
+    sh[:80, 0] += 0.2
+    sh[40:60, 2] -= 0.3
+    means[100] += 0.001
+    return clean.replace(sh=sh, means=means)
+
+
+def row(found: Changes, attribute: str) -> list[float]:
+    return next([item.count, item.most] for item in found.attributes if item.attribute == attribute)
+
+
+def test_changes_are_counted_by_attribute(clean: GaussianScene, edited: GaussianScene) -> None:
+    found = changes(edited, clean)
+    assert found.by_order
+    assert torch.equal(found.changed.nonzero()[:, 0], torch.tensor([*range(80), 100]))
+    assert torch.equal(found.mask, found.changed)
+    assert row(found, "colour") == pytest.approx([80, 0.2 * 0.2821], abs=1e-4)
+    assert row(found, "SH of degree 1") == pytest.approx([20, 0.3], abs=1e-5)
+    assert row(found, "position") == pytest.approx([1, 0.001 * 3**0.5], abs=1e-5)
+    assert row(found, "opacity") == row(found, "scale") == [0, 0]
+    assert row(found, "rotation")[0] == 0
+    distances = {item.attribute: item.distribution for item in found.attributes}
+    assert distances["colour"] > 0.02 > distances["position"]
+    assert distances["opacity"] == 0
+    assert len(found.cameras) == 2
+
+
+def test_rows_may_be_shuffled_dropped_and_added(clean: GaussianScene, edited: GaussianScene) -> None:
+    order = torch.randperm(len(edited), generator=torch.Generator().manual_seed(0))[:-50]
+    extra = edited.select(slice(0, 5))
+    extra = extra.replace(means=extra.means + 3.0)
+    found = changes(merge(edited.select(order), extra), clean)
+    assert not found.by_order
+    assert torch.equal(found.changed[:-5], changes(edited, clean).changed[order])
+    assert bool(found.changed[-5:].all())
+    assert (found.added, found.removed) == (5, 50)
+
+
+def test_a_copy_has_not_changed(clean: GaussianScene) -> None:
+    found = changes(clean, clean)
+    assert not bool(found.changed.any())
+    assert found.cameras == ()
+    assert found.in_words() == ["against the clean splat: nothing changed"]
+    assert all(item.count == 0 and item.distribution == 0 for item in found.attributes)
+
+
+def test_where_every_row_was_rounded_the_mask_holds_what_changed_most(
+    clean: GaussianScene, edited: GaussianScene
+) -> None:
+    rounded = edited.replace(opacities=edited.opacities - 0.0005, sh=(edited.sh * 64).round() / 64)
+    found = changes(rounded, clean)
+    assert bool(found.changed.all())
+    assert bool(found.mask[40:60].all())
+    assert not bool(found.mask[80:].any())
+
+
+def test_another_splat_is_no_clean_file(clean: GaussianScene) -> None:
+    other = standing("person", count=400)
+    with pytest.raises(InvalidValueError, match="pass the file as it was before the edit"):
+        changes(other.scene.select(other.rows), clean)
+
+
+def test_the_command_writes_what_changed(
+    clean: GaussianScene,
+    edited: GaussianScene,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(seen_surfaces, "SIZE", 64)
+    monkeypatch.setattr(seen_surfaces, "CAMERAS", 30)
+    monkeypatch.setattr(auditing, "LEAST_PIECES", 5)
+    before, after, out = tmp_path / "clean.ply", tmp_path / "edited.ply", tmp_path / "out"
+    save_splat(clean, before)
+    save_splat(edited, after)
+    arguments = ["audit", str(after), "--against", str(before)]
+    assert cli.main([*arguments, "--strict", "--out", str(out)]) == 3
+    assert "81 of" in capsys.readouterr().out
+    record = json.loads((out / "result.json").read_text())
+    assert record["against"]["changed"] == 81
+    with Image.open(out / "against.png") as picture:
+        assert picture.size == (2 * 384 + 8, 2 * 384 + 8)
+    assert int(load_mask(out / "changed.npy", edited).sum()) == 81
+    save_splat(standing("person", count=400).scene, before)
+    assert cli.main(arguments) == 1
+    assert "expected the splat that the other was made from" in capsys.readouterr().err
