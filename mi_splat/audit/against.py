@@ -12,7 +12,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mi_splat.audit.evidence import split_of
 from mi_splat.audit.frames import Target, quantile
 from mi_splat.audit.surfaces import cameras_around, near_of
 from mi_splat.bounds import near_plane
@@ -34,6 +33,8 @@ _CANDIDATES, _SPACING = 8, 3
 _SAME = 1e-5
 """Differences that files round away, in units of each attribute; of a position in the spacing."""
 _QUANTILES = 512
+_MORE = 4.0
+"""Where every Gaussian differs, those are masked that differ more than so many times the median."""
 _LOOKS, _EVERY, _PICTURES, _WIDTH = 48, 5, 2, 384
 """Pixels of pictures that choose the worst cameras, of which every so many is tried; how many are shown, how wide."""
 _ROOM = 1.2
@@ -164,7 +165,7 @@ def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
         rows.append(_row(name, unit, values[differs], _components(name, scene), _components(name, clean)))
     mask = changed.clone()
     if bool(changed[there].all()) and len(amount):
-        mask[there] = amount > split_of(amount)
+        mask[there] = amount > _MORE * amount.median()
     return Changes(
         changed=changed,
         mask=mask,
