@@ -226,7 +226,7 @@ def _lines(document: dict[str, Any]) -> list[str]:
     if cost and cost["overdraw"]:
         worst = cost["overdraw"]
         rest.append(
-            f"cost: fillRatio {cost['fill_ratio']:.3g}; from the worst of {worst['cameras']} cameras "
+            f"cost: fillRatio {cost['fill_ratio']:.3g}; from the worst camera "
             f"{worst['mean']:,.0f} Gaussians over each other in the mean, {worst['highest']:,} at most"
         )
     return [f"{document['file']}: {first}", *(f"  {line}" for line in rest), *document["files"]]

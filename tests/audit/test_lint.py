@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from attacks import cli
+from attacks.report.results import read_section
 from mi_splat import load_splat, save_splat
 from mi_splat.audit.lint import cost
 from mi_splat.audit.lint.checking import Lint, lint_file, lint_scene
@@ -400,6 +401,8 @@ def test_a_file_that_is_refused_has_a_finding_and_no_verdict(
     assert record["lint"] == account["lint"]
     with Image.open(tmp_path / "out" / "overdraw.png") as picture:
         assert picture.size == (192, 192 + 70)
+    section = read_section(tmp_path / "out")
+    assert (section.headline.words, len(section.pictures)) == ("1", 1)
     results = json.loads((tmp_path / "s.sarif").read_text())["runs"][0]["results"]
     assert [(result["ruleId"], result["level"]) for result in results] == [("lint/not-finite", "error")]
 

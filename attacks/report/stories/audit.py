@@ -97,10 +97,10 @@ def _only_numbers(folder: Path, record: Mapping[str, Any]) -> Section:
         title=Path(record["file"]).name,
         done=f"The numbers of {record['file']} were checked; it was {record['summary'][0]}.",
         conclusion=(
-            "Whether the file hides a look was not asked. "
+            "Whether the file hides a look was not looked at. "
             f"The rules found {plural(count, 'error')} and {plural(len(findings) - count, 'lesser thing')}."
         ),
-        headline=Figure(label="errors", words=str(count)),
+        headline=Figure(label="errors in the numbers", words=str(count)),
         attacked=False,
         warnings=[f"{row['rule']}: {row['reason']}" for row in findings if row["severity"] == "error"],
         pictures=tuple(_overdraw(folder, record)),
@@ -117,11 +117,12 @@ def _overdraw(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
         yield Picture(
             path=folder / "overdraw.png",
             caption=(
-                f"How many Gaussians lie over each other from the worst of {worst['cameras']} cameras: "
+                f"How many Gaussians lie over each other from the worst of {plural(worst['cameras'], 'camera')}: "
                 f"{worst['mean']:,.0f} in the mean, {worst['highest']:,} at most. The fillRatio of splat-transform is "
                 f"{cost['fill_ratio']:.3g}."
             ),
             alt="Heat map of the number of Gaussians over each other",
+            large=True,
         )
 
 
@@ -296,7 +297,7 @@ def _lint(findings: Sequence[Mapping[str, Any]]) -> Table:
         {
             "rule": "rule",
             "severity": "severity",
-            "Gaussians": lambda row: f"{row['count']:,}",
+            "Gaussians": lambda row: f"{row['count']:,}" if row["count"] else "the whole file",
             "why it matters": "reason",
         },
         findings,

@@ -24,6 +24,7 @@ SIZE = 1024
 HEAVY, STOPS = 512.0, 4096.0
 """Mean layers from which a splat is heavy, and from which the rasteriser of mi-splat refuses such a picture."""
 
+_STOPPED, _SLOW = "a renderer stops, or takes seconds", "it is slow"
 _DIRECTIONS = 8
 _FOV = math.radians(45)
 _POINTS = 20_000
@@ -33,7 +34,7 @@ _STOPS_OF_HEAT = (
     (0.35, (90, 20, 110)),
     (0.6, (220, 60, 40)),
     (0.8, (250, 180, 40)),
-    (1.0, (255,) * 3),
+    (1.0, (255, 240, 170)),
 )
 
 
@@ -68,7 +69,7 @@ class Overdraw:
         stops = self.mean >= STOPS
         reason = (
             f"From one camera {self.mean:,.0f} Gaussians lie over each other in the mean of a picture of {SIZE} x "
-            f"{SIZE} pixels, up to {self.highest:,} at one place: {'this stops a renderer' if stops else 'it is slow'}."
+            f"{SIZE} pixels, up to {self.highest:,} at one place: {_STOPPED if stops else _SLOW}."
         )
         return Finding(rule="overdraw", severity="error" if stops else "warning", reason=reason)
 
@@ -153,7 +154,7 @@ def overdraw_picture(worst: Overdraw) -> NDArray[np.uint8]:
 
 
 def _heat(share: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """(..., 3) black, violet, red, yellow, white for shares from 0 to 1 and above."""
+    """(..., 3) black, violet, red, yellow, pale yellow for shares from 0 to 1 and above."""
     stops = [stop for stop, _ in _STOPS_OF_HEAT]
     channels = [np.interp(share, stops, [colour[axis] for _, colour in _STOPS_OF_HEAT]) for axis in range(3)]
     return np.stack(channels, axis=-1).astype(np.uint8)
