@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 
 import torch
@@ -14,8 +15,10 @@ from mi_splat.audit.frames import SOLID, Frame, Target, frame_of, targets, whole
 from mi_splat.audit.occluders import BLOCKED, Cover, cover_of, middle_of
 from mi_splat.audit.regions import shape_of
 from mi_splat.audit.results import SUSPICION, Audit, Look, ObjectAudit, Occluder, Pair, Region, vector
+from mi_splat.audit.rooms import cameras_within, free_places
 from mi_splat.audit.surfaces import (
     AROUND,
+    LEAST_VIEWS,
     SIZE,
     Elements,
     Sight,
@@ -25,7 +28,7 @@ from mi_splat.audit.surfaces import (
     sight,
 )
 from mi_splat.audit.switches import cameras_of_look, explain, piece_scores, reachable
-from mi_splat.cameras import Camera, as_cameras
+from mi_splat.cameras import Camera, as_cameras, project_points
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.scene_files import resized
@@ -38,6 +41,11 @@ _GIVEN_SIZE = 2 * SIZE
 """Pixels along the longer side of a picture from a given camera: an object is smaller there than in one made for it."""
 _CHANGED = 0.05
 """Score from which a piece of surface counts as changed."""
+_ASKED = 5000
+"""Gaussians, evenly taken of all, of which is asked whether they were looked at."""
+
+Job = tuple[Target, tuple[Camera, ...]]
+"""An object and the cameras that look at it, in the frame."""
 
 OnObject = Callable[[int, int], None]
 """Called after each object with the number done and the number of all."""
@@ -52,7 +60,8 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, on_o
     Args:
         scene: N Gaussians.
         cameras: From where it is looked at, for instance those of its training pictures; what they see around its
-            middle is one object then. None is a sphere around each object, or what of it is above the ground.
+            middle is one object then. None is a sphere around each object, or what of it is above the ground; in a
+            room, free places of it.
         on_object: Called after each object.
 
     Raises:
@@ -60,10 +69,7 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, on_o
     """
     check_scene("scene", scene)
     frame = frame_of(scene)
-    if cameras is None:
-        jobs = [(target, cameras_around(target)) for target in targets(frame.scene)]
-    else:
-        jobs = [(whole(frame.scene), _given(frame, cameras))]
+    jobs = _looks_at(frame) if cameras is None else [(whole(frame.scene), _given(frame, cameras))]
     objects, heats = [], []
     for number, (target, around) in enumerate(jobs):
         judged = _object(frame, target, around)
@@ -83,7 +89,23 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, on_o
         mask[frame.order] = heat > split_of(heat[heat > 0])
     unsorted = torch.zeros(len(scene))
     unsorted[frame.order] = heat
-    return Audit(objects=tuple(objects), heat=unsorted, mask=mask, near=_near(frame, [target for target, _ in jobs]))
+    return Audit(objects=tuple(objects), heat=unsorted, mask=mask, near=looked_at(frame, jobs))
+
+
+def _looks_at(frame: Frame) -> list[Job]:
+    """The objects of a scene with cameras around them; what stands in a room with cameras at free places of it.
+
+    Raises:
+        InvalidValueError: It is a room, and in it is nothing that can be seen from all around.
+    """
+    objects, places = targets(frame.scene), free_places(frame.scene)
+    if places is None:
+        return [(target, cameras_around(target)) for target in objects]
+    jobs = [(target, cameras) for target in objects if (cameras := cameras_within(target, places))]
+    if not jobs:
+        expected, got = "an object, or a room in which one stands", "a room with nothing that stands free of its walls"
+        raise InvalidValueError(message("scene", expected, got, "pass cameras that stand in it"))
+    return jobs
 
 
 def _given(frame: Frame, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
@@ -202,10 +224,16 @@ def _heat(heats: list[Heat | None], count: int) -> Tensor:
     return most
 
 
-def _near(frame: Frame, objects: list[Target]) -> float:
-    """Share of the solid Gaussians around one of the objects."""
+def looked_at(frame: Frame, jobs: list[Job]) -> float:
+    """Share of the solid Gaussians around one of the objects, and in the pictures of enough of its cameras."""
     points = frame.scene.means[frame.scene.opacities > SOLID].double()
+    points = points[:: math.ceil(len(points) / _ASKED)]
     near = torch.zeros(len(points), dtype=torch.bool)
-    for target in objects:
-        near |= (points - target.centre).norm(dim=1) < AROUND * target.radius
+    for target, cameras in jobs:
+        seen = torch.zeros(len(points))
+        for camera in cameras:
+            pixels, depth = project_points(points, camera)
+            x, y = pixels.T
+            seen += (depth > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
+        near |= ((points - target.centre).norm(dim=1) < AROUND * target.radius) & (seen >= LEAST_VIEWS)
     return float(near.double().mean())

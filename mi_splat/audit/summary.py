@@ -9,6 +9,9 @@ from mi_splat.audit.results import SUSPICION, Audit, Edit, ObjectAudit, Region, 
 _STEEP, _LEVEL = 60.0, 15.0
 """Degrees above the ground from which a direction is from above, and up to which it is from the side."""
 
+_ALL = 0.995
+"""Share of the solid Gaussians near what was looked at, from which a splat was looked at whole."""
+
 
 def directions_in_words(region: Region, up: Vector | None) -> str:
     """The directions of a region, as a part of a sentence.
@@ -44,7 +47,8 @@ def headline(audit: Audit) -> str:
     if item.evidence < SUSPICION and item.edit is not None and item.edited:
         return f"{audit.verdict}: colours of an object look edited{_aim(item.edit)}"
     if audit.verdict == "nothing found":
-        return "nothing found: no set of directions explains how colours change better than honest gloss does"
+        part = "" if audit.near >= _ALL else f" in the {audit.near:.0%} of its solid Gaussians that were looked at"
+        return f"nothing found{part}: no set of directions explains how colours change better than honest gloss does"
     if item.occluder is not None and (item.look.evidence < SUSPICION or item.occluder.evidence >= 1):
         axis = " ".join(f"{value + 0.0:.2f}" for value in item.occluder.axis)
         return f"{audit.verdict}: something in the air covers an object from around ({axis}), and others see through it"

@@ -19,7 +19,7 @@ SIZE, FOV = 128, 45.0
 """Pixels of a picture to each side, and its field of view in degrees."""
 CAMERAS, CAMERAS_ALL_AROUND = 150, 240
 """Cameras above a ground, and those around an object that stands on none."""
-LEAST_CAMERAS = 8
+LEAST_VIEWS = 8
 """A piece of surface that fewer cameras see is not judged."""
 EVERY = 6
 """Of so many cameras one takes part in saying which Gaussians carry a look."""
@@ -232,7 +232,7 @@ def _surface(depth: Tensor, alpha: Tensor, camera: Camera, target: Target) -> tu
 
 
 def elements(view: Sight, target: Target) -> Elements:
-    """The pieces of surface that at least `LEAST_CAMERAS` cameras see.
+    """The pieces of surface that at least `LEAST_VIEWS` cameras see.
 
     Args:
         view: What the cameras see.
@@ -243,7 +243,7 @@ def elements(view: Sight, target: Target) -> Elements:
     sums = _sums(view.sums, of_seen, len(pieces))
     pixels, positions, normals = sums[:, :1], sums[:, 1:4] / sums[:, :1], sums[:, 4:7] / sums[:, :1]
     near = (positions - target.centre.float()).norm(dim=1) < AROUND * target.radius
-    kept = torch.bincount(of_seen, minlength=len(pieces)) >= LEAST_CAMERAS
+    kept = torch.bincount(of_seen, minlength=len(pieces)) >= LEAST_VIEWS
     number = torch.where(kept, kept.cumsum(0) - 1, -1)[of_seen]
     there = number >= 0
     colours = view.sums[there, 7:] / view.sums[there, :1]

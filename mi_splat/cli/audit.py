@@ -166,9 +166,12 @@ def _repair(
 
 def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str, Any]:
     """Audit one file and write its result, if that is wanted."""
+    from mi_splat.audit.capacity import check_capacity
     from mi_splat.audit.files import document, write
 
     with progress(f"auditing {path.name}"):
+        if path.suffix.lower() != ".xml":
+            check_capacity(path)
         lint = _linted(path) if options.only != "looks" else None
         scene, judged, cameras, unjudged = None, None, None, "only lint was asked for"
         if lint is not None and any(item.rule == "overdraw" and item.severity == "error" for item in lint.findings):

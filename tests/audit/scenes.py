@@ -16,7 +16,7 @@ from mi_splat.assets.mesh import Asset
 from mi_splat.audit.surfaces import basis, lattice
 from mi_splat.capture.surface_sampling import surface_samples
 from mi_splat.rotation import from_matrix
-from mi_splat.scene import GaussianScene, merge
+from mi_splat.scene import GaussianScene, Similarity, merge
 from mi_splat.sh import colour_to_dc, sh_basis, sh_to_colour
 
 ROAD = (0.37, 0.37, 0.39)
@@ -270,3 +270,45 @@ def leaves(made: Made, *, count: int = 2500, lowest: float = 40.0) -> Made:
     flat = torch.tensor([0.0, 0.0, 1.0]).expand(count, 3)
     rows = torch.cat([made.rows, torch.zeros(count, dtype=torch.bool)])
     return Made(scene=merge(made.scene, dome), rows=rows, normals=torch.cat([made.normals, flat]))
+
+
+def room(*, count: int = 4500, seed: int = 0) -> Made:
+    """Honest: six walls, a red poster on one, and a suitcase that stands inside; its rows are those of the suitcase."""
+    generator = torch.Generator().manual_seed(seed)
+    half, parts, all_normals = torch.tensor([3.0, 2.2, 1.4]), [], []
+    side = round((count / 6) ** 0.5)
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            normal = torch.zeros(3)
+            normal[axis] = -sign
+            turn = basis(normal.double()).float()
+            step = 2 * (turn.T @ half).abs()[:2] / side
+            places = torch.cartesian_prod(torch.arange(side), torch.arange(side)) + 0.5 - side / 2
+            places = places * step + 0.2 * step * (torch.rand(len(places), 2, generator=generator) - 0.5)
+            means = places @ turn[:, :2].T + (sign * half[axis]) * torch.eye(3)[axis]
+            colours = torch.tensor([0.75, 0.72, 0.66]) + 0.04 * torch.randn(len(means), 1, generator=generator)
+            if axis == 0 and sign > 0:
+                colours[(means[:, 1:].abs() < 0.8).all(1)] = torch.tensor([0.7, 0.1, 0.1])
+            parts.append(_flat(means, normal, float(step.max()), colours))
+            all_normals.append(normal.expand(len(means), 3))
+    part, normals = discs(build("suitcase", seed), count // 3, seed=seed)
+    low, high = part.means.amin(0), part.means.amax(0)
+    scale, foot = 1.2 / float((high - low).max()), torch.cat([(low + high)[:2] / 2, low[2:]])
+    shift = torch.tensor([0.6, 0.3, -float(half[2])]) - scale * foot
+    parts.append(part.transform(Similarity(rotation=torch.eye(3), translation=shift, scale=scale)))
+    all_normals.append(normals)
+    scene = merge(*parts)
+    return Made(
+        scene=scene, rows=torch.arange(len(scene)) >= len(scene) - len(parts[-1]), normals=torch.cat(all_normals)
+    )
+
+
+def _flat(means: Tensor, normal: Tensor, step: float, colours: Tensor) -> GaussianScene:
+    """Flat Gaussians on a plane."""
+    return GaussianScene(
+        means=means,
+        scales=torch.tensor([0.7 * step, 0.7 * step, 0.05 * step]).expand(len(means), 3).contiguous(),
+        rotations=from_matrix(basis(normal.double())[None]).float().expand(len(means), 4).contiguous(),
+        opacities=torch.full((len(means),), 0.95),
+        sh=colour_to_dc(colours.clamp(0.02, 0.98))[:, None],
+    )

@@ -1,16 +1,26 @@
-"""Splats of any size: of many Gaussians a few are linked, and only those in sight are rendered."""
+"""Splats of any size, rooms, and files that cannot be judged or not as a whole."""
 
 from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
 
 import pytest
 import torch
 
-from mi_splat.audit import frames
-from mi_splat.audit.frames import frame_of, targets
+from attacks import cli
+from mi_splat.audit import auditing, capacity, frames, rooms
+from mi_splat.audit.auditing import audit, looked_at
+from mi_splat.audit.frames import frame_of, targets, whole
+from mi_splat.audit.rooms import free_places
+from mi_splat.audit.summary import summary
 from mi_splat.audit.surfaces import cameras_around, in_sight
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import save_splat
 from mi_splat.scene import merge
 from mi_splat.selection.neighbours import nearest_of
-from tests.audit.scenes import Made, standing
+from tests.audit import scenes
+from tests.audit.scenes import Made, hidden, standing
 
 
 @pytest.fixture(scope="module")
@@ -54,3 +64,58 @@ def test_what_cannot_stand_before_an_object_is_not_rendered(suitcase: Made) -> N
     assert set(target.rows.tolist()) <= set(rows.tolist())
     huge = merge(here, far.replace(scales=torch.full((len(scene), 3), 400.0)))
     assert len(in_sight(huge, target, cameras_around(target))) == len(rows) + len(scene)
+
+
+def test_a_room_is_seen_from_within_and_an_object_is_not(suitcase: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rooms, "MOST_CAMERAS", 90)
+    monkeypatch.setattr(rooms, "SIZE", 96)
+    for scene in (suitcase.scene, suitcase.scene.select(suitcase.rows)):
+        assert free_places(frame_of(scene).scene) is None
+    room = scenes.room()
+    honest = audit(room.scene)
+    assert honest.verdict == "nothing found"
+    assert 0.1 < honest.near < 0.8  # the walls are not judged, and that is said
+    assert "of its solid Gaussians that were looked at" in summary(honest)[0]
+    judged = audit(hidden(room, lambda views: views[:, 1] > 0, colour=(0.75, 0.72, 0.66)).scene)
+    assert judged.verdict == "hidden look"
+    (item,) = judged.objects
+    assert float(torch.isin(item.rows, room.rows.nonzero()[:, 0]).double().mean()) > 0.9
+    same = float((item.look.shown == (item.directions[:, 1] > 0)).double().mean())
+    assert abs(same - 0.5) > 0.4  # which half is the look, no file can tell
+
+
+def test_a_room_in_which_nothing_stands_free_gets_no_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(auditing, "free_places", lambda scene: torch.zeros(3, 3, dtype=torch.float64))
+    with pytest.raises(InvalidValueError, match="nothing that stands free of its walls; pass cameras"):
+        audit(scenes.ground(3.0, 900))
+
+
+def test_a_file_that_memory_does_not_hold_is_refused_before_it_is_read(
+    suitcase: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, least in (("a.ply", 2100), ("a.compressed.ply", 2100), ("a.spz", 100), ("a.splat", 2100), ("a.glb", 100)):
+        save_splat(suitcase.scene, tmp_path / name)
+        count, floats = capacity.gaussians_of(tmp_path / name)
+        assert least <= count <= len(suitcase.scene)
+        assert floats >= 14
+        capacity.check_capacity(tmp_path / name)
+    monkeypatch.setattr(capacity, "free_memory", lambda: 7.005e8)
+    assert cli.main(["audit", str(tmp_path / "a.ply")]) == 1
+    error = capsys.readouterr().err
+    assert f"at least {len(suitcase.scene):,} Gaussians" in error
+    assert "free some memory, take a machine with more" in error
+
+
+def test_cameras_that_see_a_part_vouch_for_that_part_only(suitcase: Made) -> None:
+    scene = frame_of(suitcase.scene)
+    target = whole(scene.scene)
+    around = cameras_around(target)
+    away = tuple(dataclasses.replace(camera, to_world=camera.to_world @ turned_away()) for camera in around)
+    assert looked_at(scene, [(target, around)]) > 0.5
+    assert looked_at(scene, [(target, away)]) == 0.0
+    assert looked_at(scene, [(target, around[:7])]) == 0.0
+
+
+def turned_away() -> torch.Tensor:
+    """(4, 4) half a turn about the camera's vertical axis."""
+    return torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0], dtype=torch.float64))
