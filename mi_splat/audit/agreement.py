@@ -1,12 +1,13 @@
 """Do faces that look different ways change from the same directions?
 
 Gloss moves with the normal, and chance in the coefficients of single Gaussians has no common direction. A hidden look
-has one for all of the surface. Two numbers of a set of directions say so, both without the face (of the six main ones)
-that speaks most for it, and both less a multiple of what chance would make of them, by how cells of surface differ:
+has one for all of the surface. Two numbers of a set of directions say so, both less a multiple of what chance would
+make of them, by how cells of surface differ:
 
-- *shift*: how far the mean colour of what faces along one normal changes from inside to outside (sRGB).
-- *fade*: the share of its contrast that is gone inside. Gloss adds to the colours of surface with one normal and leaves
-  their contrast; a look replaces them.
+- *shift*: how far the mean colour of what faces along one normal changes from inside to outside (sRGB): the geometric
+  mean of that over all of the surface, and of that without the face, of the six main ones, that has most of it.
+- *fade*: the share of its contrast that is gone inside, without the face that speaks most for it. Gloss adds to the
+  colours of surface with one normal and leaves their contrast; a look replaces them.
 """
 
 from __future__ import annotations
@@ -111,7 +112,8 @@ class Profiles:
         size = size.clamp(min=0) * (cells >= _LEAST_CELLS) * pieces
         faces = torch.zeros(6, weight.shape[1], dtype=torch.float64)
         faces.index_add_(0, face_of(lattice(NORMALS, -90.0, 90.0)), size)
-        return (faces.sum(0) - faces.amax(0)) / pieces.sum(0).clamp(min=1)
+        total = faces.sum(0)
+        return (total * (total - faces.amax(0))).sqrt() / pieces.sum(0).clamp(min=1)
 
     def fades(self, inside: Tensor, outside: Tensor) -> Tensor:
         """(T,) float64 share of the contrast that changes between the sides of each set of cameras, as in `shifts`."""

@@ -20,7 +20,7 @@ _ORDER: tuple[Verdict, ...] = ("nothing found", "suspicious", "hidden look")
 
 Vector = tuple[float, float, float]
 
-EXCESS, SUSPICION = 0.0055, 0.6
+EXCESS, SUSPICION = 0.0024, 0.7
 """Excess from which a look is called hidden, and share of it from which a splat is suspicious; see docs/audit.md."""
 CONTRAST = 0.1
 """Contrast (sRGB) that a fade is counted with."""
@@ -94,9 +94,9 @@ class Look:
 
     @property
     def excess(self) -> float:
-        """What gloss does not explain, sRGB: shift and fade, by how far the better rival is behind the score."""
+        """What gloss does not explain, sRGB: shift and fade, by how far the better rival is behind."""
         ahead = 1 - max(self.incidence, self.mirror) / max(self.score, 1e-9)
-        return (self.shift + CONTRAST * self.fade) * max(0.0, ahead)
+        return (self.shift + CONTRAST * self.fade) * max(0.0, ahead) ** 2
 
     @property
     def evidence(self) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from mi_splat.audit import Audit, Look, ObjectAudit, Occluder, Pair, Region
+from mi_splat.audit.results import SUSPICION
 from mi_splat.audit.surfaces import lattice
 from mi_splat.cameras import Camera, look_at
 
@@ -16,14 +17,14 @@ def camera(*eye: float) -> Camera:
 
 
 def look(score: float = 0.05, *, above: float = 0.7) -> Look:
-    """From above; of the score half is left."""
+    """From above; of the score a quarter is left."""
     return Look(
         region=Region(axis=(0.0, 0.0, 1.0), half_width=45.0, overlap=0.9),
         shown=DIRECTIONS[:, 2] > above,
         score=score,
         incidence=score / 8,
         mirror=score / 4,
-        shift=score * 2 / 3,
+        shift=score * 4 / 9,
         fade=0.0,
         area=2.0,
         pair=Pair(inside=camera(0.5, 0.0, 3.0), outside=camera(3.0, 0.0, 0.5), change=0.2),
@@ -48,5 +49,5 @@ def account(*looks: Look, count: int, covered: float = 0.0) -> Audit:
             axis=(0.0, 0.0, 1.0), blocked=(DIRECTIONS[:, 2] > 0.5).double(), transparent=0.8, score=covered
         ),
     )
-    found = half if item.evidence >= 0.6 else torch.zeros_like(half)
+    found = half if item.look.evidence >= SUSPICION else torch.zeros_like(half)
     return Audit(objects=(item,), heat=found.float(), mask=found, near=0.8)
