@@ -113,7 +113,7 @@ class Profiles:
         faces = torch.zeros(6, weight.shape[1], dtype=torch.float64)
         faces.index_add_(0, face_of(lattice(NORMALS, -90.0, 90.0)), size)
         total = faces.sum(0)
-        return (total * (total - faces.amax(0))).sqrt() / pieces.sum(0).clamp(min=1)
+        return (total * (total - faces.amax(0)).clamp(min=0)).sqrt() / pieces.sum(0).clamp(min=1)
 
     def fades(self, inside: Tensor, outside: Tensor) -> Tensor:
         """(T,) float64 share of the contrast that changes between the sides of each set of cameras, as in `shifts`."""

@@ -49,5 +49,5 @@ def account(*looks: Look, count: int, covered: float = 0.0) -> Audit:
             axis=(0.0, 0.0, 1.0), blocked=(DIRECTIONS[:, 2] > 0.5).double(), transparent=0.8, score=covered
         ),
     )
-    found = half if item.look.evidence >= SUSPICION else torch.zeros_like(half)
+    found = half if item.evidence >= SUSPICION else torch.zeros_like(half)
     return Audit(objects=(item,), heat=found.float(), mask=found, near=0.8)
