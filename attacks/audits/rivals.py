@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from attacks.audits.baselines import measured
 from attacks.audits.learnt import attributes
@@ -15,7 +15,7 @@ from mi_splat.scene_files import open_scene
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
-COST = "cost.json"
+RIVALS, COST = "rivals.json", "cost.json"
 VARIES = (COST,)
 
 
@@ -24,8 +24,8 @@ class RivalsConfig:
     """Nothing: they have no settings."""
 
 
-def run(config: RivalsConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
-    """Return the score of each, and the attributes that a classifier reads.
+def run(config: RivalsConfig, inputs: Mapping[str, Path], out: Out) -> None:
+    """Write the score of each, and the attributes that a classifier reads.
 
     Raises:
         InvalidValueError: Nothing of the splat shows.
@@ -33,5 +33,5 @@ def run(config: RivalsConfig, inputs: Mapping[str, Path], out: Out) -> list[dict
     scene = open_scene(inputs["splat"]).scene
     scores = measured(scene)
     save_json({"seconds": {name: seconds for name, (_, seconds) in scores.items()}}, out / COST)
-    row = {name: score for name, (score, _) in scores.items()}
-    return [{"scores": row, "attributes": attributes(scene).tolist()}]
+    told = {name: score for name, (score, _) in scores.items()}
+    save_json({"scores": told, "attributes": attributes(scene).tolist()}, out / RIVALS)
