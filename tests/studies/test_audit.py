@@ -29,7 +29,8 @@ def test_the_shipped_study_has_every_kind() -> None:
     study = read_study(ROOT / "scenes" / "studies" / "audit.toml")
     counts = {part: len(points) for part, points in study.parts.items()}
     assert counts == {
-        "object removed": 21,
+        "object removed": 28,
+        "from a wide sector": 4,
         "occluder": 4,
         "another look": 9,
         "strength": 12,
