@@ -215,7 +215,8 @@ class AuditWork(Work):
         rows = [row for one in self.audited if (row := one.row(done)) is not None]
         pairs = [path for one in self.audited if (path := one.copy_pair(done, out / PAIRS)) is not None]
         named = {"study": self.study.kind, "name": self.study.name, "question": self.study.question}
-        record = {"story": STORY, **named, "chosen_on": list(self.chosen_on), "files": rows, **provenance.origin()}
+        files = [{key: value for key, value in row.items() if key != "attributes"} for row in rows]
+        record = {"story": STORY, **named, "chosen_on": list(self.chosen_on), "files": files, **provenance.origin()}
         record["figures"] = figures(rows, self.chosen_on)
         save_text(sections(tables(record)), out / TABLE)
         save_text(self.study.text, out / STUDY_FILE)
