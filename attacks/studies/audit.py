@@ -75,6 +75,7 @@ class Audited:
         splat: "clean", "cloaked", or "honest" for a scene or file without an attack.
         audit: The job that audits it.
         rivals: The job that asks other ways to find a hidden look.
+        derived: Whether it is another splat of the study after something was done to it: it counts for its part alone.
         seen: Of a cloaked splat the jobs of each detector that look at the clean and at the cloaked one.
     """
 
@@ -84,6 +85,7 @@ class Audited:
     splat: str
     audit: Job
     rivals: Job
+    derived: bool
     seen: Mapping[str, tuple[Job, Job]]
 
     def row(self, results: Mapping[str, Done]) -> dict[str, Any] | None:
@@ -133,6 +135,7 @@ class AuditWork(Work):
         self.study = study
         self.chosen_on: tuple[str, ...] = ()
         self.audited: list[Audited] = []
+        self._derived = False
         self.labels: dict[str, Job] = {}
         for point in study.points:
             self._add(point)
@@ -144,6 +147,7 @@ class AuditWork(Work):
     def _add(self, point: Point) -> None:
         settings = dict(point.settings)
         self.chosen_on = tuple(settings.pop("chosen_on", ()))
+        self._derived = bool(settings.pop("derived", False))
         capture, file, exposure = (settings.pop(key, None) for key in ("capture", "file", "exposure"))
         labels = {axis: str(label) for axis, label in point.labels.items()}
         part, value = labels.pop("kind", point.part), ", ".join(labels.values())
@@ -205,7 +209,7 @@ class AuditWork(Work):
         self.labels[f"{part}: {value} / auditing the {splat} splat"] = job
         self.labels[f"{part}: {value} / asking rivals of the audit about the {splat} splat"] = rivals
         named = {"part": part, "value": value, "content": content, "splat": splat}
-        self.audited.append(Audited(**named, audit=job, rivals=rivals, seen=seen or {}))
+        self.audited.append(Audited(**named, audit=job, rivals=rivals, derived=self._derived, seen=seen or {}))
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
         """As in `Work`."""
@@ -258,8 +262,8 @@ def interval(positive: Sequence[float], negative: Sequence[float]) -> tuple[floa
 def figures(rows: Sequence[Row], chosen_on: Sequence[str]) -> dict[str, Any]:
     """How well splats that hide something are told from honest ones; of contents that the method was not chosen on."""
     held = [row for row in rows if row["content"] not in chosen_on]
-    honest = [row["evidence"] for row in negatives(held)]
-    hiding: dict[str, list[Row]] = {"all": positives(held)}
+    honest = [row["evidence"] for row in negatives(held) if not row["derived"]]
+    hiding = {"all": [row for row in positives(held) if not row["derived"]]}
     for row in positives(held):
         hiding.setdefault(row["part"], []).append(row)
     return {
@@ -275,7 +279,7 @@ def rivals_of(rows: Sequence[Row], chosen_on: Sequence[str]) -> dict[str, float]
 
     The classifier is trained on what the method was chosen on: the contents named, and their first kind of attack.
     """
-    held = [row for row in rows if row["content"] not in chosen_on]
+    held = [row for row in rows if row["content"] not in chosen_on and not row["derived"]]
     known = [row for row in rows if row["content"] in chosen_on]
     names = list(held[0].get("scores", ()))
     told = {

@@ -74,7 +74,15 @@ def test_what_cannot_be_is_refused(table: dict[str, object], said: str) -> None:
 
 def row(part: str, splat: str, evidence: float, *, hides: bool = False, content: str = "tv") -> dict[str, Any]:
     """A row of a result."""
-    told = {"part": part, "value": "x", "content": content, "splat": splat, "hides": hides, "missed": {}}
+    told = {
+        "part": part,
+        "value": "x",
+        "content": content,
+        "splat": splat,
+        "hides": hides,
+        "missed": {},
+        "derived": part == "cleaned",
+    }
     measured = {"verdict": "suspicious", "evidence": evidence, "excess": 0.01, "occluder": 0.0, "gaussians": 9}
     measured |= {"scores": {"band 1": -evidence}, "attributes": [evidence, 1.0]}
     return {**told, **measured, **({"directions": evidence / 4} if splat == "cloaked" else {})}
@@ -86,6 +94,8 @@ def test_figures_count_what_hides_and_leave_out_what_was_chosen_on() -> None:
         row("above", "cloaked", 0.5, hides=True),
         row("sector", "cloaked", 1.0, hides=True),
         row("sector", "cloaked", 0.0),  # a failed attack
+        row("cleaned", "cloaked", 0.3, hides=True),
+        row("cleaned", "clean", 7.0),
         row("above", "cloaked", 0.0, hides=True, content="car"),
         row("above", "clean", 0.6),
         row("scenes", "honest", 1.5),
@@ -100,6 +110,7 @@ def test_figures_count_what_hides_and_leave_out_what_was_chosen_on() -> None:
         "all": (2, 3),
         "above": (1, 2),
         "sector": (1, 1),
+        "cleaned": (0, 1),
     }
     assert parts["all"]["auroc"] == pytest.approx((3 + 1 + 2) / 9)
     low, high = parts["all"]["interval"]
@@ -109,7 +120,7 @@ def test_figures_count_what_hides_and_leave_out_what_was_chosen_on() -> None:
     assert first.rows[0][0] == "all"
     assert [line[0] for line in rivals.rows] == ["the audit", "band 1", "classifier of attributes"]
     assert told["rivals"]["band 1"] == pytest.approx(1 - parts["all"]["auroc"])
-    assert (len(hiding.rows), len(honest.rows), len(failed.rows)) == (4, 4, 1)
+    assert (len(hiding.rows), len(honest.rows), len(failed.rows)) == (5, 5, 1)
 
 
 @pytest.mark.slow
