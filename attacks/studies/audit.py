@@ -36,7 +36,7 @@ from torch import Tensor
 
 from attacks.audits.audited import AuditedConfig
 from attacks.audits.learnt import fit_attributes
-from attacks.audits.rivals import RivalsConfig
+from attacks.audits.rivals import RIVALS, RivalsConfig
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.kinds.photographed import PhotographedConfig
 from attacks.cloak.rates import CLOAKED
@@ -53,6 +53,7 @@ from mi_splat.audit.files import PAIR
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD
+from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Done, Job
 from mi_splat.ledger.plans import Result
 from mi_splat.training.resume import SPLAT
@@ -97,13 +98,9 @@ class Audited:
         missed = {name: missed_of(pair[0], pair[1]) for name, pair in looks.items()}  # type: ignore[arg-type]
         hides = bool(missed) and all(rate.total and rate.successes >= HIDES * rate.total for rate in missed.values())
         told: dict[str, Any] = {"part": self.part, "value": self.value, "content": self.content, "splat": self.splat}
-        return {
-            **told,
-            "hides": hides,
-            "missed": {n: r.as_dict() for n, r in missed.items()},
-            **audit.rows[0],
-            **rivals.rows[0],
-        }
+        told |= {"derived": self.derived, "hides": hides}
+        told["missed"] = {name: rate.as_dict() for name, rate in missed.items()}
+        return {**told, **audit.rows[0], **read_json(rivals.folder / RIVALS)}
 
     def copy_pair(self, results: Mapping[str, Done], folder: Path) -> Path | None:
         """Copy the two pictures that speak against the splat, if there are any, under its name; returns the file."""

@@ -19,6 +19,7 @@ from attacks.dagger.sanity.checks import Finding, write_findings
 from attacks.dagger.sanity.runs import Runs
 from attacks.objectives import relabel
 from attacks.rate import Rate
+from attacks.studies.audit import figures as audit_figures
 from mi_splat import provenance
 from mi_splat.audit.files import write as write_files
 from mi_splat.io import save_splat
@@ -166,6 +167,28 @@ def write_audit(folder: Path) -> Path:
     return folder
 
 
+def write_audit_study(folder: Path) -> Path:
+    """A study of the audit: two splats that hide something, one of them found, and an honest one."""
+    rows = [
+        {
+            **{"part": part, "value": "tv", "content": "tv", "splat": splat, "derived": False, "hides": hides},
+            **{"missed": {"redness": rate(8, 10)} if hides else {}, "verdict": verdict, "evidence": evidence},
+            **{"excess": 0.002 * evidence, "occluder": 0.0, "gaussians": 900, "scores": {"band 1": evidence}},
+        }
+        for part, splat, hides, verdict, evidence in (
+            ("above", "cloaked", True, "hidden look", 2.0),
+            ("sector", "cloaked", True, "nothing found", 0.2),
+            ("above", "clean", False, "nothing found", 0.1),
+        )
+    ]
+    told = audit_figures([{**row, "attributes": [1.0]} for row in rows], [])
+    record = {"story": "audit-study", "study": "audit", "name": "audit", "question": "", "chosen_on": [], "files": rows}
+    folder.mkdir()
+    save_json({**record, "figures": told, **provenance.origin()}, folder / "result.json")
+    write_manifest(folder)
+    return folder
+
+
 MAKERS: dict[str, Callable[[Path], Path]] = {
     "study": write_study,
     "dagger": write_dagger,
@@ -174,6 +197,7 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "cloak-study": write_cloak_study,
     "dagger-sanity": write_sanity,
     "audit": write_audit,
+    "audit-study": write_audit_study,
     "evaluate": write_evaluation,
     "compare": write_comparison,
     "detect": write_detections,

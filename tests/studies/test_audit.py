@@ -12,6 +12,7 @@ from unittest.mock import patch
 import pytest
 
 from attacks import cli
+from attacks.audits import rivals
 from attacks.cloak.config import study_toml
 from attacks.detectors import registry
 from attacks.report.results import read_section
@@ -116,39 +117,37 @@ def test_figures_count_what_hides_and_leave_out_what_was_chosen_on() -> None:
     low, high = parts["all"]["interval"]
     assert 0 <= low <= parts["all"]["auroc"] <= high <= 1
     assert parts["all"]["directions"] == pytest.approx(0.25)
-    first, rivals, hiding, honest, failed = tables({"figures": told, "chosen_on": ["car"], "files": rows})
+    first, others, hiding, honest, failed = tables({"figures": told, "chosen_on": ["car"], "files": rows})
     assert first.rows[0][0] == "all"
-    assert [line[0] for line in rivals.rows] == ["the audit", "band 1", "classifier of attributes"]
+    assert [line[0] for line in others.rows] == ["the audit", "band 1", "classifier of attributes"]
     assert told["rivals"]["band 1"] == pytest.approx(1 - parts["all"]["auroc"])
     assert (len(hiding.rows), len(honest.rows), len(failed.rows)) == (5, 5, 1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_study_is_done_and_has_a_page(tmp_path: Path) -> None:
     """Files are audited; a scene is photographed first, and of a cloaked splat it is asked whether it hides."""
-    plain = standing("car", count=1500)
-    save_splat(plain.scene, tmp_path / "plain.ply")
-    save_splat(hidden(plain, ABOVE).scene, tmp_path / "hidden.ply")
+    save_splat(hidden(standing("car", count=1500), ABOVE).scene, tmp_path / "hidden.ply")
     base = {**asdict(STUDY), "attack": [asdict(STUDY.attack[0])]}
     (tmp_path / "base.toml").write_text(study_toml(base))
     file = tmp_path / "tiny.toml"
     file.write_text(
         f'study = "audit"\nbase = "{tmp_path / "base.toml"}"\nchosen_on = ["suitcase"]\n'
         '[[case]]\nname = "files"\n[case.matrix]\n'
-        f'file = ["{tmp_path / "plain.ply"}", "{tmp_path / "hidden.ply"}"]\n'
+        f'file = ["{tmp_path / "hidden.ply"}"]\n'
         '[[case]]\nname = "scenes"\nexposure = 0.3\ncameras = { distance = 5.5 }\n'
         f'capture = "{ROOT / "scenes" / "honest" / "still_life.xml"}"\n'
         '[[case]]\nname = "above"\n'
     )
     out = tmp_path / "out"
     words = ["study", "run", str(file), "--store", str(tmp_path / "store"), "--out", str(out), "--workers", "0"]
-    with patch.dict(registry._REGISTRY._specs, KNOWN):
+    cheap = patch.object(rivals, "measured", lambda scene: {"band 1": (0.1, 0.0)})
+    with patch.dict(registry._REGISTRY._specs, KNOWN), cheap:
         assert cli.main(words) == 0
     record = json.loads((out / "result.json").read_text())
     found = {(one["part"], one["splat"]): one for one in record["files"]}
     assert set(found) == {("files", "honest"), ("scenes", "honest"), ("above", "clean"), ("above", "cloaked")}
-    evidence = {one["value"].rpartition("/")[2]: one["evidence"] for one in record["files"] if one["part"] == "files"}
-    assert evidence["hidden.ply"] > 1 > evidence["plain.ply"]
+    assert found["files", "honest"]["evidence"] > 1 > found["above", "clean"]["evidence"]
     cloaked = found["above", "cloaked"]
     (missed,) = cloaked["missed"].values()
     assert cloaked["hides"] is (missed["total"] > 0 and missed["successes"] >= missed["total"] / 2)
@@ -156,4 +155,4 @@ def test_a_study_is_done_and_has_a_page(tmp_path: Path) -> None:
     assert [path.name for path in (out / "pairs").iterdir() if "hidden" in path.name]
     section = read_section(out)
     assert re.search(r"\d of \d|nothing counted", section.control.value if section.control else "")
-    assert "5 splats were audited" in section.done
+    assert "4 splats were audited" in section.done

@@ -8,7 +8,7 @@ from typing import Any
 
 from attacks.rate import Rate
 from attacks.report.section import Chart, Figure, Line, Picture, Section
-from attacks.report.wording import listed, versions_of
+from attacks.report.wording import listed, plain, versions_of
 from attacks.studies.audit import PAIRS, negatives, tables
 
 KIND = "Audit, on splats of which it is known whether they hide something"
@@ -56,6 +56,10 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         ],
         charts=[_chart(parts)],
         tables=tuple(tables(record)),
+        configuration=(
+            ("question", plain(record["question"])),
+            ("method chosen on", listed(chosen) or "nothing named"),
+        ),
         versions=versions_of(record),
     )
 
