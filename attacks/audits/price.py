@@ -177,6 +177,7 @@ TRICKS: dict[str, Hiding] = {
     "cone of 15 degrees": Hiding(by="layers", half_width=15.0),
     "half of the surface": Hiding(by="layers", share=0.5),
     "follows the normals": Hiding(follow=1.0),
+    "follows the normals half way": Hiding(follow=0.5),
     "gloss on purpose": Hiding(gloss=0.6),
     "sheen on purpose": Hiding(sheen=0.6),
     "a roof that all see": Hiding(by="roof", half_width=30.0),

@@ -37,11 +37,7 @@ _RENDER = Renderer(RenderSettings(background=(0.55, 0.7, 0.9)))
 
 def victim_of(name: str) -> Victim:
     """The shipped splat of an object with what is near it; of one that is not shipped discs on a ground."""
-    shipped = {
-        "car": ("car_street_car", "car_street_street"),
-        "stop sign": ("stop_sign_stop_sign", "stop_sign_roadside"),
-    }
-    if name not in shipped:
+    if name not in SHIPPED:
         made = standing(name, count=COUNT)
         return Victim(scene=made.scene, rows=made.rows, label=name, render=_RENDER)
     part, rest = (load_splat(SCENES / f"{file}.ply") for file in SHIPPED[name])
@@ -60,10 +56,10 @@ def main(path: Path, name: str, tries: int = 0) -> None:
         for number, point in enumerate(search(judge, tries=tries)):
             _write(path, name, names[number] if number < len(names) else SEARCHED, point)
         return
-    for hiding in cheapest_of(path):
-        _write(path, name, SEARCHED, judge.price(hiding))
     for label, hiding in TRICKS.items():
         _write(path, name, label, judge.price(hiding))
+    for hiding in cheapest_of(path):
+        _write(path, name, SEARCHED, judge.price(hiding))
 
 
 def cheapest_of(path: Path) -> list[Hiding]:
