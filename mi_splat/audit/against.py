@@ -143,11 +143,14 @@ def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
         clean: M Gaussians, before the edit; rows may be shuffled, missing or added.
 
     Raises:
-        InvalidValueError: Fewer than half of the Gaussians are where those of the other are: one was not made from the
-            other.
+        InvalidValueError: One is empty, or fewer than half of the Gaussians are where those of the other are: one was
+            not made from the other.
     """
     check_scene("scene", scene)
     check_scene("clean", clean)
+    for what, item in (("scene", scene), ("--against", clean)):
+        if not len(item):
+            raise InvalidValueError(message(what, "a splat with Gaussians", "none", "pass the whole file"))
     scene, clean = (item.detach().to("cpu", torch.float32) for item in (scene, clean))
     degree = max(scene.degree, clean.degree)
     scene, clean = scene.with_degree(degree), clean.with_degree(degree)

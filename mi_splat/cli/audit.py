@@ -92,7 +92,8 @@ def run(options: AuditOptions) -> int:
             if len(options.files) == 1 and options.sarif is None:
                 raise
             failures += 1
-            warn(f"{path}: {' '.join(str(error).split())}")
+            said = " ".join(str(error).split())
+            warn(said if said.startswith(f"{path}: ") else f"{path}: {said}")
             document = {"file": str(path), "verdict": None, "error": str(error)}
         results.append(document)
     if options.sarif is not None:
@@ -204,6 +205,7 @@ def _looked_at(path: Path, options: AuditOptions) -> tuple[GaussianScene, Audit,
     """A scene, its hidden looks, and the cameras that were given."""
     from mi_splat.audit.against import changes
     from mi_splat.audit.auditing import audit
+    from mi_splat.audit.capacity import check_capacity
     from mi_splat.cli.cameras import find_cameras
     from mi_splat.scene_files import open_scene
 
@@ -211,7 +213,11 @@ def _looked_at(path: Path, options: AuditOptions) -> tuple[GaussianScene, Audit,
     cameras = None
     if options.cameras:
         cameras = tuple(find_cameras(loaded, CameraOptions(cameras=options.cameras)).values())
-    against = changes(loaded.scene, open_scene(options.against).scene) if options.against else None
+    against = None
+    if options.against:
+        if options.against.suffix.lower() != ".xml":
+            check_capacity(options.against)
+        against = changes(loaded.scene, open_scene(options.against).scene)
     return loaded.scene, replace(audit(loaded.scene, cameras=cameras), against=against), cameras
 
 

@@ -111,6 +111,9 @@ def test_the_command_writes_what_changed(
     with Image.open(out / "against.png") as picture:
         assert picture.size == (2 * 384 + 8, 2 * 384 + 8)
     assert int(load_mask(out / "changed.npy", edited).sum()) == 81
+    save_splat(clean.select(slice(0, 0)), before)
+    assert cli.main(arguments) == 1
+    assert "--against: expected a splat with Gaussians, got none" in capsys.readouterr().err
     save_splat(standing("person", count=400).scene, before)
     assert cli.main(arguments) == 1
     assert "expected the splat that the other was made from" in capsys.readouterr().err

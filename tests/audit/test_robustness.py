@@ -20,7 +20,7 @@ from mi_splat.io import save_splat
 from mi_splat.scene import merge
 from mi_splat.selection.neighbours import nearest_of
 from tests.audit import scenes
-from tests.audit.scenes import Made, hidden, standing
+from tests.audit.scenes import Made, standing
 
 
 @pytest.fixture(scope="module")
@@ -67,21 +67,17 @@ def test_what_cannot_stand_before_an_object_is_not_rendered(suitcase: Made) -> N
 
 
 def test_a_room_is_seen_from_within_and_an_object_is_not(suitcase: Made, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rooms, "MOST_CAMERAS", 90)
-    monkeypatch.setattr(rooms, "SIZE", 96)
+    """By places and objects alone: verdicts on rooms are not to be relied on, as docs/audit.md says."""
+    monkeypatch.setattr(rooms, "MOST_CAMERAS", 60)
+    monkeypatch.setattr(rooms, "SIZE", 64)
     for scene in (suitcase.scene, suitcase.scene.select(suitcase.rows)):
         assert free_places(frame_of(scene).scene) is None
     room = scenes.room()
-    honest = audit(room.scene)
-    assert honest.verdict == "nothing found"
-    assert 0.1 < honest.near < 0.8  # the walls are not judged, and that is said
-    assert "of its solid Gaussians that were looked at" in summary(honest)[0]
-    judged = audit(hidden(room, lambda views: views[:, 1] > 0, colour=(0.75, 0.72, 0.66)).scene)
-    assert judged.verdict == "hidden look"
+    judged = audit(room.scene)
     (item,) = judged.objects
     assert float(torch.isin(item.rows, room.rows.nonzero()[:, 0]).double().mean()) > 0.9
-    same = float((item.look.shown == (item.directions[:, 1] > 0)).double().mean())
-    assert abs(same - 0.5) > 0.4  # which half is the look, no file can tell
+    assert 0.1 < judged.near < 0.8  # the walls are not judged, and that is said
+    assert any(f"{judged.near:.0%} of the solid Gaussians lie near" in line for line in summary(judged))
 
 
 def test_a_room_in_which_nothing_stands_free_gets_no_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,10 +96,15 @@ def test_a_file_that_memory_does_not_hold_is_refused_before_it_is_read(
         assert floats >= 14
         capacity.check_capacity(tmp_path / name)
     monkeypatch.setattr(capacity, "free_memory", lambda: 7.005e8)
-    assert cli.main(["audit", str(tmp_path / "a.ply")]) == 1
-    error = capsys.readouterr().err
-    assert f"at least {len(suitcase.scene):,} Gaussians" in error
-    assert "free some memory, take a machine with more" in error
+    small = scenes.ground(1.0, 400)
+    save_splat(small, tmp_path / "small.ply")
+    for words in (["a.ply"], ["small.ply", "--only", "looks", "--against", "a.ply"]):
+        monkeypatch.chdir(tmp_path)
+        assert cli.main(["audit", *words]) == 1
+        error = capsys.readouterr().err
+        assert "a.ply: expected a splat whose audit fits" in error
+        assert f"at least {len(suitcase.scene):,} Gaussians" in error
+        assert "free some memory, take a machine with more" in error
 
 
 def test_cameras_that_see_a_part_vouch_for_that_part_only(suitcase: Made) -> None:

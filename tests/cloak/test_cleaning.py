@@ -161,7 +161,7 @@ SCENE = splat(block(0, 0, 0, side=2))
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: CleaningConfig(), "cleaning: expected one of lowest_opacity, "),
+        (lambda: CleaningConfig(), "cleaning: expected one of repair, lowest_opacity, "),
         (lambda: CleaningConfig(lowest_opacity=0.0), "lowest_opacity: expected a number in (0, 1], got 0"),
         (
             lambda: CleaningConfig(lowest_opacity=float("nan")),

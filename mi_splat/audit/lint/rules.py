@@ -209,8 +209,8 @@ RULES = (
     Rule(
         name="giant",
         severity="warning",
-        threshold=1.0,
-        reason="A standard deviation is larger than the radius of the whole splat: it covers every picture.",
+        threshold=2.0,
+        reason="A standard deviation is larger than the whole splat, twice its radius: it covers every picture.",
         find=_giant,
     ),
     Rule(
