@@ -34,14 +34,15 @@ class ViewOptions:
     """Look at a splat or at the result of an attack on a page in the browser, or write such a page to a file.
 
     Pictures are those of the renderer, spherical harmonics and all. Of a folder that `mi-splat dagger` or `mi-splat
-    cloak` has written, the clean and the attacked splat are shown from one camera. The page is served to this machine
-    alone until Ctrl-C; open it by the address that is printed.
+    cloak` has written, the clean and the attacked splat are shown from one camera; of one of `mi-splat audit` the splat
+    and its heat, from the cameras that prove a look. The page is served to this machine alone until Ctrl-C; open it by
+    the address that is printed.
     """
 
     path: Positional[Annotated[Path, Called("RESULT")]]
     """Splat file of any format that is read, scene XML made of splats, or folder of results."""
     clean: Path | None = None
-    """Splat or scene to compare with; of a folder of results it is found."""
+    """Splat or scene to compare with; of a folder of results it is found. Of an audit, the splat if it was moved."""
     detector: Annotated[str, Flag(name="detectors"), Called("DETECTOR")] | None = None
     """Name of a detector (see `mi-splat detectors`) that looks at the pictures of a resting camera."""
     weights: Path | None = None

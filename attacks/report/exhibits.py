@@ -17,6 +17,7 @@ from attacks.cloak.config import AttackConfig, StudyConfig
 from attacks.cloak.setup import Setup
 from attacks.detectors.base import Detections, Detector
 from attacks.observe.drawing import draw_detections
+from mi_splat.audit.files import HEAT
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point
@@ -36,12 +37,13 @@ ATTACKED = "attacked.ply"
 
 
 def open_exhibit(path: Path, *, clean: Path | None = None) -> Exhibit:
-    """A splat file, a scene XML, or a folder that `mi-splat dagger`, `dagger-eot` or `mi-splat cloak` has written.
+    """A splat, a scene XML, or a folder that `mi-splat dagger`, `dagger-eot`, `cloak` or `audit` has written.
 
     Args:
         path: The file or the folder.
         clean: Splat file or scene XML to compare with. Of a folder of `mi-splat dagger` it is found, if it lies among
-            the scenes of the working folder; a folder of `mi-splat cloak` has its own.
+            the scenes of the working folder; a folder of `mi-splat cloak` has its own. Of an audit, the splat that was
+            audited, if it is not any more where it was.
 
     Raises:
         MiSplatError: It is none of these, a file in it is missing or broken, or the clean scene is not the one that was
@@ -56,8 +58,10 @@ def open_exhibit(path: Path, *, clean: Path | None = None) -> Exhibit:
         return exhibit
     if not (path / RECORD).is_file():
         do = "pass a finished result, or a .ply or .xml file"
-        raise InvalidValueError(message(str(path), f"{RECORD} of mi-splat dagger or cloak in it", "none", do))
+        raise InvalidValueError(message(str(path), f"{RECORD} of mi-splat dagger, cloak or audit in it", "none", do))
     record = read_json(path / RECORD)
+    if record.get("story") == "audit":
+        return _exhibit_of_audit(path, record, clean)
     if record.get("story") != "cloak":
         return _exhibit_of_attack(path, record, clean)
     if clean is not None:
@@ -135,6 +139,48 @@ def _clean_splat(folder: Path, expected: str, clean: Path | None, *, recorded: o
             raise InvalidValueError(message(f"clean scene {clean}", f"the hash {expected}", "another", do))
     text = message(f"clean scene of {folder}", f"the hash {expected}", "no such scene here", "name the clean scene")
     raise InvalidValueError(text).hinted("--clean")
+
+
+# An audit
+
+
+def _exhibit_of_audit(folder: Path, record: Mapping[str, Any], audited: Path | None) -> Exhibit:
+    """The splat beside its heat, from the cameras that prove a look."""
+    try:
+        path = audited or Path(record["file"])
+        x, y, z = map(float, max(record["objects"], key=lambda item: item["evidence"])["centre"])
+        views = {str(values["name"]): camera_of(values) for values in record["cameras"]}
+        count = int(record["gaussians"])
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        do = "make the result again with mi-splat audit"
+        raise InvalidValueError(message(str(folder / RECORD), "an audit", repr(error), do)) from error
+    if not path.exists():
+        text = message(f"the splat of {folder}", f"the file {path}", "nothing there", "name the splat that was audited")
+        raise InvalidValueError(text).hinted("--clean")
+    exhibit = exhibit_of_file(path, name="audited")
+    splats, heat = exhibit.splats, folder / HEAT
+    if len(splats[0].scene) != count:
+        do = "name the splat that was audited"
+        got = f"{len(splats[0].scene):,}"
+        raise InvalidValueError(message(str(path), f"{count:,} Gaussians", got, do)).hinted("--clean")
+    if heat.is_file():
+        hot = ShownSplat(name="heat", scene=open_scene(heat).scene, path=heat, file_settings=splats[0].file_settings)
+        splats = (*splats, hot)
+    orbits = {name: orbit_of(camera, (x, y, z)) for name, camera in views.items()}
+    cameras = {name: orbit for name, orbit in orbits.items() if orbit is not None}
+    distance = min((orbit.distance for orbit in cameras.values()), default=1.0)
+    lines = Lines(segments=frustums(list(views.values()), 0.1 * distance), colour="#ffa500")
+    return replace(
+        exhibit,
+        title=str(folder),
+        splats=splats,
+        start=next(iter(cameras.values()), exhibit.start),
+        cameras={
+            **cameras,
+            **{f"{name} of the file" if name in cameras else name: orbit for name, orbit in exhibit.cameras.items()},
+        },
+        lines={"Cameras that prove it": lines} if views else {},
+    )
 
 
 # A study of CLOAK

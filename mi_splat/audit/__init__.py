@@ -8,15 +8,28 @@ from mi_splat import _lazy
 
 if TYPE_CHECKING:
     from mi_splat.audit.auditing import audit
+    from mi_splat.audit.pictures import PictureAudit, audit_pictures
     from mi_splat.audit.repair import repaired
     from mi_splat.audit.results import Audit, Look, ObjectAudit, Occluder, Pair, Region
 
-__all__ = ["Audit", "Look", "ObjectAudit", "Occluder", "Pair", "Region", "audit", "repaired"]
+__all__ = [
+    "Audit",
+    "Look",
+    "ObjectAudit",
+    "Occluder",
+    "Pair",
+    "PictureAudit",
+    "Region",
+    "audit",
+    "audit_pictures",
+    "repaired",
+]
 
 __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
         "mi_splat.audit.auditing": ("audit",),
+        "mi_splat.audit.pictures": ("PictureAudit", "audit_pictures"),
         "mi_splat.audit.repair": ("repaired",),
         "mi_splat.audit.results": ("Audit", "Look", "ObjectAudit", "Occluder", "Pair", "Region"),
     },

@@ -16,6 +16,7 @@ from mi_splat.audit.occluders import BLOCKED, Cover, cover_of, middle_of
 from mi_splat.audit.regions import shape_of
 from mi_splat.audit.results import SUSPICION, Audit, Look, ObjectAudit, Occluder, Pair, Region, vector
 from mi_splat.audit.rooms import cameras_within, free_places
+from mi_splat.audit.several import Found, looks_of
 from mi_splat.audit.surfaces import (
     AROUND,
     LEAST_VIEWS,
@@ -27,7 +28,7 @@ from mi_splat.audit.surfaces import (
     in_sight,
     sight,
 )
-from mi_splat.audit.switches import cameras_of_look, explain, piece_scores, reachable
+from mi_splat.audit.switches import look_amounts, piece_scores, reachable
 from mi_splat.cameras import Camera, as_cameras, project_points
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene, check_scene
@@ -69,10 +70,10 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, on_o
     """
     check_scene("scene", scene)
     frame = frame_of(scene)
-    jobs = _looks_at(frame) if cameras is None else [(whole(frame.scene), _given(frame, cameras))]
+    jobs = _looks_at(frame) if cameras is None else [(whole(frame.scene), given(frame, cameras))]
     objects, heats = [], []
     for number, (target, around) in enumerate(jobs):
-        judged = _object(frame, target, around)
+        judged = judged_object(frame, target, around)
         if judged is not None:
             objects.append(judged[0])
             heats.append(judged[1])
@@ -108,8 +109,12 @@ def _looks_at(frame: Frame) -> list[Job]:
     return jobs
 
 
-def _given(frame: Frame, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
-    """Cameras of the world in the frame, small, and not too many of them."""
+def given(frame: Frame, cameras: Sequence[Camera], *, longer_side: int | None = _GIVEN_SIZE) -> tuple[Camera, ...]:
+    """Cameras of the world in the frame, not too many of them, and small unless `longer_side` is None.
+
+    Raises:
+        InvalidValueError: They are too few.
+    """
     cameras = as_cameras(cameras)
     if len(cameras) < LEAST_CAMERAS:
         do = "pass those of the training pictures, or none"
@@ -118,7 +123,7 @@ def _given(frame: Frame, cameras: Sequence[Camera]) -> tuple[Camera, ...]:
     rotation, world = frame.to_world.rotation.double(), frame.to_world
     placed = []
     for camera in (cameras[number] for number in numbers):
-        factor = _GIVEN_SIZE / max(camera.width, camera.height)
+        factor = 1.0 if longer_side is None else longer_side / max(camera.width, camera.height)
         size = max(8, round(camera.width * factor)), max(8, round(camera.height * factor))
         pose = torch.eye(4, dtype=torch.float64)
         pose[:3, :3] = rotation.T @ camera.to_world[:3, :3]
@@ -131,37 +136,28 @@ Heat = tuple[Tensor, Tensor]
 """Rows of M Gaussians in sight, and (M,) their heat."""
 
 
-def _object(frame: Frame, target: Target, cameras: tuple[Camera, ...]) -> tuple[ObjectAudit, Heat | None] | None:
-    """Judge one object; None if nothing of its surface can be judged. With evidence, heat comes along."""
+def judged_object(
+    frame: Frame, target: Target, cameras: tuple[Camera, ...], pictures: Sequence[Tensor] | None = None
+) -> tuple[ObjectAudit, Heat | None] | None:
+    """Judge one object; None if nothing of its surface can be judged. With evidence, heat comes along.
+
+    Args:
+        frame: The splat.
+        target: The object.
+        cameras: From where it is looked at.
+        pictures: (H, W, 3) what each shows, sRGB; then the splat is the surface alone, and nothing covers the object.
+    """
     rows = in_sight(frame.scene, target, cameras)
     scene = frame.scene.select(rows)
-    view = sight(scene, target, cameras)
+    view = sight(scene, target, cameras, pictures)
     pieces = elements(view, target)
     if not bool(pieces.judged.any()):
         return None
-    scores = explain(pieces, view)
-    shown = cameras_of_look(pieces, view, scores)
-    shape = shape_of(view.directions, shown, target.up)
-    by_piece = piece_scores(pieces, shown)
+    found = looks_of(pieces, view)
+    looks = [_look(frame, target, view, one) for one in found]
+    by_piece = torch.stack([piece_scores(one.pieces, one.shown) for one in found]).amax(0)
     area = (pieces.size * frame.to_world.scale) ** 2
     able = reachable(pieces, view)
-    look = Look(
-        region=Region(
-            axis=vector(frame.direction(shape.axis)),
-            half_width=shape.half_width,
-            elevation=shape.elevation,
-            complement=shape.complement,
-            overlap=shape.overlap,
-        ),
-        shown=shown,
-        score=scores.direction,
-        incidence=scores.incidence,
-        mirror=scores.mirror,
-        shift=scores.shift,
-        fade=scores.fade,
-        area=int((by_piece > _CHANGED).sum()) * area,
-        pair=_pair(frame, pieces, view, by_piece, shown),
-    )
     cover = cover_of(frame.scene, view, target)
     judged = ObjectAudit(
         rows=frame.order[target.rows],
@@ -173,11 +169,11 @@ def _object(frame: Frame, target: Target, cameras: tuple[Camera, ...]) -> tuple[
         area=int((pieces.judged & able).sum()) * area,
         uncontradicted=(pieces.unseen + int((pieces.judged & ~able).sum())) * area,
         cameras=tuple(_in_world(frame, camera) for camera in cameras),
-        looks=(look,),
-        occluder=_occluder(frame, view, cover),
-        edit=edit_of(frame, target),
+        looks=tuple(looks),
+        occluder=_occluder(frame, view, cover) if pictures is None else None,
+        edit=edit_of(frame, target) if pictures is None else None,
     )
-    if judged.verdict == "nothing found":
+    if judged.verdict == "nothing found" or pictures is not None:
         return judged, None
     heat = torch.zeros(len(rows))
     if judged.look.evidence >= SUSPICION:
@@ -185,6 +181,31 @@ def _object(frame: Frame, target: Target, cameras: tuple[Camera, ...]) -> tuple[
     if judged.covered:
         heat = torch.maximum(heat, cover_heat(scene, view, cover, target))
     return judged, (rows, heat)
+
+
+def _look(frame: Frame, target: Target, view: Sight, found: Found) -> Look:
+    """A look in the world."""
+    scores, shown = found.scores, found.shown
+    shape = shape_of(view.directions, shown, target.up)
+    by_piece = piece_scores(found.pieces, shown)
+    return Look(
+        region=Region(
+            axis=vector(frame.direction(shape.axis)),
+            half_width=shape.half_width,
+            elevation=shape.elevation,
+            complement=shape.complement,
+            overlap=shape.overlap,
+        ),
+        shown=shown,
+        amounts=look_amounts(found.pieces, shown),
+        score=scores.direction,
+        incidence=scores.incidence,
+        mirror=scores.mirror,
+        shift=scores.shift,
+        fade=scores.fade,
+        area=int((by_piece > _CHANGED).sum()) * (found.pieces.size * frame.to_world.scale) ** 2,
+        pair=_pair(frame, found.pieces, view, by_piece, shown),
+    )
 
 
 def _occluder(frame: Frame, view: Sight, cover: Cover) -> Occluder | None:
@@ -205,7 +226,7 @@ def _pair(frame: Frame, pieces: Elements, view: Sight, score: Tensor, shown: Ten
     if numbers is None:
         return None
     inside, outside = (_in_world(frame, view.cameras[number]) for number in numbers[:2])
-    return Pair(inside=inside, outside=outside, change=numbers[2])
+    return Pair(inside=inside, outside=outside, change=numbers[2], numbers=numbers[:2])
 
 
 def _in_world(frame: Frame, camera: Camera) -> Camera:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -150,11 +151,16 @@ def pair_picture(scene: GaussianScene, pair: Pair) -> NDArray[np.uint8]:
     cameras = [_enlarged(camera) for camera in (pair.inside, pair.outside)]
     render = Renderer(RenderSettings(background=_BACKGROUND, near=near_plane(scene, cameras)))
     with torch.no_grad():
-        pictures = [to_bytes(render(scene, camera).clamp(0, 1)) for camera in cameras]
-    height = max(len(picture) for picture in pictures)
-    padded = [np.pad(p, ((0, height - len(p)), (0, 0), (0, 0)), constant_values=255) for p in pictures]
+        return beside([render(scene, camera) for camera in cameras])
+
+
+def beside(pictures: Sequence[Tensor]) -> NDArray[np.uint8]:
+    """(H, W, 3) pictures beside each other, white between them and below lower ones."""
+    pixels = [to_bytes(picture.clamp(0, 1)) for picture in pictures]
+    height = max(map(len, pixels))
     gap = np.full((height, _GAP, 3), 255, np.uint8)
-    return np.concatenate([padded[0], gap, padded[1]], axis=1)
+    parts = [np.pad(p, ((0, height - len(p)), (0, 0), (0, 0)), constant_values=255) for p in pixels]
+    return np.concatenate([part for one in parts for part in (gap, one)][1:], axis=1)
 
 
 def _enlarged(camera: Camera) -> Camera:
@@ -217,13 +223,8 @@ def write(
 
 def _evidence(audit: Audit, scene: GaussianScene, folder: Path, names: list[str]) -> dict[str, Any]:
     """Save what proves an audit, add the files to `names`, and say which pictures and cameras they show."""
-    pictures, cameras = list[dict[str, Any]](), list[dict[str, object]]()
-    for number, (place, pair) in enumerate(shown_pairs(audit), 1):
-        name = PAIR if number == 1 else f"pair-{number}.png"
-        save_picture(pair_picture(scene, pair), folder / name)
-        names.append(name)
-        pictures.append({"file": name, "object": place[0], "look": place[1], "change": pair.change})
-        cameras += pair_cameras(pair, number)
+    shown = save_pairs(audit, folder, lambda pair: pair_picture(scene, pair))
+    names += [picture["file"] for picture in shown["pictures"]]
     if bool(audit.mask.any()):
         hot = heated(scene, audit.heat)
         save_splat(hot, folder / HEAT)
@@ -240,6 +241,26 @@ def _evidence(audit: Audit, scene: GaussianScene, folder: Path, names: list[str]
         save_picture(audit.against.pictures(scene), folder / AGAINST)
         save_mask(audit.against.mask, folder / CHANGED)
         names += [AGAINST, CHANGED]
+    return shown
+
+
+def save_pairs(audit: Audit, folder: Path, show: Callable[[Pair], NDArray[np.uint8]]) -> dict[str, Any]:
+    """Save the pictures that prove looks.
+
+    Args:
+        audit: The audit.
+        folder: Where.
+        show: From a pair to its two pictures beside each other.
+
+    Returns:
+        What result.json says of them: pictures and cameras.
+    """
+    pictures, cameras = list[dict[str, Any]](), list[dict[str, object]]()
+    for number, (place, pair) in enumerate(shown_pairs(audit), 1):
+        name = PAIR if number == 1 else f"pair-{number}.png"
+        save_picture(show(pair), folder / name)
+        pictures.append({"file": name, "object": place[0], "look": place[1], "change": pair.change})
+        cameras += pair_cameras(pair, number)
     return {"pictures": pictures, "cameras": cameras}
 
 

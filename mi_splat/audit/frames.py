@@ -77,12 +77,14 @@ class Target:
         centre: (3,) float64.
         radius: Of a ball that holds nearly all of it.
         up: (3,) float64 unit vector away from the ground; None if it stands on none.
+        cells: Pieces of surface along its diameter.
     """
 
     rows: Tensor
     centre: Tensor
     radius: float
     up: Tensor | None
+    cells: int = 48
 
 
 def frame_of(scene: GaussianScene) -> Frame:

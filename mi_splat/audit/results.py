@@ -32,6 +32,20 @@ COVERED, SEEN_THROUGH = 0.1, 0.5
 which it is one that no leaves or roof would be: those are seen from the side as well."""
 
 
+def excess(score: float, incidence: float, mirror: float, shift: float, fade: float) -> float:
+    """What gloss does not explain, sRGB: shift and fade, by how far the better rival is behind the score.
+
+    Args:
+        score: Of a set of directions.
+        incidence: The same, if colours follow the angle between surface and view.
+        mirror: The same, if colours follow the direction in which a mirror would reflect.
+        shift: Change of the mean colour (sRGB) from the same directions for faces that look different ways.
+        fade: Share of the contrast that changes so.
+    """
+    ahead = 1 - max(incidence, mirror) / max(score, 1e-9)
+    return (shift + CONTRAST * fade) * max(0.0, ahead) ** 2
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Region:
     """Directions from the middle of an object: a cone, a sector of azimuths above a ground, or all but these.
@@ -59,11 +73,13 @@ class Pair:
         inside: Sees the look.
         outside: Sees the same surface without it.
         change: Mean change of colour (sRGB) of the surface that both see, weighted by its score.
+        numbers: Which of the object's cameras they are.
     """
 
     inside: Camera
     outside: Camera
     change: float
+    numbers: tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -73,6 +89,7 @@ class Look:
     Attributes:
         region: The directions, in the simplest form that fits.
         shown: (K,) bool, the cameras that see the look.
+        amounts: (K,) how much of it each camera sees: about 0 none of it, about 1 all; 0 where no surface tells.
         score: How much of the surface changes between the sides, and how far (sRGB), in [0, 1].
         incidence: The same score, if colours follow the angle between surface and view.
         mirror: The same score, if colours follow the direction in which a mirror would reflect.
@@ -84,6 +101,7 @@ class Look:
 
     region: Region
     shown: Tensor
+    amounts: Tensor
     score: float
     incidence: float
     mirror: float
@@ -94,9 +112,8 @@ class Look:
 
     @property
     def excess(self) -> float:
-        """What gloss does not explain, sRGB: shift and fade, by how far the better rival is behind."""
-        ahead = 1 - max(self.incidence, self.mirror) / max(self.score, 1e-9)
-        return (self.shift + CONTRAST * self.fade) * max(0.0, ahead) ** 2
+        """What gloss does not explain; see `excess`."""
+        return excess(self.score, self.incidence, self.mirror, self.shift, self.fade)
 
     @property
     def evidence(self) -> float:
@@ -181,7 +198,7 @@ class ObjectAudit:
         uncontradicted: World units squared of surface that too few cameras see, or cameras of one side only: what is
             shown there is not contradicted by anything.
         cameras: The K cameras, in the world.
-        looks: What explains most, and what else is found when that is taken off; at least one, from the strongest.
+        looks: What explains most, then what else is found when that is taken off; at least one.
         occluder: What covers the object; None if nothing does.
         edit: What looks like an edit of the finished file; None where it has too few Gaussians.
     """
@@ -211,7 +228,7 @@ class ObjectAudit:
 
     @property
     def evidence(self) -> float:
-        """Of its strongest look, or of what covers it."""
+        """Of the look that explains most, or of what covers it."""
         return max(self.look.evidence, self.occluder.evidence if self.occluder else 0.0)
 
     @property

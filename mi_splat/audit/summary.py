@@ -84,16 +84,20 @@ def _where(item: ObjectAudit) -> str:
 
 
 def _of_object(item: ObjectAudit) -> list[str]:
-    look = item.look
     lines: list[str] = [item.verdict]
-    rival = "the angle of incidence" if look.incidence > look.mirror else "a mirrored direction"
-    lines.append(
-        f"score {look.score:.4f} by direction, {max(look.incidence, look.mirror):.4f} by {rival}, "
-        f"common to faces that look different ways: {look.shift:.4f}, and {look.fade:.0%} of the contrast; "
-        f"excess {look.excess:.4f}"
-    )
-    if item.look.evidence >= SUSPICION:
-        lines.append(f"{look.area / max(item.area, 1e-12):.0%} of its surface changes; seen by {_cameras(item)}")
+    for number, look in enumerate(item.looks, 1):
+        rival = "the angle of incidence" if look.incidence > look.mirror else "a mirrored direction"
+        lines.append(
+            (f"look {number}: " if len(item.looks) > 1 else "")
+            + f"score {look.score:.4f} by direction, {max(look.incidence, look.mirror):.4f} by {rival}, "
+            f"common to faces that look different ways: {look.shift:.4f}, and {look.fade:.0%} of the contrast; "
+            f"excess {look.excess:.4f}"
+        )
+        if look.evidence >= SUSPICION:
+            cameras = f"{int(look.shown.sum())} of {len(look.shown)} cameras"
+            lines.append(f"{look.area / max(item.area, 1e-12):.0%} of its surface changes; seen by {cameras}")
+        if number > 1:
+            lines.append(f"it shows {directions_in_words(look.region, item.up)}")
     if item.occluder is not None and item.covered:
         lines.append(f"{item.occluder.transparent:.0%} of the looks from other directions pass what covers it")
     if item.edit is not None and item.edited:
@@ -103,7 +107,3 @@ def _of_object(item: ObjectAudit) -> list[str]:
     open_share = item.uncontradicted / max(item.uncontradicted + item.area, 1e-12)
     lines.append(f"{open_share:.0%} of what shows is seen from one side or by few cameras: nothing contradicts it")
     return lines
-
-
-def _cameras(item: ObjectAudit) -> str:
-    return f"{int(item.look.shown.sum())} of {len(item.look.shown)} cameras"

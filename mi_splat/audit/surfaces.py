@@ -30,8 +30,6 @@ _LEAST_PIXELS = 6
 _LOWEST, _HIGHEST = 4.0, 88.0
 _DISTANCE, _NEAR = 2.6, 0.02
 """Radii of the object from its centre to the cameras, and the near plane as a share of that."""
-_CELLS = 48
-"""Pieces of surface along the diameter of the object."""
 _OPAQUE, _FACING, _EDGE, _REACH, AROUND = 0.9, 0.25, 0.06, 2.4, 1.6
 """Least opacity and least cosine to the view of a pixel that counts; jump of depth and distance from the centre, in
 radii, from which one does not; radii around the centre in which surface is judged."""
@@ -145,13 +143,16 @@ def in_sight(scene: GaussianScene, target: Target, cameras: Sequence[Camera]) ->
     return rows
 
 
-def sight(scene: GaussianScene, target: Target, cameras: Sequence[Camera]) -> Sight:
+def sight(
+    scene: GaussianScene, target: Target, cameras: Sequence[Camera], pictures: Sequence[Tensor] | None = None
+) -> Sight:
     """Look at an object from all cameras.
 
     Args:
         scene: The Gaussians in sight.
         target: The object.
         cameras: K cameras.
+        pictures: (H, W, 3) what each shows, sRGB, if that is known otherwise.
     """
     render = Renderer(RenderSettings(background=_BACKGROUND, near=near_of(target, cameras)))
     depths, parts, shown_by, first = [], [], {}, 0
@@ -161,7 +162,8 @@ def sight(scene: GaussianScene, target: Target, cameras: Sequence[Camera]) -> Si
             depths.append(outputs.median_depth.masked_fill(outputs.alpha <= 0.5, math.inf))
             points, normals, shown = _surface(outputs.median_depth, outputs.alpha, camera, target)
             pixels = shown.flatten().nonzero()[:, 0]
-            values = torch.cat([points, normals, outputs.image.clamp(0, 1)], -1).reshape(-1, 9)[pixels]
+            image = outputs.image if pictures is None else pictures[number]
+            values = torch.cat([points, normals, image.clamp(0, 1)], -1).reshape(-1, 9)[pixels]
             keys, seen = torch.unique(_keys(values, target), return_inverse=True)
             sums = _sums(torch.cat([torch.ones(len(pixels), 1), values], 1), seen, len(keys))
             parts.append((keys, torch.full_like(keys, number), sums))
@@ -191,7 +193,7 @@ def _keys(values: Tensor, target: Target) -> Tensor:
 
 def _size(target: Target) -> float:
     """Side of a voxel."""
-    return 2 * target.radius / _CELLS
+    return 2 * target.radius / target.cells
 
 
 def rays(camera: Camera) -> Tensor:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from mi_splat.audit import gloss
 from mi_splat.audit.agreement import Profiles, face_of
+from mi_splat.audit.results import excess
 from mi_splat.audit.surfaces import Elements, Sight, lattice
 
 NOISE = 0.03
@@ -76,6 +77,11 @@ class Scores:
     fade: float
     axis: Tensor
     half_width: float
+
+    @property
+    def excess(self) -> float:
+        """What gloss does not explain."""
+        return excess(self.direction, self.incidence, self.mirror, self.shift, self.fade)
 
 
 def angles_between(first: Tensor, second: Tensor) -> Tensor:
@@ -221,6 +227,21 @@ def piece_scores(pieces: Elements, shown: Tensor) -> Tensor:
         shown: (K,) bool, the cameras that see the look.
     """
     return Split.of(*sums_by_side(pieces.moments, shown)).scores() * pieces.judged
+
+
+def look_amounts(pieces: Elements, shown: Tensor) -> Tensor:
+    """(K,) how much of a look each camera sees, by the mean of the pieces' scores: 0 none, 1 all; 0 if no piece tells.
+
+    Args:
+        pieces: The surface.
+        shown: (K,) bool, the cameras that see the look.
+    """
+    inside, outside = sums_by_side(pieces.moments, shown)
+    base = outside[:, 1:4] / outside[:, :1].clamp(min=1)
+    change = inside[:, 1:4] / inside[:, :1].clamp(min=1) - base
+    way = torch.einsum("ekc,ec->ek", pieces.moments[..., 1:4] - base[:, None], change)
+    weight = (piece_scores(pieces, shown) / change.square().sum(1).clamp(min=1e-6))[:, None] * pieces.moments[..., 0]
+    return (way * weight).sum(0) / (change.square().sum(1)[:, None] * weight).sum(0).clamp(min=1e-12)
 
 
 def reachable(pieces: Elements, view: Sight) -> Tensor:

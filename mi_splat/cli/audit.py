@@ -29,6 +29,7 @@ EXAMPLES = (
     "audit street.ply --repair street-repaired.ply",
     "audit street.glb --only lint --strict",
     "audit received.ply --against street.ply --out out/changes",
+    "audit out/capture",
 )
 SEE_ALSO = ("select", "info", "view")
 FOUND, FAILED = 3, 1
@@ -44,7 +45,8 @@ class AuditOptions(JsonOptions):
     """
 
     files: Positional[Annotated[tuple[Path, ...], Called("FILE")]]
-    """Splat files of any format that is read, or scene XMLs made of splats."""
+    """Splat files of any format that is read, scene XMLs made of splats, or folders of pictures with cameras, of which
+    is said which pictures contradict the others, before any training."""
     cameras: Annotated[tuple[str, ...], Called("CAMERAS")] = ()
     """Look from these, in the forms that `mi-splat render` takes: the cameras.json beside a splat, for instance, or
     of a room those that stand in it. Without, from a sphere around each object."""
@@ -169,7 +171,10 @@ def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str
     """Audit one file and write its result, if that is wanted."""
     from mi_splat.audit.capacity import check_capacity
     from mi_splat.audit.files import document, write
+    from mi_splat.datasets import is_dataset
 
+    if is_dataset(path):
+        return _audited_pictures(path, folder, options)
     with progress(f"auditing {path.name}"):
         if path.suffix.lower() != ".xml":
             check_capacity(path)
@@ -191,6 +196,22 @@ def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str
         if options.repair and scene is not None and judged is not None:
             account["repair"] = _repair(scene, judged, cameras, options)
     return {"file": str(path), **account, "files": [str(file) for file in files]}
+
+
+def _audited_pictures(path: Path, folder: Path | None, options: AuditOptions) -> dict[str, Any]:
+    """The same of a set of pictures."""
+    from mi_splat.audit.picture_files import document_of_pictures, write_pictures
+    from mi_splat.audit.pictures import STEPS, audit_pictures
+    from mi_splat.datasets import load_dataset
+
+    for name, given in (("--cameras", options.cameras), ("--only", options.only), ("--repair", options.repair)):
+        if given:
+            raise UsageError(message(name, "a splat", f"the pictures {path}", "leave it out"))
+    views = load_dataset(path)
+    with progress(f"finding the surface in {path.name}", total=STEPS) as advance:
+        judged = audit_pictures(views, on_step=lambda done, of: advance())
+    files = write_pictures(judged, views, folder, source=str(path), force=options.force) if folder else []
+    return {"file": str(path), **document_of_pictures(judged, views), "files": [str(file) for file in files]}
 
 
 def _linted(path: Path) -> Lint:

@@ -1,8 +1,17 @@
 """Sets of pictures with cameras, as other programs keep them: Blender/NeRF transforms and COLMAP models."""
 
-from mi_splat.datasets.dataset import Dataset, has_tests, load_dataset
+from mi_splat.datasets.dataset import Dataset, has_tests, is_dataset, load_dataset
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.datasets.writing import write_colmap, write_transforms
 from mi_splat.io.points import PointCloud
 
-__all__ = ["Dataset", "DatasetError", "PointCloud", "has_tests", "load_dataset", "write_colmap", "write_transforms"]
+__all__ = [
+    "Dataset",
+    "DatasetError",
+    "PointCloud",
+    "has_tests",
+    "is_dataset",
+    "load_dataset",
+    "write_colmap",
+    "write_transforms",
+]

@@ -18,7 +18,7 @@ from mi_splat.datasets.colmap import find_model, read_colmap
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.datasets.frames import HELD_OUT, Frame, Split, downscaled
 from mi_splat.datasets.pictures import read_mask, read_picture
-from mi_splat.datasets.transforms import PARTS, find_transforms, read_transforms
+from mi_splat.datasets.transforms import PARTS, SINGLE, find_transforms, read_transforms
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import sha256
 from mi_splat.io.points import PointCloud, load_points
@@ -219,6 +219,14 @@ def load_dataset(
     return Dataset(
         frames=tuple(frames), points=points, downscale=downscale, background=background, cache_bytes=cache_bytes
     )
+
+
+def is_dataset(path: str | os.PathLike[str]) -> bool:
+    """Whether a path is a set of pictures to `load_dataset`, and no splat: a folder of one, or its transforms file."""
+    root = Path(path)
+    if root.is_dir():
+        return find_transforms(root) is not None or find_model(root) is not None
+    return root.name in (SINGLE, *PARTS.values())
 
 
 def has_tests(path: str | os.PathLike[str]) -> bool:

@@ -21,13 +21,14 @@ def look(score: float = 0.05, *, above: float = 0.7) -> Look:
     return Look(
         region=Region(axis=(0.0, 0.0, 1.0), half_width=45.0, overlap=0.9),
         shown=DIRECTIONS[:, 2] > above,
+        amounts=(DIRECTIONS[:, 2] > above).float(),
         score=score,
         incidence=score / 8,
         mirror=score / 4,
         shift=score * 4 / 9,
         fade=0.0,
         area=2.0,
-        pair=Pair(inside=camera(0.5, 0.0, 3.0), outside=camera(3.0, 0.0, 0.5), change=0.2),
+        pair=Pair(inside=camera(0.5, 0.0, 3.0), outside=camera(3.0, 0.0, 0.5), change=0.2, numbers=(39, 0)),
     )
 
 

@@ -76,6 +76,7 @@ def test_a_look_from_above_is_found_with_its_directions_and_gaussians(judged: Au
     ours, others = judged.heat[from_above.rows], judged.heat[~from_above.rows]
     assert float(ours.median()) > 4 * float(others.median())
     assert float((judged.mask & from_above.rows).sum() / (judged.mask | from_above.rows).sum()) > 0.8
+    assert len(item.looks) == 1
 
 
 def test_the_pair_of_pictures_proves_it(judged: Audit) -> None:

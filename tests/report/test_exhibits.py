@@ -17,12 +17,14 @@ from attacks.cloak.config import AttackConfig, CameraConfig, StudyConfig
 from attacks.cloak.setup import Setup
 from attacks.detectors import load_detector
 from attacks.report.exhibits import DetectorInspection, detector_inspector, middle_of_change, open_exhibit, region
+from mi_splat.audit.files import write as write_files
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.io import load_splat
+from mi_splat.io import load_splat, save_splat
 from mi_splat.rendering import Renderer
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter
+from tests.audit.accounts import account, look
 from tests.fakes import ColourDetector
 from tests.project.layers import ROOT
 from tests.viewer.exhibits import ball, save_study
@@ -116,7 +118,7 @@ def test_a_broken_result_is_told(content: str, tmp_path: Path) -> None:
 
 
 def test_a_folder_of_something_else_is_told(tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError, match=r"expected result\.json of mi-splat dagger or cloak"):
+    with pytest.raises(InvalidValueError, match=r"expected result\.json of mi-splat dagger, cloak or audit"):
         open_exhibit(tmp_path)
     with pytest.raises(MiSplatError, match="expected"):
         open_exhibit(tmp_path / "none.ply")
@@ -131,6 +133,27 @@ def test_the_middle_of_what_changed() -> None:
     middle_of_change(clean, clean)  # nothing has: the middle of all
     with pytest.raises(InvalidValueError, match=r"attacked\.ply: expected 20 Gaussians, got 21"):
         middle_of_change(clean, ball((0.5, 0.5, 0.5), 21))
+
+
+def test_an_audit_shows_its_heat_from_the_cameras_that_prove_it(tmp_path: Path) -> None:
+    scene, file, folder = ball((0.5, 0.5, 0.5)), tmp_path / "it.ply", tmp_path / "audit"
+    save_splat(scene, file)
+    write_files(account(look(), count=len(scene)), scene, folder, source=str(file))
+    found = open_exhibit(folder)
+    assert found.names == ("audited", "heat")
+    assert list(found.cameras)[:2] == ["inside", "outside"]
+    assert found.start == found.cameras["inside"]
+    assert found.start.elevation > 60 > 30 > found.cameras["outside"].elevation
+    assert len(found.lines["Cameras that prove it"].segments) == 16
+    moved = file.rename(tmp_path / "moved.ply")
+    with pytest.raises(InvalidValueError, match=r"expected the file .* name the splat that was audited"):
+        open_exhibit(folder)
+    assert open_exhibit(folder, clean=moved).splat("audited").path == moved
+    save_splat(ball((0.5, 0.5, 0.5), 21), file)
+    with pytest.raises(InvalidValueError, match="expected 20 Gaussians, got 21"):
+        open_exhibit(folder)
+    (folder / "heat.ply").unlink()
+    assert open_exhibit(folder, clean=moved).names == ("audited",)
 
 
 def test_a_study_shows_both_splats_from_its_cameras(study: Path) -> None:

@@ -15,7 +15,7 @@ from mi_splat.audit.occluders import BLOCKED
 from mi_splat.audit.results import Vector
 
 _ELSEWHERE = (
-    *("story", "file", "verdict", "summary", "objects", "pictures", "cameras", "lint", "cost", "against"),
+    *("story", "file", "verdict", "summary", "objects", "pictures", "cameras", "views", "lint", "cost", "against"),
     *("command", "versions", "variant", "commit", "torch"),
 )
 _PLAIN = {
@@ -45,23 +45,23 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
     ]
     excess = max(look["excess"] for _, _, look in looks)
     threshold, least = record["thresholds"]["excess"], record["thresholds"]["covered"]
-    cameras = sum(len(item["seen_from"]) for item in objects)
+    cameras, views = sum(len(item["seen_from"]) for item in objects), record.get("views") or ()
     return Section(
-        kind="audit of a splat",
+        kind="audit of pictures" if views else "audit of a splat",
         title=Path(record["file"]).name,
-        done=(
-            f"{plural(len(objects), 'object')} of {record['file']} ({record['gaussians']:,} Gaussians) "
-            f"{'was' if len(objects) == 1 else 'were'} looked at from {plural(cameras, 'direction')}, with nothing but "
-            "the file. For each set of directions the colours of the same surface from inside and from outside were "
-            "compared, and what honest gloss explains was taken off."
-        ),
+        done=_done(record, cameras),
         conclusion=f"{_PLAIN[record['verdict']]} {sentence(first.partition(': ')[2])}",
         headline=Figure(
             label="verdict", words=record["verdict"], note=f"excess {excess:.4f}; hidden from {threshold:g}"
         ),
         attacked=False,
         figures=(
-            Figure(label="Gaussians that carry it", words=f"{record['carrying']:,} of {record['gaussians']:,}"),
+            Figure(
+                label="pictures that show what others contradict",
+                words=f"{sum(view['contradicts'] for view in views)} of {len(views)}",
+            )
+            if views
+            else Figure(label="Gaussians that carry it", words=f"{record['carrying']:,} of {record['gaussians']:,}"),
             Figure(label="solid Gaussians near an object that was looked at", words=f"{record['near']:.0%}"),
         ),
         warnings=tuple(_doubts(record)),
@@ -81,6 +81,11 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
                 list(enumerate(objects, 1)),
             ),
             _covers(objects, least),
+            Table.of(
+                "Pictures that show what others contradict",
+                {"picture": "picture", "amount of the look (0 none, 1 all)": lambda view: f"{view['amount']:.2f}"},
+                [view for view in views if view["contradicts"]],
+            ),
             _lint(record.get("lint") or ()),
             _changes(record.get("against") or {}),
         ),
@@ -124,6 +129,26 @@ def _overdraw(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
             alt="Heat map of the number of Gaussians over each other",
             large=True,
         )
+
+
+def _done(record: Mapping[str, Any], cameras: int) -> str:
+    """What was looked at, and how."""
+    many = plural(len(record["objects"]), "object")
+    were = "was" if len(record["objects"]) == 1 else "were"
+    how = (
+        "For each set of directions the colours of the same surface from inside and from outside were compared, and "
+        "what honest gloss explains was taken off."
+    )
+    if record.get("views"):
+        count = plural(len(record["views"]), "picture")
+        return (
+            f"A small splat was trained on {count} of {record['file']} to know where the surface is, and {many} {were} "
+            f"judged by the pictures alone. {how}"
+        )
+    return (
+        f"{many} of {record['file']} ({record['gaussians']:,} Gaussians) {were} looked at from "
+        f"{plural(cameras, 'direction')}, with nothing but the file. {how}"
+    )
 
 
 def _doubts(record: Mapping[str, Any]) -> Iterator[str]:

@@ -1,0 +1,74 @@
+"""The files of an audit of pictures: the account as JSON, and the two pictures that contradict each other most."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mi_splat.audit.files import PICTURE, beside, document, save_pairs
+from mi_splat.audit.pictures import SHOWS, PictureAudit
+from mi_splat.audit.results import Pair
+from mi_splat.datasets import Dataset
+from mi_splat.io.documents import save_json
+from mi_splat.io.folders import RECORD, new_folder
+from mi_splat.provenance import origin
+
+MOST_NAMED = 8
+"""Pictures of a set that are named in a line."""
+
+
+def document_of_pictures(judged: PictureAudit, views: Dataset) -> dict[str, Any]:
+    """An audit of pictures as JSON can hold it."""
+    amounts = judged.amounts.tolist()
+    files = [str(views.frames[number].path) for number in judged.numbers.tolist()]
+    shown = [Path(file).name for file, amount in zip(files, amounts, strict=True) if amount > SHOWS]
+    more = f" and {len(shown) - MOST_NAMED} more" if len(shown) > MOST_NAMED else ""
+    names = ", ".join(shown[:MOST_NAMED])
+    line = f"{len(shown)} of {len(files)} pictures show what the others contradict: {names}{more}"
+    values = document(judged.audit)
+    return {
+        **values,
+        "summary": [*values["summary"], *([line] if shown else [])],
+        "views": [
+            {"picture": file, "amount": amount, "contradicts": amount > SHOWS}
+            for file, amount in zip(files, amounts, strict=True)
+        ],
+    }
+
+
+def write_pictures(
+    judged: PictureAudit, views: Dataset, folder: str | os.PathLike[str], *, source: str, force: bool = False
+) -> list[Path]:
+    """Write the files of an audit of pictures into a new folder, whole or not at all.
+
+    Args:
+        judged: The audit.
+        views: The pictures.
+        folder: Where.
+        source: The set, for the record.
+        force: Whether an older result there may be replaced.
+
+    Returns:
+        The files.
+
+    Raises:
+        SplatFileError: The folder cannot be written, or holds something.
+        DatasetError: A picture cannot be read.
+    """
+    longer = max(max(camera.width, camera.height) for camera in views.cameras)
+    shown = dataclasses.replace(views, downscale=views.downscale * max(1, longer // PICTURE))
+
+    def show(pair: Pair) -> NDArray[np.uint8]:
+        return beside([shown[int(judged.numbers[number])].image for number in pair.numbers])
+
+    target = Path(folder)
+    with new_folder(target, force=force) as temporary:
+        pairs = save_pairs(judged.audit, temporary, show)
+        record = {"story": "audit", "file": source, **document_of_pictures(judged, views), **pairs}
+        save_json({**record, **origin()}, temporary / RECORD)
+    return [target / name for name in (RECORD, *(picture["file"] for picture in pairs["pictures"]))]

@@ -1,0 +1,145 @@
+"""Pictures before any training: which of a set contradict what the others show of the same surface?"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from mi_splat.audit.auditing import LEAST_PIECES, MOST_CAMERAS, given, judged_object, looked_at
+from mi_splat.audit.frames import Target, frame_of, targets
+from mi_splat.audit.results import SUSPICION, Audit, ObjectAudit
+from mi_splat.bounds import near_plane
+from mi_splat.cameras import Camera, View, cameras_of
+from mi_splat.datasets import Dataset
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+from mi_splat.training.config import FitConfig
+from mi_splat.training.initialization import from_points, random_points, thinned
+from mi_splat.training.loop import fit
+from mi_splat.training.strategies import FixedConfig
+
+LONGER_SIDE = 96
+"""Pixels that the longer side of a picture has at least, where the set has more."""
+STEPS, MOST_GAUSSIANS = 600, 8000
+"""Steps of the training that finds the surface, and Gaussians in it."""
+_PIXELS, _LEAST_CELLS = 2.5, 8
+"""Pixels across a piece of surface, and pieces along the diameter of an object at least."""
+SHOWS = 0.5
+"""Amount of a look from which a picture counts as showing it."""
+
+OnStep = Callable[[int, int], None]
+"""Called after each step of the training with the number done and the number of all."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PictureAudit:
+    """What pictures contradict each other in.
+
+    Attributes:
+        audit: The verdict and its evidence, of the surface that the pictures show; no Gaussian has heat.
+        numbers: (K,) int64, which pictures were compared.
+        amounts: (K,) how much of a look each shows that other pictures of the same surface contradict: about 0 none of
+            it, about 1 all of it; 0 where nothing was found. Of two sides the one with fewer pictures is the look.
+    """
+
+    audit: Audit
+    numbers: Tensor
+    amounts: Tensor
+
+    @property
+    def contradicting(self) -> list[int]:
+        """Numbers of the pictures that show a look, in the order of the set."""
+        numbers: list[int] = self.numbers[self.amounts > SHOWS].tolist()
+        return numbers
+
+
+def audit_pictures(views: Dataset, *, on_step: OnStep | None = None) -> PictureAudit:
+    """Say which pictures of a set contradict what the others show of the same surface.
+
+    A small splat is trained for the surface alone; colours are those of the pictures, as they are. What is compared,
+    and what gloss explains of it, is as in `audit`.
+
+    Args:
+        views: The set.
+        on_step: Called after each step of the training.
+
+    Raises:
+        DatasetError: A picture cannot be read.
+        InvalidValueError: There are too few pictures, or too little surface is seen by several.
+    """
+    longer = max(max(camera.width, camera.height) for camera in views.cameras)
+    views = dataclasses.replace(views, downscale=views.downscale * max(1, longer // LONGER_SIDE))
+    numbers = torch.linspace(0, len(views) - 1, min(len(views), MOST_CAMERAS)).round().long()
+    views = dataclasses.replace(views, frames=tuple(views.frames[number] for number in numbers.tolist()))
+    return compare_pictures(views, quick_surface(views, on_step=on_step), numbers=numbers)
+
+
+def quick_surface(views: Dataset, *, steps: int = STEPS, on_step: OnStep | None = None) -> GaussianScene:
+    """A splat that is good enough to know where the surface is."""
+    if views.points is None:
+        start = random_points(views, MOST_GAUSSIANS)
+    else:
+        cloud = thinned(views.points, MOST_GAUSSIANS)
+        start = from_points(cloud.points, cloud.colours)
+    config = FitConfig(
+        iterations=steps, strategy=FixedConfig(), sh_degree_interval=steps // 6, lambda_dssim=0.0, eval_interval=0
+    )
+    render = Renderer(RenderSettings(background=views.background, near=near_plane(start, views.cameras)))
+    told = None if on_step is None else (lambda line: on_step(line.iteration, steps))
+    return fit(views, start, render=render, config=config, on_step=told).scene
+
+
+def compare_pictures(views: Sequence[View], surface: GaussianScene, *, numbers: Tensor) -> PictureAudit:
+    """Compare pictures on a surface that is known.
+
+    Args:
+        views: K pictures.
+        surface: A splat of what they show, of which only the place of the surface counts.
+        numbers: (K,) what the pictures are called.
+
+    Raises:
+        InvalidValueError: There are too few pictures, or too little surface is seen by several.
+    """
+    frame = frame_of(surface)
+    cameras, pictures = given(frame, cameras_of(views), longer_side=None), [view.image for view in views]
+    objects = [dataclasses.replace(target, cells=_cells(target, cameras)) for target in targets(frame.scene)]
+    found = [judged_object(frame, target, cameras, pictures) for target in objects]
+    judged = [one[0] for one in found if one is not None]
+    seen = sum(item.pieces for item in judged)
+    if seen < LEAST_PIECES:
+        expected = f"at least {LEAST_PIECES} pieces of surface that pictures from two sides show"
+        do = "pass pictures of one scene with cameras that fit, in which an object fills more pixels"
+        raise InvalidValueError(message("pictures", expected, seen, do))
+    nothing = torch.zeros(len(surface))
+    audit = Audit(
+        objects=tuple(judged),
+        heat=nothing,
+        mask=nothing > 0,
+        near=looked_at(frame, [(target, cameras) for target in objects]),
+    )
+    amounts = torch.stack([_amounts(item, len(views)) for item in judged]).amax(0)
+    return PictureAudit(audit=audit, numbers=numbers, amounts=amounts)
+
+
+def _cells(target: Target, cameras: Sequence[Camera]) -> int:
+    """Pieces of surface along the diameter of an object, so that one shows in `_PIXELS` pixels in most pictures."""
+    ways = torch.stack([camera.position - target.centre for camera in cameras]).norm(dim=1)
+    focal = torch.tensor([min(camera.fx, camera.fy) for camera in cameras])
+    across = float((2 * target.radius * focal / ways.clamp(min=1e-9)).median())
+    return min(target.cells, max(_LEAST_CELLS, round(across / _PIXELS)))
+
+
+def _amounts(item: ObjectAudit, count: int) -> Tensor:
+    """(K,) how much each picture shows of any look of an object; of each look the side with fewer pictures."""
+    amounts = torch.zeros(count)
+    for look in item.looks:
+        if look.evidence >= SUSPICION:
+            told = look.amounts != 0
+            side = 1 - look.amounts if 2 * int(look.shown.sum()) > int(told.sum()) else look.amounts
+            amounts = torch.maximum(amounts, torch.where(told, side, 0.0))
+    return amounts
