@@ -178,6 +178,8 @@ TRICKS: dict[str, Hiding] = {
     "half of the surface": Hiding(by="layers", share=0.5),
     "follows the normals": Hiding(follow=1.0),
     "follows the normals half way": Hiding(follow=0.5),
+    "follows the normals, 0.8 of the look": Hiding(follow=1.0, amount=0.8),
+    "follows the normals, soft edge of 30 degrees": Hiding(follow=1.0, half_width=40.0, softness=30.0),
     "gloss on purpose": Hiding(gloss=0.6),
     "sheen on purpose": Hiding(sheen=0.6),
     "a roof that all see": Hiding(by="roof", half_width=30.0),
