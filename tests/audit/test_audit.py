@@ -19,6 +19,7 @@ from mi_splat.audit import surfaces as seen_surfaces
 from mi_splat.audit.agreement import Profiles
 from mi_splat.audit.evidence import cover_heat, split_of
 from mi_splat.audit.frames import Target, frame_of, targets
+from mi_splat.audit.lint import cost
 from mi_splat.audit.occluders import cover_of
 from mi_splat.audit.regions import shape_of
 from mi_splat.audit.summary import headline
@@ -39,6 +40,7 @@ def _few_small_pictures() -> object:
         patch.setattr(seen_surfaces, "SIZE", 96)
         patch.setattr(seen_surfaces, "CAMERAS", 70)
         patch.setattr(seen_surfaces, "CAMERAS_ALL_AROUND", 115)
+        patch.setattr(cost, "SIZE", 256)
         yield
 
 

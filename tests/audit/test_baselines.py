@@ -7,6 +7,7 @@ import torch
 
 from attacks.audits.baselines import BASELINES, band_share, baselines, measured
 from attacks.audits.learnt import attributes, fit
+from mi_splat.audit import surfaces as seen_surfaces
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene, Similarity, merge
 from tests.audit.scenes import Made, cone, direction, glossy, hidden, standing
@@ -21,7 +22,9 @@ def looks(made: Made) -> Made:
     return hidden(made, cone(direction(90, 0), 50))
 
 
-def test_a_look_ranges_over_more_colours_and_needs_higher_bands(plain: Made) -> None:
+def test_a_look_ranges_over_more_colours_and_needs_higher_bands(plain: Made, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(seen_surfaces, "SIZE", 72)
+    monkeypatch.setattr(seen_surfaces, "CAMERAS", 40)
     clean, timed = baselines(plain.scene), measured(looks(plain).scene)
     hiding = {name: score for name, (score, _) in timed.items()}
     assert set(clean) == set(hiding) == set(BASELINES)
