@@ -77,7 +77,8 @@ class Changes:
         added: Gaussians without a partner.
         removed: Gaussians of the clean splat without a partner.
         by_order: Whether partners stand in the same row; else they are at the same place.
-        cameras: Those from which the pictures of both differ most, the worst first; none if nothing changed.
+        cameras: Those from which the pictures of both differ most, the worst first; none if no
+            camera sees what changed.
         clean: The clean splat.
     """
 
@@ -210,9 +211,7 @@ def _partners(scene: GaussianScene, clean: GaussianScene, spacing: float) -> tup
         expected = "the splat that the other was made from, with most Gaussians in the same place"
         do = "pass the file as it was before the edit, in the same units and axes"
         raise InvalidValueError(message("--against", expected, f"{min(share, 1):.0%} of them there", do))
-    order = least.argsort(
-        stable=True
-    )  # the best of several that came from one Gaussian keeps it, the others were added
+    order = least.argsort(stable=True)  # the best of several from one Gaussian keeps it, the others were added
     first = torch.full((len(clean),), count).scatter_reduce_(
         0, partner[order].clamp(min=0), torch.where(partner[order] >= 0, torch.arange(count), count), "amin"
     )

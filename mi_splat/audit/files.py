@@ -239,8 +239,10 @@ def _evidence(audit: Audit, scene: GaussianScene, folder: Path, names: list[str]
         names.append(EDITED)
     if audit.against is not None and audit.against.cameras:
         save_picture(audit.against.pictures(scene), folder / AGAINST)
+        names.append(AGAINST)
+    if audit.against is not None and bool(audit.against.mask.any()):
         save_mask(audit.against.mask, folder / CHANGED)
-        names += [AGAINST, CHANGED]
+        names.append(CHANGED)
     return shown
 
 

@@ -22,18 +22,25 @@ MOST_NAMED = 8
 """Pictures of a set that are named in a line."""
 
 
-def document_of_pictures(judged: PictureAudit, views: Dataset) -> dict[str, Any]:
-    """An audit of pictures as JSON can hold it."""
+def document_of_pictures(judged: PictureAudit, views: Dataset, count: int) -> dict[str, Any]:
+    """An audit of pictures as JSON can hold it.
+
+    Args:
+        judged: The audit.
+        views: The pictures that it chose from.
+        count: How many pictures the set has, those for tests included.
+    """
     amounts = judged.amounts.tolist()
     files = [str(views.frames[number].path) for number in judged.numbers.tolist()]
     shown = [Path(file).name for file, amount in zip(files, amounts, strict=True) if amount > SHOWS]
     more = f" and {len(shown) - MOST_NAMED} more" if len(shown) > MOST_NAMED else ""
     names = ", ".join(shown[:MOST_NAMED])
     line = f"{len(shown)} of {len(files)} pictures show what the others contradict: {names}{more}"
+    rest = f"{len(files)} of the {count} pictures of the set were compared; nothing is said of the others"
     values = document(judged.audit)
     return {
         **values,
-        "summary": [*values["summary"], *([line] if shown else [])],
+        "summary": [*values["summary"], *([line] if shown else []), *([rest] if len(files) < count else [])],
         "views": [
             {"picture": file, "amount": amount, "contradicts": amount > SHOWS}
             for file, amount in zip(files, amounts, strict=True)
@@ -42,7 +49,13 @@ def document_of_pictures(judged: PictureAudit, views: Dataset) -> dict[str, Any]
 
 
 def write_pictures(
-    judged: PictureAudit, views: Dataset, folder: str | os.PathLike[str], *, source: str, force: bool = False
+    judged: PictureAudit,
+    views: Dataset,
+    folder: str | os.PathLike[str],
+    *,
+    account: dict[str, Any],
+    source: str,
+    force: bool = False,
 ) -> list[Path]:
     """Write the files of an audit of pictures into a new folder, whole or not at all.
 
@@ -50,6 +63,7 @@ def write_pictures(
         judged: The audit.
         views: The pictures.
         folder: Where.
+        account: What `document_of_pictures` says of it.
         source: The set, for the record.
         force: Whether an older result there may be replaced.
 
@@ -69,6 +83,6 @@ def write_pictures(
     target = Path(folder)
     with new_folder(target, force=force) as temporary:
         pairs = save_pairs(judged.audit, temporary, show)
-        record = {"story": "audit", "file": source, **document_of_pictures(judged, views), **pairs}
+        record = {"story": "audit", "file": source, **account, **pairs}
         save_json({**record, **origin()}, temporary / RECORD)
     return [target / name for name in (RECORD, *(picture["file"] for picture in pairs["pictures"]))]

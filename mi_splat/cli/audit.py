@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -76,16 +77,19 @@ def run(options: AuditOptions) -> int:
     """Audit every file, also after one that could not be judged."""
     from mi_splat.audit.sarif import ENDINGS, sarif
     from mi_splat.io.documents import save_json
-    from mi_splat.io.folders import check_new_file, check_new_folder
+    from mi_splat.io.folders import check_new_file, check_new_folder, check_not_input
 
     folders = _folders(options)
     for folder in folders.values():
         check_new_folder(folder, force=options.force)
+        _check_no_input_in(folder, options)
     if options.sarif is not None:
+        check_not_input(options.sarif, *options.files, options.against)
         check_new_file(options.sarif, ENDINGS, force=options.force)
     if options.against is not None and options.only == "lint":
         raise UsageError(message("--against", "looks to be audited, too", "--only lint", "leave that out"))
     _check_repair(options)
+    _check_pictures(options)
     results, failures = [], 0
     for path in options.files:
         try:
@@ -124,11 +128,29 @@ def _folders(options: AuditOptions) -> dict[Path, Path]:
         return {}
     if len(options.files) == 1:
         return {options.files[0]: options.out}
-    folders = {path: options.out / path.stem for path in options.files}
+    folders = {path: options.out / Path(os.path.abspath(path)).stem for path in options.files}
     if len(set(folders.values())) < len(options.files):
         do = "rename one, or audit them one by one"
         raise UsageError(message("--out", "files of different names", [path.name for path in options.files], do))
     return folders
+
+
+def _check_no_input_in(folder: Path, options: AuditOptions) -> None:
+    """Raise if replacing an older result would delete what is to be read."""
+    for path in (*options.files, options.against):
+        if path is not None and path.exists() and path.resolve().is_relative_to(folder.resolve()):
+            raise UsageError(message("--out", f"a folder without the input {path}", folder, "pass another folder"))
+
+
+def _check_pictures(options: AuditOptions) -> None:
+    """Raise, before any work is done, if something is asked of a set of pictures that only a splat can answer."""
+    from mi_splat.datasets import is_dataset
+
+    asked = {name: getattr(options, name) for name in ("cameras", "only", "repair", "against")}
+    for path in options.files:
+        for name, given in asked.items():
+            if given and is_dataset(path):
+                raise UsageError(message(f"--{name}", "a splat", f"the pictures {path}", "leave it out"))
 
 
 def _check_repair(options: AuditOptions) -> None:
@@ -145,7 +167,7 @@ def _check_repair(options: AuditOptions) -> None:
     if len(options.files) > 1:
         raise UsageError(message("--repair", "one file to audit", len(options.files), "repair them one by one"))
     format_to_write(str(options.repair))
-    check_not_input(options.repair, options.files[0])
+    check_not_input(options.repair, options.files[0], options.against)
     check_new_file(options.repair, (options.repair.suffix.lower(),), force=options.force)
 
 
@@ -204,14 +226,13 @@ def _audited_pictures(path: Path, folder: Path | None, options: AuditOptions) ->
     from mi_splat.audit.pictures import STEPS, audit_pictures
     from mi_splat.datasets import load_dataset
 
-    for name, given in (("--cameras", options.cameras), ("--only", options.only), ("--repair", options.repair)):
-        if given:
-            raise UsageError(message(name, "a splat", f"the pictures {path}", "leave it out"))
-    views = load_dataset(path)
+    views, count = load_dataset(path), len(load_dataset(path, split=None))
     with progress(f"finding the surface in {path.name}", total=STEPS) as advance:
         judged = audit_pictures(views, on_step=lambda done, of: advance())
-    files = write_pictures(judged, views, folder, source=str(path), force=options.force) if folder else []
-    return {"file": str(path), **document_of_pictures(judged, views), "files": [str(file) for file in files]}
+    account, files = document_of_pictures(judged, views, count), list[Path]()
+    if folder:
+        files = write_pictures(judged, views, folder, account=account, source=str(path), force=options.force)
+    return {"file": str(path), **account, "files": [str(file) for file in files]}
 
 
 def _linted(path: Path) -> Lint:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -13,10 +14,12 @@ from attacks import cli
 from mi_splat.audit import auditing
 from mi_splat.audit import surfaces as seen_surfaces
 from mi_splat.audit.against import Changes, changes
+from mi_splat.audit.files import write
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.selection.masks import load_mask
+from tests.audit.accounts import account, look
 from tests.audit.scenes import standing
 
 
@@ -72,6 +75,16 @@ def test_a_copy_has_not_changed(clean: GaussianScene) -> None:
     assert found.cameras == ()
     assert found.in_words() == ["against the clean splat: nothing changed"]
     assert all(item.count == 0 and item.distribution == 0 for item in found.attributes)
+
+
+def test_what_no_camera_sees_is_marked_too(clean: GaussianScene, tmp_path: Path) -> None:
+    none = clean.replace(opacities=torch.where(torch.arange(len(clean)) < 5, 1e-4, clean.opacities))
+    found = changes(none.replace(sh=none.sh + 0.1 * (none.opacities < 1e-3)[:, None, None]), none)
+    assert found.cameras == ()
+    judged = dataclasses.replace(account(look(0.001), count=len(clean)), against=found)
+    write(judged, none, tmp_path / "out", source="a.ply")
+    assert int(load_mask(tmp_path / "out" / "changed.npy", none).sum()) == 5
+    assert not (tmp_path / "out" / "against.png").exists()
 
 
 def test_where_every_row_was_rounded_the_mask_holds_what_changed_most(

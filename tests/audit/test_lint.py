@@ -311,6 +311,7 @@ FAULTS: dict[str, tuple[Callable[[Json], object], tuple[str, str]]] = {
     "other count": (lambda root: _accessor(root, ROTATION).update(count=5), ("gltf-accessor", "error")),
     "past the end": (lambda root: _accessor(root, ROTATION).update(byteOffset=64), ("gltf-accessor", "error")),
     "no bounds": (lambda root: _accessor(root, "POSITION").pop("min"), ("gltf-bounds", "error")),
+    "huge bounds": (lambda root: _accessor(root, "POSITION").update(max=[10**400, 0, 0]), ("gltf-bounds", "error")),
     "wrong bounds": (lambda root: _accessor(root, "POSITION").update(max=[0, 0, 0]), ("gltf-bounds", "error")),
 }
 

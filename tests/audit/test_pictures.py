@@ -64,7 +64,11 @@ def test_an_honest_set_contradicts_nothing(suitcase: Made) -> None:
 
 
 def test_the_command_takes_a_folder_of_pictures(
-    suitcase: Made, poisoned: list[View], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    suitcase: Made,
+    poisoned: list[View],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Its surface is known here already: a training has tests of its own."""
     colours = torch.full_like(suitcase.scene.means, 0.5)
@@ -81,3 +85,7 @@ def test_the_command_takes_a_folder_of_pictures(
     assert section.kind == "audit of pictures"
     assert len(section.tables[-1].rows) == len(named)
     assert cli.main(["audit", str(tmp_path / "set"), "--cameras", "orbit:20@20"]) == 2
+    monkeypatch.setattr(pictures, "MOST_CAMERAS", COUNT - 1)
+    capsys.readouterr()
+    cli.main(["audit", str(tmp_path / "set")])
+    assert f"{COUNT - 1} of the {COUNT} pictures of the set were compared" in capsys.readouterr().out

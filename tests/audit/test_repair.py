@@ -14,6 +14,7 @@ from mi_splat.audit import Audit, audit, repaired
 from mi_splat.audit import surfaces as seen_surfaces
 from mi_splat.audit.repair import believed
 from mi_splat.cameras import Camera, look_at
+from mi_splat.cli.audit import AuditOptions, _folders
 from mi_splat.io import load_splat, save_splat
 from mi_splat.metrics import psnr
 from mi_splat.rendering import Renderer, RenderSettings
@@ -128,6 +129,11 @@ def test_the_command_repairs_what_it_finds(
         (["a.ply", "--repair", "a.ply"], "expected another file than the input", 1),
         (["a.ply", "--repair", "b.ksplat"], "got .ksplat, which is only read", 1),
         (["a.ply", "--repair", "b.ply"], "expected a free name", 1),
+        (["a.ply", "--against", "b.ply", "--repair", "b.ply", "--force"], "another file than the input", 1),
+        (["old/s.json", "--sarif", "old/s.json", "--force"], "another file than the input", 1),
+        (["old/s.json", "--out", "old", "--force"], "--out: expected a folder without the input", 2),
+        (["a.ply", "--against", "old/s.json", "--out", "old", "--force"], "expected a folder without the input", 2),
+        (["a.ply", "set", "--against", "b.ply"], "--against: expected a splat, got the pictures set", 2),
         (["a.ply", "--keep", "inside"], "--keep: expected --repair beside it", 2),
     ],
 )
@@ -140,8 +146,16 @@ def test_what_cannot_be_written_is_told_before_the_work(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name in ("a.ply", "b.ply"):
+    for name in ("a.ply", "b.ply", "old/s.json", "old/result.json", "set/transforms.json"):
+        Path(name).parent.mkdir(exist_ok=True)
         Path(name).write_bytes(b"never read")
     assert cli.main(["audit", *words]) == status
     assert says in capsys.readouterr().err
-    assert Path("b.ply").read_bytes() == b"never read"
+    assert Path("b.ply").read_bytes() == Path("old/s.json").read_bytes() == b"never read"
+
+
+def test_each_of_several_results_lies_in_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    options = AuditOptions(files=(Path("a.ply"), Path(".."), Path(".")), out=Path("out"))
+    folders = {tmp_path.parent.name, tmp_path.name, "a"}
+    assert {path.as_posix() for path in _folders(options).values()} == {f"out/{name}" for name in folders}

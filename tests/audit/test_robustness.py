@@ -107,6 +107,12 @@ def test_a_file_that_memory_does_not_hold_is_refused_before_it_is_read(
         assert "free some memory, take a machine with more" in error
 
 
+def test_files_that_a_container_has_read_are_free_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = {"max": "1000\n", "current": "900\n", "stat": "anon 100\ninactive_file 700\nactive_file 50\n"}
+    monkeypatch.setattr(capacity, "_text", lambda path: told.get(path.rpartition("memory.")[2], ""))
+    assert capacity.free_memory() == 800
+
+
 def test_cameras_that_see_a_part_vouch_for_that_part_only(suitcase: Made) -> None:
     scene = frame_of(suitcase.scene)
     target = whole(scene.scene)

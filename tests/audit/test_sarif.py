@@ -83,6 +83,11 @@ def test_rules_of_lint_bring_their_own_words() -> None:
     assert run["tool"]["driver"]["rules"][-1]["help"]["text"] == LINT["reason"]
 
 
+def test_a_name_of_any_bytes_is_an_address() -> None:
+    run = run_of(told("caf\udce9:1.ply", account(look(0.001), count=4)))
+    assert run["artifacts"][0]["location"]["uri"] == "caf%E9%3A1.ply"
+
+
 def test_a_file_that_cannot_be_judged_is_no_success(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     missing, out = tmp_path / "none.ply", tmp_path / "log.sarif"
     assert cli.main(["audit", str(missing), "--sarif", str(out)]) == 1

@@ -7,6 +7,7 @@ Sources: extensions/2.0/Khronos/KHR_gaussian_splatting/README.md of github.com/K
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -190,11 +191,14 @@ def _extremes(values: NDArray[np.floating], accessor: Mapping[str, object], wher
     """POSITION has to state its extremes, and viewers frame and cull by them; quantised ones are stated unscaled."""
     for key, true in (("min", values.min(0)), ("max", values.max(0))):
         stated = accessor.get(key)
-        numbers = (
-            isinstance(stated, list) and len(stated) == 3 and all(isinstance(item, int | float) for item in stated)
-        )
+        numbers = isinstance(stated, list) and len(stated) == 3 and all(map(_finite, stated))
         if not numbers:
-            yield _finding("bounds", f"{where}the accessor of POSITION has to state its {key}, three numbers.")
+            yield _finding("bounds", f"{where}the accessor of POSITION has to state its {key}, three finite numbers.")
         elif accessor.get("componentType") == 5126 and not np.allclose(stated, true, rtol=1e-5, atol=1e-6):  # type: ignore[arg-type]
             got = f"{stated} where the values have {np.round(true, 6).tolist()}"
             yield _finding("bounds", f"{where}the {key} of POSITION is {got:.200}.")
+
+
+def _finite(item: object) -> bool:
+    """Whether this is a number that float64 can hold."""
+    return isinstance(item, int | float) and not isinstance(item, bool) and abs(item) <= sys.float_info.max
