@@ -20,8 +20,7 @@ from attacks.studies.audit import AuditWork, figures, tables
 from attacks.studies.study_file import read_study, study_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
-from tests.audit.measure import ABOVE
-from tests.audit.scenes import hidden, standing
+from tests.audit.scenes import cone, direction, hidden, standing
 from tests.cloak.tiny_study import KNOWN, STUDY
 from tests.project.layers import ROOT
 
@@ -127,7 +126,7 @@ def test_figures_count_what_hides_and_leave_out_what_was_chosen_on() -> None:
 @pytest.mark.nightly
 def test_a_study_is_done_and_has_a_page(tmp_path: Path) -> None:
     """Files are audited; a scene is photographed first, and of a cloaked splat it is asked whether it hides."""
-    save_splat(hidden(standing("car", count=1500), ABOVE).scene, tmp_path / "hidden.ply")
+    save_splat(hidden(standing("car", count=1500), cone(direction(90, 0), 50)).scene, tmp_path / "hidden.ply")
     base = {**asdict(STUDY), "attack": [asdict(STUDY.attack[0])]}
     (tmp_path / "base.toml").write_text(study_toml(base))
     file = tmp_path / "tiny.toml"
