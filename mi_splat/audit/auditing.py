@@ -70,12 +70,14 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, on_o
     """
     check_scene("scene", scene)
     frame = frame_of(scene)
-    jobs = _looks_at(frame) if cameras is None else [(whole(frame.scene), given(frame, cameras))]
+    jobs, in_room = [(whole(frame.scene), given(frame, cameras))] if cameras is not None else [], False
+    if cameras is None:
+        jobs, in_room = _looks_at(frame)
     objects, heats = [], []
     for number, (target, around) in enumerate(jobs):
         judged = judged_object(frame, target, around)
         if judged is not None:
-            objects.append(judged[0])
+            objects.append(dataclasses.replace(judged[0], in_room=in_room))
             heats.append(judged[1])
         if on_object is not None:
             on_object(number + 1, len(jobs))
@@ -93,20 +95,20 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, on_o
     return Audit(objects=tuple(objects), heat=unsorted, mask=mask, near=looked_at(frame, jobs))
 
 
-def _looks_at(frame: Frame) -> list[Job]:
-    """The objects of a scene with cameras around them; what stands in a room with cameras at free places of it.
+def _looks_at(frame: Frame) -> tuple[list[Job], bool]:
+    """The objects of a scene with cameras around them, and whether it is a room: then they stand at free places of it.
 
     Raises:
         InvalidValueError: It is a room, and in it is nothing that can be seen from all around.
     """
     objects, places = targets(frame.scene), free_places(frame.scene)
     if places is None:
-        return [(target, cameras_around(target)) for target in objects]
+        return [(target, cameras_around(target)) for target in objects], False
     jobs = [(target, cameras) for target in objects if (cameras := cameras_within(target, places))]
     if not jobs:
         expected, got = "an object, or a room in which one stands", "a room with nothing that stands free of its walls"
         raise InvalidValueError(message("scene", expected, got, "pass cameras that stand in it"))
-    return jobs
+    return jobs, True
 
 
 def given(frame: Frame, cameras: Sequence[Camera], *, longer_side: int | None = _GIVEN_SIZE) -> tuple[Camera, ...]:

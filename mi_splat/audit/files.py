@@ -84,6 +84,7 @@ def _of_object(item: ObjectAudit) -> dict[str, Any]:
     return {
         "verdict": item.verdict,
         "evidence": item.evidence,
+        "in_room": item.in_room,
         "gaussians": len(item.rows),
         "centre": item.centre,
         "radius": item.radius,

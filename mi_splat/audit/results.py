@@ -201,6 +201,8 @@ class ObjectAudit:
         looks: What explains most, then what else is found when that is taken off; at least one.
         occluder: What covers the object; None if nothing does.
         edit: What looks like an edit of the finished file; None where it has too few Gaussians.
+        in_room: Whether it stands in a room, and was seen from places in it: honest objects there have as much evidence
+            as others that hide something, so that nothing in a room is more than suspicious.
     """
 
     rows: Tensor
@@ -215,6 +217,7 @@ class ObjectAudit:
     looks: tuple[Look, ...]
     occluder: Occluder | None
     edit: Edit | None = None
+    in_room: bool = False
 
     @property
     def edited(self) -> bool:
@@ -239,7 +242,7 @@ class ObjectAudit:
     @property
     def verdict(self) -> Verdict:
         """Of this object alone."""
-        if self.evidence >= 1:
+        if self.evidence >= 1 and not self.in_room:
             return "hidden look"
         return "suspicious" if self.evidence >= SUSPICION or self.covered or self.edited else "nothing found"
 

@@ -83,7 +83,7 @@ def _findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
         for index, look in enumerate(item["looks"], 1):
             evidence = look["excess"] / thresholds["excess"]
             if evidence >= thresholds["suspicion"]:
-                name = "hidden-look" if evidence >= 1 else "suspicious-look"
+                name = "hidden-look" if evidence >= 1 and not item["in_room"] else "suspicious-look"
                 text = f"Object {number}, look {index}: other colours {look['where']}; excess {look['excess']:.4f}."
                 values = {key: look[key] for key in ("score", "incidence", "mirror", "shift", "fade", "excess")}
                 yield name, _RULES[name][0], text, values

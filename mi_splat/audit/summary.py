@@ -53,7 +53,8 @@ def headline(audit: Audit) -> str:
         axis = " ".join(f"{value + 0.0:.2f}" for value in item.occluder.axis)
         return f"{audit.verdict}: something in the air covers an object from around ({axis}), and others see through it"
     where = directions_in_words(item.look.region, item.up)
-    return f"{audit.verdict}: an object has other colours {where}"
+    room = "; in a room an honest object may, too: look at the two pictures, or pass --cameras" if item.in_room else ""
+    return f"{audit.verdict}: an object has other colours {where}{room}"
 
 
 def _aim(edit: Edit) -> str:

@@ -123,6 +123,24 @@ def test_figures_count_what_hides_and_leave_out_what_was_chosen_on() -> None:
     assert (len(hiding.rows), len(honest.rows), len(failed.rows)) == (5, 5, 1)
 
 
+def test_the_figures_of_the_documentation_follow_from_its_files() -> None:
+    record = json.loads((ROOT / "docs" / "tables" / "audit.json").read_text())
+    told = figures([{**one, "attributes": [1.0]} for one in record["files"]], record["chosen_on"])
+    page = (ROOT / "docs" / "audit-measured.md").read_text()
+    for name, part in told["parts"].items():
+        found, (low, high) = part["found"], part["interval"]
+        shown = name if name != "all" else "**all, without the cleaned**"
+        line = (
+            f"| {shown} | {found['successes']} of {found['total']} | {part['auroc']:.3f} ({low:.3f} to {high:.3f}) | "
+        )
+        assert line in page, name
+    assert told["false_alarms"]["successes"] == 1
+    assert told["honest"] == 35
+    for name, value in told["rivals"].items():
+        if name != "classifier of attributes":  # attributes are not kept
+            assert f"| {name} | {value:.3f} |" in page
+
+
 @pytest.mark.nightly
 def test_a_study_is_done_and_has_a_page(tmp_path: Path) -> None:
     """Files are audited; a scene is photographed first, and of a cloaked splat it is asked whether it hides."""
