@@ -41,6 +41,7 @@ def document_of_pictures(judged: PictureAudit, views: Dataset, count: int) -> di
     return {
         **values,
         "summary": [*values["summary"], *([line] if shown else []), *([rest] if len(files) < count else [])],
+        "pictures_in_set": count,
         "views": [
             {"picture": file, "amount": amount, "contradicts": amount > SHOWS}
             for file, amount in zip(files, amounts, strict=True)

@@ -62,7 +62,7 @@ def audit_pictures(views: Dataset, *, on_step: OnStep | None = None) -> PictureA
     """Say which pictures of a set contradict what the others show of the same surface.
 
     A small splat is trained for the surface alone; colours are those of the pictures, as they are. What is compared,
-    and what gloss explains of it, is as in `audit`.
+    and what gloss explains of it, is as in `audit`. Of more pictures than `MOST_CAMERAS` so many are, evenly taken.
 
     Args:
         views: The set.

@@ -182,7 +182,12 @@ def _repair(
     again, coloured, left_out = repair(scene, judged, keep=options.keep)
     if again is scene:
         return None
-    after = audit(again, cameras=cameras)
+    try:
+        after = audit(again, cameras=cameras)
+    except MiSplatError as error:
+        do = "keep the other side by --keep, or leave --repair out"
+        expected = "something left that can be audited again"
+        raise MiSplatError(message("--repair", expected, f"a splat of which is said: {error}", do)) from error
     assert options.repair is not None
     save_splat(again, options.repair)
     counts = {"coloured_anew": coloured, "left_out": left_out}

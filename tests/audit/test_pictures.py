@@ -87,5 +87,6 @@ def test_the_command_takes_a_folder_of_pictures(
     assert cli.main(["audit", str(tmp_path / "set"), "--cameras", "orbit:20@20"]) == 2
     monkeypatch.setattr(pictures, "MOST_CAMERAS", COUNT - 1)
     capsys.readouterr()
-    cli.main(["audit", str(tmp_path / "set")])
+    cli.main(["audit", str(tmp_path / "set"), "--out", str(out), "--force"])
     assert f"{COUNT - 1} of the {COUNT} pictures of the set were compared" in capsys.readouterr().out
+    assert any(f"{COUNT - 1} of the {COUNT} pictures" in warning for warning in read_section(out).warnings)

@@ -16,6 +16,7 @@ from mi_splat.audit.results import Vector
 
 _ELSEWHERE = (
     *("story", "file", "verdict", "summary", "objects", "pictures", "cameras", "views", "lint", "cost", "against"),
+    "pictures_in_set",
     *("command", "versions", "variant", "commit", "torch"),
 )
 _PLAIN = {
@@ -173,6 +174,9 @@ def _doubts(record: Mapping[str, Any]) -> Iterator[str]:
                 f"Object {number}: its colours have shades that neither paint nor light explains{camera}. An attack on "
                 "a detector leaves such; a training by photographs does not"
             )
+    compared = len(record.get("views") or ())
+    if compared < record.get("pictures_in_set", compared):
+        yield f"{compared} of the {record['pictures_in_set']} pictures were compared: nothing is said of the others"
     if record["near"] < 0.995:
         yield (
             f"{1 - record['near']:.0%} of the solid Gaussians lie far from every object that was looked at: nothing is "
@@ -194,7 +198,7 @@ def _pictures(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
         evidence = item["looks"][shown["look"]]["excess"] / record["thresholds"]["excess"]
         what = "the look shows" if evidence >= record["thresholds"]["suspicion"] else "colours differ most"
         yield Picture(
-            path=folder / shown["file"],
+            path=folder / Path(shown["file"]).name,
             caption=(
                 f"{name}: the same surface, left from inside of the directions from which {what}, right from outside. "
                 f"The surface that both see differs by {shown['change']:.2f} in the mean (sRGB, 0 to 1)."
