@@ -2,8 +2,8 @@
 
     python benchmarks/audit.py [--count 40000] [--json]
 
-The splat is the car of discs of tests/audit/scenes.py on a ground, made by code. Compile time is kept apart: all is done
-once before. Memory is the peak of the process, torch and the splat included.
+The splat is the car of discs of tests/audit/scenes.py on a ground, made by code. Compile time is kept apart: all is
+done once before. Memory is the peak of the process, torch and the splat included.
 """
 
 from __future__ import annotations

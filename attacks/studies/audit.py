@@ -143,7 +143,11 @@ class AuditWork(Work):
 
     def _add(self, point: Point) -> None:
         settings = dict(point.settings)
-        self.chosen_on = tuple(settings.pop("chosen_on", ()))
+        chosen_on = settings.pop("chosen_on", [])
+        if not isinstance(chosen_on, list):
+            do = 'write it as ["car"]'
+            raise InvalidValueError(message(f"chosen_on of {self.study.name}", "a list of names", repr(chosen_on), do))
+        self.chosen_on = tuple(chosen_on)
         self._derived = bool(settings.pop("derived", False))
         capture, file, exposure = (settings.pop(key, None) for key in ("capture", "file", "exposure"))
         labels = {axis: str(label) for axis, label in point.labels.items()}

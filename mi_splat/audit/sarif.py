@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import quote
 
+from mi_splat.audit.results import SEEN_THROUGH
+
 Level = Literal["error", "warning", "note"]
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
@@ -91,7 +93,8 @@ def _findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
         if cover is not None and cover["score"] >= thresholds["covered"]:
             axis = " ".join(f"{value + 0.0:.2f}" for value in cover["axis"])
             text = f"Object {number}: something in the air covers it from around ({axis}), and others see through it."
-            yield "occluder", _RULES["occluder"][0], text, {"score": cover["score"]}
+            hides = item["verdict"] == "hidden look" and cover["transparent"] >= SEEN_THROUGH
+            yield "occluder", "error" if hides else _RULES["occluder"][0], text, {"score": cover["score"]}
         edit = item.get("edited")
         if edit is not None and edit["score"] >= 1:
             text = f"Object {number}: its colours look edited, as an attack on a detector leaves them."

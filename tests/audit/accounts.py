@@ -32,7 +32,7 @@ def look(score: float = 0.05, *, above: float = 0.7) -> Look:
     )
 
 
-def account(*looks: Look, count: int, covered: float = 0.0) -> Audit:
+def account(*looks: Look, count: int, covered: float = 0.0, passed: float = 0.8) -> Audit:
     """Of a splat of so many Gaussians, the first half an object with these looks, covered from above or not."""
     half = torch.arange(count) < count // 2
     item = ObjectAudit(
@@ -47,7 +47,7 @@ def account(*looks: Look, count: int, covered: float = 0.0) -> Audit:
         cameras=tuple(camera(*place) for place in (3 * DIRECTIONS).tolist()),
         looks=looks,
         occluder=Occluder(
-            axis=(0.0, 0.0, 1.0), blocked=(DIRECTIONS[:, 2] > 0.5).double(), transparent=0.8, score=covered
+            axis=(0.0, 0.0, 1.0), blocked=(DIRECTIONS[:, 2] > 0.5).double(), transparent=passed, score=covered
         ),
     )
     found = half if item.evidence >= SUSPICION else torch.zeros_like(half)

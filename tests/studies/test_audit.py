@@ -62,6 +62,7 @@ def test_a_control_that_attacks_share_counts_once(monkeypatch: pytest.MonkeyPatc
     ("table", "said"),
     [
         ({"file": "nowhere.ply"}, "expected a file, got no file nowhere.ply"),
+        ({"chosen_on": "car"}, "expected a list of names, got 'car'"),
         ({"capture": "nowhere.xml"}, "expected a file, got no file nowhere.xml"),
         ({"attack": [{"name": n, "elevation": [50, 90]} for n in "ab"]}, "expected one attack, got 2"),
         ({"attack": [{"name": "a", "elevation": [50, 90]}], "colour": 1}, "colour"),
