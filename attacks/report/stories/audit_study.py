@@ -34,7 +34,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
     if worst is not None:
         named = f"{worst['part']}: {worst['value']}, {worst['splat']}"
         figures += [Figure(label="highest honest file", words=f"{worst['evidence']:.2f} of the threshold", note=named)]
-    without = f" {listed(chosen)}, on which the method was chosen, are left out of all figures." if chosen else ""
+    without = f" Left out of all figures: {listed(chosen)}, on which the method was chosen." if chosen else ""
     return Section(
         kind=KIND,
         title=str(record["name"]),
