@@ -36,9 +36,9 @@ from torch import Tensor
 
 from attacks.audits.audited import AuditedConfig
 from attacks.audits.learnt import fit_attributes
+from attacks.audits.photographed import PhotographedConfig
 from attacks.audits.rivals import RIVALS, RivalsConfig
 from attacks.cloak.config import StudyConfig
-from attacks.cloak.kinds.photographed import PhotographedConfig
 from attacks.cloak.rates import CLOAKED
 from attacks.cloak.steps import StudySteps
 from attacks.cloak.study import check_study, detectors_of
@@ -61,7 +61,7 @@ from mi_splat.training.resume import SPLAT
 STORY, STUDY_FILE, TABLE, PAIRS = "audit-study", "study.toml", "table.md", "pairs"
 HIDES = 0.5
 """Share of the trigger's cameras from which every detector has to miss the object of a splat that hides something."""
-_KINDS = "attacks.cloak.kinds"
+_KINDS = "attacks.audits"
 _DRAWS = 2000
 
 
@@ -203,8 +203,8 @@ class AuditWork(Work):
         truth: StudyConfig | None = None,
         seen: Mapping[str, tuple[Job, Job]] | None = None,
     ) -> None:
-        job = Job(kind="attacks.audits.audited", config=AuditedConfig(truth=truth), inputs={"splat": source})
-        rivals = Job(kind="attacks.audits.rivals", config=RivalsConfig(), inputs={"splat": source})
+        job = Job(kind=f"{_KINDS}.audited", config=AuditedConfig(truth=truth), inputs={"splat": source})
+        rivals = Job(kind=f"{_KINDS}.rivals", config=RivalsConfig(), inputs={"splat": source})
         if splat != CLOAKED and any(one.audit.identity == job.identity for one in self.audited):
             return  # a control that several attacks share counts once
         self.labels[f"{part}: {value} / auditing the {splat} splat"] = job

@@ -82,7 +82,7 @@ def test_names_from_outside_are_shown_as_they_are_written(
     said, times = VECTORS[vector]
     with window(chromium, vector(tmp_path), size=(1000, 1400), says=said) as opened:
         check_names(opened)
-        assert opened.page.inner_text("body").count(HOSTILE) == times
+        opened.until(lambda: opened.page.inner_text("body").count(HOSTILE) == times)  # a panel is drawn anew
         if vector is of_study:
             opened.page.get_by_role("combobox", name="From").click()
             opened.says(f"inside {HOSTILE}")

@@ -49,11 +49,11 @@ def read_spz(file: io.FileIO, path: str) -> Loaded:
     if head.flags & _ANTIALIASED:
         got = "a splat that was trained with the filter of Mip-Splatting, which is not applied"
         warnings.warn(message(path, "no antialiasing flag", got, "expect smaller Gaussians to look thicker"),
-                      SplatFileWarning, stacklevel=4)  # fmt: skip
+                      SplatFileWarning, stacklevel=5)  # fmt: skip
     count, degree = head.count, min(head.degree, 3)
     if head.degree > degree:
         text = message(path, "SH of degree 0 to 3", head.degree, "the higher bands were left out")
-        warnings.warn(text, SplatFileWarning, stacklevel=4)
+        warnings.warn(text, SplatFileWarning, stacklevel=5)
     sh = np.empty((count, (degree + 1) ** 2, 3), np.float32)
     sh[:, 0] = (parts["colours"].reshape(count, 3) / 255.0 - 0.5) / COLOUR_SCALE
     rest = parts["sh"].reshape(count, (head.degree + 1) ** 2 - 1, 3)

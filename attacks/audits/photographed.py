@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from PIL import Image
 
 from attacks.cloak.config import CameraConfig
 from attacks.cloak.kinds.parts import SET
@@ -19,6 +18,8 @@ from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import open_source
 from mi_splat.capture.writer import write_capture
 from mi_splat.fields import Checked, at_least
+from mi_splat.io.picture_files import load_picture
+from mi_splat.io.pictures import save_picture
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
@@ -67,6 +68,6 @@ def _expose(folder: Path, deviation: float) -> None:
     """Give each picture an exposure of its own."""
     rng = np.random.default_rng(0)
     for path in sorted(folder.rglob("*.png")):
-        values = np.asarray(Image.open(path).convert("RGBA"), np.float64)
+        values = np.asarray(load_picture(path).convert("RGBA"), np.float64)
         values[..., :3] *= 2.0 ** (rng.normal(0.0, deviation) / 2.2)
-        Image.fromarray(values.clip(0, 255).round().astype(np.uint8)).save(path)
+        save_picture(values.clip(0, 255).round().astype(np.uint8), path)
