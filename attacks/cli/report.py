@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from attacks.rate import FIXED
 from attacks.report.charts import need_packages
@@ -13,6 +15,9 @@ from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Folder
+
+if TYPE_CHECKING:
+    from attacks.report.section import Section
 
 EXAMPLES = (
     "report out/dagger --out dagger.html",
@@ -33,6 +38,9 @@ class ReportOptions(JsonOptions):
     """Folders or files of results; at least one. Those of one kind are compared."""
     out: Path = Path("out/report.html")
     """The page; its folder has to be there."""
+    detectors: tuple[str, ...] = ()
+    """Names of detectors that look at each object of an audited splat along two paths; the page of an audit shows where
+    the class changes."""
     title: str | None = None
     """Heading of the page; None is made of the results."""
     force: bool = False
@@ -53,7 +61,10 @@ def run(options: ReportOptions) -> None:
         sections = []
         for folder in options.results:
             advance(str(folder))
-            sections.append(read_section(folder))
+            section = read_section(folder)
+            if options.detectors:
+                section = _looked_at(folder, section, options.detectors)
+            sections.append(section)
     with progress("writing the page"):
         write_page(sections, options.out, title=options.title, force=options.force)
     if options.json:
@@ -66,3 +77,24 @@ def run(options: ReportOptions) -> None:
             if section.warnings:
                 warn(f"{section.folder}: {plural(len(section.warnings), 'warning')} on the page")
         show(f"{options.out}: open it in any browser; it asks nothing of any network.")
+
+
+def _looked_at(folder: Path, section: Section, names: Sequence[str]) -> Section:
+    """The section of an audit with what detectors report on its splat along paths.
+
+    Raises:
+        InvalidValueError: The result is none of an audit of a splat, or the splat is no longer there.
+    """
+    from attacks.audits.disagreement import seen_along_paths
+    from attacks.cli.names import load_detectors
+    from attacks.report.stories.audit import along_paths
+    from mi_splat.io.folders import RECORD
+    from mi_splat.io.parsing import read_json
+    from mi_splat.scene_files import open_scene
+
+    record = read_json(folder / RECORD)
+    path = Path(str(record.get("file")))
+    if record.get("story") != "audit" or not path.is_file():
+        expected, do = "a folder of `mi-splat audit`, whose splat is there", "leave out --detectors"
+        raise InvalidValueError(message("--detectors", expected, str(folder), do))
+    return along_paths(section, seen_along_paths(open_scene(path).scene, load_detectors(names, ())))

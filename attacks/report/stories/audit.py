@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from attacks.audits.disagreement import Seen
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section
 from attacks.report.wording import plural, sentence, settings
 from attacks.tables import Table
@@ -351,3 +353,48 @@ def _changes(against: Mapping[str, Any]) -> Table:
 
 def _numbers(values: Sequence[float]) -> str:
     return " ".join(f"{value + 0.0:.2f}" for value in values)
+
+
+def along_paths(section: Section, seen: Iterable[Seen]) -> Section:
+    """The section of an audit with what detectors report along paths of cameras: evidence, and no rule."""
+    told = list(seen)
+    return replace(
+        section,
+        charts=(*section.charts, *map(_along, told)),
+        tables=(
+            *section.tables,
+            Table.of(
+                "Along paths of cameras",
+                {
+                    "object": "number",
+                    "path": "path",
+                    "detector": "detector",
+                    "what is reported, in order": "runs",
+                    "changes and comes back": "comes_back",
+                },
+                [
+                    {
+                        **{"number": one.number, "path": one.path, "detector": one.detector},
+                        **{"runs": ", ".join(one.runs), "comes_back": one.comes_back},
+                    }
+                    for one in told
+                ],
+            ),
+        ),
+    )
+
+
+def _along(one: Seen) -> Chart:
+    """The class with most confidence at each place of a path."""
+    places = list(zip(one.places, one.labels, one.scores, strict=True))
+    return Chart(
+        title=f"Object {one.number}: {one.detector} {one.path}",
+        x_label="degrees along the path",
+        y_label="confidence",
+        caption="Where no point is, nothing is reported on the object from a confidence of 0.5 on. No rule follows.",
+        lines=tuple(
+            Line(name=label, role="other", points=tuple(Point(x, score) for x, at, score in places if at == label))
+            for label in dict.fromkeys(label for label in one.labels if label is not None)
+        ),
+        connected=False,
+    )
