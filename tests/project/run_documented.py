@@ -98,6 +98,7 @@ DAGGER = "mi-splat dagger scenes/car_street.xml --object car --out {path}"
 GIVEN: dict[str, str | Callable[[Path], None]] = {
     "desk.ply": splat,
     "street.ply": splat_y_down,
+    "received.ply": splat_y_down,
     "web.splat": splat,
     "out/original.ply": splat,
     "truck.glb": mesh,
