@@ -1,6 +1,6 @@
 """How fast are `splat_tile` and `splat_ray`? Side by side with Mitsuba's own `volprim_rf_basic`, as ratios.
 
-    python benchmarks/render.py [--rounds 15] [--json]
+    python benchmarks/render.py [--rounds 15] [--cpu] [--json]
 
 The same splat, camera and process for both; each is run three times before it is timed, so that compilation stays
 apart, and the runs are interleaved, since a shared machine changes its speed within minutes. Reported is the median
@@ -16,7 +16,6 @@ import argparse
 import json
 import statistics
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,8 @@ import numpy as np
 import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from cpu_time import Clock, add_cpu_flag, clock, interleaved, ratio
 
 from mi_splat import variant
 from mi_splat.cameras import Camera, orbit_pose
@@ -105,14 +106,7 @@ def through_renderer(scene: GaussianScene, camera: Camera) -> Runs:
     return forward, both
 
 
-def seconds(run: Callable[[], None]) -> float:
-    """Wall time of one run."""
-    start = time.perf_counter()
-    run()
-    return time.perf_counter() - start
-
-
-def measure(count: int, size: int, rounds: int) -> dict[str, Any]:
+def measure(count: int, size: int, rounds: int, now: Clock) -> dict[str, Any]:
     """Median times in ms, and medians of the ratios to the peer, for one setting."""
     scene = shell(count)
     pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=3.0)
@@ -123,24 +117,18 @@ def measure(count: int, size: int, rounds: int) -> dict[str, Any]:
         "splat_ray": through_mitsuba(scene, camera, "splat_ray"),
         "Renderer": through_renderer(scene, camera),
     }
-    times: dict[str, list[list[float]]] = {name: [[], []] for name in ways}
-    for runs in ways.values():
-        for run in runs:
-            for _ in range(3):
-                run()
-    for _ in range(rounds):
-        for name, runs in ways.items():
-            for which, run in enumerate(runs):
-                times[name][which].append(seconds(run))
+    labels = ("forward", "forward + backward")
+    runs = {f"{name}, {label}": run for name, pair in ways.items() for label, run in zip(labels, pair, strict=True)}
+    times = interleaved(runs, rounds=rounds, now=now)
     row: dict[str, Any] = {"gaussians": count, "size": size}
-    for which, label in enumerate(("forward", "forward + backward")):
-        peer = times["volprim_rf_basic"][which]
+    for label in labels:
+        peer = times[f"volprim_rf_basic, {label}"]
         row[label] = {
             name: {
-                "ms": round(1e3 * statistics.median(t[which]), 2),
-                "ratio": round(statistics.median(p / v for p, v in zip(peer, t[which], strict=True)), 1),
+                "ms": round(1e3 * statistics.median(times[f"{name}, {label}"]), 2),
+                "ratio": round(ratio(peer, times[f"{name}, {label}"]), 1),
             }
-            for name, t in times.items()
+            for name in ways
         }
     return row
 
@@ -149,11 +137,13 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description="Time splat_tile beside volprim_rf_basic.")
     parser.add_argument("--rounds", type=int, default=15, help="interleaved runs of everything")
+    add_cpu_flag(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     arguments = parser.parse_args()
     torch.set_num_threads(1)  # torch's threads and Dr.Jit's would fight over the cores
     variant.use()
-    rows = [measure(count, size, arguments.rounds) for count, size in SETTINGS]
+    now = clock(arguments.cpu)
+    rows = [measure(count, size, arguments.rounds, now) for count, size in SETTINGS]
     if arguments.json:
         print(json.dumps(rows, indent=2))  # noqa: T201
         return
