@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from mi_splat.cli.console import PROGRAM, UsageError, warn
+from mi_splat.cli.console import PROGRAM, UsageError, import_at_once, warn
 from mi_splat.errors import MiSplatError, message, nearest, printable
 
 if TYPE_CHECKING:
@@ -55,6 +55,8 @@ COMMANDS = {
 """What each command does, in a line; its module is called as it is."""
 OF_SPLATS = ("capture", "train", "render", "select", "info", "audit", "convert", "example-scenes")
 """Commands whose modules are in `mi_splat.cli`; those of the others are here."""
+WITHOUT_TORCH = ("detectors", "doctor", "info", "report", "rows", "study")
+"""Commands that do without torch, or with most of what they are asked."""
 
 
 def module_of(name: str) -> ModuleType:
@@ -137,7 +139,8 @@ def _dispatch(words: list[str]) -> int:
     options = parse(name, rest)
     check_names(options)
     module = module_of(name)
-
+    if name not in WITHOUT_TORCH:
+        import_at_once("torch")
     with running_command(given):
         if most is None:
             return module.run(options) or DONE

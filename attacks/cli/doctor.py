@@ -1,9 +1,9 @@
 """`mi-splat doctor`: check what `mi-splat dagger` needs on this machine, and say what to do where it does not work.
 
-A broken libLLVM, or a torch that does not fit its torchvision, can end the whole process. So the checks run in child
-processes (`python -m attacks.cli.doctor GROUP`). A child prints what each check says as soon as it is done, one JSON
+A broken libLLVM, or a torch that does not fit its torchvision, can end the whole process. So the checks run in a child
+process (`python -m attacks.cli.doctor GROUP ...`), which prints what each check says as soon as it is done, one JSON
 text a line. If it ends early, the first check without a line has failed; the signal or the last line of stderr says
-why.
+why. The rest of that group needs what failed; another child looks at the groups that follow.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from mi_splat.cli.console import progress, show_result
+from mi_splat.cli.console import import_at_once, progress, show_result
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import MiSplatError, install
 from mi_splat.llvm import llvm_hint
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 State = Literal["works", "fails", "absent", "skipped"]
 TIME_LIMIT = 300.0
-"""Seconds that one group may take; the first kernels of a machine have to be compiled."""
+"""Seconds that a child may take; the first kernels of a machine have to be compiled."""
 
 
 EXAMPLES = ("doctor",)
@@ -103,9 +103,7 @@ def examine(on_done: Callable[[str], None] = lambda name: None) -> list[Finding]
     packages = ", ".join(f"{package} {number}" for package, number in versions().items())
     detail = f"{packages}; {platform.system()} {platform.machine()}"
     findings = [Finding(name="versions", state="works", detail=detail, advice="", required=True)]
-    for group in GROUPS:
-        findings += examine_group(group, [sys.executable, "-m", "attacks.cli.doctor", group])
-        on_done(group)
+    findings += examine_groups(tuple(GROUPS), [sys.executable, "-m", "attacks.cli.doctor"], on_done)
     for extra, modules in EXTRAS.items():
         missing = [module for module in modules if importlib.util.find_spec(module) is None]
         state: State = "absent" if missing else "works"
@@ -115,25 +113,51 @@ def examine(on_done: Callable[[str], None] = lambda name: None) -> list[Finding]
     return findings
 
 
-def examine_group(group: str, command: list[str]) -> list[Finding]:
-    """The findings of one group, whose probes run in the child process `command`."""
+def examine_groups(
+    groups: Sequence[str], command: Sequence[str], on_done: Callable[[str], None] = lambda name: None
+) -> list[Finding]:
+    """The findings of groups of probes.
+
+    Args:
+        groups: Their names.
+        command: Starts the child process that runs the groups which follow it.
+        on_done: Called with the name of each group when its findings are there.
+    """
+    findings: list[Finding] = []
+    details: list[str] = []
+    reason: str | None = None
+    for number, group in enumerate(groups):
+        if reason is None:
+            details, reason = _answers([*command, *groups[number:]])
+        probes = GROUPS[group]
+        findings += [_finding(probe, k, details, reason) for k, probe in enumerate(probes)]
+        if len(details) < len(probes):
+            reason = None  # what follows needs another child
+        details = details[len(probes) :]
+        on_done(group)
+    return findings
+
+
+def _answers(command: Sequence[str]) -> tuple[list[str], str]:
+    """What each probe of a child said, and why the child ended."""
     try:
         child = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=TIME_LIMIT, check=False)
         output, reason = child.stdout, _end_of(child.returncode, child.stderr.decode(errors="replace"))
     except subprocess.TimeoutExpired as error:
         output, reason = error.stdout or b"", f"no answer after {TIME_LIMIT:.0f} s"
-    details = [str(json.loads(line)) for line in output.splitlines() if line.startswith(b'"')]
-    findings = []
-    for number, probe in enumerate(GROUPS[group]):
-        state: State = "works"
-        if number < len(details):
-            detail, advice = details[number], ""
-        elif number == len(details):
-            state, detail, advice = "fails" if probe.required else "absent", reason, probe.advice
-        else:
-            state, detail, advice = "skipped", "needs what failed before", ""
-        findings.append(Finding(name=probe.name, state=state, detail=detail, advice=advice, required=probe.required))
-    return findings
+    return [str(json.loads(line)) for line in output.splitlines() if line.startswith(b'"')], reason
+
+
+def _finding(probe: Probe, number: int, details: Sequence[str], reason: str) -> Finding:
+    """Of the probe with this number in a group of which so many have said something before the child ended."""
+    state: State = "works"
+    if number < len(details):
+        detail, advice = details[number], ""
+    elif number == len(details):
+        state, detail, advice = "fails" if probe.required else "absent", reason, probe.advice
+    else:
+        state, detail, advice = "skipped", "needs what failed before", ""
+    return Finding(name=probe.name, state=state, detail=detail, advice=advice, required=probe.required)
 
 
 def _end_of(status: int, errors: str) -> str:
@@ -175,6 +199,7 @@ def _one_gradient() -> str:
 
 
 def _torch_pair() -> str:
+    import_at_once("torchvision")
     import torch
     import torchvision
 
@@ -208,6 +233,7 @@ def _cuda() -> str:
 
 def _render(sh: Tensor | None = None, variant: str = "llvm_ad_rgb") -> Tensor:
     """A picture of one bright Gaussian in front of black, or of one with the colour `sh`."""
+    import_at_once("torch")
     import torch
 
     from mi_splat.cameras import Camera, look_at
@@ -271,6 +297,6 @@ EXTRAS = {
 }
 
 
-if __name__ == "__main__":
-    for probe in GROUPS[sys.argv[1]]:  # in the child; a line is there as soon as its probe is done
+if __name__ == "__main__":  # in the child; a line is there as soon as its probe is done
+    for probe in (probe for group in sys.argv[1:] for probe in GROUPS[group]):
         os.write(sys.stdout.fileno(), (json.dumps(probe.run()) + "\n").encode())

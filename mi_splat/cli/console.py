@@ -5,6 +5,9 @@ Text goes through `printable` on its way, since names out of files are in it; a 
 
 from __future__ import annotations
 
+import atexit
+import gc
+import importlib
 import json
 import os
 import sys
@@ -44,6 +47,22 @@ def limit_threads(most: int | None = None) -> None:
         import torch
 
         torch.set_num_threads(max(1, (os.cpu_count() or 1) // 2 if most is None else most))
+
+
+def import_at_once(package: str) -> None:
+    """Import a large package in two thirds of the CPU time, unless it is there already.
+
+    All that torch makes as it is imported stays to the end. Python would look for garbage in it a few hundred times
+    meanwhile, and again as the process ends; so it is told to do neither.
+    """
+    if package not in sys.modules:
+        gc.disable()
+        try:
+            importlib.import_module(package)
+        finally:
+            gc.freeze()
+            gc.enable()
+        atexit.register(gc.freeze)
 
 
 def warn(text: str) -> None:

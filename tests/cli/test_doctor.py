@@ -21,7 +21,7 @@ REPORT = "import os; os.write(1, b'" + '"fine"\\n' + "'); "
 def examined(code: str, monkeypatch: pytest.MonkeyPatch) -> list[Finding]:
     """Findings of a group of three probes whose child runs `code`."""
     monkeypatch.setitem(doctor.GROUPS, "group", PROBES)
-    return doctor.examine_group("group", [sys.executable, "-c", code])
+    return doctor.examine_groups(["group"], [sys.executable, "-c", code])
 
 
 def test_all_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -36,6 +36,16 @@ def test_a_child_that_aborts(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [finding.state for finding in findings] == ["works", "fails", "skipped"]
     assert "SIGABRT" in findings[1].detail
     assert findings[1].advice == "mend second"
+
+
+def test_what_follows_a_group_that_failed_is_examined(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(doctor.GROUPS, "before", PROBES)
+    monkeypatch.setitem(doctor.GROUPS, "group", PROBES[:1])
+    code = "import os, sys; os.write(1, b'\"fine\"\\n'); sys.argv[1:] == ['group'] or os.abort()"
+    done: list[str] = []
+    findings = doctor.examine_groups(["before", "group"], [sys.executable, "-c", code], done.append)
+    assert [finding.state for finding in findings] == ["works", "fails", "skipped", "works"]
+    assert done == ["before", "group"]
 
 
 def test_a_child_that_raises(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,13 +66,13 @@ def test_what_is_optional_may_be_absent(monkeypatch: pytest.MonkeyPatch) -> None
     probe = Probe(name="extra", run=lambda: "", advice="get it", required=False)
     monkeypatch.setitem(doctor.GROUPS, "group", (probe,))
     code = "from mi_splat.errors import MiSplatError; raise MiSplatError('no such thing')"
-    (finding,) = doctor.examine_group("group", [sys.executable, "-c", code])
+    (finding,) = doctor.examine_groups(["group"], [sys.executable, "-c", code])
     assert (finding.state, finding.detail, finding.advice) == ("absent", "no such thing", "get it")
 
 
 def test_an_old_llvm_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/nowhere/libLLVM-14.so.1")
-    findings = doctor.examine_group("renderer", [sys.executable, "-m", "attacks.cli.doctor", "renderer"])
+    findings = doctor.examine_groups(["renderer"], [sys.executable, "-m", "attacks.cli.doctor"])
     assert [finding.state for finding in findings] == ["fails", "skipped", "skipped", "skipped"]
     assert "/nowhere/libLLVM-14.so.1" in findings[0].detail
     assert "apt install" in findings[0].advice
