@@ -9,7 +9,7 @@ from torch import Tensor
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.metrics import ssim as reported_ssim
-from mi_splat.training.losses import blur, photometric_loss, ssim
+from mi_splat.training.losses import blur, photometric_loss
 
 
 def pictures(seed: int, height: int = 24, width: int = 30) -> tuple[Tensor, Tensor]:
@@ -18,9 +18,41 @@ def pictures(seed: int, height: int = 24, width: int = 30) -> tuple[Tensor, Tens
     return first, (first + 0.2 * torch.rand(first.shape, generator=generator, dtype=torch.float64)).clamp(0, 1)
 
 
-def test_ssim_has_its_derivative() -> None:
+def ssim(image: Tensor, reference: Tensor) -> Tensor:
+    return 1 - photometric_loss(image, reference, lambda_dssim=1)
+
+
+def test_the_loss_has_its_derivative() -> None:
     image, reference = pictures(0, 13, 17)
-    assert torch.autograd.gradcheck(lambda x: ssim(x, reference), image.requires_grad_(True))
+    assert torch.autograd.gradcheck(lambda x: 3 * photometric_loss(x, reference), image.requires_grad_(True))
+
+
+def composed(image: Tensor, reference: Tensor) -> Tensor:
+    """The loss from torch's operations, one after another, for autograd to differentiate."""
+    taps = torch.exp(-0.5 * (torch.arange(-5, 6, dtype=image.dtype) / 1.5) ** 2)
+    window = (torch.outer(taps, taps) / taps.sum() ** 2).expand(3, 1, 11, 11)
+    x, y = (picture.permute(2, 0, 1) for picture in (image, reference))
+    mx, my, xx, yy, xy = (
+        functional.conv2d(planes, window, padding=5, groups=3) for planes in (x, y, x * x, y * y, x * y)
+    )
+    luminance = (2 * mx * my + 0.01**2) / (mx**2 + my**2 + 0.01**2)
+    structure = (2 * (xy - mx * my) + 0.03**2) / (xx - mx**2 + yy - my**2 + 0.03**2)
+    return 0.8 * (image - reference).abs().mean() + 0.2 * (1 - (luminance * structure).mean())
+
+
+@pytest.mark.parametrize("size", [(24, 32), (21, 25)])
+def test_the_fast_loss_of_single_numbers_is_that_of_doubles_by_autograd(size: tuple[int, int]) -> None:
+    image, reference = pictures(6, *size)
+    (truth,) = torch.autograd.grad(composed(image.requires_grad_(True), reference), image)
+    single = image.detach().float().requires_grad_(True)
+    loss = photometric_loss(single, reference.float())
+    (gradient,) = torch.autograd.grad(loss, single)
+    assert float(loss.detach()) == pytest.approx(float(composed(image.detach(), reference)), rel=1e-6)
+    assert torch.allclose(gradient.double(), truth, rtol=0, atol=5e-6 * float(truth.abs().max()))
+    before = torch.get_num_threads()
+    torch.set_num_threads(1 if before > 1 else 2)
+    assert torch.equal(torch.autograd.grad(photometric_loss(single, reference.float()), single)[0], gradient)
+    torch.set_num_threads(before)
 
 
 def test_ssim_is_that_of_the_library_away_from_the_rim() -> None:
@@ -57,10 +89,10 @@ def test_the_weight_of_dssim_is_a_fifth() -> None:
 
 def test_blur_is_its_own_adjoint() -> None:
     generator = torch.Generator().manual_seed(3)
-    a, b = (torch.randn(2, 14, 19, generator=generator, dtype=torch.float64) for _ in range(2))
+    a, b = (torch.randn(2, 14, 19, 3, generator=generator, dtype=torch.float64) for _ in range(2))
     assert float((blur(a) * b).sum()) == pytest.approx(float((a * blur(b)).sum()), rel=1e-12)
-    flat = torch.ones(1, 30, 30, dtype=torch.float64)
-    assert float(blur(flat)[0, 15, 15]) == pytest.approx(1.0)
+    assert float(blur(torch.ones(1, 30, 30, 1))[0, 15, 15]) == pytest.approx(1.0)
+    assert torch.allclose(blur(a.float()), blur(a).float(), atol=1e-6)
 
 
 def test_photometric_weighs_its_two_terms() -> None:
