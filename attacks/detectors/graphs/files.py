@@ -1,6 +1,6 @@
 """The file form of a TensorFlow.js graph model: a JSON of nodes, and one block of bytes with the constants.
 
-Also the form in which this project keeps such a model: the nodes as JSON, the constants as safetensors.
+Also the form in which this project keeps any graph: the nodes as JSON, the constants as safetensors.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ _DTYPES = {"float32": np.float32, "int32": np.int32, "bool": np.bool_, "float16"
 _EXPORT_AGAIN = "convert the model again, or report the file"
 _READER = DocumentReader(expected="a TensorFlow.js graph model", do=_EXPORT_AGAIN, error=DetectorError)
 _WHOLE = re.compile(r"-?[0-9]{1,10}")
-_MOST_AXES = 8
+MOST_AXES = 8
+"""Most axes that a tensor of a graph may have."""
 MOST_ELEMENTS = 1 << 27
 """Most numbers that a tensor of a graph may have."""
 
@@ -170,7 +171,7 @@ def _constants(document: dict[str, Any], weights: bytes) -> dict[str, Tensor]:
             if kind not in _DTYPES or (quantised.values and kind != "float16"):
                 raise _wrong(f"weights of {', '.join(_DTYPES)}", f"{name} of {kind}")
             dtype, count = np.dtype(_DTYPES[kind]), math.prod(shape)
-            if len(shape) > _MOST_AXES or at + count * dtype.itemsize > len(weights):
+            if len(shape) > MOST_AXES or at + count * dtype.itemsize > len(weights):
                 raise _wrong("a weights file with all tensors of the manifest", f"{len(weights)} bytes")
             values = np.frombuffer(weights, dtype, count, at).reshape(shape)
             if dtype == np.float16:
@@ -198,7 +199,7 @@ def _graph(document: dict[str, Any], constants: Mapping[str, Tensor]) -> GraphMo
         if nodes[name].op == "Placeholder":
             dimensions = entry.object("attr").object("shape").object("shape").objects("dim")
             sizes = tuple(_whole(part.values.get("size", -1), f"shape of node {name}") for part in dimensions)
-            if len(sizes) > _MOST_AXES or math.prod(sizes) > MOST_ELEMENTS:
+            if len(sizes) > MOST_AXES or math.prod(sizes) > MOST_ELEMENTS:
                 raise _wrong(f"an input of at most {MOST_ELEMENTS:,} numbers", sizes)
             shapes[name] = sizes
     for node in nodes.values():

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from attacks.detectors.tfjs.files import GraphModel, read_graph_model
+from attacks.detectors.graphs.files import GraphModel, read_graph_model
 
 Array = NDArray[Any]
 

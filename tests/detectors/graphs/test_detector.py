@@ -1,4 +1,4 @@
-"""The adapters of the detectors that others trained on COCO; those that need the weights run where these are."""
+"""The adapters of the detectors that others trained on photographs; those that need the weights run where these are."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from torch import Tensor
 
 from attacks.detectors import DETECTORS, load_detector
 from attacks.detectors.catalogue import COCO_CLASSES, GRAPH, NPM_DETECTORS, DetectorError, folder_of, weights_of
-from attacks.detectors.tfjs.detector import DEVIATION, FAMILIES, MEAN, Family, GraphDetector, load
-from attacks.detectors.tfjs.files import load_graph_model, topology
-from attacks.detectors.tfjs.network import GraphNetwork
-from attacks.detectors.tfjs.packages import flaw
+from attacks.detectors.graphs.detector import DEVIATION, FAMILIES, MEAN, Family, GraphDetector, load
+from attacks.detectors.graphs.files import load_graph_model, topology
+from attacks.detectors.graphs.network import GraphNetwork
+from attacks.detectors.graphs.packages import flaw
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import quantise
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import read_scene
-from tests.detectors.tfjs.graphs import files, model, node, placeholder
+from tests.detectors.graphs.graphs import files, model, node, placeholder
 
 SCENES = Path(__file__).resolve().parents[3] / "scenes"
 CENTERNET, NANODET = FAMILIES["centernet_coco"], FAMILIES["nanodet_coco"]
@@ -149,7 +149,7 @@ def test_a_graph_of_another_family_is_refused(tmp_path: Path, monkeypatch: pytes
     (tmp_path / GRAPH).write_bytes(topology(graph))
     save_file({"unused": torch.zeros(1)}, tmp_path / "weights.safetensors")
     assert not weights
-    monkeypatch.setattr("attacks.detectors.tfjs.detector.check_files", lambda detector, folder: None)
+    monkeypatch.setattr("attacks.detectors.graphs.detector.check_files", lambda detector, folder: None)
     family = replace(FAMILIES["centernet_coco"], outputs=CENTERNET.outputs[:1])
     for side, words in ((512, r"one input of \(1, 512, 512, 3\)"), (8, "outputs of its family")):
         monkeypatch.setitem(FAMILIES, "centernet_coco", replace(family, side=side))
@@ -183,11 +183,12 @@ def test_what_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize("name", each)
 def test_it_finds_what_is_to_be_seen(name: str, variant: str) -> None:
     detector = load_detector(name)
-    loaded = read_scene(SCENES / "stop_sign.xml")
-    camera = list(loaded.cameras.values())[4]
+    what, scene, number = ("car", "car_street", 0) if name == "ssd_openimages" else ("stop sign", "stop_sign", 4)
+    loaded = read_scene(SCENES / f"{scene}.xml")
+    camera = list(loaded.cameras.values())[number]
     picture = quantise(Renderer(loaded.settings)(loaded.scene, camera).clamp(0, 1))
     (found,) = detector.detect(picture[None])
-    assert found.labels[0] == "stop sign"
+    assert found.labels[0] == what
     assert found.scores[0] > 0.5
     assert (found.scores[:-1] >= found.scores[1:]).all()
 
@@ -234,12 +235,14 @@ def test_centernet_reports_what_its_graph_reports() -> None:
 def test_what_is_published_is_pinned() -> None:
     for detector in NPM_DETECTORS.values():
         for file in detector.files:
-            assert file.member.startswith("package/models/")
+            assert file.member.startswith("package/")
             assert len(file.sha256) == 64
             assert file.size < 1 << 24
 
 
-@pytest.mark.parametrize(("name", "parameters"), [("centernet_coco", 2.0), ("nanodet_coco", 3.8)])
+@pytest.mark.parametrize(
+    ("name", "parameters"), [("centernet_coco", 2.0), ("nanodet_coco", 3.8), ("ssd_openimages", 4.95)]
+)
 def test_what_was_got_is_whole_and_of_the_stated_size(name: str, parameters: float) -> None:
     if not weights_of(name).is_file():
         pytest.skip(f"{name} is not here: mi-splat detectors --get {name}")

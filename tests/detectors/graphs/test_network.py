@@ -11,10 +11,10 @@ import torch
 from safetensors.torch import save_file
 
 from attacks.detectors.catalogue import DetectorError
-from attacks.detectors.tfjs.files import load_graph_model, read_graph_model, topology
-from attacks.detectors.tfjs.network import GraphNetwork
+from attacks.detectors.graphs.files import load_graph_model, read_graph_model, topology
+from attacks.detectors.graphs.network import GraphNetwork
 from mi_splat.errors import InvalidValueError
-from tests.detectors.tfjs.graphs import files, ints, model, node, placeholder, string
+from tests.detectors.graphs.graphs import files, ints, model, node, placeholder, string
 
 KERNEL = np.arange(12, dtype=np.float32).reshape(1, 1, 3, 4)
 CONVOLUTION = {"strides": ints(1, 1, 1, 1), "padding": string("VALID"), "dilations": ints(1, 1, 1, 1)}

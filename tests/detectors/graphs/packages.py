@@ -48,8 +48,10 @@ def toy(name: str) -> NpmDetector:
         name=name,
         package=f"@toys/{name}",
         version="1.2.3",
-        topology=published(f"package/models/{name}.json", TOPOLOGY),
-        weights=published(f"package/models/{name}.bin", WEIGHTS),
+        files=(
+            published(f"package/models/{name}.json", TOPOLOGY),
+            published(f"package/models/{name}.bin", WEIGHTS),
+        ),
     )
 
 

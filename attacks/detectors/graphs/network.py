@@ -13,9 +13,9 @@ import torch
 from torch import Tensor, nn
 
 from attacks.detectors.catalogue import DetectorError
-from attacks.detectors.tfjs.files import MOST_ELEMENTS, GraphModel, Node
-from attacks.detectors.tfjs.operations import OPERATIONS
-from attacks.detectors.tfjs.values import Function, Step, Value, plain
+from attacks.detectors.graphs.files import MOST_ELEMENTS, GraphModel, Node
+from attacks.detectors.graphs.operations import OPERATIONS
+from attacks.detectors.graphs.values import Function, Step, Value, plain
 from mi_splat.errors import InvalidValueError, message
 
 _MISFITS = (RuntimeError, ValueError, TypeError, IndexError, KeyError, ArithmeticError)

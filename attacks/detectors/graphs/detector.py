@@ -1,26 +1,41 @@
-"""The detectors that come as TensorFlow.js graphs, CenterNet and NanoDet, behind the `Detector` interface.
+"""The detectors that come as graphs of operations, CenterNet, NanoDet and an SSD, behind the `Detector` interface.
 
 CenterNet (Zhou et al., "Objects as Points", 2019, on MobileNetV3): one heat map of centres for each class, and at each
 cell the distances to a box's sides. NanoDet: at each cell of three levels a quality for each class, and for each side
-of the box a distribution, as in Li et al., "Generalized Focal Loss", 2020; the distance is the mean of eleven bins.
+of the box a distribution, as in Li et al., "Generalized Focal Loss", 2020; the distance is the mean of eleven bins. SSD
+(Liu et al., 2016, on MobileNetV2): at 1,917 anchors of six levels a quality for each class, and the box's shift from
+the anchor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 from torchvision.ops import batched_nms
 
 from attacks.detectors.base import Candidates, Detections, check_images
-from attacks.detectors.catalogue import COCO_CLASSES, GRAPH, NPM_DETECTORS, WEIGHTS, DetectorError, weights_of
-from attacks.detectors.tfjs.files import load_graph_model
-from attacks.detectors.tfjs.network import GraphNetwork
-from attacks.detectors.tfjs.packages import check_files
+from attacks.detectors.catalogue import (
+    COCO_CLASSES,
+    GRAPH,
+    NPM_DETECTORS,
+    OPEN_IMAGES_CLASSES,
+    OPEN_IMAGES_LABELS,
+    WEIGHTS,
+    DetectorError,
+    weights_of,
+)
+from attacks.detectors.graphs.files import load_graph_model
+from attacks.detectors.graphs.network import GraphNetwork
+from attacks.detectors.graphs.packages import check_files
 from attacks.detectors.weights import FrozenDetector, fingerprint
 from mi_splat.errors import message
 
@@ -33,7 +48,13 @@ _STRIDES, _BINS = (8, 16, 32), 11
 MEAN, DEVIATION = (103.53, 116.28, 123.675), (57.375, 57.12, 58.395)
 """Of blue, green and red in [0, 255], as NanoDet standardises them."""
 _OVERLAP = 0.6
-"""Intersection over union from which NanoDet drops the weaker of two boxes of a class."""
+"""Intersection over union from which NanoDet and SSD drop the weaker of two boxes of a class."""
+_SIDE, _ANCHOR_STRIDES, _SCALES = 300, (16, 32, 64, 128, 256, 512), (0.2, 0.95)
+"""Pixels of SSD's input, pixels from one anchor to the next in each of its levels, and scales of first and last."""
+_SHAPES = (1.0, 2.0, 0.5, 3.0, 1 / 3)
+"""Width over height of the anchors in one place."""
+_SHIFTS = (10.0, 10.0, 5.0, 5.0)
+"""What the numbers for y, x, height and width are divided by."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +65,7 @@ class Family:
         outputs: Names of the graph's tensors that are decoded.
         side: Height and width of its input, pixels.
         prepare: From (1, 3, side, side) sRGB in [0, 1] to what the graph takes.
-        decode: From the outputs to boxes (A, 4) in pixels of the input and scores (A, 80).
+        decode: From the outputs to boxes (A, 4) in pixels of the input and scores (A, C).
         keep: From boxes, scores and the least score to rows and columns of what is reported, best first.
         min_confidence: Confidence below which nothing is reported.
     """
@@ -96,6 +117,50 @@ def _decode_bins(outputs: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
     return torch.cat(boxes), torch.cat(scores)
 
 
+@cache
+def anchors() -> NDArray[np.float64]:
+    """(1917, 4) y, x, height and width of SSD's anchors as shares of the picture, in the order of its outputs.
+
+    Section 2.2 of Liu et al., with the first level's three smaller ones of TensorFlow's implementation.
+    """
+    first, last = _SCALES
+    scales = [*np.linspace(first, last, len(_ANCHOR_STRIDES)), 1.0]
+    found = []
+    for level, stride in enumerate(_ANCHOR_STRIDES):
+        kinds = [(scales[level], shape) for shape in _SHAPES]
+        kinds.append((math.sqrt(scales[level] * scales[level + 1]), 1.0))
+        if level == 0:
+            kinds = [(first / 2, 1.0), (first, 2.0), (first, 0.5)]
+        cells = math.ceil(_SIDE / stride)
+        places = [((row + 0.5) / cells, (column + 0.5) / cells) for row in range(cells) for column in range(cells)]
+        found += [(*at, scale / math.sqrt(shape), scale * math.sqrt(shape)) for at in places for scale, shape in kinds]
+    return np.array(found)
+
+
+def _prepare_signed(picture: Tensor) -> Tensor:
+    """(1, 3, h, w) in [0, 1] to (1, h, w, 3) in [-1, 1]."""
+    return picture.permute(0, 2, 3, 1) * 2 - 1
+
+
+def _decode_anchors(outputs: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
+    """The boxes at all anchors of SSD; a class of several labels has the best score of them.
+
+    Args:
+        outputs: Shifts (1, 1917, 4), and logits (1, 1917, 24), the first of which is that of no object.
+    """
+    shifts, logits = outputs[0][0] / outputs[0].new_tensor(_SHIFTS), outputs[1][0]
+    fixed = torch.from_numpy(anchors()).to(shifts)
+    places, sizes = fixed[:, :2], fixed[:, 2:]
+    centres, half = (shifts[:, :2] * sizes + places).flip(1), (shifts[:, 2:].exp() * sizes / 2).flip(1)
+    scores = torch.sigmoid(logits[:, 1:])
+    best = [scores[:, _columns(name)].amax(1) for name in OPEN_IMAGES_CLASSES]
+    return _SIDE * torch.cat([centres - half, centres + half], 1), torch.stack(best, 1)
+
+
+def _columns(name: str) -> list[int]:
+    return [column for column, counted in enumerate(OPEN_IMAGES_LABELS.values()) if counted == name]
+
+
 def _cells(high: int, wide: int) -> Tensor:
     """(high * wide, 2) column and row of each cell, row by row."""
     y, x = torch.meshgrid(torch.arange(high), torch.arange(wide), indexing="ij")
@@ -142,23 +207,30 @@ FAMILIES: Mapping[str, Family] = {
         decode=_decode_bins,
         keep=_keep_unsuppressed,
     ),
+    "ssd_openimages": Family(
+        outputs=("raw_outputs/box_encodings", "raw_outputs/class_predictions"),
+        side=_SIDE,
+        prepare=_prepare_signed,
+        decode=_decode_anchors,
+        keep=_keep_unsuppressed,
+    ),
 }
 """Name to family of the detectors in `NPM_DETECTORS`."""
 
 
 class GraphDetector(FrozenDetector):
-    """A detector that others trained on COCO, its weights frozen.
+    """A detector that others trained on photographs, its weights frozen.
 
     A picture of any size is resized to the network's square, whatever its shape, as the published programs do.
 
     Attributes:
         name: Name in `attacks.detectors.DETECTORS`.
-        classes: The 80 classes of COCO.
+        classes: Those of the photographs.
         model: The graph.
     """
 
-    def __init__(self, name: str, network: GraphNetwork, family: Family) -> None:
-        super().__init__(name, network, COCO_CLASSES)
+    def __init__(self, name: str, network: GraphNetwork, family: Family, classes: Sequence[str] = COCO_CLASSES) -> None:
+        super().__init__(name, network, classes)
         self._family = family
 
     @property
@@ -222,7 +294,7 @@ def load(name: str, weights: Path | None = None) -> GraphDetector:
     family = FAMILIES[name]
     network = GraphNetwork(load_graph_model(path.with_name(GRAPH), path), family.outputs)
     _check_fits(name, network, family)
-    return GraphDetector(name, network, family)
+    return GraphDetector(name, network, family, NPM_DETECTORS[name].classes)
 
 
 def _check_fits(name: str, network: GraphNetwork, family: Family) -> None:
@@ -238,7 +310,7 @@ def _check_fits(name: str, network: GraphNetwork, family: Family) -> None:
     given = " and ".join(str(shape) for shape in network.shapes)
     try:
         boxes, scores = family.decode(tuple(torch.zeros(shape) for shape in network.shapes))
-        fits = boxes.shape == (len(scores), 4) and scores.shape[1] == len(COCO_CLASSES)
+        fits = boxes.shape == (len(scores), 4) and scores.shape[1] == len(NPM_DETECTORS[name].classes)
     except (RuntimeError, ValueError, IndexError):
         fits = False
     if not fits:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 
-from attacks.detectors.tfjs.network import GraphNetwork
-from attacks.detectors.tfjs.operations import OPERATIONS
-from tests.detectors.tfjs.graphs import (
+from attacks.detectors.graphs.network import GraphNetwork
+from attacks.detectors.graphs.operations import OPERATIONS
+from tests.detectors.graphs.graphs import (
     Array,
     convolved,
     ints,

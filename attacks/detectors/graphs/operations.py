@@ -16,8 +16,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from attacks.detectors.catalogue import DetectorError
-from attacks.detectors.tfjs.files import Node
-from attacks.detectors.tfjs.values import (
+from attacks.detectors.graphs.files import Node
+from attacks.detectors.graphs.values import (
     CHANNELS_FIRST,
     Run,
     Step,
