@@ -12,6 +12,7 @@ from typing import Any
 
 import polars as pl
 
+from attacks.cloak import region
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.transition import Transition, fit_transition
 from attacks.observe.measures import CLUSTERS, Confidence, Measures, cloak_measures, of, reported, with_control
@@ -57,6 +58,8 @@ def _tables(told: Mapping[str, Any], what: str = "") -> Iterator[Table]:
         if any(rates[key] is not None for rates in detectors.values())
     ]
     yield Table(caption=f"Rates by detector{what}", head=("rate", *detectors), rows=tuple(rates))
+    if OWN_REGION in told:
+        yield _in_region(told[OWN_REGION], what)
     if len(by_seed) > 1:
         rows = [(seed, *(cell(rates[headline]) for rates in counted.values())) for seed, counted in by_seed.items()]
         yield Table(caption=f"By seed: {RATES[headline]}", head=("seed", *detectors), rows=tuple(rows))
@@ -73,6 +76,18 @@ def _tables(told: Mapping[str, Any], what: str = "") -> Iterator[Table]:
     ]
     head = ("elevation", *(f"{name}, {which}" for name in detectors for which in NAMES.values()))
     yield Table(caption=f"Found, by elevation{what}", head=head, rows=tuple(rows))
+
+
+def _in_region(told: Mapping[str, Any], what: str) -> Table:
+    """The rates of each detector in its own region, and which that is."""
+    held = ("its region", *(region.in_words(part["bands"]) for part in told.values()))
+    rates = [
+        (title, *(cell(part["rates"][key]) for part in told.values()))
+        for key, title in RATES.items()
+        if any(part["rates"][key] is not None for part in told.values())
+    ]
+    caption = f"Rates of each detector in its own region{what}: {region.RULE}"
+    return Table(caption=caption, head=("rate", *told), rows=(held, *rates))
 
 
 def headline_key(rates: Mapping[str, Any]) -> str:
@@ -110,6 +125,8 @@ def spread_of(summary: Mapping[str, Any], detector: str, key: str) -> str:
     return f"; by seed {percent(min(fractions))} to {percent(max(fractions))}" if len(fractions) > 1 else ""
 
 
+OWN_REGION = "own_region"
+"""Key of the rates that are counted in each detector's own region, see `attacks.cloak.region`."""
 STEALTHY = 1.5
 """Most that the surroundings of an object may lose where an attack is called stealthy, dB."""
 BIN = 5.0
@@ -389,6 +406,7 @@ def _told(study: StudyConfig, rows: pl.DataFrame) -> dict[str, Any]:
     return {
         **_all(rates(study, rows)[()]),
         "by_detector": _by_detector(rates(study, rows, ("detector",)), detectors),
+        OWN_REGION: _by_region(study, rows),
         "by_attack": {
             attack.name: _by_detector(rates(study, rows, ("detector",), attack=attack.name), detectors)
             for attack in study.attack
@@ -400,6 +418,16 @@ def _told(study: StudyConfig, rows: pl.DataFrame) -> dict[str, Any]:
             ]
             for name in detectors
         },
+    }
+
+
+def _by_region(study: StudyConfig, rows: pl.DataFrame) -> dict[str, Any]:
+    """For each detector the lower edges of its region's bands, and every rate there; None where the region is empty."""
+    bands = region.regions(rows, study.evaluation.confidence)
+    counted = rates(study, region.in_region(rows, bands), ("detector",))
+    return {
+        name: {"bands": bands.get(name, []), "rates": _all(counted.get((name,), dict.fromkeys(RATES)))}
+        for name in study.evaluation.detectors
     }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import shutil
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -208,8 +207,9 @@ def check_study(study: StudyConfig, detectors: Sequence[Detector]) -> None:
     """Refuse a study that cannot be done.
 
     Raises:
-        InvalidValueError: A trigger has no training camera or two have one in common, a detector does not know a
-            class, the trainer's settings are out of range, or layers have a margin of poison.
+        InvalidValueError: A trigger has no training camera or two have one in common, a detector does not know the
+            object's class or none the class that is wanted, the trainer's settings are out of range, or layers have a
+            margin of poison.
     """
     setup = Setup(study)
     for seed in study.seeds:
@@ -223,12 +223,12 @@ def check_study(study: StudyConfig, detectors: Sequence[Detector]) -> None:
     if wide and study.layers is not None:  # from the margin's cameras its file is to show the benign look
         expected, do = "0 in a study of layers", "move the edge by `shift` under [layers] making"
         raise InvalidValueError(message(f"attack {wide[0].name!r}, poison_margin", expected, wide[0].poison_margin, do))
-    wanted = [
-        study.scene.class_name,
-        *(attack.target_class for attack in study.attack if attack.target_class is not None),
-    ]
-    for label, detector in itertools.product(wanted, detectors):
-        check_choice(f"class for {detector.name}", label, detector.classes)
+    for detector in detectors:
+        check_choice(f"class for {detector.name}", study.scene.class_name, detector.classes)
+    every = sorted({label for detector in detectors for label in detector.classes})
+    for attack in study.attack:
+        if attack.target_class is not None and every:  # who has no such class has no figure of it
+            check_choice(f"target_class of attack {attack.name!r}, for its detectors", attack.target_class, every)
 
 
 def check_folder(study: StudyConfig, folder: Path) -> None:

@@ -197,7 +197,7 @@ def cloak_measures(
     object's class is reported that overlaps its box by a tenth. `nothing_reported`: as the first, but missed only if
     nothing of any class is reported on the object. `benign_recall`: the cloaked splat is found outside of all triggers,
     where the control is; `control_benign_recall`: the control is found there. `target_rate`: the target class is
-    reported on the cloaked splat; `control_target_rate`: on the control.
+    reported on the cloaked splat, by detectors that have such a class; `control_target_rate`: on the control.
 
     Args:
         attacks: Names of all attacks of the study.
@@ -230,11 +230,10 @@ def cloak_measures(
         }
     if showing is not None:
         wanted = f"{TARGET_SCORE}{showing}"
+        known = inside(showing) & cloaked & pl.col(wanted).is_not_null()
         measures |= {
-            "target_rate": Measure(holds=reported(wanted, confidence), given=inside(showing) & cloaked),
-            "control_target_rate": Measure(
-                holds=reported(f"{CONTROL}{wanted}", confidence), given=inside(showing) & cloaked
-            ),
+            "target_rate": Measure(holds=reported(wanted, confidence), given=known),
+            "control_target_rate": Measure(holds=reported(f"{CONTROL}{wanted}", confidence), given=known),
         }
     return measures
 

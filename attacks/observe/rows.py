@@ -131,7 +131,11 @@ COLUMNS = (
         "original_score", "highest confidence of the original class (or any), IoU from 0.5; 0: none", optional=True
     ),
     _number("target_score", "the same of the class that is wanted; empty where none is", optional=True),
-    _number(TARGET_SCORE, "the same of the class that attack NAME wants"),
+    _number(
+        TARGET_SCORE,
+        "the same of the class that attack NAME wants; empty: the detector has no such class",
+        optional=True,
+    ),
     _number("any_overlap", "as original_score, with an IoU from 0.1", optional=True),
     _truth("success", "whether the aim is reached in this picture"),
     _truth("unambiguous", "whether so, and no other class has more confidence on the object"),

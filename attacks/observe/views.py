@@ -69,6 +69,10 @@ class ViewDetections:
             return 0.0
         return confidence(self.detections, self.box, labels=None if label is None else [label], iou=iou)
 
+    def confidence_of(self, label: str, classes: Sequence[str]) -> float | None:
+        """The same; None for a class that is not among those of the detector: it cannot report it."""
+        return self.confidence(label) if label in classes else None
+
 
 def detect_views(
     scene: GaussianScene,

@@ -232,7 +232,7 @@ def test_figures_tell_of_pictures_beside_splats(tmp_path: Path) -> None:
         figures(ASKED, tables_of(rows), []) for rows in (pl.concat([splats, pictures], how="diagonal"), splats)
     )
     assert "pictures" not in without
-    of_splats = ("by_detector", "by_attack", "by_elevation", *rates(ASKED, splats)[()])
+    of_splats = ("by_detector", "own_region", "by_attack", "by_elevation", *rates(ASKED, splats)[()])
     assert told.pop("pictures") == {name: without[name] for name in of_splats}
     assert told == without
 

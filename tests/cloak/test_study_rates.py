@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from attacks.cloak.config import AttackConfig
-from attacks.cloak.rates import Tables, by_elevation, figures, rates, stealth, transition
+from attacks.cloak.rates import RATES, Tables, by_elevation, figures, rates, stealth, tables, transition
+from attacks.cloak.region import in_region, in_words, regions
 from attacks.cloak.setup import Setup
 from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, ROWS, TRANSITION, frame_of, frame_with
 from tests.cloak.tiny_study import STUDY
@@ -84,6 +85,44 @@ def test_rates_have_the_denominators_that_they_say() -> None:
         for low, clean, cloaked in by_elevation(STUDY, frame_of(observed))["redness"]
     }
     assert rows == {30.0: (2, 1, 3), 40.0: (1, 0, 1), 45.0: (2, 1, 3)}
+
+
+def test_figures_are_counted_in_each_detector_s_own_region() -> None:
+    """Bands of 10 degrees in which it finds the control from 80 % of the cameras."""
+    found = [0.9, 0.9, 0.9, 0.9, 0.1]  # 80 % of a band
+    observed = [
+        *(row for view, score in enumerate(found) for row in seen(view, 7, score, 0.1)),
+        *(row for view in range(5, 9) for row in seen(view, -5, 0.9, 0.9)),
+        *(row for view, score in enumerate([0.9, 0.1], 10) for row in seen(view, 30, score, 0.1)),
+    ]
+    observed += [{**row, "detector": "blind", "original_score": 0.1} for row in observed]
+    bands = regions(frame_of(observed), 0.5)
+    assert bands == {"redness": [30.0, 40.0], "blind": []}
+    assert [in_words(each) for each in (*bands.values(), [0.0, 10.0, 40.0])] == [
+        "30 to 50 degrees",
+        "-",
+        "0 to 20, 40 to 50 degrees",
+    ]
+    part = rates(STUDY, in_region(frame_of(observed), bands), ("detector",))
+    assert [*part] == [("redness",)]
+    miss, recall = part["redness",]["trigger_miss_rate"], part["redness",]["control_recall"]
+    assert miss is not None
+    assert recall is not None
+    assert (miss.counts, recall.counts) == ("4 of 4", "4 of 5")
+    told = figures(
+        replace(STUDY, evaluation=replace(STUDY.evaluation, detectors=("redness", "blind"))), study_rows(observed), []
+    )
+    assert told["own_region"]["blind"] == {"bands": [], "rates": dict.fromkeys(RATES)}
+    assert told["own_region"]["redness"]["rates"]["trigger_miss_rate"]["successes"] == 4
+    table = next(table for table in tables(told) if "own region" in table.caption)
+    assert table.rows[0] == ("its region", "30 to 50 degrees", "-")
+
+
+def test_a_detector_without_the_class_wanted_has_no_figure_of_it() -> None:
+    observed = [{**row, "target_score: rear": None, "depth: rear": 3.0} for row in seen(0, -20, 0.9, 0.1)]
+    found = rates(STUDY, frame_of(observed))[()]["target_rate"]
+    assert found is not None
+    assert found.words == "-"
 
 
 def test_the_class_wanted_counts_on_the_cloaked_splat() -> None:

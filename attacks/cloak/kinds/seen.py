@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -92,7 +92,10 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
 
     def cells(seen: ViewDetections) -> dict[str, Cell]:
         out.progress(f"{detector.name} looks", next(done), len(cameras))
-        return {**observation_cells(setup.study, seen), **({"psnr": errors[seen.camera]} if errors else {})}
+        return {
+            **observation_cells(setup.study, seen, detector.classes),
+            **({"psnr": errors[seen.camera]} if errors else {}),
+        }
 
     if "pictures" in inputs:
         pictures = dict(zip(cameras, read_pictures(inputs["pictures"]).images, strict=True))
@@ -141,9 +144,15 @@ def _condition(config: SeenConfig, setup: Setup, errors: dict[Camera, float | No
     return replace(condition, show=show)
 
 
-def observation_cells(study: StudyConfig, seen: ViewDetections) -> dict[str, Cell]:
-    """Where a camera is to the triggers, and what is reported on the object: the cells that rates count."""
-    centre, wanted = study.centre, [attack for attack in study.attack if attack.target_class]
+def observation_cells(study: StudyConfig, seen: ViewDetections, classes: Sequence[str]) -> dict[str, Cell]:
+    """Where a camera is to the triggers, and what is reported on the object: the cells that rates count.
+
+    Args:
+        study: The study.
+        seen: What a detector reports.
+        classes: Those of the detector.
+    """
+    centre, wanted = study.centre, {one.name: one.target_class for one in study.attack if one.target_class}
     report = report_cells(seen.detections, seen.box, original=study.scene.class_name)
     del report["target"], report["target_score"]
     return {
@@ -151,7 +160,7 @@ def observation_cells(study: StudyConfig, seen: ViewDetections) -> dict[str, Cel
         **{f"{DEPTH}{a.name}": a.cone.angle_to_edge(seen.camera, centre=centre) for a in study.attack},
         **{f"{POISON_DEPTH}{a.name}": a.poisoned_cone.angle_to_edge(seen.camera, centre=centre) for a in study.attack},
         **report,
-        **{f"{TARGET_SCORE}{attack.name}": seen.confidence(attack.target_class) for attack in wanted},
+        **{f"{TARGET_SCORE}{name}": seen.confidence_of(label, classes) for name, label in wanted.items()},
     }
 
 

@@ -10,7 +10,18 @@ from typing import Any
 import polars as pl
 
 from attacks.cloak.config import StudyConfig, study_toml
-from attacks.cloak.rates import CLOAKED, NAMES, RATES, SECTOR, by_azimuth, costs, measures, picture_rows, transition
+from attacks.cloak.rates import (
+    CLOAKED,
+    NAMES,
+    OWN_REGION,
+    RATES,
+    SECTOR,
+    by_azimuth,
+    costs,
+    measures,
+    picture_rows,
+    transition,
+)
 from attacks.cloak.rates import figures as study_figures
 from attacks.cloak.rates import rates as study_rates
 from attacks.cloak.rates import tables as summary_tables
@@ -135,7 +146,17 @@ def figures(record: Mapping[str, Any], tables: Tables) -> Mapping[str, Any]:
     """
     study = study_of(record["study"])
     _check_rows(study, record["splats"], tables)
-    return study_figures(study, tables, record["splats"])
+    derived = study_figures(study, tables, record["splats"])
+    return derived if OWN_REGION in record else _without_regions(derived)
+
+
+def _without_regions(derived: Mapping[str, Any]) -> dict[str, Any]:
+    """The figures as results have them that were written before there were regions."""
+    return {
+        name: _without_regions(value) if name == "pictures" else value
+        for name, value in derived.items()
+        if name != OWN_REGION
+    }
 
 
 def _splats(record: Mapping[str, Any]) -> dict[tuple[str, int], str]:
@@ -148,7 +169,7 @@ def _cells(record: Mapping[str, Any], seen: ViewDetections, row: Mapping[str, An
     """The scores that a detector gives to the object in one picture."""
     cells = report_cells(seen.detections, seen.box, original=row["original"])
     wanted = {attack["name"]: attack["target_class"] for attack in record["study"]["attack"] if attack["target_class"]}
-    targets = {f"{TARGET_SCORE}{name}": seen.confidence(label) for name, label in wanted.items()}
+    targets = {f"{TARGET_SCORE}{name}": seen.confidence_of(label, detector.classes) for name, label in wanted.items()}
     return {**{name: cells[name] for name in ("score", "original_score", "any_overlap")}, **targets}
 
 
