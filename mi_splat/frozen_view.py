@@ -65,7 +65,7 @@ class FrozenView:
             raise InvalidValueError(message("FrozenView", 'the method "tile"', f'"{self.settings.method}"', do))
         self.variant = variant.use(self.settings.variant)
         self._device = scene.means.device
-        device = "cuda" if self.variant.startswith("cuda") else "cpu"
+        device = variant.device_of(self.variant)
         if self._device.type != device:
             do = f'call scene.to("{device}")'
             raise InvalidValueError(message("scene", f"tensors on {device}", self._device, do))

@@ -81,11 +81,11 @@ class ScreenGradients:
         self.lengths = torch.zeros(0)
         self.visible = torch.zeros(0)
 
-    def _begin(self, count: int) -> None:
-        self.lengths, self.visible = torch.zeros(count), torch.zeros(count)
+    def _begin(self, count: int, device: str) -> None:
+        self.lengths, self.visible = torch.zeros(2, count, device=device)
 
     def _add(self, screen: Tensor, camera: Camera) -> None:
-        self.lengths += (screen[:, :2] * torch.tensor([camera.width / 2, camera.height / 2])).norm(dim=1)
+        self.lengths += (screen[:, :2] * screen.new_tensor([camera.width / 2, camera.height / 2])).norm(dim=1)
         self.visible += screen[:, 2]
 
 
@@ -169,7 +169,7 @@ class Renderer:
         """What the bridge makes of a checked scene."""
         check_scene("scene", scene)
         variant.use(self.variant)
-        device = "cuda" if self.variant.startswith("cuda") else "cpu"
+        device = variant.device_of(self.variant)
         if scene.means.device.type != device:
             expected, do = f"tensors on {device} for {self.variant}", f'call scene.to("{device}")'
             raise InvalidValueError(message("scene", expected, scene.means.device, do))
@@ -266,7 +266,7 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
             outputs = self.grad_out()
             outputs_of_each = len(outputs) // len(self.pictures)
             if screen_gradients is not None:
-                screen_gradients._begin(count)
+                screen_gradients._begin(count, variant.device_of(name))
             for number, (camera, picture) in enumerate(zip(job.cameras, self.pictures, strict=True)):
                 grad_image, *grad_depths = outputs[number * outputs_of_each :][:outputs_of_each]
                 grad_picture = develop_backward(picture, grad_image, alpha=job.alpha, linear=job.settings.linear)
@@ -279,7 +279,7 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
                 if gradients is None:
                     continue
                 if screen_gradients is not None and screen is not None:
-                    screen_gradients._add(torch.from_numpy(screen.numpy().reshape(-1, 3)), camera)
+                    screen_gradients._add(screen.torch().reshape(-1, 3), camera)
                 totals = list(gradients) if totals is None else [a + b for a, b in zip(totals, gradients, strict=True)]
             names = ("means", "scales", "rotations", "opacities", "sh")
             totals = totals or [dr.zeros(mi.Float, math.prod(shape)) for shape in self.shapes]

@@ -47,6 +47,11 @@ def use(variant: str = "") -> str:
     return variant
 
 
+def device_of(variant: str) -> str:
+    """Where a variant has its tensors, by torch's name: "cpu" or "cuda"."""
+    return "cuda" if variant.startswith("cuda") else "cpu"
+
+
 def _has_cuda() -> bool:
     """Whether Dr.Jit finds a GPU and its driver."""
     import drjit as dr

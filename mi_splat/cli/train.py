@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from mi_splat.cli.console import UsageError, limit_threads, progress, show_result, warn
 from mi_splat.cli.flags import Positional, Unprefixed
@@ -86,6 +86,8 @@ class TrainOptions(JsonOptions):
     scene or the distance of its cameras is small."""
     lpips: bool = False
     """Score the held-out pictures by LPIPS, too; its network is downloaded when it is first used."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where it is trained: on the CPU, or on an NVIDIA GPU, where it has not been tried."""
     checkpoint_every: Annotated[int, at_least(1, "steps", "1000 is usual")] = 1000
     """Steps between two checkpoints."""
     seed: Seed = 0
@@ -165,7 +167,7 @@ def _train(options: TrainOptions) -> None:
 
         trained = train(
             views,
-            start,
+            start.to(options.device),
             options.out,
             render=render,
             config=config,
@@ -173,7 +175,7 @@ def _train(options: TrainOptions) -> None:
             held_out=held_out,
             every=options.checkpoint_every,
             lpips=lpips,
-            settings={"near": near, "background": list(options.background)},
+            settings={"near": near, "background": list(options.background), "device": options.device},
             on_resume=resumed,
             on_step=lambda line: advance(words(line)),
         )
@@ -195,7 +197,9 @@ def _renderer(options: TrainOptions, near: float) -> Renderer:
     if config.random_background and any(options.background):
         do = "leave out --background or --random-background"
         raise InvalidValueError(message("--background", "black beside --random-background", options.background, do))
-    settings = RenderSettings(background=options.background, near=near, alpha=config.random_background)
+    variant = "cuda_ad_rgb" if options.device == "cuda" else ""
+    alpha = config.random_background
+    settings = RenderSettings(background=options.background, near=near, alpha=alpha, variant=variant)
     return Renderer(settings, screen_gradients=ScreenGradients() if config.strategy.needs_screen_gradients else None)
 
 

@@ -45,6 +45,7 @@ def score(
     with torch.no_grad():
         for view in views:
             image = render(scene, view.camera)[..., :3].clamp(0, 1)  # a fourth channel is alpha
+            image = image.to(view.image.device)
             row = [psnr(image, view.image).clamp(max=MOST_PSNR), ssim(image, view.image)]
             rows.append([float(value) for value in (*row, *([lpips(image, view.image)] if lpips else []))])
     if not rows:

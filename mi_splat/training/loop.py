@@ -157,12 +157,13 @@ def _step(state: TrainState, views: Sequence[View], index: int, render: RenderFn
     """One picture, its loss, its gradient, and a step of Adam."""
     scene = state.scene()
     view = views[index]
-    image, target = render(scene, view.camera), view.image
+    image = render(scene, view.camera)
+    target = view.image.to(image.device)
     if state.config.random_background:
-        colour = torch.rand(3, generator=state.generator)
+        colour = torch.rand(3, generator=state.generator).to(image.device)
         image = over_background(image, colour)
         alpha = views.alpha(index) if isinstance(views, _HasMasks) else None
-        target = target if alpha is None else target + (1 - alpha[..., None]) * colour
+        target = target if alpha is None else target + (1 - alpha.to(image.device)[..., None]) * colour
     if state.config.masks and isinstance(views, _HasMasks):
         image = masked(image, target, views.loss_mask(index))
     loss = photometric_loss(image, target, lambda_dssim=state.config.lambda_dssim)

@@ -140,4 +140,4 @@ def masked(image: Tensor, reference: Tensor, mask: Tensor | None) -> Tensor:
         reference: (H, W, 3) sRGB.
         mask: (H, W) in [0, 1]; None keeps the picture.
     """
-    return image if mask is None else reference + mask[..., None] * (image - reference)
+    return image if mask is None else reference + mask.to(image.device)[..., None] * (image - reference)

@@ -85,6 +85,7 @@ def train(
         path, digest = folder / CHECKPOINT, _digest(start, views, held_out)
         if path.is_file():
             state = _resumed(folder, config, seed=seed, digest=digest, settings=settings or {})
+            state.to(start.means.device)
             _check_queue(state, len(views), path)
             if on_resume is not None:
                 on_resume(state)

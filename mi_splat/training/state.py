@@ -69,7 +69,7 @@ class TrainState:
         strategy: How Gaussians are added and removed.
         strategy_state: What the strategy remembers from step to step.
         iteration: Steps done.
-        generator: Source of everything random.
+        generator: Source of everything random, on the CPU wherever the tensors are, so that it gives the same numbers.
         view_queue: Numbers of the views still to come in this pass.
         settings: What else the pictures depend on, the near plane for instance; kept in the checkpoint.
         data_digest: Stands for what it is trained on, so that a run does not go on with something else.
@@ -87,7 +87,7 @@ class TrainState:
         self.history = list[Progress]()
         self.generator = Generator().manual_seed(seed)
         self.strategy = build_strategy(config.strategy)
-        self.strategy_state = self.strategy.initial_state(len(start))
+        self.strategy_state = _moved(self.strategy.initial_state(len(start)), start.means.device)
         trained = {"sh0", "shN"} if "sh" in config.trainable else set[str]()
         trained |= set(config.trainable) & set(self.parameters)
         self.trained = tuple(name for name in self.parameters if name in trained)
@@ -95,6 +95,17 @@ class TrainState:
             self.parameters[name].requires_grad_(True)
         groups = [{"params": [self.parameters[name]], "name": name} for name in self.trained]
         self.optimiser = torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)
+
+    def to(self, device: torch.device) -> None:
+        """Move everything that is trained or counted to another device."""
+        self.strategy_state = _moved(self.strategy_state, device)
+        old, self.parameters = self.parameters, _moved(self.parameters, device)
+        for group in self.optimiser.param_groups:
+            name = group["name"]
+            group["params"] = [self.parameters[name].requires_grad_(True)]
+            adam = self.optimiser.state.pop(old[name], {})
+            if adam:
+                self.optimiser.state[self.parameters[name]] = _moved(adam, device)
 
     @property
     def active_sh_degree(self) -> int:
@@ -177,3 +188,7 @@ class TrainState:
                         adam[key][fresh] = 0
                 self.optimiser.state[new] = adam
             group["params"] = [new]
+
+
+def _moved(tensors: dict[str, Tensor], device: torch.device) -> dict[str, Tensor]:
+    return {name: value.detach().to(device) for name, value in tensors.items()}

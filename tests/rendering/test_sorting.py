@@ -34,6 +34,17 @@ def test_pairs_are_sorted_by_tile_and_keep_their_order(tiles: int) -> None:
     assert np.array_equal(sorting.order_below(uints(keys), tiles).numpy(), np.argsort(keys, kind="stable"))
 
 
+@pytest.mark.skipif(not dr.has_backend(dr.JitBackend.CUDA), reason="no GPU was found")
+@pytest.mark.parametrize("tiles", [255, 230_400])
+def test_pairs_keep_their_order_on_a_gpu(tiles: int) -> None:
+    keys = np.random.default_rng(tiles).integers(0, tiles, 3_000_000)
+    variant.use("cuda_ad_rgb")
+    try:
+        assert np.array_equal(sorting.order_below(uints(keys), tiles).numpy(), np.argsort(keys, kind="stable"))
+    finally:
+        variant.use("llvm_ad_rgb")
+
+
 @pytest.mark.parametrize("tiles", [1, 255, 256, 230_400])
 def test_unused_pairs_come_last(tiles: int) -> None:
     keys = np.array([NO_TILE, tiles - 1, 0, NO_TILE])

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.training.strategies import ClassicConfig, Edit, MCMCConfig
+from mi_splat.training.strategies.base import normal
 from mi_splat.training.strategies.classic import densify_and_prune, reset_opacities
 from mi_splat.training.strategies.mcmc import explore, relocate
 
@@ -31,6 +32,13 @@ def values(count: int, seed: int = 0) -> dict[str, Tensor]:
         "sh0": torch.randn(count, 1, 3, generator=generator),
         "shN": torch.randn(count, 3, 3, generator=generator),
     }
+
+
+def test_numbers_are_drawn_on_the_cpu_and_lie_where_the_tensor_is() -> None:
+    seeds = torch.Generator(), torch.Generator()
+    assert normal(torch.empty(4, 3, device="meta"), seeds[0]).is_meta
+    normal(torch.empty(4, 3), seeds[1])
+    assert torch.equal(seeds[0].get_state(), seeds[1].get_state())
 
 
 def test_classic_round_keeps_clones_and_splits() -> None:

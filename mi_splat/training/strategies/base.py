@@ -21,6 +21,13 @@ if TYPE_CHECKING:  # not at run time, so that options can be parsed without torc
     """What a strategy remembers from step to step, by name; checkpoints hold it."""
 
 
+def normal(like: Tensor, generator: Generator) -> Tensor:
+    """Standard normal numbers in the shape of a tensor and where it lies; drawn on the CPU, so the same anywhere."""
+    import torch
+
+    return torch.randn(like.shape, generator=generator).to(like.device)
+
+
 class ScreenGradients(Protocol):
     """Statistics of the last backward pass that a renderer may keep; see `mi_splat.rendering.ScreenGradients`.
 
@@ -43,7 +50,7 @@ class Step:
         iterations: Steps of the whole training.
         scene_extent: Size of the scene, world units.
         lr_means: Learning rate of the means at the next step, world units.
-        generator: Source of everything random; to be drawn from in a fixed order.
+        generator: Source of everything random, on the CPU; to be drawn from in a fixed order.
         screen_gradients: Of this step, if the renderer keeps them.
     """
 

@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.rotation import normalise, to_matrix
-from mi_splat.training.strategies.base import Edit, Step, Strategy
+from mi_splat.training.strategies.base import Edit, Step, Strategy, normal
 from mi_splat.training.strategies.config import ClassicConfig
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class ClassicStrategy(Strategy):
                 prune_large=bool(state["opacities_were_reset"]),
                 generator=step.generator,
             )
-            state |= _counters(len(edit.parameters["means"]))
+            state |= _counters(len(edit.parameters["means"]), edit.parameters["means"].device)
         if config.opacity_reset_interval and at % config.opacity_reset_interval == 0 and at <= until:
             values = step.parameters if edit is None else edit.parameters
             lowered = {"opacities": reset_opacities(values["opacities"])}
@@ -66,8 +66,8 @@ class ClassicStrategy(Strategy):
         return edit
 
 
-def _counters(count: int) -> State:
-    return {"grad2d": torch.zeros(count), "visible_count": torch.zeros(count)}
+def _counters(count: int, device: torch.device | None = None) -> State:
+    return {name: torch.zeros(count, device=device) for name in ("grad2d", "visible_count")}
 
 
 def densify_and_prune(
@@ -101,7 +101,7 @@ def densify_and_prune(
     parents = split.nonzero().flatten().repeat_interleave(2)
     kept = (~split).nonzero().flatten()
     source = torch.cat([kept, clone, parents])
-    fresh = torch.arange(len(source)) >= len(kept)
+    fresh = torch.arange(len(source), device=source.device) >= len(kept)
     grown = {name: value.detach()[source] for name, value in parameters.items()}
     children = slice(len(kept) + len(clone), None)
     _scatter_children(grown, children, generator)
@@ -116,7 +116,7 @@ def _scatter_children(values: Parameters, rows: slice, generator: Generator) -> 
     """Draw the children's means from their parent and make them smaller."""
     scales = values["scales"][rows].exp()
     turn = to_matrix(normalise(values["rotations"][rows]))
-    draw = torch.randn(scales.shape, generator=generator) * scales
+    draw = normal(scales, generator) * scales
     values["means"][rows] += (turn @ draw[:, :, None])[:, :, 0]
     values["scales"][rows] = (scales / SPLIT_SCALE).log()
 

@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 
 from mi_splat.rotation import normalise, to_matrix
 from mi_splat.scene import GaussianScene
-from mi_splat.training.strategies.base import Edit, Step, Strategy
+from mi_splat.training.strategies.base import Edit, Step, Strategy, normal
 from mi_splat.training.strategies.config import MCMCConfig
 
 if TYPE_CHECKING:
@@ -52,13 +52,14 @@ def relocate(parameters: Parameters, *, config: MCMCConfig, generator: Generator
     dead = (opacity <= config.dead_opacity).nonzero().flatten()
     grown = int(count * (1 + config.growth))
     new = max((grown if config.max_gaussians is None else min(grown, config.max_gaussians)) - count, 0)
-    source = torch.arange(count + new)
+    source = torch.arange(count + new, device=opacity.device)
     fresh = source >= count
     weights = torch.where(opacity > config.dead_opacity, opacity, 0.0)
     if not len(dead) + new or not bool((weights > 0).any()):
         return Edit(parameters={})
-    drawn = torch.multinomial(weights, len(dead) + new, replacement=True, generator=generator)
-    targets = torch.cat([dead, torch.arange(count, count + new)])
+    # On the CPU, where the generator is.
+    drawn = torch.multinomial(weights.cpu(), len(dead) + new, replacement=True, generator=generator).to(source.device)
+    targets = torch.cat([dead, source[count:]])
     source[targets], fresh[targets] = drawn, True
     shares = torch.bincount(drawn, minlength=count)[source] + 1
     fresh |= shares > 1
@@ -74,9 +75,9 @@ def _shared(logits: Tensor, scales: Tensor, shares: Tensor) -> tuple[Tensor, Ten
     split = 1 - (1 - opacity) ** (1 / n)
     total = torch.zeros_like(opacity)
     for i in range(1, int(n.max()) + 1):
-        k = torch.arange(i, dtype=torch.float64)
-        binomials = torch.tensor([math.comb(i - 1, j) * (-1) ** j for j in range(i)], dtype=torch.float64)
-        terms = (binomials / (k + 1).sqrt()) * split[:, None] ** (k + 1)
+        k = torch.arange(1, i + 1, dtype=torch.float64, device=split.device)
+        binomials = split.new_tensor([math.comb(i - 1, j) * (-1) ** j for j in range(i)])
+        terms = (binomials / k.sqrt()) * split[:, None] ** k
         total += torch.where(n >= i, terms.sum(1), 0.0)
     factor = torch.where(n > 1, opacity / total, 1.0)
     several = n > 1
@@ -100,6 +101,6 @@ def explore(parameters: Parameters, *, lr_means: float, config: MCMCConfig, gene
     gate = torch.sigmoid(-100 * (opacity - config.dead_opacity))[:, None]
     scales = parameters["scales"].detach().exp()
     turn = to_matrix(normalise(parameters["rotations"].detach()))
-    noise = torch.randn(scales.shape, generator=generator) * gate * (config.noise_lr * lr_means)
+    noise = normal(scales, generator) * gate * (config.noise_lr * lr_means)
     local = (turn.transpose(1, 2) @ noise[:, :, None])[:, :, 0] * scales**2
     return parameters["means"].detach() + (turn @ local[:, :, None])[:, :, 0]
