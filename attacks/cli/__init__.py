@@ -55,7 +55,7 @@ COMMANDS = {
 """What each command does, in a line; its module is called as it is."""
 OF_SPLATS = ("capture", "train", "render", "select", "info", "audit", "convert", "example-scenes")
 """Commands whose modules are in `mi_splat.cli`; those of the others are here."""
-WITHOUT_TORCH = ("detectors", "doctor", "info", "report", "rows", "study")
+WITHOUT_TORCH = ("detectors", "doctor", "info", "rows", "study")
 """Commands that do without torch, or with most of what they are asked."""
 
 

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import polars as pl
 import torch
 from torch import Tensor
-from torchvision.ops import box_iou
 
 from attacks.detectors.base import Detections, Detector
 from attacks.detectors.catalogue import SMALL_CLASSES, DetectorError
@@ -146,6 +145,8 @@ def look_at(detector: Detector, sets: Mapping[str, Sequence[LabelledPicture]]) -
 
 def _detections(ids: Mapping[str, Cell], result: Detections, picture: LabelledPicture) -> list[Row]:
     """Rows of the detections in a picture; the most confident ones choose their objects first."""
+    from torchvision.ops import box_iou  # takes a second to import, and reports of results do without
+
     labels = [SMALL_CLASSES[label - 1] for label in picture.labels.tolist()]
     iou: list[list[float]] = box_iou(result.boxes.cpu(), picture.boxes).tolist()
     owners = [max(range(len(labels)), key=shared.__getitem__, default=None) for shared in iou]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mi_splat.attributes import ATTRIBUTES, values_hash
-from mi_splat.cli.console import progress, show_json, show_table
+from mi_splat.cli.console import import_at_once, progress, show_json, show_table
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.io.errors import SplatFileWarning
@@ -62,6 +62,7 @@ def _file_facts(path: Path) -> dict[str, object]:
 
 def _scene_file_facts(path: Path) -> dict[str, object]:
     """Facts about a scene XML: its parts, its cameras, and all its Gaussians together."""
+    import_at_once("torch")
     from mi_splat.scene_files import read_scene
 
     loaded = read_scene(path)
