@@ -53,30 +53,33 @@ def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures
     painter, pace = Painter(exhibit, Renderer(settings)), Pace()
     state = ViewState(orbit=exhibit.start, show=ways_of_showing(names)[0], canvas=canvas)
     times: list[float] = []
-    busy = 0.0
+    busy, every = 0.0, 1
     for number in range(pictures):
         if number == pictures // 4:
             busy = time.process_time()
         state = replace(state, orbit=replace(state.orbit, azimuth=3.0 * number))
-        times.append(_seconds(painter, state, Step.COARSE, pace))
-        pace = pace.after(times[-1])
+        seconds, every = _timed(painter, state, Step.COARSE, pace)
+        times.append(seconds)
+        pace = pace.after(seconds, every=every)
     busy, settled = time.process_time() - busy, times[pictures // 4 :]
-    full = [_seconds(painter, state, Step.FULL, pace) for _ in range(5)]
+    full = [_timed(painter, state, Step.FULL, pace)[0] for _ in range(5)]
     return {
         "splats": splats,
         "pictures_a_second": round(len(settled) / sum(settled), 1),
         "cpu_ms": round(1000 * busy / len(settled), 1),
         "slowest_ms": round(1000 * max(settled), 1),
         "scale": round(pace.scale, 2),
+        "every": every,
         "full_ms": round(1000 * statistics.median(full), 1),
     }
 
 
-def _seconds(painter: Painter, state: ViewState, step: Step, pace: Pace) -> float:
+def _timed(painter: Painter, state: ViewState, step: Step, pace: Pace) -> tuple[float, int]:
+    """Seconds for a picture, and of how many Gaussians it shows one."""
     begun = time.perf_counter()
-    picture = Image.fromarray(painter.paint(state, step, pace).pixels)
-    picture.save(io.BytesIO(), format="JPEG", quality=JPEG_QUALITY[step])
-    return time.perf_counter() - begun
+    painting = painter.paint(state, step, pace)
+    Image.fromarray(painting.pixels).save(io.BytesIO(), format="JPEG", quality=JPEG_QUALITY[step])
+    return time.perf_counter() - begun, painting.every
 
 
 def main() -> None:
@@ -96,6 +99,7 @@ def main() -> None:
         sys.stdout.write(
             f"{line['splats']} x {options.gaussians:,} Gaussians at {canvas[0]} x {canvas[1]}: "
             f"{line['pictures_a_second']} pictures a second at {line['scale']:.0%} of the width, "
+            f"one of {line['every']} Gaussians, "
             f"processor {line['cpu_ms']} ms, slowest {line['slowest_ms']} ms; a full picture {line['full_ms']} ms\n"
         )
 

@@ -98,10 +98,10 @@ class Visitor:
         """Make a picture and send it."""
         with self._lock:
             state, pace = self._session.state, self._session.pace
-        begun = time.perf_counter()
+        begun, every = time.perf_counter(), 1
         try:
             painting = self._painter.paint(state, step, pace)
-            scene = self.client.scene
+            scene, every = self.client.scene, painting.every
             scene.set_background_image(painting.pixels, format="jpeg", jpeg_quality=JPEG_QUALITY[step])
             if step is not Step.COARSE:
                 self._panel.tell(self._remarks(state, painting), self._painter.commands(state.orbit))
@@ -109,7 +109,7 @@ class Visitor:
             self._panel.tell([("", str(error))], {})
         self.client.flush()
         with self._lock:
-            self._session = self._session.done(step, state, time.perf_counter() - begun)
+            self._session = self._session.done(step, state, time.perf_counter() - begun, every=every)
 
     def _remarks(self, state: ViewState, painting: Painting) -> Iterator[Remark]:
         """What is known of the picture."""

@@ -21,11 +21,16 @@ from mi_splat.viewer.exhibit import Exhibit, Inspection, Inspector
 from mi_splat.viewer.lines import draw_lines
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.session import Pace, Step, ViewState
+from mi_splat.viewer.thinning import Thinned, thinning
 
 MOST_PIXELS = 1_500_000
 """Pixels of the largest full picture; the browser enlarges it where its window has more."""
 LETTERS = 15
 """Height of letters in a full picture, pixels."""
+SMALLEST_LETTERS = 7
+"""Height of letters below which nobody could read them."""
+PREVIEW = " (preview)"
+"""What stands behind the title of a picture that has fewer pixels or Gaussians than there are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -35,10 +40,12 @@ class Painting:
     Attributes:
         pixels: (H, W, 3) uint8, of the shape of the page's place for pictures.
         inspections: Of each splat that was inspected; empty while the camera moves.
+        every: Of how many Gaussians it shows one; 1 except in coarse pictures.
     """
 
     pixels: Pixels
     inspections: Mapping[str, Inspection]
+    every: int
 
 
 class Painter:
@@ -52,6 +59,7 @@ class Painter:
 
     def __init__(self, exhibit: Exhibit, render: RenderFn, inspector: Inspector | None = None) -> None:
         self.exhibit, self.render, self.inspector = exhibit, render, inspector
+        self._thinned = {splat.name: Thinned(splat.scene) for splat in exhibit.splats}
         self._middles = {splat.name: bounds(splat.scene)[0] for splat in exhibit.splats}
         self._last: tuple[Orbit, dict[str, Inspection]] | None = None
 
@@ -72,9 +80,15 @@ class Painter:
         shown = list(dict.fromkeys(name for pane in names for name in needed(pane, self.exhibit.names)))
         inspections = {name: self.inspect(name, state.orbit) for name in shown} if step is Step.INSPECTED else {}
         camera = state.orbit.camera(layout.size)
-        pictures = {name: to_bytes(self._render(name, camera)) for name in shown}
-        made = [self._pane(pane, pictures, inspections, camera, state, LETTERS * scale) for pane in names]
-        return Painting(pixels=compose(made, layout), inspections=inspections)
+        every = 1
+        # Two splats without the same Gaussians would differ where nothing does.
+        if step is Step.COARSE and DIFFERENCE not in names:
+            most = max(len(self.exhibit.splat(name).scene) for name in shown)
+            every = thinning(most, camera.width * camera.height * pace.richness)
+        pictures = {name: to_bytes(self._render(name, camera, every)) for name in shown}
+        letters, mark = max(LETTERS * scale, SMALLEST_LETTERS), PREVIEW if every > 1 or scale < 1 else ""
+        made = [self._pane(pane, pictures, inspections, camera, state, letters, mark) for pane in names]
+        return Painting(pixels=compose(made, layout), inspections=inspections, every=every)
 
     def picture(self, name: str, orbit: Orbit) -> Tensor:
         """(H, W, 3) the picture of a splat that is inspected: of the exhibit's size, and of 8 bits."""
@@ -112,9 +126,9 @@ class Painter:
         first, second = (self.picture(name, orbit) for name in self.exhibit.names)
         return None if torch.equal(first, second) else float(psnr(first, second))
 
-    def _render(self, name: str, camera: Camera) -> Tensor:
+    def _render(self, name: str, camera: Camera, every: int = 1) -> Tensor:
         with torch.no_grad():
-            return self.render(self.exhibit.splat(name).scene, camera)
+            return self.render(self._thinned[name](every), camera)
 
     def _pane(
         self,
@@ -124,6 +138,7 @@ class Painter:
         camera: Camera,
         state: ViewState,
         letters: float,
+        mark: str,
     ) -> Pixels:
         """The pixels of one pane with everything drawn into it."""
         parts = {name: pictures[name] for name in needed(pane, self.exhibit.names)}
@@ -134,7 +149,7 @@ class Painter:
         for name in sorted(state.lines & set(self.exhibit.lines)):
             draw_lines(draw, self.exhibit.lines[name], camera)
         for left, text in _titles(pane, self.exhibit.names, image.width, letters):
-            write_label(draw, (left, image.height - 1.9 * letters), text, "#000000", size=letters)
+            write_label(draw, (left, image.height - 1.9 * letters), text + mark, "#000000", size=letters)
         return np.asarray(image)
 
     def _marked(self, pixels: Pixels, inspection: Inspection) -> Pixels:

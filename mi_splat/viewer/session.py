@@ -53,19 +53,30 @@ class Pace:
         seconds: What a picture may take.
         scale: Width of a coarse picture in widths of the full one, in [lowest, 1].
         lowest: Smallest scale.
+        richness: How many times as many Gaussians a pixel are drawn as usual, where a full width leaves time for them.
     """
 
     seconds: float = 0.07
     scale: float = 0.5
     lowest: float = 0.2
+    richness: int = 1
 
-    def after(self, seconds: float) -> Pace:
+    def after(self, seconds: float, *, every: int = 1) -> Pace:
         """The pace after a coarse picture that took so long.
 
-        Time is taken to grow with the number of pixels, the square of the scale. Within a quarter of the wanted time
-        nothing changes, and the width changes by at most 1.5 times at once, so that pictures do not pulse.
+        Time is taken to grow with the number of pixels, the square of the scale, and so does the number of Gaussians.
+        Within a quarter of the wanted time nothing changes, and the width changes by at most 1.5 times at once, so that
+        pictures do not pulse.
+
+        Args:
+            seconds: What the picture took.
+            every: Of how many Gaussians it shows one.
         """
         ratio = self.seconds / max(seconds, 1e-6)
+        if self.richness > 1 and ratio < 0.8:
+            return replace(self, richness=self.richness // 2)
+        if self.scale == 1.0 and every > 1 and ratio >= 2:  # twice the Gaussians take at most twice the time
+            return replace(self, richness=2 * self.richness)
         if 0.8 <= ratio <= 1.25:
             return self
         step = min(max(math.sqrt(ratio), 1 / 1.5), 1.5)
@@ -114,13 +125,14 @@ class Session:
             return Step.INSPECTED
         return None
 
-    def done(self, step: Step, of: ViewState, seconds: float) -> Session:
+    def done(self, step: Step, of: ViewState, seconds: float, *, every: int = 1) -> Session:
         """The session after a picture was made and sent.
 
         Args:
             step: Which.
             of: What it shows; a picture of what has changed meanwhile counts for the pace only.
             seconds: What it took.
+            every: Of how many Gaussians it shows one.
         """
-        pace = self.pace.after(seconds) if step is Step.COARSE else self.pace
+        pace = self.pace.after(seconds, every=every) if step is Step.COARSE else self.pace
         return replace(self, pace=pace, painted=step if of is self.state else self.painted)

@@ -87,6 +87,21 @@ def test_the_pace_finds_the_size_whose_time_is_wanted(cost: float) -> None:
     assert pace.after(took) == pace  # and there it stays
 
 
+@given(st.floats(1e-3, 1.0), st.sampled_from([2, 8, 64]))
+def test_the_pace_finds_the_gaussians_that_there_is_time_for(cost: float, most: int) -> None:
+    """A machine that takes `cost` seconds for all Gaussians in a picture of full width."""
+    pace = Pace(scale=1.0)
+    seen = []
+    for _ in range(30):
+        every = max(1, most // pace.richness)
+        seen.append((pace.scale, every))
+        pace = pace.after(cost * pace.scale**2 / every, every=every)
+    assert len(set(seen[-10:])) == 1  # there it stays
+    scale, every = seen[-1]
+    assert cost * scale**2 / every <= 1.3 * pace.seconds
+    assert every == 1 or scale < 1 or 2 * cost / every > pace.seconds  # no time for twice as many
+
+
 def test_sizes_of_coarse_pictures() -> None:
     assert Pace(scale=0.5).size((101, 50)) == (50, 25)
     assert Pace(scale=0.2).size((2, 1)) == (1, 1)
