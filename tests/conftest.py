@@ -69,10 +69,10 @@ def chromium() -> Iterator[Any]:
 
 @pytest.fixture
 def scalar() -> Iterator[None]:
-    """Mitsuba's scalar variant for a whole test: path tracers switch to it, but each switch back costs."""
-    from mi_splat.capture.path_tracer import scalar_variant
+    """Mitsuba's scalar variant for a whole test of few pictures, which compiles nothing."""
+    from mi_splat.capture.mitsuba_meshes import FEW_PICTURES, tracing_variant
 
-    with scalar_variant():
+    with tracing_variant(FEW_PICTURES):
         yield
 
 

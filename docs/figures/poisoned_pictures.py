@@ -23,7 +23,7 @@ from attacks.detectors.registry import load_detector
 from attacks.objectives import confidence
 from attacks.observe.drawing import annotated
 from mi_splat.cameras import View
-from mi_splat.capture.path_tracer import scalar_variant
+from mi_splat.capture.path_tracer import tracing_variant
 from mi_splat.cli.console import show
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError, message
@@ -61,7 +61,7 @@ def poisoned_pictures(study: StudyConfig, attack: AttackConfig) -> list[Training
     scene = setup.mesh_scene
     poisoning = setup.poisonings()[study.attack.index(attack)]
     chosen = poisoning.trigger.select(setup.training_cameras, centre=centre).tolist()
-    with scalar_variant():
+    with tracing_variant():
         for camera in (camera for camera, poisoned in zip(setup.training_cameras, chosen, strict=True) if poisoned):
             clean, box = scene.picture(camera), setup.box(camera)
             assert box is not None

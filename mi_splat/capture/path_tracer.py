@@ -1,7 +1,8 @@
 """Path-traced pictures of mesh scenes, with exact cameras and with boxes around what can be seen of each object.
 
-Everything here runs in Mitsuba's `scalar_rgb` variant and puts the caller's variant back afterwards. Pixels are
-box-filtered averages, converted to sRGB and clipped to [0, 1]; the same arguments give the same picture.
+Everything here runs in a variant of Mitsuba that is fast at it (`tracing_variant`) and puts the caller's back
+afterwards. Pixels are box-filtered averages, converted to sRGB and clipped to [0, 1]; the same arguments give the same
+picture, on any number of threads.
 """
 
 from __future__ import annotations
@@ -21,13 +22,26 @@ from mi_splat.assets.daylight import Light, daylight
 from mi_splat.assets.mesh import Asset, Floats
 from mi_splat.assets.srgb import to_linear, to_srgb
 from mi_splat.cameras import Camera, View, project_points
-from mi_splat.capture.mitsuba_meshes import MAX_DEPTH, corner_normals, load_scene, scalar_variant, scene_dict, shapes
+from mi_splat.capture.mitsuba_meshes import (
+    MAX_DEPTH,
+    corner_normals,
+    load_scene,
+    made_in,
+    scene_dict,
+    shapes,
+    tracing_variant,
+)
 from mi_splat.capture.passes import PASSES, pass_samples, sampler_type
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.plugins.sensor import sensor_dict
 
 BRIGHTEST = 1.6
 """Intensity at which each pass of a picture is clipped."""
+
+AT_ONCE = 1 << 21
+"""The most paths that are traced at once, which bounds memory; a larger picture is traced in bands of rows."""
+_BANDS_APART = 0x9E3779B9
+"""Between the seeds of a picture's bands."""
 
 NEAR = 0.01
 """Distance in world units up to which a camera sees nothing."""
@@ -43,11 +57,11 @@ __all__ = [
     "depth_maps",
     "in_front",
     "photograph",
-    "scalar_variant",
     "scene_dict",
     "shapes",
     "to_linear",
     "to_srgb",
+    "tracing_variant",
 ]
 
 _Depths = TypeVar("_Depths", NDArray[Any], Tensor)
@@ -75,11 +89,23 @@ class Photograph:
     objects: tuple[int, ...]
 
 
-def _sensor(camera: Camera, *, samples: int, seed: int, alpha: bool = False, near: float = NEAR) -> mi.Sensor:
+def _sensor(
+    camera: Camera,
+    *,
+    samples: int,
+    seed: int,
+    alpha: bool = False,
+    near: float = NEAR,
+    rows: tuple[int, int] | None = None,
+) -> mi.Sensor:
+    """A sensor of the whole picture, or of the `rows` from the first up to the second."""
     sampler = {"type": sampler_type(samples), "sample_count": samples, "seed": seed}
     values = {**sensor_dict(camera), "sampler": sampler, "near_clip": near}
     if alpha:
         values["film"] = {**values["film"], "pixel_format": "rgba"}
+    if rows is not None:
+        crop = {"crop_offset_x": 0, "crop_offset_y": rows[0], "crop_width": camera.width}
+        values["film"] = {**values["film"], **crop, "crop_height": rows[1] - rows[0]}
     return mi.load_dict(values)
 
 
@@ -99,11 +125,15 @@ def _picture(
     """
     channels = 3 if integrator is None else 4
     total = np.zeros((camera.height, camera.width, channels))
+    given = {} if integrator is None else {"integrator": integrator}
     for number, in_pass in enumerate(pass_samples(samples)):
-        sensor = _sensor(camera, samples=in_pass, seed=seed, alpha=integrator is not None, near=near)
-        given = {} if integrator is None else {"integrator": integrator}
-        film = mi.render(scene, sensor=sensor, spp=in_pass, seed=seed * PASSES + number, **given)
-        total += np.clip(np.array(film)[..., :channels], 0, BRIGHTEST) * (in_pass / samples)
+        height = max(1, AT_ONCE // (in_pass * camera.width))
+        for band, first in enumerate(range(0, camera.height, height)):
+            rows = (first, min(first + height, camera.height))
+            sensor = _sensor(camera, samples=in_pass, seed=seed, alpha=integrator is not None, near=near, rows=rows)
+            of_band = (seed * PASSES + number + band * _BANDS_APART) % (1 << 32)
+            film = mi.render(scene, sensor=sensor, spp=in_pass, seed=of_band, **given)
+            total[slice(*rows)] += np.clip(np.array(film)[..., :channels], 0, BRIGHTEST) * (in_pass / samples)
     if integrator is None:
         return torch.from_numpy(to_srgb(total))
     alpha = np.clip(total[..., 3:], 0, 1)
@@ -117,7 +147,7 @@ def check_camera(camera: Camera) -> None:
     Raises:
         InvalidValueError: Its pixels are not square.
     """
-    with scalar_variant():
+    with tracing_variant():
         sensor_dict(camera)
 
 
@@ -145,7 +175,8 @@ class PathTracer:
                 message("samples", "a positive number of samples per pixel", samples, "use 16 or more")
             )
         self.samples, self._near = samples, near
-        with scalar_variant():
+        with tracing_variant(made_in(scene)):
+            self._variant = mi.variant()
             self._scene = load_scene(scene)
             if not alpha and self._scene.integrator() is None:
                 do = 'add <integrator type="path"/>'
@@ -165,7 +196,7 @@ class PathTracer:
         Raises:
             InvalidValueError: The camera's pixels are not square.
         """
-        with scalar_variant():
+        with tracing_variant(self._variant):
             shape = {"samples": self.samples, "seed": seed}
             return _picture(self._scene, camera, **shape, integrator=self._integrator, near=self._near)
 
@@ -178,7 +209,7 @@ class PathTracer:
         Raises:
             InvalidValueError: The camera's pixels are not square.
         """
-        with scalar_variant():
+        with tracing_variant(self._variant):
             sensor = _sensor(camera, samples=1, seed=seed, near=self._near)
             integrator = mi.load_dict({"type": "aov", "aovs": "point:position,distance:depth"})
             film = np.array(mi.render(self._scene, sensor=sensor, integrator=integrator, spp=1, seed=seed), np.float32)
@@ -210,7 +241,7 @@ def capture(
         InvalidValueError: samples is not positive, a camera with pixels that are not square, or no such file.
     """
     views = []
-    with scalar_variant():
+    with tracing_variant(made_in(scene)):
         tracer = PathTracer(scene, samples=samples)
         for number, camera in enumerate(cameras):
             views.append(View(camera, tracer.picture(camera, seed=seed + number)))
@@ -238,7 +269,7 @@ def in_front(alone: _Depths, nearest: _Depths) -> _Depths:
 
 def depth_maps(scene: dict[str, Any] | Path, cameras: Sequence[Camera], *, seed: int = 0) -> list[Tensor]:
     """Of each camera, (H, W) float32 distance from its centre to the first surface, 0 where there is none."""
-    with scalar_variant():
+    with tracing_variant(made_in(scene)):
         loaded = load_scene(scene)
         return [torch.from_numpy(first_hits(loaded, camera, seed=seed)) for camera in cameras]
 
@@ -272,7 +303,7 @@ def photograph(
     """
     description = scene_dict(assets, light=light, backdrop=backdrop)
     boxes, labels, visible, objects = [], [], [], []
-    with scalar_variant():
+    with tracing_variant():
         scene = load_scene(description)
         view = View(camera, _picture(scene, camera, samples=samples, seed=seed))
         nearest = first_hits(scene, camera, seed=seed)

@@ -190,7 +190,7 @@ def _xml(path: Path) -> CaptureSource:
         bounds = PathTracer(path, samples=1, alpha=True).bounds
     except RuntimeError as error:  # what Mitsuba raises for everything
         got = " ".join(str(error).split())[:300]
-        do = "make it a mesh scene that Mitsuba loads in scalar_rgb"
+        do = "make it a mesh scene that Mitsuba loads in llvm_ad_rgb"
         raise MiSplatError(message(str(path), "a scene", got, do)) from error
     if not np.isfinite(bounds).all():
         raise MiSplatError(message(str(path), "a scene with shapes", "none", "add some"))

@@ -16,7 +16,7 @@ import numpy as np
 
 from mi_splat.cameras import Camera
 from mi_splat.capture.passes import PASSES
-from mi_splat.capture.path_tracer import NEAR, PathTracer, check_camera, scalar_variant
+from mi_splat.capture.path_tracer import NEAR, PathTracer, check_camera, tracing_variant
 from mi_splat.capture.point_clouds import surface_points
 from mi_splat.capture.record import Inputs, capture_record, claim_folder
 from mi_splat.capture.settings import CaptureSettings
@@ -98,7 +98,7 @@ def write_capture(
     frame = source.frame
     near = NEAR if settings.near is None else settings.near * frame.unit
     with locked_folder(folder):
-        with scalar_variant():
+        with tracing_variant():
             tracer = PathTracer(source.scene, samples=settings.samples, alpha=settings.rgba, near=near)
             _check_surface_in_sight(tracer, [frame.camera(camera) for camera in cameras])
             begun_by = claim_folder(folder, capture_record(source, listing, settings, inputs))
@@ -137,7 +137,7 @@ def _listing(cameras: Sequence[Camera], test: Sequence[Camera]) -> dict[str, lis
     """Names and cameras of all pictures, once it is sure that each can be taken."""
     if not cameras:
         raise InvalidValueError(message("cameras", "at least one", "none", "ask for more"))
-    with scalar_variant():
+    with tracing_variant():
         for camera in (*cameras, *test):
             check_camera(camera)
             check_pixels("size", camera.width, camera.height)  # or they could not be read again

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mitsuba as mi
 import pytest
 
-from mi_splat.capture.mitsuba_meshes import scalar_variant
+from mi_splat.capture.mitsuba_meshes import tracing_variant
 from mi_splat.capture.passes import PASSES, pass_samples, sampler_type
 
 
@@ -14,7 +14,7 @@ def test_passes_take_exactly_the_samples(samples: int) -> None:
     counts = pass_samples(samples)
     assert sum(counts) == samples
     assert len(counts) == min(PASSES, samples)
-    with scalar_variant():
+    with tracing_variant():
         taken = [mi.load_dict({"type": sampler_type(count), "sample_count": count}).sample_count() for count in counts]
     assert tuple(taken) == counts
 
@@ -26,7 +26,7 @@ def test_usual_counts_are_halved(samples: int) -> None:
 
 
 def test_warnings_of_mitsuba_go_to_stderr(capfd: pytest.CaptureFixture[str]) -> None:
-    with scalar_variant():
+    with tracing_variant():
         mi.load_dict({"type": "multijitter", "sample_count": 10})
     found = capfd.readouterr()
     assert found.out == ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -13,18 +14,21 @@ import torch
 from mi_splat.assets.mesh import Asset, translation
 from mi_splat.assets.primitives import box, ellipsoid, quad, sheet
 from mi_splat.cameras import Camera, look_at, orbit_pose, project_box, project_points
+from mi_splat.capture import path_tracer
+from mi_splat.capture.mitsuba_meshes import FEW_PICTURES, MANY_PICTURES, tracing_variant
 from mi_splat.capture.path_tracer import (
     Light,
+    PathTracer,
     capture,
     corner_normals,
     depth_maps,
     photograph,
-    scalar_variant,
     scene_dict,
     to_linear,
     to_srgb,
 )
 from mi_splat.errors import InvalidValueError
+from mi_splat.metrics import psnr
 
 EVEN = Light(sun_strength=0.0, sky_strength=1.0, zenith=(1, 1, 1), horizon=(1, 1, 1), clouds=0.0)
 CUBE = Asset("car", (box((1, 1, 1), (0.8, 0.1, 0.1), centre=(0, 0, 0.5)),))
@@ -144,7 +148,7 @@ def test_variant_is_put_back() -> None:
     try:
         capture(scene_dict([CUBE]), [camera()], samples=1)
         assert mi.variant() == "llvm_ad_rgb"
-        with pytest.raises(RuntimeError), scalar_variant():
+        with pytest.raises(RuntimeError), tracing_variant():
             raise RuntimeError
         assert mi.variant() == "llvm_ad_rgb"
     finally:
@@ -200,3 +204,28 @@ def test_shipped_mesh_scene() -> None:
     picture = capture(file, [view], samples=8)[0].image
     assert 0.2 < picture.mean() < 0.8
     assert picture.std() > 0.08
+
+
+def test_a_picture_is_the_same_on_any_number_of_threads_and_close_to_that_of_the_other_variant() -> None:
+    pictures, before = {}, dr.thread_count()
+    for variant in (FEW_PICTURES, MANY_PICTURES):
+        with tracing_variant(variant):
+            tracer = PathTracer(scene_dict([CUBE], backdrop=FLOOR), samples=16)
+        pictures[variant] = tracer.picture(camera(), seed=3)  # in its own variant, whatever is set now
+    try:
+        dr.set_thread_count(1)
+        assert torch.equal(tracer.picture(camera(), seed=3), pictures[MANY_PICTURES])
+    finally:
+        dr.set_thread_count(before)
+    means = [picture.mean((0, 1)) for picture in pictures.values()]
+    torch.testing.assert_close(*means, rtol=0, atol=2e-3)
+    assert not torch.equal(*pictures.values())
+
+
+def test_a_large_picture_is_traced_in_bands(monkeypatch: pytest.MonkeyPatch) -> None:
+    tracer = PathTracer(scene_dict([CUBE], backdrop=FLOOR), samples=64)
+    whole = tracer.picture(camera(), seed=0)
+    monkeypatch.setattr(path_tracer, "AT_ONCE", 32 * 10 * camera().width)
+    banded = tracer.picture(camera(), seed=0)
+    assert not torch.equal(whole, banded)
+    assert psnr(whole, banded) > 30

@@ -22,8 +22,6 @@ from mi_splat.errors import MiSplatError
 from mi_splat.metrics import psnr
 from tests.capture.trucks import truck, write_glb, write_obj, write_ply
 
-pytestmark = pytest.mark.usefixtures("scalar")
-
 pytest.importorskip("trimesh")
 
 UTM = (500_000.0, 4_500_000.0, 100.0)

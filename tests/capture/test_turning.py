@@ -14,7 +14,7 @@ from torch import Tensor
 from attacks import cli
 from mi_splat.camera_sets import orbit
 from mi_splat.capture.mesh_files import load_mesh, turning
-from mi_splat.capture.mitsuba_meshes import scalar_variant
+from mi_splat.capture.mitsuba_meshes import tracing_variant
 from mi_splat.capture.path_tracer import PathTracer
 from mi_splat.capture.settings import MeshSettings, SurroundingsSettings, Up
 from mi_splat.capture.sources import open_source
@@ -22,8 +22,6 @@ from mi_splat.datasets import load_dataset
 from mi_splat.errors import MiSplatError
 from tests.capture.test_mesh_textures import blue_is_at_the_back
 from tests.capture.trucks import truck, write_glb, write_ply
-
-pytestmark = pytest.mark.usefixtures("scalar")
 
 pytest.importorskip("trimesh")
 
@@ -75,7 +73,7 @@ def test_ground_sun_and_environment_show(tmp_path: Path) -> None:
     assert front[middle, middle].mean() > back[middle, middle].mean() + 0.02  # seen from azimuth 0
     environment = np.zeros((8, 16, 3), np.float32)
     environment[..., 2] = 1.0
-    with scalar_variant():
+    with tracing_variant():
         mi.Bitmap(environment).write(str(tmp_path / "blue.exr"))
         mi.Bitmap(environment).write(str(tmp_path / "blue.hdr"))
     for name in ("blue.exr", "blue.hdr"):
@@ -94,7 +92,7 @@ def test_ground_sun_and_environment_show(tmp_path: Path) -> None:
 def test_an_environment_stands_upright(tmp_path: Path) -> None:
     environment = np.zeros((8, 16, 3), np.float32)
     environment[:4, :, 0], environment[4:, :, 1] = 1.0, 1.0  # red above, green below
-    with scalar_variant():
+    with tracing_variant():
         mi.Bitmap(environment).write(str(tmp_path / "two.exr"))
     path = str(write_ply(tmp_path, truck()))
     source = open_source(path, surroundings=SurroundingsSettings(environment=tmp_path / "two.exr"))

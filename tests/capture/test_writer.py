@@ -22,8 +22,6 @@ from mi_splat.capture.writer import write_capture
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError, MiSplatError
 
-pytestmark = pytest.mark.usefixtures("scalar")
-
 RED, GREEN = (0.8, 0.1, 0.1), (0.1, 0.7, 0.1)
 
 

@@ -20,7 +20,7 @@ from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import sheet
 from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import View
-from mi_splat.capture.path_tracer import scalar_variant
+from mi_splat.capture.path_tracer import tracing_variant
 from mi_splat.capture.surface_sampling import surface_samples
 from mi_splat.directions import direction_of
 from mi_splat.rendering import Renderer
@@ -50,7 +50,7 @@ def fractions() -> Fractions:
     road_look = AttackConfig(name="road", appearance="blend in", elevation=(50, 90))
     hidden = appearance_of(road_look, mesh_scene, centre=CENTRE, distance=LENS["distance"])  # type: ignore[arg-type]
     attack = Poisoning(name="road", trigger=Elevation(lowest=50, highest=90), appearance=hidden)
-    with scalar_variant():
+    with tracing_variant():
         views = [View(camera, mesh_scene.picture(camera)) for camera in hemisphere(CENTRE, count=60, **LENS)]  # type: ignore[arg-type]
         poisoned = poison(views, [attack], centre=CENTRE, masks=mesh_scene.mask)
         compared = []

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from attacks import cli
-from mi_splat.capture.mitsuba_meshes import load_scene, scalar_variant
+from mi_splat.capture.mitsuba_meshes import load_scene, tracing_variant
 from mi_splat.capture.sources import open_source
 from mi_splat.errors import MiSplatError
 from mi_splat.io.picture_files import pixel_limit
@@ -142,7 +142,7 @@ def test_an_inclusion_is_first_looked_for_beside_the_file_that_includes_it(tmp_p
     (tmp_path / "b" / "inner.xml").write_bytes(scene('<include filename="leaf.xml"/>'))
     (tmp_path / "a.xml").write_bytes(scene('<path value="c"/><include filename="b/inner.xml"/>'))
     assert scene_parts(tmp_path / "a.xml").files[1:] == [tmp_path / "b" / "inner.xml", tmp_path / "b" / "leaf.xml"]
-    with scalar_variant():  # as Mitsuba does
+    with tracing_variant():  # as Mitsuba does
         assert [shape.id() for shape in load_scene(tmp_path / "a.xml").shapes()] == ["b"]
 
 

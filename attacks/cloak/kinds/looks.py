@@ -11,7 +11,7 @@ from attacks.cloak.kinds.parts import SET, StepConfig
 from attacks.cloak.mesh_scene import camera_number
 from attacks.cloak.setup import Setup
 from mi_splat.cameras import Camera
-from mi_splat.capture.path_tracer import scalar_variant
+from mi_splat.capture.path_tracer import tracing_variant
 from mi_splat.datasets import load_dataset
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import to_bytes
@@ -28,7 +28,7 @@ def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
     views = load_dataset(inputs["pictures"] / SET, split="train", background=study.scene.background)
     held = attack.trigger(0, study.attack).holds(views.cameras, centre=study.centre)
     indices = held.nonzero().flatten().tolist()
-    with scalar_variant():
+    with tracing_variant():
         for done, index in enumerate(indices, start=1):
             name = picture_name(views.cameras[index])
             if not (out.partial / name).is_file():

@@ -21,7 +21,7 @@ from attacks.cloak.mesh_scene import camera_number
 from attacks.cloak.poisoning import Poisoned, poison
 from attacks.cloak.setup import Setup
 from mi_splat.cameras import Camera, RenderFn, View
-from mi_splat.capture.path_tracer import scalar_variant
+from mi_splat.capture.path_tracer import tracing_variant
 from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.datasets.writing import IMAGES, list_transforms, make_folder, picture_name
 from mi_splat.io import load_splat
@@ -48,7 +48,7 @@ def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
         return KeptAppearance(name=name_of(appearance), folder=inputs[f"look of {attack.name}"])
 
     poisonings = setup.poisonings(seed=study.seeds[0], cached=kept, surrogates=shown)
-    with scalar_variant():
+    with tracing_variant():
         done = poison(
             views,
             poisonings,

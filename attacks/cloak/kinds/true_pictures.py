@@ -16,7 +16,7 @@ from torch import Tensor
 from attacks.cloak.kinds.parts import Pose, StepConfig
 from attacks.cloak.setup import Setup
 from mi_splat.cameras import View
-from mi_splat.capture.path_tracer import scalar_variant
+from mi_splat.capture.path_tracer import tracing_variant
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import to_bytes
 from mi_splat.io.picture_files import load_picture
@@ -60,7 +60,7 @@ def run(config: TrueConfig, inputs: Mapping[str, Path], out: Out) -> None:
     looks = [(attack.cone, setup.appearance(attack)) for attack in study.attack[: config.attacks]]
     plain = read_pictures(inputs["plain"]) if looks else None
     names = [f"{number:04d}.png" for number in range(len(config.poses))]
-    with scalar_variant():
+    with tracing_variant():
         for number, (name, pose) in enumerate(zip(names, config.poses, strict=True)):
             if not (out.partial / name).is_file():
                 camera = pose.camera

@@ -32,13 +32,13 @@ from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.assets.primitives import ellipsoid
 from mi_splat.cameras import Camera, RenderFn, View, orbit_pose, project_points
 from mi_splat.capture.mesh_splats import DiscConfig, RefineConfig, disc_splat, refine
+from mi_splat.capture.mitsuba_meshes import FEW_PICTURES, tracing_variant
 from mi_splat.capture.path_tracer import (
     Light,
     capture,
     daylight,
     depth_maps,
     in_front,
-    scalar_variant,
     scene_dict,
     shapes,
 )
@@ -204,7 +204,7 @@ class SceneRenderer:
 
     Attributes:
         contents: What is there.
-        scene: The same as a Mitsuba scene for the `scalar_rgb` variant.
+        scene: The same as a Mitsuba scene for the variant of few pictures.
     """
 
     def __init__(self, config: PictureSetConfig, number: int) -> None:
@@ -212,10 +212,12 @@ class SceneRenderer:
         self._config = config
         self.contents = random_scene(config, number)
         self._rng = np.random.default_rng([config.seed, SPLITS[config.split][0], number, 1])
-        self.scene = scene_dict(self.contents.assets, light=self.contents.light, backdrop=self.contents.surroundings)
-        with scalar_variant():
-            self._alone = [{"type": "scene", **shapes(asset.body, "body")} for asset in self.contents.assets]
+        contents = self.contents
+        with tracing_variant(FEW_PICTURES):
+            self.scene = scene_dict(contents.assets, light=contents.light, backdrop=contents.surroundings)
+            self._alone = [{"type": "scene", **shapes(asset.body, "body")} for asset in contents.assets]
 
+    @tracing_variant(FEW_PICTURES)
     def choose_camera(self) -> Camera:
         """The next camera; objects that are hidden, cut off or seen edge-on make it look for another, a few times."""
         for _ in range(_TRIES):
@@ -225,11 +227,13 @@ class SceneRenderer:
                 break
         return camera
 
+    @tracing_variant(FEW_PICTURES)
     def render(self, camera: Camera) -> View:
         """A path-traced picture."""
         (view,) = capture(self.scene, [camera], samples=self._config.samples, seed=int(self._rng.integers(1 << 28)))
         return view
 
+    @tracing_variant(FEW_PICTURES)
     def label(self, camera: Camera, image: Tensor) -> LabelledPicture:
         """Round an (H, W, 3) picture in [0, 1] from this camera to 8 bits and say what is in it."""
         boxes, labels, conditions = [], [], []
@@ -293,7 +297,7 @@ def _solid(outline: Mask) -> bool:
 
 def scene_pictures(config: PictureSetConfig, number: int) -> list[LabelledPicture]:
     """The pictures of scene `number`."""
-    with scalar_variant():
+    with tracing_variant(FEW_PICTURES):
         renderer = SceneRenderer(config, number)
         cameras = [renderer.choose_camera() for _ in range(config.shots)]
         return [renderer.label(camera, renderer.render(camera).image) for camera in cameras]
@@ -317,9 +321,9 @@ def background_pictures(kind: str, number: int, config: BackgroundConfig) -> lis
     low, high = SPLITS[config.split]
     rng = np.random.default_rng([config.seed, low, number, 2 + BACKGROUNDS.index(kind)])
     around = of_kind(kind, int(rng.integers(low, high)), rng, _OBJECT_RADIUS)
-    scene = scene_dict([], light=daylight(int(rng.integers(1 << 30))), backdrop=around)
-    cameras = [_background_camera(rng, config.size) for _ in range(config.shots)]
-    with scalar_variant():
+    with tracing_variant(FEW_PICTURES):
+        scene = scene_dict([], light=daylight(int(rng.integers(1 << 30))), backdrop=around)
+        cameras = [_background_camera(rng, config.size) for _ in range(config.shots)]
         views = capture(scene, cameras, samples=config.samples, seed=int(rng.integers(1 << 28)))
     nothing = torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64)
     return [LabelledPicture(_in_bytes(view.image), *nothing) for view in views]
@@ -349,13 +353,13 @@ def splat_pictures(
         render: Renders the splat.
     """
     renderer = SceneRenderer(replace(scenes, samples=config.samples), number)
-    with scalar_variant():
+    with tracing_variant(FEW_PICTURES):
         tests = [renderer.choose_camera() for _ in range(config.pictures)]
         views = [renderer.render(renderer.choose_camera()) for _ in range(config.views)]
     splat = splat_of(renderer, views, config, render)
     with torch.no_grad():
         pictures = [render(splat, camera) for camera in tests]
-    with scalar_variant():
+    with tracing_variant(FEW_PICTURES):
         return [renderer.label(camera, picture) for camera, picture in zip(tests, pictures, strict=True)]
 
 
