@@ -26,8 +26,9 @@ class EvaluateDetectorOptions(DetectorOptions, ResultOptions):
 
     Average precision by class; recall by elevation, distance, size, brightness and sun; and false positives per
     picture: of pictures with objects, and of streets, parks, rooms, grounds and random surroundings without any. A
-    detector of more classes, for instance one trained on COCO, is scored on the project's eight; what else it reports
-    is listed. Several detectors are put side by side. Writes result.json and the rows into --out.
+    detector of other classes, for instance one trained on COCO, is scored on those of the project's eight that it
+    knows; what else it reports is listed. Several detectors are put side by side. Writes result.json and the rows into
+    --out.
     """
 
     data: Folder = Path("out/detector-data")
@@ -72,7 +73,7 @@ def _evaluated(options: EvaluateDetectorOptions) -> dict[str, Any]:
     import torch
 
     from attacks.cli.names import weights_of
-    from attacks.detectors.evaluation import figures, load_for_evaluation, look_at, splat_scene_pictures
+    from attacks.detectors.evaluation import figures, lacking, load_for_evaluation, look_at, splat_scene_pictures
     from attacks.detectors.training.dataset import held_out_sets, made
     from attacks.observe.look import Looked
     from attacks.observe.rows import DETECTIONS, ROWS
@@ -95,7 +96,11 @@ def _evaluated(options: EvaluateDetectorOptions) -> dict[str, Any]:
         "confidence": options.confidence,
         "sets": {name: len(members) for name, members in sets.items()},
         "detectors": {
-            detector.name: {"fingerprint": detector.fingerprint, "min_confidence": detector.min_confidence}
+            detector.name: {
+                "fingerprint": detector.fingerprint,
+                "min_confidence": detector.min_confidence,
+                **({"lacks": list(lacking(detector))} if lacking(detector) else {}),
+            }
             for detector in detectors
         },
     }

@@ -80,17 +80,21 @@ def load_for_evaluation(name: str, weights: Path | None = None) -> Detector:
     Where `min_confidence` is an attribute of the detector it is lowered; others keep theirs, 0.05 for most.
 
     Raises:
-        DetectorError: It does not know all of the project's classes, its weights are missing or do not fit, or it needs
-            a package that is not there.
+        DetectorError: It knows none of the project's classes, its weights are missing or do not fit, or it needs a
+            package that is not there.
     """
     detector: Any = load_detector(name, weights=weights)
-    missing = [label for label in SMALL_CLASSES if label not in detector.classes]
-    if missing:
-        got, do = f"one without {', '.join(missing)}", "the pictures show these; choose another detector"
-        raise DetectorError(message(f"detector {name}", f"one of {', '.join(SMALL_CLASSES)}", got, do))
+    if lacking(detector) == SMALL_CLASSES:
+        expected, do = f"one that knows some of {', '.join(SMALL_CLASSES)}", "choose another detector"
+        raise DetectorError(message(f"detector {name}", expected, "one that knows none", do))
     if "min_confidence" in getattr(detector, "__dict__", {}):
         detector.min_confidence = MIN_CONFIDENCE
     return detector  # type: ignore[no-any-return]
+
+
+def lacking(detector: Detector) -> tuple[str, ...]:
+    """The project's classes that a detector does not know."""
+    return tuple(label for label in SMALL_CLASSES if label not in detector.classes)
 
 
 def splat_scene_pictures(path: Path) -> list[LabelledPicture]:
@@ -118,14 +122,15 @@ def splat_scene_pictures(path: Path) -> list[LabelledPicture]:
 def look_at(detector: Detector, sets: Mapping[str, Sequence[LabelledPicture]]) -> Looked:
     """Let a detector look at sets of pictures, each of one size; views are numbered through all of them.
 
-    A row is one object, a row of the detections one of these, whatever its confidence. A detection belongs to the
-    object that it matches, or else to the one that it overlaps most.
+    A row is one object of a class that the detector knows, a row of the detections one of these, whatever its
+    confidence. A detection belongs to the object that it matches, or else to the one that it overlaps most.
 
     Args:
-        detector: Knows the project's classes, and others if it likes.
+        detector: Knows some of the project's classes, and others if it likes.
         sets: Pictures by the name of their set, which is the `condition` of the rows.
     """
     rows, detections, view = list[Row](), list[Row](), 0
+    known = {number for number, label in enumerate(SMALL_CLASSES, start=1) if label in detector.classes}
     for name, pictures in sets.items():
         for start in range(0, len(pictures), _BATCH):
             part = pictures[start : start + _BATCH]
@@ -133,7 +138,8 @@ def look_at(detector: Detector, sets: Mapping[str, Sequence[LabelledPicture]]) -
             for picture, result in zip(part, results, strict=True):
                 ids: dict[str, Cell] = {"condition": name, "detector": detector.name, "view": view}
                 seen = _detections(ids, result, picture)
-                rows += [_object_row(ids, picture, number, seen) for number in range(len(picture.labels))]
+                shown = [number for number, label in enumerate(picture.labels.tolist()) if label in known]
+                rows += [_object_row(ids, picture, number, seen) for number in shown]
                 detections += seen
                 view += 1
     columns = (*_IDS, *BOX, "elevation", "distance", "extent", "original", "label", "score", "original_score")

@@ -74,6 +74,8 @@ def card_of(figures: Mapping[str, Any]) -> str:
     """All tables of a detector."""
     floor = f"the average precision takes all from {figures['min_confidence']:g}."
     first = f"A detection counts from a confidence of {figures['confidence']:g}; {floor}"
+    if "lacks" in figures:
+        first += f" It has no class {', '.join(figures['lacks'])}: these objects are not counted."
     return f"{first}\n\n{in_markdown(detailed(figures))}\n"
 
 

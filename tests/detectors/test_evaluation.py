@@ -19,8 +19,11 @@ from attacks.detectors.evaluation import (
     average_precision,
     confidences_at,
     figures,
+    lacking,
     load_for_evaluation,
+    look_at,
     poisson_interval,
+    set_figures,
     with_right,
 )
 from attacks.detectors.training.config import BACKGROUNDS, BackgroundConfig
@@ -245,10 +248,27 @@ def test_unlikely_detections_are_kept_where_that_can_be_chosen(monkeypatch: pyte
     assert load_for_evaluation("plain").min_confidence == 0.05, "it cannot be chosen"
 
 
-def test_a_detector_without_the_project_s_classes_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("attacks.detectors.evaluation.load_detector", lambda name, weights: ColourDetector())
-    with pytest.raises(DetectorError, match=r"detector few: expected one of car, .*got one without elephant, bird"):
+def test_a_detector_without_any_of_the_project_s_classes_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    detector = ColourDetector()
+    monkeypatch.setattr("attacks.detectors.evaluation.load_detector", lambda name, weights: detector)
+    load_for_evaluation("few")
+    assert lacking(detector) == tuple(label for label in SMALL_CLASSES if label not in ColourDetector.classes)
+    detector.classes = ("kite",)
+    with pytest.raises(
+        DetectorError, match=r"detector few: expected one that knows some of car, .*got one that knows none"
+    ):
         load_for_evaluation("few")
+
+
+def test_objects_of_a_class_that_a_detector_lacks_are_not_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it reports on them is."""
+    detector = TableDetector(reported((HERE, 0.9, "car"), (THERE, 0.8, "car")))
+    monkeypatch.setattr(detector, "classes", ("car",))
+    looked = look_at(detector, {"": [picture((HERE, 1), (THERE, 2))]})
+    assert looked.rows["original"].to_list() == ["car"]
+    result = set_figures(looked.rows, with_right(looked.rows, looked.detections), 1, 0.5)
+    assert result["ap"] == {"car": 1.0}
+    assert result["false_positives"]["by_class"]["car"] == 1
 
 
 # Results

@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from attacks.detectors.catalogue import SMALL_CLASSES
 from attacks.detectors.evaluation import CONDITIONS, WITH_OBJECTS
 from attacks.detectors.training.config import EMPTY
 from attacks.rate import Rate, percent
@@ -153,7 +154,9 @@ def bins_of(condition: str) -> list[str]:
 
 
 def _name(figures: Document) -> str:
-    return f"{figures['detector']} at {figures['confidence']:g}"
+    known = len(SMALL_CLASSES) - len(figures.get("lacks", ()))
+    of = "" if known == len(SMALL_CLASSES) else f", {known} of {len(SMALL_CLASSES)} classes"
+    return f"{figures['detector']} at {figures['confidence']:g}{of}"
 
 
 def _found(figures: Document, name: str) -> Rate:
@@ -214,6 +217,9 @@ def _figures(several: Sequence[Document], others: Sequence[str]) -> Iterator[Fig
 
 
 def _doubts(figures: Document, empty: Rate) -> Iterator[str]:
+    if figures.get("lacks"):
+        lacks = listed(figures["lacks"])
+        yield f"{figures['detector']} knows no {lacks}: these objects count nowhere, but what it reports on them does"
     if not empty.total:
         yield "There are no pictures without objects, so nothing says how often a detector imagines one"
     for name, part in figures["sets"].items():
