@@ -47,7 +47,7 @@ OPEN_IMAGES_LABELS = {
     **{"Vehicle": "car", "Footwear": "footwear", "Dog": "dog", "Book": "book", "Camera": "camera", "Car": "car"},
 }
 """The 23 labels of `ssd_openimages`, in its order, and the class that each counts as here, by COCO's word where there
-is one. Vehicle is what Open Images calls a car and whatever else drives; this detector calls many a car by it alone."""
+is one. Vehicle is all that drives, a car among it; of a car from above this detector is as sure by it as by Car."""
 OPEN_IMAGES_CLASSES = tuple(dict.fromkeys(OPEN_IMAGES_LABELS.values()))
 """The 22 classes of `ssd_openimages`."""
 

@@ -37,6 +37,7 @@ JOBS = {
     "eot_views": (6, 24),
     "files": (48, 480),
     "gradients": (66, 66),
+    "openimages": (36, 180),
     "pairs": (6, 0),
     "sun": (12, 72),
     "transfer": (144, 576),
