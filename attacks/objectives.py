@@ -22,6 +22,9 @@ from mi_splat.errors import InvalidValueError, message
 _TINY = 1e-30
 """Probabilities are clamped here before a logarithm."""
 
+_SLACK = 0.1
+"""How much less overlap than asked for a candidate may have that is not far from being reported on the object."""
+
 REPORTED = 0.7
 """Confidence from which a class counts as what the detector sees there."""
 
@@ -204,6 +207,19 @@ class Relabel:
             rivals = overlap(candidates.boxes[:, [rival]].detach(), target.box)
             loss = loss + self.suppression * _suppress(candidates.scores[:, [rival]], rivals, self.near, self.top)
         return loss
+
+    def far(self, candidates: Candidates, target: Target) -> Verdict | None:
+        """The verdict of a picture in which nothing comes near the label, without asking what is reported there.
+
+        None where a candidate of slightly less overlap than asked for has half of the confidence: what is reported are
+        candidates, of a picture of 8 bits.
+        """
+        column = _column(target, self.label)
+        with torch.no_grad():
+            scores, overlaps = candidates.scores[:, column], overlap(candidates.boxes[:, column], target.box)
+            highest = float(torch.where(overlaps >= self.iou - _SLACK, scores, 0.0).max()) if len(scores) else 0.0
+        far = highest < self.confidence / 2
+        return Verdict(success=False, score=highest, unambiguous=False) if far else None
 
     def verdict(self, detections: Detections, target: Target) -> Verdict:
         """The label is reported on the object with enough confidence; unambiguous if no other class there has more."""

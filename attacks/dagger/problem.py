@@ -17,7 +17,7 @@ from attacks.dagger.config import DaggerConfig, EnsembleLoss
 from attacks.dagger.views import View
 from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset
-from attacks.objectives import Objective, Target
+from attacks.objectives import Objective, Relabel, Target
 from attacks.pgd import Evaluation, Parameters, Verdict
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, message, nearest
@@ -84,10 +84,14 @@ class Problem:
             for name, gradient in zip(leaves, parts, strict=True):
                 gradients[name] += gradient
             loss += float(here.detach())
-            with torch.no_grad():
-                detections = detector.detect(quantise(picture)[None])[0]
-            verdicts.append(self.objective.verdict(detections, target))
+            far = self.objective.far(candidates, target) if isinstance(self.objective, Relabel) else None
+            verdicts.append(far or self._reported(detector, picture.detach(), target))
         return Evaluation(loss=loss, gradients=gradients), verdicts
+
+    def _reported(self, detector: Detector, picture: Tensor, target: Target) -> Verdict:
+        """What a detector's report on the picture at 8 bits says."""
+        with torch.no_grad():
+            return self.objective.verdict(detector.detect(quantise(picture)[None])[0], target)
 
     def _differentiable(self, parameters: Parameters, camera: Camera) -> Tensor:
         """The picture of the scene with these parameters of the object."""

@@ -10,11 +10,12 @@ from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
 from torchvision.models import get_model_builder, get_model_weights
 from torchvision.models.detection import FCOS, FasterRCNN, RetinaNet
 from torchvision.models.detection.ssd import SSD
@@ -111,13 +112,67 @@ class RCNNDetector(TorchvisionDetector):
         with torch.no_grad():
             proposals, _ = self.model.rpn(batch, OrderedDict((k, v.detach()) for k, v in features.items()))
         heads = self.model.roi_heads
-        logits, deltas = heads.box_predictor(heads.box_head(heads.box_roi_pool(features, proposals, batch.image_sizes)))
+        regions = _Regions(heads, tuple(features), tuple(proposals), tuple(batch.image_sizes))
+        logits, deltas = _Boxes.apply(regions, *features.values())
         counts = [len(p) for p in proposals]
         boxes = torch.split(heads.box_coder.decode(deltas, proposals)[:, self._columns], counts)
         scores = torch.split(torch.softmax(logits, -1)[:, self._columns], counts)
         return [
             self._in_pixels(b, s, inner, size) for b, s, inner in zip(boxes, scores, batch.image_sizes, strict=True)
         ]
+
+
+class _Regions(NamedTuple):
+    """What the second stage of a Faster R-CNN looks at.
+
+    Attributes:
+        heads: The model's box heads.
+        levels: Names of the feature maps.
+        proposals: (R, 4) of each picture.
+        sizes: Height and width of each picture.
+    """
+
+    heads: Any
+    levels: tuple[str, ...]
+    proposals: tuple[Tensor, ...]
+    sizes: tuple[tuple[int, int], ...]
+
+    def scored(self, maps: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+        """Logits (R, L) and deltas (R, 4 L) of all proposals, in the order of the pictures."""
+        features = OrderedDict(zip(self.levels, maps, strict=True))
+        pooled = self.heads.box_roi_pool(features, list(self.proposals), list(self.sizes))
+        logits, deltas = self.heads.box_predictor(self.heads.box_head(pooled))
+        return logits, deltas
+
+    def only(self, rows: Tensor) -> _Regions:
+        """Those proposals that are True in `rows` (R,)."""
+        each = torch.split(rows, [len(proposals) for proposals in self.proposals])
+        kept = (proposals[mine] for proposals, mine in zip(self.proposals, each, strict=True))
+        return self._replace(proposals=tuple(kept))
+
+
+class _Boxes(torch.autograd.Function):
+    """`_Regions.scored`, differentiated for those proposals alone on which the loss depends.
+
+    A loss looks at a few candidates of 150 or 1000; the library's backward pass of pooling takes as long for a gradient
+    of zeros as for any other.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, regions: _Regions, *maps: Tensor) -> tuple[Tensor, Tensor]:
+        ctx.regions = regions
+        ctx.save_for_backward(*maps)
+        return regions.scored(maps)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        rows = torch.cat(gradients, 1).ne(0).any(1)
+        maps = [features.detach().requires_grad_(True) for features in ctx.saved_tensors]
+        with torch.enable_grad():
+            outputs = ctx.regions.only(rows).scored(maps)
+        kept = [gradient[rows] for gradient in gradients]
+        return (None, *torch.autograd.grad(outputs, maps, kept, allow_unused=True))
 
 
 class OneStageDetector(TorchvisionDetector):

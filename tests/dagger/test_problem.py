@@ -114,6 +114,13 @@ def test_the_search_counts_what_is_detected_in_eight_bits() -> None:
             return super().detect(images)
 
     made, views = problem(detector=Recording())
+    far = made.evaluate(made.subset.parameters(("sh",)), views, CONFIG)
+    assert len(seen) == 1  # nothing there comes near a person, so that nobody asks what is reported
+    assert far.verdict is not None
+    assert not far.verdict.success
+    assert far.verdict.score < 0.35
+    seen.clear()
+    made, views = problem(detector=Recording(), objective=relabel("person", confidence=far.verdict.score))
     made.evaluate(made.subset.parameters(("sh",)), views, CONFIG)
     assert len(seen) == 2
     assert torch.equal(seen[-1], quantise(seen[-1]))

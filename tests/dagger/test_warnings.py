@@ -60,7 +60,15 @@ def test_a_success_that_eight_bits_lose_is_warned_of() -> None:
             return [dataclasses.replace(car, labels=("person",)) if self.calls == 2 else car]
 
     scene, mask = toy_scene()
-    found = attack(scene, mask, [camera()], Fickle(), relabel("person"), render=blobs, config=DaggerConfig(eps=(0.1,)))
+    found = attack(
+        scene,
+        mask,
+        [camera()],
+        Fickle(),
+        relabel("person", confidence=1e-6),
+        render=blobs,
+        config=DaggerConfig(eps=(0.1,)),
+    )
     assert "success in the search did not survive the saved file and 8-bit pictures" in found.warnings
     assert not found.success
 
