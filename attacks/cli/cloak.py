@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from attacks.cli.options import Detectors
+from attacks.cli.options import Detectors, Workers, chosen_workers
 from mi_splat.cli.console import follow, limit_threads, progress, show_json, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
@@ -38,6 +38,8 @@ class CloakOptions(JsonOptions):
     """Names of detectors in the place of those of the study."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
+    workers: Workers | None = None
+    """Processes that do steps side by side; None is one for each core if memory allows; 0 does all in this one."""
     forecast: bool = False
     """Check everything, say what the study would take, and do nothing."""
 
@@ -63,5 +65,7 @@ def run(options: CloakOptions) -> None:
             show_json({study.name: asdict(takes)})
         return
     with progress("starting", total=None) as advance:
-        run_study(study, options.out, weights=weights, stages=options.stages, on_step=follow(advance))
+        workers = chosen_workers(options.workers)
+        told = follow(advance)
+        run_study(study, options.out, weights=weights, stages=options.stages, on_step=told, workers=workers)
     show_summary(options.out, as_json=options.json, tables=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -20,6 +21,19 @@ PositiveRadius = Annotated[float, above(0, "units of the splat file", "5 is the 
 Seeds = Annotated[int, at_least(1), Called("COUNT")]
 Processes = Annotated[int, between(0, 1024)]
 Threads = Annotated[int, between(1, 1024)]
+Workers = Annotated[int, between(0, 1024, "processes")]
+_WORKER = 2e9
+"""Bytes of memory that a process takes which trains or attacks."""
+
+
+def chosen_workers(asked: int | None) -> int:
+    """Number of processes that do jobs side by side: one for each core if None and the free memory allows."""
+    if asked is not None:
+        return asked
+    from mi_splat.audit.capacity import free_memory
+
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(cores, int(free_memory() / _WORKER)))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+from attacks.cli.options import Workers, chosen_workers
 from attacks.studies.study_file import Study
 from mi_splat.cli.console import Advance, limit_threads, progress, show_json, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.fields import Called, Folder, at_least, between
+from mi_splat.fields import Called, Folder, at_least
 
 if TYPE_CHECKING:
     from attacks.studies.plan import Work
@@ -53,8 +54,8 @@ class StudyOptions(JsonOptions):
     """Folder for the result; None is out/studies/NAME."""
     parts: tuple[str, ...] = ()
     """Names of cases to do; all if none is named."""
-    workers: Annotated[int, between(0, 1024, "processes")] = 1
-    """Processes that do jobs side by side; 0 does them in this one."""
+    workers: Workers | None = None
+    """Processes that do jobs side by side; None is one for each core if memory allows; 0 does them in this one."""
     scheduler: Annotated[str, Called("ADDRESS")] | None = None
     """Address of a Dask scheduler, as tcp://host:8786, whose workers do the jobs."""
     seconds: Annotated[float, at_least(1, "seconds")] | None = None
@@ -109,8 +110,9 @@ def _plan(options: StudyOptions, study: Study) -> None:
     if work.searches:
         lines.append(f"Of {len(work.searches)} searches some of the jobs: which ones, their results say.")
     if seconds:
-        on = "" if options.workers < 2 else f", on {options.workers} workers"
-        lines.append(f"About {_duration(seconds / max(1, options.workers))} by what was measured{on}.")
+        workers = max(1, chosen_workers(options.workers))
+        on = "" if workers < 2 else f", on {workers} workers"
+        lines.append(f"About {_duration(seconds / workers)} by what was measured{on}.")
     if unknown:
         lines.append(f"{unknown} jobs are of kinds that were never done here, so how long they take is not known.")
     document |= {"not_measured": unknown, "searches": len(work.searches)}
@@ -171,9 +173,9 @@ def _engine(options: StudyOptions, on_event: Callable[[Event], None]) -> Engine:
         from mi_splat.ledger.cluster import Cluster
 
         return Cluster(options.store, options.scheduler, limits=limits, on_event=on_event)
-    if options.workers == 0:
+    if (workers := chosen_workers(options.workers)) == 0:
         return InProcess(options.store, on_event=on_event)
-    return Processes(options.store, workers=options.workers, limits=limits, on_event=on_event)
+    return Processes(options.store, workers=workers, limits=limits, on_event=on_event)
 
 
 def _follow(advance: Advance) -> Callable[[Event], None]:

@@ -47,6 +47,7 @@ from mi_splat.assets import ASSETS
 from mi_splat.cameras import Camera
 from mi_splat.io import load_splat
 from mi_splat.ledger import Done, Event, Job, Ledger, Part
+from mi_splat.ledger.plans import do_beside
 from mi_splat.ledger.running import looked_up
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, scene_hash
@@ -294,6 +295,23 @@ class StudySteps:
         """
         self._labels[:] = [label]
         return self.results[job.identity] if job.identity in self.results else self._ledger.do(job)
+
+    def do_beside(self, jobs: Mapping[str, Job], workers: int) -> None:
+        """Do jobs, and all before them, in processes beside each other; `do` then finds their results.
+
+        Args:
+            jobs: By what is told of them while they run.
+            workers: Number of processes.
+
+        Raises:
+            EngineError: A job has failed; all that could be done without it is.
+        """
+
+        def told(label: str, event: Event) -> None:
+            if event.state in ("running", "progress", "held"):
+                self.on_step(label, event.done, event.total)
+
+        do_beside(self.folder, jobs, workers=workers, on_event=told)
 
     def finished(self, job: Job) -> Done | None:
         """The result of a job, if it and all before it are there."""

@@ -272,6 +272,7 @@ def run_study(
     weights: Mapping[str, Path] | None = None,
     stages: Path | None = None,
     on_step: OnStep = lambda text, done, total: None,
+    workers: int = 0,
 ) -> dict[str, Any]:
     """Do a study, or what is missing of it, and write its results; returns the summary.
 
@@ -281,6 +282,7 @@ def run_study(
         weights: Files of detectors whose weights are not the usual ones, by their names.
         stages: Folder of the ledger, which other studies may share; None is a folder in `folder`.
         on_step: Told of the progress.
+        workers: Number of processes that do steps beside each other, with the same results; 0 does all in this one.
 
     Raises:
         MiSplatError: As `check`, or a step cannot be done.
@@ -293,6 +295,9 @@ def run_study(
         sweep_temporary(folder)
         save_text(study_toml(asdict(study)), folder / STUDY_FILE)
         steps = StudySteps(study=study, folder=stages, weights=weights, on_step=on_step)
+        if workers:
+            looked = {look.label: look.job for look in steps.looked(detectors)}
+            steps.do_beside({**dict(steps.made()), **looked}, workers)
         return write_report(steps, steps.splats(), detectors, folder)
 
 

@@ -148,12 +148,11 @@ def follow(advance: Advance) -> Callable[[str, int, int], None]:
     Returns:
         A function of the stage, of how much of it is done, and of how much there is.
     """
-    now = ""
+    said = set[str]()
 
     def told(text: str, done: int, total: int) -> None:
-        nonlocal now
-        if text != now:
-            now = text
+        if text not in said:
+            said.add(text)
             warn(text)
         advance(f"{text}, {done:,} of {total:,}")
 

@@ -6,6 +6,7 @@ that raises, so that the next one has a new process, and at once when who watche
 
 from __future__ import annotations
 
+import contextlib
 import os
 import queue
 import signal
@@ -62,26 +63,25 @@ class Child:
         folder: The store.
         limits: Of each task.
         environment: Variables that differ from those of this process.
-        cores: Numbers of the processor's cores that it may use; empty for all.
     """
 
     def __init__(
-        self,
-        folder: Path,
-        *,
-        limits: Limits | None = None,
-        environment: Mapping[str, str] | None = None,
-        cores: Sequence[int] = (),
+        self, folder: Path, *, limits: Limits | None = None, environment: Mapping[str, str] | None = None
     ) -> None:
         self._store, self._limits = Store(folder), limits or Limits()
-        self._environment, self._cores = dict(environment or {}), tuple(cores)
+        self._environment = dict(environment or {})
         self._process: subprocess.Popen[bytes] | None = None
         self._pipe: Any = None
         self._said: Any = None
         self._stopped = False
 
-    def run(self, task: Task, on_event: OnEvent = nobody) -> Outcome:
+    def run(self, task: Task, on_event: OnEvent = nobody, *, cores: Sequence[int] = ()) -> Outcome:
         """Run a task, and write down what it could not write down itself: by what signal or limit it was ended.
+
+        Args:
+            task: The task.
+            on_event: Told what happens.
+            cores: Numbers of the processor's cores that it uses, see `keep_to`.
 
         Raises:
             EngineError: No child process can be started.
@@ -97,10 +97,10 @@ class Child:
 
         begun = time.monotonic()
         try:
-            self._pipe.send(task)
+            self._pipe.send((task, tuple(cores)))
         except OSError:  # it was killed while it had nothing to do
             self.close()
-            return self.run(task, on_event)
+            return self.run(task, on_event, cores=cores)
         answer = self._answer(process, self._limits, tell)
         if isinstance(answer, Outcome):
             return answer
@@ -142,8 +142,6 @@ class Child:
             process = subprocess.Popen(
                 command, env=environment, start_new_session=True, pass_fds=[end.fileno()], **files
             )
-        if self._cores and hasattr(os, "sched_setaffinity"):
-            os.sched_setaffinity(process.pid, self._cores)
         self._process = process
         if isinstance(answer := self._answer(process, Limits(), nobody), str):
             self.close()
@@ -188,7 +186,7 @@ def memory_of(process: int) -> float:
 
 def serve(store: Store, pipe: Connection) -> None:
     """Run the tasks that come through a pipe, and say what happens."""
-    tasks: queue.SimpleQueue[Task] = queue.SimpleQueue()
+    tasks: queue.SimpleQueue[tuple[Task, Sequence[int]]] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(pipe, tasks), daemon=True).start()
     last = 0.0
 
@@ -201,7 +199,9 @@ def serve(store: Store, pipe: Connection) -> None:
     pipe.send(Outcome(state="ready"))
     while True:
         try:
-            run_job(store, tasks.get(), tell)
+            task, cores = tasks.get()
+            keep_to(cores)
+            run_job(store, task, tell)
             pipe.send(Outcome(state="done"))
         except HeldError as error:
             pipe.send(Outcome(state="held", text=str(error)))
@@ -209,7 +209,24 @@ def serve(store: Store, pipe: Connection) -> None:
             pipe.send(Outcome(state="stopped", text=str(error)))
 
 
-def _listen(pipe: Connection, tasks: queue.SimpleQueue[Task]) -> None:
+def keep_to(cores: Sequence[int]) -> None:
+    """Keep every thread of this process to some cores, and Dr.Jit to as many threads.
+
+    Two threads of Dr.Jit on one core take twice the time of one: they wait for each other without sleeping.
+
+    Args:
+        cores: Their numbers; empty changes nothing.
+    """
+    if not cores:
+        return
+    for thread in os.listdir("/proc/self/task"):
+        with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
+            os.sched_setaffinity(int(thread), cores)
+    if (drjit := sys.modules.get("drjit")) is not None:  # else it counts the cores when it is imported
+        drjit.set_thread_count(len(cores))
+
+
+def _listen(pipe: Connection, tasks: queue.SimpleQueue[tuple[Task, Sequence[int]]]) -> None:
     while True:
         try:
             tasks.put(pipe.recv())

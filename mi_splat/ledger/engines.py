@@ -7,6 +7,7 @@ import itertools
 import os
 import queue
 import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -19,6 +20,9 @@ from mi_splat.ledger.child import Child, Limits
 from mi_splat.ledger.job import Event, HeldError, OnEvent, Outcome, Task, nobody
 from mi_splat.ledger.running import run_job
 from mi_splat.ledger.store import Store
+
+_OTHERS = 0.02
+"""Seconds in which a task that is alone waits for others, before it takes all cores."""
 
 
 class Engine(Protocol):
@@ -64,8 +68,9 @@ class InProcess:
 class Processes:
     """Runs tasks in child processes, each watched by a thread.
 
-    torch has one thread in each of them; Dr.Jit has the child's share of the processor's cores, and a cache of kernels
-    of its own in the store, so that no two write into the same one.
+    torch has one thread in each of them; Dr.Jit has the task's share of the processor's cores, which is all of them
+    while no other task is there, and a cache of kernels of its own in the store, so that no two write into the same
+    one.
 
     Args:
         folder: The store.
@@ -80,23 +85,34 @@ class Processes:
         self._idle: queue.SimpleQueue[Child] = queue.SimpleQueue()
         numbers = itertools.count()
         self._children = [
-            Child(folder, limits=limits, environment=environment(cache), cores=share_of_cores(worker, workers))
-            for worker in range(workers)
-            for cache in (free_cache(folder, numbers, self._caches),)
+            Child(folder, limits=limits, environment=environment(free_cache(folder, numbers, self._caches)))
+            for _ in range(workers)
         ]
         for child in self._children:
             self._idle.put(child)
         self._threads = ThreadPoolExecutor(workers)
+        self._counted, self._given, self._shares = threading.Lock(), 0, set[int]()
 
     def submit(self, task: Task) -> Future[Outcome]:
         """Run a task as soon as a child process is free."""
+        with self._counted:
+            self._given += 1
         return self._threads.submit(self._run, task)
 
     def _run(self, task: Task) -> Outcome:
         child = self._idle.get()
+        if self._given == 1:
+            time.sleep(_OTHERS)
+        with self._counted:
+            share = min(set(range(self.window)) - self._shares)
+            self._shares.add(share)
+            cores = share_of_cores(share, min(self._given, self.window))
         try:
-            return child.run(task, self._tell)
+            return child.run(task, self._tell, cores=cores)
         finally:
+            with self._counted:
+                self._given -= 1
+                self._shares.remove(share)
             self._idle.put(child)
 
     def _tell(self, event: Event) -> None:

@@ -22,6 +22,7 @@ from attacks.report.results import read_section, story_of
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.ledger import Store
+from mi_splat.ledger.job import by_depth
 from mi_splat.ledger.running import task_for
 from tests.cloak.tiny_study import STUDY, Redness, done, steps_of, summary
 
@@ -120,6 +121,17 @@ def test_an_interrupted_study_ends_as_if_nothing_had_happened(
     assert not [text for text in said if text.startswith(("taking the victim", "training the clean"))]
     assert [splat["hash"] for splat in after["splats"]] == [splat["hash"] for splat in summary(finished)["splats"]]
     assert not list((stages / "partial").iterdir())
+
+
+def test_two_trainings_beside_each_other_leave_the_same_bytes(finished: Path, tmp_path: Path) -> None:
+    steps, beside = steps_of(finished / "stages"), steps_of(tmp_path)
+    for job in (job for level in by_depth([steps.poisoned(0)]) for job in level):
+        key = steps.do(job, "").key
+        shutil.copytree(finished / "stages" / "jobs" / key[:2] / key, tmp_path / "jobs" / key[:2] / key)
+    trained = {name: beside.trained(name, 0) for name in ("clean", "cloaked")}
+    beside.do_beside(trained, workers=2)
+    for name, job in trained.items():
+        assert beside.do(job, "").content == steps.do(steps.trained(name, 0), "").content
 
 
 def test_another_fraction_needs_no_new_picture(finished: Path) -> None:

@@ -6,21 +6,23 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import drjit as dr
 import pytest
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_text
 from mi_splat.ledger import Done, Event, Job, Ledger, Store, index
-from mi_splat.ledger.child import Limits
+from mi_splat.ledger.child import Child, Limits, keep_to
 from mi_splat.ledger.engines import InProcess, Processes, share_of_cores
 from mi_splat.ledger.index import Index, forecast, plan, status
-from mi_splat.ledger.job import EngineError, Task
-from mi_splat.ledger.plans import Driver, Plan, Result, grid
+from mi_splat.ledger.job import EngineError, OnEvent, Outcome, Task
+from mi_splat.ledger.plans import Driver, Plan, Result, do_beside, grid
 from mi_splat.ledger.running import task_for
 from tests.ledger.drive import two_levels, walk
 from tests.project.layers import ROOT
@@ -195,6 +197,53 @@ def test_workers_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: {1, 2, 3, 5, 8}, raising=False)
     assert [share_of_cores(worker, 2) for worker in range(2)] == [[1, 3, 8], [2, 5]]
     assert [share_of_cores(worker, 7) for worker in range(7)] == [[1], [2], [3], [5], [8], [1], [2]]
+
+
+def test_a_task_that_is_alone_has_all_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given, ended = list[Sequence[int]](), threading.Event()
+
+    def run_on(child: Child, task: Task, tell: OnEvent, *, cores: Sequence[int]) -> Outcome:
+        given.append(cores)
+        assert ended.wait(60)
+        return Outcome(state="done")
+
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {1, 2, 3, 5}, raising=False)
+    monkeypatch.setattr(Child, "run", run_on)
+    engine, tasks = Processes(tmp_path, workers=2), [_task(tmp_path, walk(number)) for number in range(3)]
+    alone = engine.submit(tasks[0])
+    until(lambda: len(given) == 1)
+    second = engine.submit(tasks[1])
+    until(lambda: len(given) == 2)
+    ended.set()
+    assert [alone.result().state, second.result().state, engine.submit(tasks[2]).result().state] == ["done"] * 3
+    engine.close()
+    assert given == [[1, 2, 3, 5], [2, 5], [1, 2, 3, 5]]
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system keeps no process to some cores")
+def test_threads_are_as_many_as_cores() -> None:
+    cores, threads = os.sched_getaffinity(0), dr.thread_count()
+    end = threading.Event()
+    second = threading.Thread(target=end.wait)
+    second.start()
+    try:
+        keep_to(sorted(cores)[:1])
+        assert [os.sched_getaffinity(thread) for thread in (0, second.native_id or 0)] == [{min(cores)}] * 2
+        assert dr.thread_count() == 1
+    finally:
+        keep_to(sorted(cores))
+        dr.set_thread_count(threads)
+        end.set()
+
+
+def test_jobs_beside_each_other_are_told_by_name_and_one_that_fails_is_an_error(tmp_path: Path) -> None:
+    told = set[tuple[str, str]]()
+    jobs = {"first": walk(1), "second": walk(2, one=walk(3)), "bad": walk(4, trouble="raise")}
+    for _ in range(2):  # earlier failures do not count
+        with pytest.raises(EngineError, match="bad: expected a job that ends, got ValueError: no way"):
+            do_beside(tmp_path, jobs, workers=2, on_event=lambda label, event: told.add((label, event.state)))
+    assert {("first", "done"), ("second", "done"), ("walk", "done"), ("bad", "failed"), ("first", "kept")} <= told
+    assert (tmp_path / "runs").read_text().count(_task(tmp_path, jobs["bad"]).key) == 6
 
 
 def test_the_plan_of_the_tests_is_the_same_in_one_process_and_in_two(tmp_path: Path) -> None:
