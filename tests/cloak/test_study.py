@@ -123,6 +123,7 @@ def test_an_interrupted_study_ends_as_if_nothing_had_happened(
     assert not list((stages / "partial").iterdir())
 
 
+@pytest.mark.nightly
 def test_two_trainings_beside_each_other_leave_the_same_bytes(finished: Path, tmp_path: Path) -> None:
     steps, beside = steps_of(finished / "stages"), steps_of(tmp_path)
     for job in (job for level in by_depth([steps.poisoned(0)]) for job in level):
