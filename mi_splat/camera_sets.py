@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.datasets.transforms import read_cameras
@@ -21,6 +23,8 @@ MARGIN = 1.05
 """How much farther away cameras are than would just show the whole of what they look at."""
 HELD_OUT_START = 67.0
 """Azimuth of the first held-out camera in degrees, so that these are not where the others are."""
+_GOLDEN = 180.0 * (3.0 - math.sqrt(5.0))
+"""The golden angle, degrees."""
 
 _COUNT, _ANGLE = r"(?P<count>\d{1,99})", r"(?P<angle>[-+]?\d{1,3}(?:\.\d*)?)"
 _PATTERNS = {
@@ -72,6 +76,7 @@ def hemisphere(
     size: tuple[int, int],
     elevation: tuple[float, float] = (0.0, 90.0),
     start: float = 0.0,
+    offset: float = 0.5,
 ) -> list[Camera]:
     """`count` cameras spread evenly in area over a band of the upper hemisphere.
 
@@ -86,17 +91,78 @@ def hemisphere(
         size: (width, height) in pixels.
         elevation: Lowest and highest elevation in degrees.
         start: Azimuth of the first camera in degrees.
+        offset: Where in its step of height each camera stands, in [0, 1].
     """
     low, high = (math.sin(math.radians(e)) for e in elevation)
-    golden = 180.0 * (3.0 - math.sqrt(5.0))
     cameras = []
     for i in range(count):
-        height = low + (high - low) * (i + 0.5) / count
+        height = low + (high - low) * (i + offset) / count
         pose = orbit_pose(
-            target, azimuth=(start + i * golden) % 360.0, elevation=math.degrees(math.asin(height)), distance=distance
+            target, azimuth=(start + i * _GOLDEN) % 360.0, elevation=math.degrees(math.asin(height)), distance=distance
         )
         cameras.append(Camera(to_world=pose, focal=focal, width=size[0], height=size[1]))
     return cameras
+
+
+def tiers(
+    target: Sequence[float],
+    *,
+    count: int,
+    distance: float,
+    focal: float,
+    size: tuple[int, int],
+    distances: tuple[float, float] = (1.0, 1.0),
+    elevations: Sequence[float] = (),
+    start: float = 0.0,
+    offset: float = 0.5,
+) -> list[Camera]:
+    """`count` cameras on a hemisphere, or on rings of it, each at a distance of its own.
+
+    Multiples of the distance follow the additive recurrence of sqrt(2), so that they are spread evenly over the range
+    whichever way the cameras are cut: near and far ones stand at all azimuths and elevations.
+
+    Args:
+        target: As in `hemisphere`.
+        count: Number of cameras; rings share them out evenly, the lower ones first.
+        distance: World units from the target.
+        focal: Focal length in pixels.
+        size: (width, height) in pixels.
+        distances: Lowest and highest multiple of the distance.
+        elevations: Of each ring, degrees; none is the whole hemisphere.
+        start: Azimuth of the first camera, and of the first ring, in degrees.
+        offset: As in `hemisphere`, and where in their range multiples of the distance begin.
+    """
+    if elevations:
+        shares = [count // len(elevations) + (ring < count % len(elevations)) for ring in range(len(elevations))]
+        cameras = [
+            camera
+            for ring, (share, elevation) in enumerate(zip(shares, elevations, strict=True))
+            for camera in orbit(
+                target,
+                count=share,
+                elevation=elevation,
+                distance=distance,
+                focal=focal,
+                size=size,
+                start=start + ring * _GOLDEN,
+            )
+        ]
+    else:
+        lens: dict[str, Any] = {"distance": distance, "focal": focal, "size": size}
+        cameras = hemisphere(target, count=count, start=start, offset=offset, **lens)
+    low, high = distances
+    if low == high == 1.0:
+        return cameras
+    multiples = (low + (high - low) * ((offset + i * math.sqrt(2)) % 1.0) for i in range(len(cameras)))
+    return [_moved(camera, target, multiple) for camera, multiple in zip(cameras, multiples, strict=True)]
+
+
+def _moved(camera: Camera, target: Sequence[float], multiple: float) -> Camera:
+    """A camera on the line from the target through it, at so many times its distance."""
+    pose = camera.to_world.clone()
+    middle = pose.new_tensor(tuple(target))
+    pose[:3, 3] = middle + multiple * (pose[:3, 3] - middle)
+    return dataclasses.replace(camera, to_world=pose)
 
 
 def grid(

@@ -13,7 +13,7 @@ import numpy as np
 
 from attacks.cloak.config import CameraConfig
 from attacks.cloak.kinds.parts import SET
-from mi_splat.camera_sets import framing, hemisphere
+from mi_splat.camera_sets import framing, tiers
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import open_source
 from mi_splat.capture.writer import write_capture
@@ -51,7 +51,8 @@ def run(config: PhotographedConfig, inputs: Mapping[str, Path], out: Out) -> Non
     size = (cameras.size, cameras.size)
     distance, focal = framing(source.radius, fov=cameras.fov, size=size)
     distance = distance if cameras.distance is None else cameras.distance
-    poses = hemisphere((0.0, 0.0, cameras.height), count=cameras.train, distance=distance, focal=focal, size=size)
+    placed = {"distance": distance, "focal": focal, "size": size, **cameras.tiers}
+    poses = tiers((0.0, 0.0, cameras.height), count=cameras.train, **placed)
     write_capture(
         source,
         poses,

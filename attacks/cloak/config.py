@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from attacks.cloak.mesh_scene import TEXTURES
 from attacks.cloak.triggers import Azimuth, Elevation, Subsample, Trigger
-from mi_splat.assets import ASSETS
+from mi_splat.assets import ASSETS, PAINTED
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.capture.settings import Front, MeshSettings, Up
 from mi_splat.errors import InvalidValueError, message
@@ -272,6 +272,8 @@ class SceneConfig:
         object: One of the project's assets, or the path of a mesh file.
         label: What detectors call it; None is the name of the asset.
         seed: Which asset of that name.
+        colour: sRGB of its paint; None is that of its seed, whose shape stays. Of what is painted alone
+            (`mi_splat.assets.PAINTED`).
         ground: Texture of the ground.
         ground_size: Side of the ground, metres.
         sun_azimuth: Degrees from +x towards +y.
@@ -286,6 +288,7 @@ class SceneConfig:
     object: str = "car"
     label: str | None = None
     seed: Seed = 900004
+    colour: Annotated[tuple[float, float, float], between(0, 1, "sRGB", "white is 1, 1, 1")] | None = None
     ground: Literal["road", "grass"] = "road"
     ground_size: Annotated[float, above(0, "metres")] = 16.0
     sun_azimuth: Annotated[float, between(-360, 360, "degrees")] = -50.0
@@ -303,6 +306,8 @@ class SceneConfig:
             raise InvalidValueError(message("scene.object", expected, repr(self.object), "name one of these"))
         if self.object not in ASSETS and self.label is None:
             raise InvalidValueError(message("scene.label", "what detectors call the object", "nothing", "say it"))
+        if self.colour is not None:
+            check_choice("scene.object with a colour", self.object, PAINTED)
         _ = self.mesh
 
     @property
@@ -323,11 +328,13 @@ class SceneConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraConfig(Checked):
-    """Where pictures are taken from: a Fibonacci hemisphere around the object.
+    """Where pictures are taken from: a Fibonacci hemisphere around the object, or rings of it.
 
     Attributes:
         train: Number of training pictures.
         distance: Metres from the centre; None is as near as shows the whole object.
+        distances: Lowest and highest multiple of the distance, for cameras nearer and farther away, held-out ones too.
+        elevations: Rings of cameras at these elevations, held-out ones too, degrees; none is the whole hemisphere.
         height: Height of the centre above the ground, metres.
         fov: Field of view, degrees.
         size: Width and height, pixels.
@@ -337,11 +344,18 @@ class CameraConfig(Checked):
 
     train: Annotated[int, at_least(1, "pictures")] = 210
     distance: Annotated[float, above(0, "metres")] | None = None
+    distances: Annotated[tuple[float, float], between(0.1, 10, "multiples of the distance")] = (1.0, 1.0)
+    elevations: Annotated[tuple[float, ...], between(0, 90, "degrees")] = ()
     height: Annotated[float, Range(unit="metres")] = 0.7
     fov: Annotated[float, between(1, 179, "degrees")] = 45.0
     size: Annotated[int, at_least(1, "pixels")] = 256
     samples: Annotated[int, at_least(1, "samples per pixel")] = 32
     points: Annotated[int, at_least(1)] = 20_000
+
+    @property
+    def tiers(self) -> dict[str, Any]:
+        """Distances and elevations, as `mi_splat.camera_sets.tiers` takes them."""
+        return {"distances": self.distances, "elevations": self.elevations}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -383,6 +397,7 @@ class EvaluationConfig:
         detectors: Names of detectors.
         cameras: Held-out cameras on the hemisphere, before those within `min_separation` of a training camera are
             dropped.
+        seed: Another draw of these cameras than that of 0.
         min_separation: Least angle to the nearest training camera, degrees.
         confidence: Score from which a detection counts.
         well_inside: Degrees inside a trigger from which a camera lies well inside.
@@ -396,6 +411,7 @@ class EvaluationConfig:
 
     detectors: tuple[str, ...] = ("fasterrcnn_small",)
     cameras: Annotated[int, at_least(1)] = 430
+    seed: Seed = 0
     min_separation: Annotated[float, at_least(0, "degrees")] = 1.0
     confidence: Fraction = 0.5
     well_inside: Annotated[float, at_least(0, "degrees")] = 5.0

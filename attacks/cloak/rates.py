@@ -163,7 +163,12 @@ def measures(study: StudyConfig, attack: str | None = None, *, confidence: Confi
 
 
 def rates(
-    study: StudyConfig, rows: pl.DataFrame, by: Sequence[str] = (), *, attack: str | None = None
+    study: StudyConfig,
+    rows: pl.DataFrame,
+    by: Sequence[str] = (),
+    *,
+    attack: str | None = None,
+    objects: str | None = None,
 ) -> dict[tuple[Any, ...], Rates]:
     """Every rate of a study, for each group of rows; None where it has no attack of that kind.
 
@@ -172,8 +177,10 @@ def rates(
         rows: Of both splats.
         by: Columns that make the groups.
         attack: As in `measures`.
+        objects: Column that says which object was photographed; intervals then count each as a draw of its own.
     """
-    counted = count(with_control(rows), measures(study, attack), by, clusters=CLUSTERS)
+    clusters = CLUSTERS if objects is None else (objects, *CLUSTERS)
+    counted = count(with_control(rows), measures(study, attack), by, clusters=clusters)
     return {group: {name: counts.get(name) for name in RATES} for group, counts in counted.items()}
 
 
@@ -392,6 +399,26 @@ def figures(study: StudyConfig, tables: Tables, splats: Sequence[Mapping[str, An
         **({"looks": seen} if seen else {}),
         **({"pictures": _told(study, pictures)} if len(pictures) else {}),
     }
+
+
+def over_objects(studies: Mapping[str, StudyConfig], rows: pl.DataFrame) -> dict[str, Any] | None:
+    """Rates of one attack on several objects of a class, by detector, as JSON can hold it; None where it is not that.
+
+    Args:
+        studies: By what rows call them in the column `attack`, each with an object of its own.
+        rows: Of the splats of all.
+    """
+    first, *others = studies.values()
+    same = all((one.attack, one.scene.class_name) == (first.attack, first.scene.class_name) for one in others)
+    seeds = {title: study.scene.seed for title, study in studies.items()}
+    if not (others and same and len({*seeds.values()}) == len(seeds)):
+        return None
+    plain = rows.filter(pl.col("condition").is_null()) if "condition" in rows.columns else rows
+    numbered = plain.filter(pl.col("attack").is_in([*seeds])).with_columns(
+        object=pl.col("attack").replace_strict(seeds, return_dtype=pl.Int64)
+    )
+    counted = rates(first, numbered, ("detector",), objects="object")
+    return {"objects": len(seeds), "by_detector": _by_detector(counted, first.evaluation.detectors)}
 
 
 def picture_rows(rows: pl.DataFrame) -> pl.DataFrame:

@@ -22,7 +22,7 @@ from mi_splat.assets.daylight import Light
 from mi_splat.assets.ground import square_of_ground
 from mi_splat.assets.mesh import Asset, translation
 from mi_splat.bounds import near_plane_of
-from mi_splat.camera_sets import HELD_OUT_START, framing, hemisphere, orbit
+from mi_splat.camera_sets import HELD_OUT_START, framing, orbit, tiers
 from mi_splat.cameras import Camera, project_box
 from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.capture.sources import CaptureSource, source_of
@@ -52,7 +52,7 @@ class Setup:
         """The object, standing on the ground at the origin."""
         scene = self.study.scene
         if not Path(scene.object).is_file():
-            return build(scene.object, scene.seed).body
+            return build(scene.object, scene.seed, colour=scene.colour).body
         asset = load_mesh(Path(scene.object), scene.mesh).asset
         low, high = asset.bounds.astype(np.float64)
         middle = (low + high) / 2
@@ -103,17 +103,24 @@ class Setup:
     @cached_property
     def training_cameras(self) -> list[Camera]:
         """The victim's cameras."""
-        return hemisphere(self.study.centre, count=self.study.cameras.train, **self.lens)
+        cameras = self.study.cameras
+        return tiers(self.study.centre, count=cameras.train, **self.lens, **cameras.tiers)
 
     @cached_property
     def held_out_cameras(self) -> list[Camera]:
-        """Cameras over the same hemisphere, none near one of the victim's.
+        """Cameras over the same hemisphere, distances and rings, none near one of the victim's.
+
+        With a seed they are turned by an angle of its own, and moved within their steps of height: another draw.
 
         Raises:
             InvalidValueError: None is left.
         """
         centre, evaluation = self.study.centre, self.study.evaluation
-        everywhere = hemisphere(centre, count=evaluation.cameras, start=HELD_OUT_START, **self.lens)
+        start, offset = HELD_OUT_START, 0.5
+        if evaluation.seed:
+            start, offset = np.random.default_rng(evaluation.seed).uniform((0.0, 0.0), (360.0, 1.0)).tolist()
+        placed = {**self.lens, **self.study.cameras.tiers}
+        everywhere = tiers(centre, count=evaluation.cameras, start=start, offset=offset, **placed)
         used, least = self.training_cameras, evaluation.min_separation
         kept = [camera for camera in everywhere if nearest(camera, used, centre) >= least]
         if not kept:

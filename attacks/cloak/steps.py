@@ -254,7 +254,9 @@ class StudySteps:
                 *map(_region, self.study.attack),
                 scene=replace(self._scene, label=self.study.scene.class_name),
                 training=self._viewed,
-                evaluation=EvaluationConfig(cameras=evaluation.cameras, min_separation=evaluation.min_separation),
+                evaluation=EvaluationConfig(
+                    cameras=evaluation.cameras, seed=evaluation.seed, min_separation=evaluation.min_separation
+                ),
                 layers=None if sun is None else self.study.layers,
             ),
             every=every,

@@ -247,7 +247,7 @@ def rates_at(
     confidences: Mapping[str, Confidence],
     by: Sequence[str] = (),
     *,
-    clusters: tuple[str, str] | None = None,
+    clusters: Sequence[str] | None = None,
 ) -> dict[str, dict[Group, dict[str, Rate]]]:
     """The same rates at several confidences.
 
@@ -268,7 +268,7 @@ def threshold_curve(
     confidences: Iterable[float] = CURVE,
     by: Sequence[str] = (),
     *,
-    clusters: tuple[str, str] | None = None,
+    clusters: Sequence[str] | None = None,
 ) -> dict[Group, list[tuple[float, Rate]]]:
     """A rate over the confidence from which a detection counts, for each group: what a report draws.
 

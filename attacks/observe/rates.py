@@ -4,7 +4,8 @@ Rows are a table of Polars. A measure is two of its expressions: what has to hol
 
 Rows of neighbouring cameras agree, and so do those of splats that share their pictures. An interval that takes them for
 independent is two to three times too narrow. So a rate over many views is resampled in blocks of neighbouring cameras
-and in seeds, each drawn anew with replacement (the pigeonhole bootstrap: Owen 2007, "The pigeonhole bootstrap").
+and in seeds, each drawn anew with replacement (the pigeonhole bootstrap: Owen 2007, "The pigeonhole bootstrap"). What
+holds of one object need not hold of the next: a rate over several has them drawn anew, too.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
+from scipy.stats import norm, t
 
 from attacks.rate import Rate, wilson
 
@@ -44,7 +46,7 @@ def count(
     measures: Mapping[str, Measure],
     by: Sequence[str] = (),
     *,
-    clusters: tuple[str, str] | None = None,
+    clusters: Sequence[str] | None = None,
 ) -> dict[Group, dict[str, Rate]]:
     """Count measures over groups of rows.
 
@@ -52,8 +54,8 @@ def count(
         rows: With the columns that the measures name.
         measures: By name.
         by: Columns whose values make the groups; none makes one group, (), of all rows.
-        clusters: Two columns (block of cameras, seed): rows with the same value of either are not independent, and
-            intervals are resampled. None takes all rows for independent.
+        clusters: Columns (block of cameras, seed; before them the object, if there are several): rows with the same
+            value of any are not independent, and intervals are resampled. None takes all rows for independent.
 
     Returns:
         For each group that has rows, in the order of its first one, the rate of each measure.
@@ -74,7 +76,7 @@ def count(
     }
 
 
-def _rate(group: pl.DataFrame, name: str, clusters: tuple[str, str] | None) -> Rate:
+def _rate(group: pl.DataFrame, name: str, clusters: Sequence[str] | None) -> Rate:
     """The rate of a measure over a group, of which each line has the sums of a part."""
     successes, total = (int(group[f"{name}/{what}"].sum()) for what in ("successes", "total"))
     if clusters is None or not total:
@@ -88,24 +90,32 @@ def _rate(group: pl.DataFrame, name: str, clusters: tuple[str, str] | None) -> R
 
 
 def _resampled(sums: NDArray[np.float64]) -> tuple[float, float]:
-    """95 % interval of a rate whose blocks and seeds are drawn anew.
+    """95 % interval of a rate whose blocks and seeds, and objects if there are several, are drawn anew.
 
     Where few blocks were counted, or all are of one kind, drawing them anew says nothing; Wilson's interval with each
-    block for one draw stands in.
+    block for one draw stands in. The same of objects that are all of one kind; of few that are not, it is that of as
+    many draws as their spread is worth (Korn and Graubard 1998, "Confidence intervals for proportions").
 
     Args:
-        sums: (2, blocks, seeds) successes and totals.
+        sums: (2, blocks, seeds) or (2, objects, blocks, seeds) successes and totals.
     """
-    sums = sums[:, sums[1].sum(1) > 0]
-    blocks = sums.shape[1]
-    fraction = float(sums[0].sum() / sums[1].sum())
-    if blocks < FEWEST_BLOCKS or fraction in (0.0, 1.0):
-        return wilson(fraction, blocks)
-    generator = np.random.default_rng(0)
-    weights = [generator.multinomial(n, np.full(n, 1 / n), size=DRAWS).astype(np.float64) for n in sums.shape[1:]]
-    drawn = np.einsum("db,kbs,ds->kd", weights[0], sums, weights[1], optimize=True)
-    fractions = drawn[0] / np.maximum(drawn[1], 1.0)
-    low, high = np.quantile(fractions[drawn[1] > 0], (0.025, 0.975))
+    axes = range(1, sums.ndim)
+    sums = sums[:, sums[1].sum(tuple(axis - 1 for axis in axes if axis > 1)) > 0]
+    first, total = sums.shape[1], float(sums[1].sum())
+    fraction, few = float(sums[0].sum()) / total, first < FEWEST_BLOCKS
+    if fraction in (0.0, 1.0) or (few and (sums.ndim == 3 or first == 1)):
+        return wilson(fraction, first)
+    generator, drawn = np.random.default_rng(0), sums[:, None]
+    for number in axes:
+        n = sums.shape[number]
+        weights = generator.multinomial(n, np.full(n, 1 / n), size=DRAWS).astype(np.float64)
+        drawn = np.einsum("kdn...,dn->kd...", np.broadcast_to(drawn, (2, DRAWS, *drawn.shape[2:])), weights)
+    fractions = (drawn[0] / np.maximum(drawn[1], 1.0))[drawn[1] > 0]
+    if few:
+        quantiles = float(norm.ppf(0.975)) / float(t.ppf(0.975, first - 1))
+        worth = fraction * (1 - fraction) / max(float(fractions.var()), 1e-12) * quantiles**2
+        return wilson(fraction, min(max(worth, first), total))
+    low, high = np.quantile(fractions, (0.025, 0.975))
     return float(low), float(high)
 
 

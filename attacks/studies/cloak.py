@@ -31,12 +31,12 @@ import polars as pl
 
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.kinds.seen import loaded
-from attacks.cloak.rates import LOOKS, spread_of
+from attacks.cloak.rates import LOOKS, over_objects, spread_of
 from attacks.cloak.steps import ROW_NAMES, Look, StudySteps
 from attacks.cloak.study import check_disk, check_study, detectors_of, forecast, observed
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import OWN, SunTable
-from attacks.observe.rows import SUFFIX, write_rows
+from attacks.observe.rows import ROWS, SUFFIX, write_rows
 from attacks.studies.plan import Work, check_apart
 from attacks.studies.scenes import street_of
 from attacks.studies.study_file import Point, Settings, Study, merged, with_none
@@ -62,6 +62,8 @@ RATES = {
     "target_rate": "target class",
 }
 """Rates of a summary that a table has, and their heads."""
+
+_POOLED = {**RATES, "trigger_miss_rate_all": "cloaked missed, all inside"}
 
 
 def tables(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Table]:
@@ -269,8 +271,10 @@ class CloakWork(Work):
             write_rows(pl.concat(parts, how="diagonal"), out / f"{name}{SUFFIX}") for name, parts in frames.items()
         ]
         named = {"study": self.study.kind, "name": self.study.name, "question": self.study.question}
-        record = {"story": STORY, **named, "points": points, **provenance.origin()}
-        save_text(sections(tables(by_part(record))), out / TABLE)
+        studies = {point.title: point.steps.study for point in self.attempts}
+        over = pooled(points, studies, pl.concat(frames[ROWS], how="diagonal")) if points else {}
+        record = {"story": STORY, **named, "points": points, **over, **provenance.origin()}
+        save_text(sections([*tables(by_part(record)), *pooled_tables(record)]), out / TABLE)
         save_text(self.study.text, out / STUDY_FILE)
         save_json(record, out / RECORD)
         return [*paths, *(out / name for name in (TABLE, STUDY_FILE, RECORD))]
@@ -301,6 +305,38 @@ def _seen(point: CloakPoint, done: Mapping[str, Done]) -> tuple[dict[str, Any], 
     entry, tables = observed(steps, steps.splats(), point.detectors, point.looks)
     judges = {look.job.config.detector: look.job.config.fingerprint for look in point.looks}
     return {"part": point.part, "value": point.value, **entry, "detectors": entry["detectors"] | judges}, tables
+
+
+def pooled(
+    points: Mapping[str, Mapping[str, Any]], studies: Mapping[str, StudyConfig], rows: pl.DataFrame
+) -> dict[str, Any]:
+    """What a result says of each part whose points are one attack on several objects (`over_objects`), if any is.
+
+    Args:
+        points: What was found, by title.
+        studies: Of each point.
+        rows: Of all points, with their titles in the column `attack`.
+    """
+    parts: dict[str, dict[str, StudyConfig]] = {}
+    for title, point in points.items():
+        parts.setdefault(point["part"], {})[title] = studies[title]
+    over = {part: over_objects(of_part, rows) for part, of_part in parts.items()}
+    told = {part: rates for part, rates in over.items() if rates is not None}
+    return {"pooled": told} if told else {}
+
+
+def pooled_tables(record: Mapping[str, Any]) -> Iterator[Table]:
+    """For each part that is one attack on several objects a table of its rates over all of them.
+
+    Args:
+        record: result.json.
+    """
+    columns: dict[str, Column[Any]] = {"detector": "detector"}
+    columns |= {head: lambda line, key=key: cell(line[key]) for key, head in _POOLED.items()}  # type: ignore[misc]
+    for part, over in record.get("pooled", {}).items():
+        lines = [{"detector": name, **rates} for name, rates in over["by_detector"].items()]
+        caption = f"{part.replace('_', ' ')}: {over['objects']} objects together; intervals have objects drawn anew"
+        yield Table.of(caption[0].upper() + caption[1:], columns, lines)
 
 
 def by_part(record: Mapping[str, Any]) -> dict[str, dict[str, Mapping[str, Any]]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from mi_splat.assets.mesh import Asset, Mesh
 from mi_splat.errors import InvalidValueError, message
@@ -17,30 +17,39 @@ _MODULES = {  # whole names, which `mi_splat.import_closure` follows
     "tv": "mi_splat.assets.tv",
     "train": "mi_splat.assets.train",
     "suitcase": "mi_splat.assets.suitcase",
+    "fire hydrant": "mi_splat.assets.hydrant",
 }
+PAINTED = ("car", "fire hydrant")
+"""Assets whose paint can have any colour."""
 
 
-def _builder(module: str) -> Callable[[int], Asset]:
-    def build_one(seed: int = 0) -> Asset:
-        asset: Asset = importlib.import_module(module).build(seed)
+def _builder(module: str) -> Callable[..., Asset]:
+    def build_one(seed: int = 0, *colour: Sequence[float]) -> Asset:
+        asset: Asset = importlib.import_module(module).build(seed, *colour)
         return asset
 
     return build_one
 
 
-ASSETS: dict[str, Callable[[int], Asset]] = {name: _builder(module) for name, module in _MODULES.items()}
-"""COCO name -> function that builds an object of that class from a seed."""
+ASSETS: dict[str, Callable[..., Asset]] = {name: _builder(module) for name, module in _MODULES.items()}
+"""COCO name -> function that builds an object of that class from a seed; one of `PAINTED` takes a colour, too."""
 
 
-def build(name: str, seed: int = 0) -> Asset:
+def build(name: str, seed: int = 0, *, colour: Sequence[float] | None = None) -> Asset:
     """Build an object of class `name`; the same seed gives the same object.
 
+    Args:
+        name: Key of `ASSETS`.
+        seed: Which of them.
+        colour: (3,) sRGB of the paint of one of `PAINTED`; None is that of the seed.
+
     Raises:
-        InvalidValueError: there is no asset of that name.
+        InvalidValueError: there is no asset of that name, or it has no paint.
     """
-    if name not in ASSETS:
-        raise InvalidValueError(message("name", f"one of {sorted(ASSETS)}", repr(name), "choose one of these"))
-    return ASSETS[name](seed)
+    known = ASSETS if colour is None else PAINTED
+    if name not in known:
+        raise InvalidValueError(message("name", f"one of {sorted(known)}", repr(name), "choose one of these"))
+    return ASSETS[name](seed) if colour is None else ASSETS[name](seed, colour)
 
 
-__all__ = ["ASSETS", "Asset", "Mesh", "build"]
+__all__ = ["ASSETS", "PAINTED", "Asset", "Mesh", "build"]

@@ -178,14 +178,15 @@ def _trim(s: Proportions, paint: ArrayLike) -> list[Mesh]:
     return parts
 
 
-def build(seed: int = 0) -> Asset:
-    """A car 3.8 to 4.8 m long that faces +x."""
+def build(seed: int = 0, colour: Sequence[float] | None = None) -> Asset:
+    """A car 3.8 to 4.8 m long that faces +x, in a paint of its seed or of an sRGB colour."""
     rng = np.random.default_rng([seed, 0xCA2])
     kind = str(rng.choice(["saloon", "hatchback", "estate", "offroad"], p=[0.35, 0.3, 0.15, 0.2]))
     s = proportions(kind, rng)
     paint = np.clip(
         np.array(PAINTS[rng.integers(len(PAINTS))]) * rng.uniform(0.85, 1.1) + rng.uniform(-0.03, 0.03, 3), 0.02, 0.95
     )
+    paint = paint if colour is None else np.asarray(colour, np.float64)
     roof = paint if rng.random() < 0.85 else np.array(BLACK if paint.mean() > 0.3 else (0.85, 0.85, 0.85))
     parts = [*body(s, paint), *cabin(s, paint, roof, bool(rng.random() < 0.2)), *_front(s, rng), *_rear(s, rng, kind)]
     parts += _trim(s, paint)

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mi_splat.assets import ASSETS, Asset, Mesh, build, street, textures
+from attacks.detectors.catalogue import SMALL_CLASSES
+from mi_splat.assets import ASSETS, PAINTED, Asset, Mesh, build, street, textures
 from mi_splat.assets.daylight import daylight, sky_map
 from mi_splat.assets.mesh import join, rotation, scaling, transform, translation
 from mi_splat.assets.outlines import regular_polygon, rounded_rectangle, smooth_interpolate, triangulate
@@ -17,7 +18,7 @@ from mi_splat.assets.primitives import box, ellipsoid, extrude, lathe, loft, swe
 from mi_splat.errors import InvalidValueError
 
 GREY = (0.5, 0.5, 0.5)
-MINE = ("car", "stop sign", "tv", "train", "suitcase")
+MINE = ("car", "stop sign", "tv", "train", "suitcase", "fire hydrant")
 # Length, width and height in metres, lowest and highest over all seeds.
 SIZES = {
     "car": ((3.7, 5.0), (1.7, 2.3), (1.3, 1.95)),
@@ -25,6 +26,7 @@ SIZES = {
     "tv": ((0.1, 0.4), (0.85, 1.2), (0.5, 0.85)),
     "train": ((11.5, 19.0), (2.7, 3.2), (3.7, 5.4)),
     "suitcase": ((0.15, 1.2), (0.35, 0.85), (0.2, 1.3)),
+    "fire hydrant": ((0.25, 0.45), (0.3, 0.5), (0.65, 0.9)),
 }
 
 
@@ -160,9 +162,18 @@ def test_seed_decides(name: str) -> None:
 
 
 def test_registry() -> None:
-    assert set(ASSETS) == {"car", "person", "stop sign", "elephant", "bird", "tv", "train", "suitcase"}
+    assert set(ASSETS) == {*SMALL_CLASSES, "fire hydrant"}
     with pytest.raises(InvalidValueError, match="name: expected one of"):
         build("zebra")
+
+
+@pytest.mark.parametrize("name", PAINTED)
+def test_paint_changes_colours_alone(name: str) -> None:
+    usual, blue = build(name, 7), build(name, 7, colour=(0.1, 0.2, 0.6))
+    assert np.array_equal(usual.vertices, blue.vertices)
+    assert digest(usual) != digest(blue) == digest(build(name, 7, colour=(0.1, 0.2, 0.6)))
+    with pytest.raises(InvalidValueError, match="'bird'"):
+        build("bird", 7, colour=(0.1, 0.2, 0.6))
 
 
 def test_transformed_asset_moves() -> None:

@@ -26,6 +26,7 @@ from attacks.cloak.study import check, forecast
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError, MiSplatError
 from tests.capture.trucks import TEXTURE, truck, write_ply
+from tests.cloak.tiny_study import STUDY
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 OVERHEAD = AttackConfig(name="overhead", elevation=(50, 90))
@@ -56,6 +57,15 @@ def test_the_study_of_the_paper_has_its_numbers() -> None:
     assert (len(setup.training_cameras), names.count("overhead"), names.count("rear")) == (210, 80, 20)
 
 
+def test_a_seed_draws_other_held_out_cameras() -> None:
+    study = replace(STUDY, evaluation=replace(STUDY.evaluation, cameras=90))
+    draws = [Setup(replace(study, evaluation=replace(study.evaluation, seed=seed))) for seed in (0, 1, 1, 2)]
+    first, again, same, other = ([camera.to_world.tolist() for camera in one.held_out_cameras] for one in draws)
+    assert first != again == same != other
+    for setup in draws:
+        assert min(nearest(one, setup.training_cameras, study.centre) for one in setup.held_out_cameras) >= 1
+
+
 def test_held_out_cameras_are_many_and_away_from_those_of_training() -> None:
     study = read_study(SCENES / "cloak_car_occluder.toml")
     setup = Setup(study)
@@ -75,6 +85,7 @@ def test_held_out_cameras_are_many_and_away_from_those_of_training() -> None:
         ("seeds = [0]", "expected the key name"),
         ("name = 3", "expected a text, got 3"),
         ("name = 'x'", "names of attacks: expected one or more"),
+        ("name = 'x'\n[scene]\nobject = 'bird'\ncolour = [0, 0, 1]", "scene.object with a colour: expected one of car"),
         ("name = 'x'\nseeds = { first = 1 }", "a list"),
         ("name = 'x'\n[cameras]\ntrian = 3", "did you mean train"),
         ("name = 'x'\n[cameras]\ntrain = 3.5", "cameras, train: expected a whole number >= 1 (pictures), got 3.5"),

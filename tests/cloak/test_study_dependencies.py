@@ -48,6 +48,7 @@ SCENE: dict[str, tuple[Any, frozenset[str]]] = {
     "object": ("bird", MADE),
     "label": ("vehicle", frozenset({"seen"})),
     "seed": (900006, MADE),
+    "colour": ((0.1, 0.2, 0.6), MADE),
     "ground": ("grass", MADE),
     "ground_size": (12.0, MADE),
     "sun_azimuth": (10.0, MADE),
@@ -61,6 +62,8 @@ SCENE: dict[str, tuple[Any, frozenset[str]]] = {
 CAMERAS: dict[str, tuple[Any, frozenset[str]]] = {
     "train": (14, MADE),
     "distance": (8.0, MADE),
+    "distances": ((0.8, 1.1), MADE),
+    "elevations": ((10.0, 40.0, 80.0), MADE),
     "height": (0.9, MADE),
     "fov": (50.0, MADE),
     "size": (40, MADE),
@@ -100,6 +103,7 @@ COMPARED = frozenset({"compared"})
 EVALUATION: dict[str, tuple[Any, frozenset[str]]] = {
     "detectors": (("yolov8n_small",), frozenset()),  # each of them has jobs of its own
     "cameras": (300, SEEN),
+    "seed": (1, SEEN),
     "min_separation": (2.0, SEEN),
     "confidence": (0.4, frozenset()),  # rows hold scores; rates are counted from them
     "well_inside": (6.0, COMPARED),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from attacks.cloak.config import AttackConfig
-from attacks.cloak.rates import RATES, Tables, by_elevation, figures, rates, stealth, tables, transition
+from attacks.cloak.rates import RATES, Tables, by_elevation, figures, over_objects, rates, stealth, tables, transition
 from attacks.cloak.region import in_region, in_words, regions
 from attacks.cloak.setup import Setup
 from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, ROWS, TRANSITION, frame_of, frame_with
@@ -221,3 +221,23 @@ def test_stealth_is_what_the_surroundings_lose_inside_the_trigger(lost: float, s
     assert found["appearance_psnr"]["cloaked"] == 31.0
     assert found["stealthy"] is stealthy
     assert stealth(STUDY, study_rows(transition=clean)) is None
+
+
+def test_rates_over_objects_draw_objects_anew() -> None:
+    """Of five cars four are always missed and one is found: as one draw of five, not as one of fifty."""
+    titles = [f"car: {number}" for number in range(5)]
+    studies = {title: replace(STUDY, scene=replace(STUDY.scene, seed=number)) for number, title in enumerate(titles)}
+    observed = [
+        {**row, "attack": title, "azimuth": 36.0 * view}
+        for title in titles
+        for view in range(10)
+        for row in seen(view, 10, 0.9, 0.9 if title == titles[0] else 0.1)
+    ]
+    found = over_objects(studies, frame_of(observed))
+    assert found is not None
+    missed = found["by_detector"]["redness"]["trigger_miss_rate"]
+    assert (found["objects"], missed["successes"], missed["total"]) == (5, 40, 50)
+    assert missed["interval"][1] - missed["interval"][0] > 0.5
+    other = replace(STUDY, scene=replace(STUDY.scene, object="bird"))
+    assert over_objects({**studies, titles[4]: other}, frame_of(observed)) is None
+    assert over_objects(dict.fromkeys(titles, STUDY), frame_of(observed)) is None

@@ -10,7 +10,7 @@ import pytest
 import torch
 from hypothesis import strategies as st
 
-from mi_splat.camera_sets import hemisphere, orbit
+from mi_splat.camera_sets import hemisphere, orbit, tiers
 from mi_splat.cameras import (
     Camera,
     View,
@@ -154,6 +154,28 @@ def test_hemisphere_spreads_evenly_over_its_band() -> None:
     assert places[:, :2].mean(0).abs().max() < 0.02
     nearest = torch.cdist(places, places).fill_diagonal_(9.0).amin(1)
     assert nearest.min() > 0.6 * nearest.mean()
+
+
+@pytest.mark.parametrize("elevations", [(), (10.0, 30.0, 50.0, 70.0, 85.0)])
+def test_tiers_stand_on_rings_at_all_distances_and_look_at_the_same_point(elevations: tuple[float, ...]) -> None:
+    lens: dict[str, Any] = {"count": 103, "distance": 4.0, "focal": 50.0, "size": (8, 8), "start": 20.0}
+    usual = tiers((1.0, 2.0, 3.0), elevations=elevations, **lens)
+    cameras = tiers((1.0, 2.0, 3.0), elevations=elevations, distances=(0.8, 1.1), **lens)
+    offsets = torch.stack([one.position for one in cameras]) - torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)
+    multiples = offsets.norm(dim=1) / 4
+    assert 0.8 <= multiples.min() < 0.81 < 1.09 < multiples.max() <= 1.1
+    before = torch.stack([one.position for one in usual]) - torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)
+    torch.testing.assert_close(offsets / multiples[:, None], before)
+    assert all(torch.equal(one.to_world[:3, :3], two.to_world[:3, :3]) for one, two in zip(cameras, usual, strict=True))
+    angles = torch.rad2deg(torch.asin(before[:, 2] / 4))
+    for ring in elevations:
+        here = multiples[(angles - ring).abs() < 1e-6]
+        assert len(here) in (20, 21)
+        assert here.min() < 0.85 < 1.05 < here.max()
+    if not elevations:
+        assert all(
+            map(torch.equal, *([one.to_world for one in many] for many in (usual, hemisphere((1.0, 2.0, 3.0), **lens))))
+        )
 
 
 def test_views_check_the_size_of_their_picture() -> None:

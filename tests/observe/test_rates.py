@@ -90,6 +90,34 @@ def test_where_blocks_say_nothing_each_counts_once(blocks: int, holds: bool | No
     assert rate.interval == Rate(successes=round(rate.fraction * blocks), total=blocks).interval
 
 
+def over(objects: int, spread: float) -> Rate:
+    """A rate over ten views of 20 blocks of each object, of which so many tenths more hold the later it comes."""
+    rng, middle = np.random.default_rng(1), (objects - 1) / 2
+    places = [(thing, block, 0) for thing in range(objects) for block in range(20) for _ in range(10)]
+    holds = [bool(rng.random() < 0.5 + spread * (thing - middle) / 10) for thing, _, _ in places]
+    rows = pl.DataFrame(places, schema=["object", "block", "seed"], orient="row").with_columns(holds=pl.Series(holds))
+    return count(rows, {"rate": Measure(holds=pl.col("holds"))}, clusters=("object", "block", "seed"))[()]["rate"]
+
+
+@pytest.mark.parametrize("objects", [5, 8])
+def test_objects_that_differ_make_a_wide_interval(objects: int) -> None:
+    """Within what a t interval over as many numbers says, and never wider than if each object were one draw."""
+    widths = []
+    for spread in (0.0, 1.0):
+        rate = over(objects, spread)
+        assert rate.interval[0] < rate.fraction < rate.interval[1]
+        widths.append(rate.interval[1] - rate.interval[0])
+    deviation = np.std(np.arange(objects) / 10, ddof=1) / objects**0.5
+    assert 0.6 < widths[1] / (2 * {5: 2.776, 8: 2.365}[objects] * deviation) < 1.3
+    assert widths[0] < 0.5 * widths[1] < Rate(successes=objects // 2, total=objects).interval[1]
+
+
+def test_objects_that_all_agree_count_once_each() -> None:
+    rows = pl.DataFrame({"object": [0, 1, 2, 3, 4] * 20, "block": range(100), "seed": 0, "holds": True})
+    sure = count(rows, {"rate": Measure(holds=pl.col("holds"))}, clusters=("object", "block", "seed"))[()]["rate"]
+    assert sure.interval == Rate(successes=5, total=5).interval
+
+
 def test_blocks_are_as_wide_near_the_pole_as_at_the_horizon() -> None:
     def blocks(elevation: float) -> int:
         azimuths = pl.DataFrame({"azimuth": [float(a) for a in range(360)]}).with_columns(elevation=pl.lit(elevation))

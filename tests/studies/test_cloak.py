@@ -62,6 +62,11 @@ def test_a_shipped_study_changes_one_thing_and_keeps_all_seeds(monkeypatch: pyte
     assert objects["bird"].scene.ground_size < 0.2 * objects["car"].scene.ground_size  # 0.45 m across and not 5.4 m
     assert 2 < objects["train"].cameras.height < 3  # half of 5.1 m, as the car's is half of 1.5 m
     assert [list(values) for values in configs("cloak_bird").values()] == [["road", "grass", "clock", "football"]]
+    cars = configs("cloak_new_cars")[""].values()
+    assert all(one.attack == read_study(ROOT / "scenes" / "cloak_car_stealthy.toml").attack for one in cars)
+    assert {(one.seeds, one.evaluation.seed) for one in cars} == {((0,), 1)}
+    assert len({one.scene.seed for one in cars} | {base["scene"]["seed"]}) == 6
+    assert len({(one.scene.sun_azimuth, one.scene.sun_elevation, one.scene.ground) for one in cars}) == 5
 
 
 ATTACKS = {"attack": [{"name": "a", "elevation": [50, 90]}]}

@@ -6,13 +6,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from attacks.observe.rows import ROWS
 from attacks.rate import Rate
 from attacks.report.checking import Tables
 from attacks.report.section import FEW, Chart, Figure, Line, Role, Section
 from attacks.report.stories.cloak import figures as cloak_figures
-from attacks.report.stories.cloak import headline_of, spread
+from attacks.report.stories.cloak import headline_of, spread, study_of
 from attacks.report.wording import capital, listed, plural, rate_of, sentence, shared
-from attacks.studies.cloak import by_part, tables
+from attacks.studies.cloak import by_part, pooled, pooled_tables, tables
 
 KIND = "CLOAK, one thing varied at a time"
 _LINES: tuple[tuple[str, str, Role], ...] = (
@@ -42,7 +43,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
     label = headlines[0].label
     few = min((rate.total for rate in rates), default=0)
     seeds = sorted({len(point["seeds"]) for point in points})
-    warnings = ["Intervals take views and seeds for independent, which they are not"]
+    warnings = ["Intervals of one value have cameras and seeds drawn anew: they say nothing of another object"]
     if seeds[0] == 1:
         warnings = ["Variations were done with one seed: small differences may be chance"]
     loud = [
@@ -61,7 +62,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         conclusion=(
             f"{capital(label)}, over all values: {spread(rates) if rates else 'nothing counted'}. Compare values "
             "within one chart; where intervals overlap, the study cannot tell them apart."
-            f"{_conditions(points)}"
+            f"{_conditions(points)}{_pooled(record)}"
         ),
         headline=Figure(label=f"{label}, lowest to highest", words=_range(rates)),
         control=Figure(label="clean splats, the same", words=_range(controlled)),
@@ -74,7 +75,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
             _chart(group, values, detector) for group, values in groups.items() for detector in points[0]["by_detector"]
         )
         + tuple(chart for group, values in groups.items() for chart in _under_conditions(group, values)),
-        tables=tuple(tables(groups)),
+        tables=(*pooled_tables(record), *tables(groups)),
         configuration=shared([{**point["study"], "weights": point["detectors"]} for point in points]),
     )
 
@@ -102,7 +103,19 @@ def figures(record: Mapping[str, Any], tables: Tables) -> Mapping[str, Any]:
     for title, point in record["points"].items():
         of_point = {name: table.filter(attack=title).drop("attack") for name, table in tables.items()}
         points[title] = cloak_figures(point, of_point)
-    return {"points": points}
+    studies = {title: study_of(point["study"]) for title, point in record["points"].items()}
+    return {"points": points, **pooled(record["points"], studies, tables[ROWS])}
+
+
+def _pooled(record: Mapping[str, Any]) -> str:
+    """A sentence for each part that is one attack on several objects: what holds of all of them together."""
+    texts = []
+    for over in record.get("pooled", {}).values():
+        missed = {name: rate_of(rates["trigger_miss_rate"]) for name, rates in over["by_detector"].items()}
+        by_name = listed([f"{rate.words} ({name})" for name, rate in missed.items() if rate is not None and rate.total])
+        if by_name:
+            texts.append(f" Over {over['objects']} objects together it is missed in {by_name}.")
+    return "".join(texts)
 
 
 def _range(rates: list[Rate]) -> str:
