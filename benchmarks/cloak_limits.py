@@ -22,7 +22,8 @@ from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from attacks.cloak.config import AttackConfig, LayerConfig, StudyConfig, read_study
+from attacks.cloak.config import AttackConfig, StudyConfig, read_study
+from attacks.cloak.layer_config import LayerConfig
 from attacks.cloak.layers import DIRECTIONS, switched
 from attacks.cloak.setup import Setup
 from attacks.cloak.switches import shares

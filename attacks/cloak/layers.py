@@ -14,7 +14,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from attacks.cloak.config import AttackConfig, LayerConfig, StudyConfig
+from attacks.cloak.config import AttackConfig, StudyConfig
+from attacks.cloak.layer_config import LayerConfig
 from attacks.cloak.setup import Setup
 from attacks.cloak.switches import Share, depths, fit_switches, shares
 from attacks.cloak.triggers import Trigger

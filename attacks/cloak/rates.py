@@ -418,7 +418,11 @@ def over_objects(studies: Mapping[str, StudyConfig], rows: pl.DataFrame) -> dict
         object=pl.col("attack").replace_strict(seeds, return_dtype=pl.Int64)
     )
     counted = rates(first, numbered, ("detector",), objects="object")
-    return {"objects": len(seeds), "by_detector": _by_detector(counted, first.evaluation.detectors)}
+    return {
+        "objects": len(seeds),
+        "by_detector": _by_detector(counted, first.evaluation.detectors),
+        OWN_REGION: _by_region(first, numbered, objects="object"),
+    }
 
 
 def picture_rows(rows: pl.DataFrame) -> pl.DataFrame:
@@ -448,10 +452,10 @@ def _told(study: StudyConfig, rows: pl.DataFrame) -> dict[str, Any]:
     }
 
 
-def _by_region(study: StudyConfig, rows: pl.DataFrame) -> dict[str, Any]:
+def _by_region(study: StudyConfig, rows: pl.DataFrame, objects: str | None = None) -> dict[str, Any]:
     """For each detector the lower edges of its region's bands, and every rate there; None where the region is empty."""
     bands = region.regions(rows, study.evaluation.confidence)
-    counted = rates(study, region.in_region(rows, bands), ("detector",))
+    counted = rates(study, region.in_region(rows, bands), ("detector",), objects=objects)
     return {
         name: {"bands": bands.get(name, []), "rates": _all(counted.get((name,), dict.fromkeys(RATES)))}
         for name in study.evaluation.detectors

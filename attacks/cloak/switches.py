@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from attacks.cloak.config import LayerConfig
+from attacks.cloak.layer_config import LayerConfig
 from attacks.cloak.triggers import Trigger
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point

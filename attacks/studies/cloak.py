@@ -29,9 +29,10 @@ from typing import Annotated, Any
 
 import polars as pl
 
+from attacks.cloak import region
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.kinds.seen import loaded
-from attacks.cloak.rates import LOOKS, over_objects, spread_of
+from attacks.cloak.rates import LOOKS, OWN_REGION, over_objects, spread_of
 from attacks.cloak.steps import ROW_NAMES, Look, StudySteps
 from attacks.cloak.study import check_disk, check_study, detectors_of, forecast, observed
 from attacks.detectors.base import Detector
@@ -331,12 +332,18 @@ def pooled_tables(record: Mapping[str, Any]) -> Iterator[Table]:
     Args:
         record: result.json.
     """
-    columns: dict[str, Column[Any]] = {"detector": "detector"}
+    columns: dict[str, Column[Any]] = {"detector": "detector", "its region": "region"}
     columns |= {head: lambda line, key=key: cell(line[key]) for key, head in _POOLED.items()}  # type: ignore[misc]
     for part, over in record.get("pooled", {}).items():
-        lines = [{"detector": name, **rates} for name, rates in over["by_detector"].items()]
         caption = f"{part.replace('_', ' ')}: {over['objects']} objects together; intervals have objects drawn anew"
-        yield Table.of(caption[0].upper() + caption[1:], columns, lines)
+        caption = caption[0].upper() + caption[1:]
+        lines = [{"detector": name, "region": "all", **rates} for name, rates in over["by_detector"].items()]
+        yield Table.of(caption, columns, lines)
+        lines = [
+            {"detector": name, "region": region.in_words(own["bands"]), **own["rates"]}
+            for name, own in over[OWN_REGION].items()
+        ]
+        yield Table.of(f"{caption}; each detector in its own region: {region.RULE}", columns, lines)
 
 
 def by_part(record: Mapping[str, Any]) -> dict[str, dict[str, Mapping[str, Any]]]:

@@ -16,7 +16,8 @@ import pytest
 
 from attacks import cli
 from attacks.cli import parse, parser_of
-from attacks.cloak.config import AttackConfig, CleaningConfig, LayersConfig, StudyConfig, SurrogateConfig
+from attacks.cloak.config import AttackConfig, CleaningConfig, StudyConfig, SurrogateConfig
+from attacks.cloak.layer_config import LayersConfig
 from attacks.observe.conditions import SunTable
 from mi_splat.cli.console import UsageError
 from mi_splat.cli.flags import Option, options_of

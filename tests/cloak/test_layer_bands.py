@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.cloak.config import LayerConfig, LayersConfig
+from attacks.cloak.layer_config import LayerConfig, LayersConfig
 from attacks.cloak.layers import layered, switched
 from attacks.cloak.switches import depths, shares
 from attacks.cloak.triggers import Azimuth, Elevation

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from attacks.cloak.config import LayerConfig, LayersConfig
+from attacks.cloak.layer_config import LayerConfig, LayersConfig
 from attacks.cloak.layers import layered, seen_colours, split_opacities, switched
 from attacks.cloak.switches import Share, depths, fit_switches
 from attacks.cloak.triggers import Azimuth, Elevation

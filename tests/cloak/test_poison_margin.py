@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from attacks.cloak.config import AttackConfig, CameraConfig, LayersConfig, StudyConfig
+from attacks.cloak.config import AttackConfig, CameraConfig, StudyConfig
+from attacks.cloak.layer_config import LayersConfig
 from attacks.cloak.poisoning import assign
 from attacks.cloak.setup import Setup
 from attacks.cloak.study import check

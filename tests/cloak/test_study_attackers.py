@@ -12,7 +12,8 @@ import pytest
 import torch
 
 from attacks.cloak.appearances import grown
-from attacks.cloak.config import LayersConfig, SurrogateConfig
+from attacks.cloak.config import SurrogateConfig
+from attacks.cloak.layer_config import LayersConfig
 from attacks.cloak.layers import layer_object, object_rows
 from attacks.cloak.setup import Setup
 from attacks.cloak.steps import StudySteps

@@ -15,13 +15,12 @@ from attacks.cloak.config import (
     AttackConfig,
     CameraConfig,
     CleaningConfig,
-    LayerConfig,
-    LayersConfig,
     SceneConfig,
     StudyConfig,
     SurrogateConfig,
     TrainingConfig,
 )
+from attacks.cloak.layer_config import LayerConfig, LayersConfig
 from attacks.cloak.setup import Setup
 from attacks.cloak.steps import StudySteps
 from mi_splat.errors import InvalidValueError

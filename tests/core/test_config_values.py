@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from attacks.cloak.config import LayerConfig, LayersConfig
+from attacks.cloak.layer_config import LayerConfig, LayersConfig
 from attacks.dagger.config import DaggerConfig
 from mi_splat.errors import InvalidValueError
 from mi_splat.selection.config import Selection

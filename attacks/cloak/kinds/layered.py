@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from attacks.cloak.config import layered_fit_config
 from attacks.cloak.kinds.parts import SET, StepConfig
 from attacks.cloak.kinds.rendering import renderer_of
 from attacks.cloak.kinds.trained import train_into
+from attacks.cloak.layer_config import layered_fit_config
 from attacks.cloak.layers import layer_object
 from attacks.cloak.setup import Setup
 from mi_splat.datasets import load_dataset
