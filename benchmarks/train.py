@@ -1,32 +1,92 @@
 """Training, step by step: `python benchmarks/train.py SET`, where SET is a folder as `mi-splat capture` writes it.
 
 Reports iterations a second, the share of time outside of the renderer, peak memory, the number of Gaussians, and the
-held-out PSNR and SSIM. Compilation is timed apart: the first steps are not counted.
+held-out PSNR and SSIM. Compilation is timed apart: the first steps are not counted. `--cpu` reports CPU time of one
+thread. Without a set, and beside other code: `python benchmarks/cpu_time.py benchmarks/train.py [--against REVISION]`
+times a step of 20,000 Gaussians at 256 x 256, its parts, and the loss as published, in plain torch.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import functools
 import itertools
 import json
 import resource
 import statistics
 import sys
-import time
+from collections.abc import Callable
+from pathlib import Path
 
 import torch
+from cpu_time import Clock, Run, add_cpu_flag, clock
+from torch import Tensor
 
-from mi_splat.cameras import View
+from mi_splat.cameras import Camera, View, orbit_pose
 from mi_splat.datasets import has_tests, load_dataset
+from mi_splat.io import load_splat
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
 from mi_splat.training.evaluation import score
 from mi_splat.training.initialization import from_points
-from mi_splat.training.loop import FitConfig, Progress, fit
+from mi_splat.training.loop import FitConfig, Progress, advance, fit
 from mi_splat.training.losses import photometric_loss
-from mi_splat.training.strategies import strategy_config, strategy_names
+from mi_splat.training.state import TrainState
+from mi_splat.training.strategies import FixedConfig, strategy_config, strategy_names
 
 WARM_UP = 40
+CAR = Path(__file__).resolve().parent.parent / "scenes" / "car_street_car.ply"
+
+
+def published_loss(image: Tensor, reference: Tensor) -> Tensor:
+    """The loss of the code of 3DGS, operation by operation: windows of 11 x 11 and autograd."""
+    taps = torch.exp(-0.5 * (torch.arange(-5, 6) / 1.5) ** 2)
+    window = (torch.outer(taps, taps) / taps.sum() ** 2).expand(3, 1, 11, 11).contiguous()
+    x, y = (picture.permute(2, 0, 1) for picture in (image, reference))
+    blur = functools.partial(torch.nn.functional.conv2d, weight=window, padding=5, groups=3)
+    mx, my, xx, yy, xy = blur(x), blur(y), blur(x * x), blur(y * y), blur(x * y)
+    luminance = (2 * mx * my + 0.01**2) / (mx**2 + my**2 + 0.01**2)
+    structure = (2 * (xy - mx * my) + 0.03**2) / (xx - mx**2 + yy - my**2 + 0.03**2)
+    return 0.8 * (image - reference).abs().mean() + 0.2 * (1 - (luminance * structure).mean())
+
+
+def runs() -> dict[str, Run]:
+    """A step at 20,150 Gaussians and 256 x 256, and what it consists of; for cpu_time.py."""
+    car = load_splat(CAR)
+    pose = orbit_pose(car.means.mean(0).tolist(), azimuth=40, elevation=20, distance=6)
+    camera = Camera(to_world=pose, focal=300.0, width=256, height=256)
+    render = Renderer()
+    view = View(camera, render(car, camera).detach())
+    noise = 0.02 * torch.randn(len(car), 3, generator=torch.Generator().manual_seed(0))
+    twice = zip(car.tensors(), car.replace(means=car.means + noise).tensors(), strict=True)
+    scene = GaussianScene(*(torch.cat(pair) for pair in twice))
+    config = FitConfig(iterations=1_000_000, strategy=FixedConfig(), sh_degree_interval=0, eval_interval=0)
+    state = TrainState(scene, config, scene_extent=5.0, seed=0)
+    leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
+    image, upstream = render(scene, camera), torch.full((256, 256, 3), 1e-6)
+
+    def step() -> None:
+        with contextlib.suppress(StopIteration):
+            advance(state, [view], render=render, on_step=_stop)
+
+    def with_gradient() -> None:
+        render(GaussianScene.unchecked(*leaves), camera).backward(upstream)  # type: ignore[no-untyped-call]
+
+    def loss(of: Callable[[Tensor, Tensor], Tensor]) -> None:
+        of(image.clone().requires_grad_(True), view.image).backward()  # type: ignore[no-untyped-call]
+
+    return {
+        "step": step,
+        "renderer with gradient": with_gradient,
+        "renderer": lambda: render(scene, camera),
+        "loss with gradient": lambda: loss(photometric_loss),
+        "loss as published, with gradient": lambda: loss(published_loss),
+    }
+
+
+def _stop(line: Progress) -> None:
+    raise StopIteration
 
 
 def main() -> None:
@@ -37,7 +97,9 @@ def main() -> None:
     parser.add_argument("--strategy", choices=strategy_names(), default="classic")
     parser.add_argument("--max-gaussians", type=int, default=40_000)
     parser.add_argument("--background", type=float, nargs=3, default=(0.0, 0.0, 0.0))
+    add_cpu_flag(parser)
     options = parser.parse_args()
+    now = clock(options.cpu)
     if options.iterations < 2 * WARM_UP:
         parser.error(f"--iterations: at least {2 * WARM_UP}, of which {WARM_UP} are not counted")
     torch.set_num_threads(1)
@@ -54,12 +116,12 @@ def main() -> None:
     stamps: list[float] = []
 
     def after(line: Progress) -> None:
-        stamps.append(time.perf_counter())
+        stamps.append(now())
 
     found = fit(views, start, render=render, config=config, on_step=after)
     steps = [b - a for a, b in zip(stamps[WARM_UP:], stamps[WARM_UP + 1 :], strict=False)]
     scores = score(found.scene, held_out, render)
-    parts = _parts(found.scene, views[0], render)
+    parts = _parts(found.scene, views[0], render, now)
     report = {
         "strategy": options.strategy,
         "iterations": options.iterations,
@@ -79,24 +141,24 @@ def main() -> None:
     sys.stdout.write("\n")
 
 
-def _parts(scene: GaussianScene, view: View, render: Renderer, *, rounds: int = 30) -> dict[str, float]:
+def _parts(scene: GaussianScene, view: View, render: Renderer, now: Clock, *, rounds: int = 30) -> dict[str, float]:
     """Milliseconds (medians) of a step's parts with the finished splat: renderer, loss, optimiser."""
     leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
     optimiser = torch.optim.Adam(leaves, lr=0.0, fused=True)
     rows: dict[str, list[float]] = {"forward": [], "loss": [], "backward": [], "optimiser": []}
     for _ in range(rounds):
-        times = [time.perf_counter()]
+        times = [now()]
         image = render(GaussianScene.unchecked(*leaves), view.camera)
-        times.append(time.perf_counter())
+        times.append(now())
         # The loss on a leaf of its own, so that its backward pass can be told from the renderer's.
         leaf = image.detach().requires_grad_(True)
         photometric_loss(leaf, view.image).backward()  # type: ignore[no-untyped-call]
-        times.append(time.perf_counter())
+        times.append(now())
         image.backward(leaf.grad)  # type: ignore[no-untyped-call]
-        times.append(time.perf_counter())
+        times.append(now())
         optimiser.step()
         optimiser.zero_grad(set_to_none=True)
-        times.append(time.perf_counter())
+        times.append(now())
         for name, (a, b) in zip(rows, itertools.pairwise(times), strict=True):
             rows[name].append(1000 * (b - a))
     medians = {name: statistics.median(values) for name, values in rows.items()}
