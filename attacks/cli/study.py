@@ -205,8 +205,8 @@ def _export(options: StudyOptions, study: Study) -> None:
     show_result({"levels": levels, "file": str(folder / SUBMIT)}, line, as_json=options.json)
 
 
-def _reuse(options: StudyOptions, study: Study) -> None:
-    """Take over what older code has made."""
+def _reuse(options: StudyOptions, study: Study) -> int:
+    """Take over what older code has made, of every kind of job whose results have not changed."""
     from mi_splat.ledger import Store
     from mi_splat.ledger.job import by_depth
     from mi_splat.ledger.reuse import reuse
@@ -214,17 +214,25 @@ def _reuse(options: StudyOptions, study: Study) -> None:
     if options.reason is None:
         do = "say why the change of the code changes no result"
         raise InvalidValueError(message("--reason", "a reason", "none", do))
-    taken = {}
+    taken, changed = dict[str, dict[str, int]](), dict[str, str]()
     for kind in dict.fromkeys(job.kind for level in by_depth(_work(study).jobs().values()) for job in level):
         with progress("making some again") as advance:
             engine = _engine(options, _follow(advance))
-            reused = reuse(Store(options.store), kind, engine, verify=options.verify, reason=options.reason)
+            try:
+                reused = reuse(Store(options.store), kind, engine, verify=options.verify, reason=options.reason)
+            except InvalidValueError as error:
+                changed[kind] = str(error)
+                continue
         if reused.verified:
             taken[kind] = {"verified": len(reused.verified), "taken": len(reused.taken)}
-    if not taken:
+    if not taken and not changed:
         raise InvalidValueError(message(study.name, "results of older code", "none", "run the study"))
     told = "{}: {verified} made again with the same bytes, {taken} taken over"
-    show_result(taken, *(told.format(kind, **counts) for kind, counts in taken.items()), as_json=options.json)
+    document = taken | {kind: {"changed": text} for kind, text in changed.items()}
+    show_result(document, *(told.format(kind, **counts) for kind, counts in taken.items()), as_json=options.json)
+    for kind, text in changed.items():
+        warn(f"{kind}: nothing taken over; {text}")
+    return 1 if changed else 0
 
 
 def _status(options: StudyOptions, study: Study) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from mi_splat.bounds import near_plane_of
 from mi_splat.camera_sets import HELD_OUT_START, framing, orbit, tiers
 from mi_splat.cameras import Camera, project_box
 from mi_splat.capture.mesh_files import load_mesh
-from mi_splat.capture.sources import CaptureSource, source_of
+from mi_splat.capture.sources import CaptureSource, digest_of, source_of
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
 
@@ -35,6 +35,12 @@ FIRST_MERIDIAN = 100.0
 """Azimuth of the first meridian; with three, none is in front, behind or beside the object."""
 BESIDE = 45.0
 """Degrees of azimuth beside a sector from which its transition is looked at."""
+
+
+@lru_cache(maxsize=8)
+def _asset(name: str, seed: int, colour: tuple[float, float, float] | None) -> Asset:
+    """An object of the project; many studies in a row have the same."""
+    return build(name, seed, colour=colour).body
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +58,7 @@ class Setup:
         """The object, standing on the ground at the origin."""
         scene = self.study.scene
         if not Path(scene.object).is_file():
-            return build(scene.object, scene.seed, colour=scene.colour).body
+            return _asset(scene.object, scene.seed, scene.colour)
         asset = load_mesh(Path(scene.object), scene.mesh).asset
         low, high = asset.bounds.astype(np.float64)
         middle = (low + high) / 2
@@ -77,6 +83,14 @@ class Setup:
         assert scene.surroundings is not None
         assert scene.light is not None
         return source_of(scene.target, scene.surroundings, scene.light, centre=self.study.centre)
+
+    @cached_property
+    def digest(self) -> str:
+        """That of `source`, which need not be made for it."""
+        scene = self.mesh_scene
+        assert scene.surroundings is not None
+        assert scene.light is not None
+        return digest_of((scene.target, scene.surroundings), scene.light)
 
     @cached_property
     def lens(self) -> dict[str, Any]:

@@ -393,7 +393,7 @@ class StudySteps:
     def _parts(self, *attacks: AttackConfig, **parts: Any) -> dict[str, Any]:
         """Scene, cameras, and the parts of the study that a job depends on besides; all else is as by default."""
         values = {"scene": self._scene, "cameras": self.study.cameras, "attack": attacks or _NONE, **parts}
-        return {"asked": StudyConfig(name="step", **values), "content": self.setup.source.digest}
+        return {"asked": StudyConfig(name="step", **values), "content": self.setup.digest}
 
     def _step(self, *attacks: AttackConfig, **parts: Any) -> StepConfig:
         return StepConfig(**self._parts(*attacks, **parts))

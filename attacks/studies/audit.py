@@ -34,7 +34,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from attacks.audits.audited import AuditedConfig
+from attacks.audits.audited import AuditedConfig, rank_of
 from attacks.audits.learnt import fit_attributes
 from attacks.audits.photographed import PhotographedConfig
 from attacks.audits.rivals import RIVALS, RivalsConfig
@@ -244,8 +244,8 @@ def negatives(rows: Sequence[Row]) -> list[Row]:
 
 def ranked_above(positive: Sequence[float], negative: Sequence[float]) -> float:
     """Share of the pairs in which a positive is above a negative (area under the ROC curve); equal ones count half."""
-    pairs = [(p > n) + 0.5 * (p == n) for p in positive for n in negative]
-    return sum(pairs) / len(pairs)
+    values = torch.tensor([*positive, *negative], dtype=torch.float64)
+    return rank_of(values, torch.arange(len(values)) < len(positive))
 
 
 def interval(positive: Sequence[float], negative: Sequence[float]) -> tuple[float, float]:

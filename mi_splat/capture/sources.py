@@ -123,7 +123,7 @@ def source_of(target: Asset, surroundings: Asset, light: Light, *, centre: tuple
         centre=centre,
         radius=_extent(target)[1],
         assets=(target, surroundings),
-        digest=_digest_of((target, surroundings), light),
+        digest=digest_of((target, surroundings), light),
     )
 
 
@@ -156,7 +156,7 @@ def _mesh(loaded: LoadedMesh, name: str, surroundings: SurroundingsSettings) -> 
         centre=centre,
         radius=radius,
         assets=assets,
-        digest=_digest_of(assets, light, beside),
+        digest=digest_of(assets, light, beside),
         frame=frame,
         world_offset=loaded.world_offset,
         warnings=loaded.warnings,
@@ -230,7 +230,7 @@ def _far_away(path: Path, centre: tuple[float, float, float], radius: float) -> 
     return (f"{text}; until then, light and shadows near surfaces are coarse",)
 
 
-def _digest_of(assets: Iterable[Asset], light: Light, beside: Iterable[bytes] = ()) -> str:
+def digest_of(assets: Iterable[Asset], light: Light, beside: Iterable[bytes] = ()) -> str:
     """Digest of assets in a light, and of what else the pictures show."""
     parts = [repr(light).encode()]
     for mesh in (mesh for asset in assets for mesh in asset.meshes):

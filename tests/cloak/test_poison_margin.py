@@ -61,3 +61,8 @@ def test_layers_take_no_margin(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match=r"poison_margin.*shift"):
         check(study, [], tmp_path / "out", tmp_path / "stages")
     check(STUDY, [], tmp_path / "out", tmp_path / "stages")
+
+
+def test_a_scene_is_known_without_making_it() -> None:
+    setup = Setup(STUDY)
+    assert setup.digest == setup.source.digest

@@ -16,8 +16,11 @@ from attacks.studies.dagger import ATTACK, LOOK
 from attacks.studies.result import figures
 from attacks.studies.table import markdown
 from mi_splat import import_closure
+from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.ledger import Store, running
+from mi_splat.ledger.engines import Engine
+from mi_splat.ledger.reuse import Reuse
 from tests.studies.toy import write_toy
 
 pytestmark = pytest.mark.usefixtures("toys")
@@ -261,6 +264,23 @@ def test_kinds_without_older_results_stop_no_reuse(
     assert study(tmp_path, "run", "toy", *words) == 0
     assert study(tmp_path, *reuse) == 1
     assert "toy: expected results of older code, got none" in capsys.readouterr().err
+
+
+def test_kinds_whose_results_changed_stop_no_reuse_of_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "toy.toml").write_text(STUDY.format(scene=write_toy(tmp_path)))
+
+    def reuse(store: Store, kind: str, engine: Engine, **_: object) -> Reuse:
+        if kind == ATTACK:
+            raise InvalidValueError("job 1: expected the bytes of 2, got another rows.csv")
+        return Reuse(code="1", verified=("a",), taken=("b", "c"))
+
+    monkeypatch.setattr("mi_splat.ledger.reuse.reuse", reuse)
+    assert study(tmp_path, "reuse", "toy", "--reason", "a faster attack") == 1
+    told = capsys.readouterr()
+    assert told.out == f"{LOOK}: 1 made again with the same bytes, 2 taken over\n"
+    assert told.err.endswith(f"{ATTACK}: nothing taken over; job 1: expected the bytes of 2, got another rows.csv\n")
 
 
 @pytest.mark.parametrize(
