@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -28,13 +29,20 @@ def blur(pictures: Tensor) -> Tensor:
     count, height, width, channels = pictures.shape
     if pictures.is_cpu and not (pictures.dtype == torch.float32 and _HAS_ONEDNN):
         return _blur_by_sums(_blur_by_sums(pictures, 1), 2)
-    taps = pictures.new_tensor([*_TAPS[:0:-1], *_TAPS]).view(1, 1, -1, 1)
-    rows = F.conv2d(pictures, taps.repeat(height, 1, 1, 1), padding=(_RADIUS, 0), groups=height)
+    like = pictures.dtype, pictures.device
+    rows = F.conv2d(pictures, _window(height, *like), padding=(_RADIUS, 0), groups=height)
     lanes = math.gcd(width * channels, 16)
     lanes = width * channels if lanes < 8 else lanes
     columns = rows.contiguous().view(count, height, -1, lanes).permute(0, 3, 1, 2)
-    blurred = F.conv2d(columns, taps.repeat(lanes, 1, 1, 1), padding=(_RADIUS, 0), groups=lanes)
+    blurred = F.conv2d(columns, _window(lanes, *like), padding=(_RADIUS, 0), groups=lanes)
     return blurred.permute(0, 2, 3, 1).reshape(pictures.shape)
+
+
+@functools.lru_cache(maxsize=16)
+def _window(channels: int, dtype: torch.dtype, device: torch.device) -> Tensor:
+    """(channels, 1, 11, 1) taps, the same ones for each channel."""
+    taps = torch.tensor([*_TAPS[:0:-1], *_TAPS], dtype=dtype, device=device)
+    return taps.view(1, 1, -1, 1).repeat(channels, 1, 1, 1)
 
 
 def _blur_by_sums(pictures: Tensor, axis: int) -> Tensor:
@@ -72,7 +80,8 @@ class _Photometric(torch.autograd.Function):
 def _similarity(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Mean SSIM of (H, W, 3) pictures; its sum's derivatives by x, by x^2 + y^2 and by x y, each held fixed apart."""
     # Both variances come only as their sum, so that four pictures are blurred and not five.
-    planes = torch.stack([x, y, x, x])
+    planes = x.new_empty((4, *x.shape))
+    planes[0], planes[1] = x, y
     torch.mul(x, x, out=planes[2]).addcmul_(y, y)
     torch.mul(x, y, out=planes[3])
     mx, my, squares, xy = blur(planes).unbind()
