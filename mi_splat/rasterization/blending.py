@@ -25,15 +25,14 @@ _PIXELS = range(TILE * TILE)
 class Record:
     """The numbers of a Gaussian as seen from a tile's first pixel centre: (x, y) is the offset from its centre.
 
-    Nine, and the depth where the records have a third array.
+    Args:
+        values: What `read_record` returned: nine, and the depth where the records have a third array.
     """
 
-    def __init__(self, records: tuple[Any, ...], index: Any, corner: tuple[Any, Any]) -> None:
-        v = dr.gather(mi.ArrayXf, records[0], index, shape=(RECORD, dr.width(index)))
-        self.x, self.y = corner[0] - v[0], corner[1] - v[1]
-        self.u0, self.u1, self.v1, self.level = v[2], v[3], v[4], v[5]
-        self.colour = (v[6], v[7], dr.gather(mi.Float, records[1], index))
-        self.depth = dr.gather(mi.Float, records[2], index) if len(records) > 2 else None
+    def __init__(self, values: list[Any]) -> None:
+        self.x, self.y, self.u0, self.u1, self.v1, self.level = values[:6]
+        self.colour = values[6:9]
+        self.depth = values[9] if len(values) > 9 else None
 
     def alphas(self) -> list[Any]:
         """Unclamped alpha at every pixel of the tile, 0 where it is below 1/255."""
@@ -48,6 +47,13 @@ class Record:
                 values.append(dr.select(power >= CUTOFF, exp2_of_alpha(power), 0.0))
                 u = u + self.u0
         return values
+
+
+def read_record(records: tuple[Any, ...], index: Any, corner: tuple[Any, Any]) -> list[Any]:
+    """The values of a `Record`, which a loop may carry."""
+    v = dr.gather(mi.ArrayXf, records[0], index, shape=(RECORD, dr.width(index)))
+    others = [dr.gather(mi.Float, single, index) for single in records[1:]]
+    return [corner[0] - v[0], corner[1] - v[1], *(v[k] for k in range(2, RECORD)), *others]
 
 
 def exp2_of_alpha(power: Any) -> Any:
@@ -117,15 +123,25 @@ def blend_tile(
         depths a list of 16 median depths (0 where there is none), 16 sums of weights, 16 of weight times depth, and the
         UInt32 pair before which all pixels had stopped.
     """
+    # What a step blends was read in the step before it, so that arithmetic hides the wait for memory.
+    first, gaussian = first_of_list(gaussians, pair_range)
     start = (
-        *first_of_list(gaussians, pair_range),
+        *next_of_list(gaussians, pair_range, first),
+        read_record(records, gaussian, corner),
         [mi.Float(1) for _ in _PIXELS],
         [mi.Float(0) for _ in range(3 * TILE * TILE)],
         [mi.Float(0) for _ in range(3 * TILE * TILE if len(records) > 2 else 0)],
     )
 
-    def body(pair: Any, gaussian: Any, transmittances: list[Any], colours: list[Any], depths: list[Any]) -> Any:
-        record = Record(records, gaussian, corner)
+    def body(
+        following: Any,
+        gaussian: Any,
+        values: list[Any],
+        transmittances: list[Any],
+        colours: list[Any],
+        depths: list[Any],
+    ) -> Any:
+        record, values = Record(values), read_record(records, gaussian, corner)
         behind, summed, measured = [], list(colours), list(depths)
         for p, alpha in enumerate(record.alphas()):
             weight, left = blend_step(dr.minimum(alpha, MAX_ALPHA), transmittances[p])
@@ -139,15 +155,15 @@ def blend_tile(
                 measured[p] = dr.select(halved, record.depth, measured[p])
                 measured[total] = measured[total] + weight
                 measured[summed_depth] = dr.fma(weight, record.depth, measured[summed_depth])
-        return *next_of_list(gaussians, pair_range, pair), behind, summed, measured
+        return *next_of_list(gaussians, pair_range, following), values, behind, summed, measured
 
-    reached, _, transmittances, colours, depths = dr.while_loop(
+    following, _, _, transmittances, colours, depths = dr.while_loop(
         start,
-        lambda pair, _, transmittances, *others: (pair < pair_range[1]) & any_open(transmittances),
+        lambda following, _, values, transmittances, *others: (following <= pair_range[1]) & any_open(transmittances),
         body,
         label="blend",
     )
-    return colours, [dr.abs(t) for t in transmittances], depths, reached
+    return colours, [dr.abs(t) for t in transmittances], depths, following - 1
 
 
 def blend_tile_backward(
@@ -179,11 +195,13 @@ def blend_tile_backward(
         UInt32, the pair before which all pixels had stopped. Rows from there on are left as they are.
     """
     grad_colour, grad_opacity, grad_depth, weighted = pixels
-    start = (*first_of_list(pairs[0], pair_range), [mi.Float(1) for _ in _PIXELS], list(weighted))
+    first, gaussian = first_of_list(pairs[0], pair_range)
+    values = read_record(records, gaussian, corner)
+    start = (*next_of_list(pairs[0], pair_range, first), values, [mi.Float(1) for _ in _PIXELS], list(weighted))
     n = TILE * TILE
 
-    def body(pair: Any, gaussian: Any, transmittances: list[Any], remaining: list[Any]) -> Any:
-        record = Record(records, gaussian, corner)
+    def body(following: Any, gaussian: Any, values: list[Any], transmittances: list[Any], remaining: list[Any]) -> Any:
+        record, values = Record(values), read_record(records, gaussian, corner)
         behind, left, colour_sums, depth_sum = [], [], [mi.Float(0)] * 3, mi.Float(0)
         rows = []
         alphas = record.alphas()
@@ -217,20 +235,20 @@ def blend_tile_backward(
         for row, (m0, m1, m2) in enumerate(rows):
             dy = record.y + float(row)
             s = [s[0] + m0, s[1] + m1, dr.fma(m0, dy, s[2]), s[3] + m2, dr.fma(m1, dy, s[4]), dr.fma(m0 * dy, dy, s[5])]
-        index = dr.gather(mi.UInt32, pairs[1], pair)
+        index = dr.gather(mi.UInt32, pairs[1], following - 1)
         dr.scatter(moments[0], mi.ArrayXf([*s, colour_sums[0], colour_sums[1]]), index)
         dr.scatter(moments[1], colour_sums[2], index)
         if grad_depth:
             dr.scatter(moments[2], depth_sum, index)
-        return *next_of_list(pairs[0], pair_range, pair), behind, left
+        return *next_of_list(pairs[0], pair_range, following), values, behind, left
 
-    reached, *_ = dr.while_loop(
+    following, *_ = dr.while_loop(
         start,
-        lambda pair, _, transmittances, *others: (pair < pair_range[1]) & any_open(transmittances),
+        lambda following, _, values, transmittances, *others: (following <= pair_range[1]) & any_open(transmittances),
         body,
         label="blend backward",
     )
-    return reached
+    return following - 1
 
 
 def clear_rows(rows: Any, pair_range: tuple[Any, Any], moments: tuple[Any, ...]) -> None:

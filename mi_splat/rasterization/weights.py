@@ -14,7 +14,7 @@ import mitsuba as mi
 
 from mi_splat.errors import MiSplatError, message
 from mi_splat.rasterization.binning import TILE, lower_bound
-from mi_splat.rasterization.blending import MAX_ALPHA, Record, any_open, blend_step, first_pixel
+from mi_splat.rasterization.blending import MAX_ALPHA, Record, any_open, blend_step, first_pixel, read_record
 from mi_splat.rasterization.frozen import buffer, numbers
 from mi_splat.rasterization.picture import Picture, tile_columns, tiled_index, width_and_height
 
@@ -235,7 +235,7 @@ def _walk(
     begin = packed[0] if packed else mi.UInt32(0)
 
     def body(pair: Any, offset: Any, transmittances: list[Any]) -> tuple[Any, Any, list[Any]]:
-        record = Record(state.records, dr.gather(mi.UInt32, state.pairs[0], pair), corner)
+        record = Record(read_record(state.records, dr.gather(mi.UInt32, state.pairs[0], pair), corner))
         values, behind = [], []
         for p, alpha in enumerate(record.alphas()):
             weight, left = blend_step(dr.minimum(alpha, MAX_ALPHA), transmittances[p])
