@@ -28,6 +28,12 @@ _SLACK = 0.1
 REPORTED = 0.7
 """Confidence from which a class counts as what the detector sees there."""
 
+LEFT = 0.5
+"""Confidence below which the object's own class counts as no longer reported, where another one is wanted."""
+
+_SPREAD = 16
+"""Candidates on the object that `Relabel.spread` is about."""
+
 GONE = 0.3
 """Confidence below which a detection counts as none."""
 
@@ -172,6 +178,9 @@ class Relabel:
         top: Number of candidates pushed.
         suppression: Weight of the suppression of the original class.
         tightness: Weight of 1 - IoU of the pushed candidates' boxes.
+        spread: Weight of the same cross entropy on the candidates on the object that are surest of the original class,
+            so that no box there is left to report it.
+        strict: Whether the original class has to be gone, too: reported on the object with less than `LEFT`.
     """
 
     label: str
@@ -181,6 +190,8 @@ class Relabel:
     top: int = 3
     suppression: float = 0.0
     tightness: float = 0.5
+    spread: float = 0.0
+    strict: bool = False
 
     @property
     def name(self) -> str:
@@ -202,10 +213,16 @@ class Relabel:
             weights = torch.softmax(order[chosen], dim=0)
         entropy = -scores[chosen].clamp(min=_TINY).log()
         loss = (weights * (entropy + self.tightness * (1 - overlaps[chosen]))).sum()
-        if self.suppression and target.original in target.classes and target.original != self.label:
+        if (self.suppression or self.spread) and target.original in target.classes and target.original != self.label:
             rival = _column(target, target.original)
-            rivals = overlap(candidates.boxes[:, [rival]].detach(), target.box)
-            loss = loss + self.suppression * _suppress(candidates.scores[:, [rival]], rivals, self.near, self.top)
+            rivals = overlap(candidates.boxes[:, rival].detach(), target.box)
+            if self.suppression:
+                sure = candidates.scores[:, [rival]]
+                loss = loss + self.suppression * _suppress(sure, rivals[:, None], self.near, self.top)
+            if self.spread:
+                surest = torch.where(rivals >= self.iou, candidates.scores[:, rival].detach(), 0.0)
+                everywhere = surest.topk(min(_SPREAD, len(surest))).indices
+                loss = loss - self.spread * scores[everywhere].clamp(min=_TINY).log().mean()
         return loss
 
     def far(self, candidates: Candidates, target: Target) -> Verdict | None:
@@ -222,11 +239,17 @@ class Relabel:
         return Verdict(success=False, score=highest, unambiguous=False) if far else None
 
     def verdict(self, detections: Detections, target: Target) -> Verdict:
-        """The label is reported on the object with enough confidence; unambiguous if no other class there has more."""
+        """The label is reported on the object with enough confidence; unambiguous if no other class there has more.
+
+        Where the original class has to be gone, the score is not above what its confidence leaves to 1.
+        """
         score = confidence(detections, target.box, labels=[self.label], iou=self.iou)
         others = [label for label in detections.labels if label != self.label]
         beaten = confidence(detections, target.box, labels=others, iou=self.iou) > score
         success = score >= self.confidence
+        if self.strict and target.original not in (None, self.label):
+            left = confidence(detections, target.box, labels=[str(target.original)], iou=self.iou)
+            score, success = min(score, 1.0 - left), success and left < LEFT
         return Verdict(success=success, score=score, unambiguous=success and not beaten)
 
 

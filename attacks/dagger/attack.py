@@ -76,7 +76,11 @@ def attack(
     subset = GaussianSubset.of(widened(scene, config), mask)
     check_detectors(detectors, objective)
     problem, views, reports = fixed_problem(subset, cameras, detectors, objective, render=render)
-    outcome = search_fixed(problem, views, config, on_step)
+    searched = (problem, views)
+    if config.alone:
+        only = GaussianSubset.of(subset.scene.select(subset.rows), slice(None))
+        searched = fixed_problem(only, cameras, detectors, objective, render=render)[:2]
+    outcome = search_fixed(*searched, config, on_step)
     origin = {
         "detector": " + ".join(detector.name for detector in detectors),
         "detector_fingerprint": " + ".join(detector.fingerprint for detector in detectors),

@@ -106,6 +106,10 @@ class DaggerConfig(Perturbation):
         random_start: Start the first run at a random point of the ball, too.
         early_stop: Whether the first unambiguous success ends the search; without, every step of every run is taken.
         required_detectors: Fraction of the detectors, if there are several, that the attack has to deceive.
+        alone: Whether the search looks at the object alone, on the renderer's background, as the paper's code does.
+            What it finds is judged in the scene all the same.
+        in_turn: Whether several cameras are attacked one after the other, each from where the one before has ended, as
+            in the paper's code; otherwise all at once.
         ensemble: Loss over several detectors: the mean of theirs, or that of the one that resists most.
         sh_degree: SH degree of the attacked file, if SH may change and the scene has less; coefficients that it lacks
             start at 0. 3 is what 3DGS writes and what the paper attacked; None keeps the scene's own.
@@ -115,6 +119,8 @@ class DaggerConfig(Perturbation):
     restarts: Annotated[int, at_least(1)] = 1
     random_start: bool = False
     early_stop: bool = True
+    alone: bool = False
+    in_turn: bool = False
     required_detectors: PositiveFraction = 1.0
     ensemble: EnsembleLoss = "mean"
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from torch import Generator
 
@@ -29,7 +29,7 @@ OnStep = Callable[[Step], None]
 
 
 def search_fixed(problem: Problem, views: Sequence[View], config: DaggerConfig, on_step: OnStep | None) -> Outcome:
-    """Search over the pictures of fixed views, which judge every step themselves.
+    """Search over the pictures of fixed views, all at once or one after the other, which judge every step themselves.
 
     Args:
         problem: The object, the detectors and the aim.
@@ -47,16 +47,24 @@ def search_fixed(problem: Problem, views: Sequence[View], config: DaggerConfig, 
         for restart in range(config.restarts):
             yield budget.uniform(reference, generator) if restart or config.random_start else reference
 
-    return pgd(
-        lambda point: problem.evaluate(point, views, config),
-        reference,
-        budget,
-        steps=config.steps,
-        optimiser=_optimiser(config),
-        starts=starts(),
-        early_stop=config.early_stop,
-        hooks=Hooks(on_step=on_step),
-    )
+    def search(views: Sequence[View], starts: Iterable[Parameters]) -> Outcome:
+        return pgd(
+            lambda point: problem.evaluate(point, views, config),
+            reference,
+            budget,
+            steps=config.steps,
+            optimiser=_optimiser(config),
+            starts=starts,
+            early_stop=config.early_stop,
+            hooks=Hooks(on_step=on_step),
+        )
+
+    first, *others = [[view] for view in views] if config.in_turn else [views]
+    outcome = search(first, starts())
+    for view in others:
+        after = search(view, [outcome.parameters])
+        outcome = dataclasses.replace(after, trace=(*outcome.trace, *after.trace))
+    return outcome
 
 
 def frozen(problem: Problem, views: Sequence[View], config: DaggerConfig) -> Problem:
