@@ -129,6 +129,15 @@ def test_relabel_pushes_the_original_class_down_even_where_the_label_is_not_in_f
     assert gradient[0, 0] > gradient[0, 2]
 
 
+def test_a_relabelling_that_spreads_pushes_every_box_that_is_sure_of_the_original_class() -> None:
+    logits = torch.tensor([[0.0, 2.0, 0.0], [5.0, 0.0, 0.0], [5.0, 0.0, 0.0]]).requires_grad_(True)
+    seen = candidates(logits, torch.stack([BOX, BOX, shifted(300.0)]))
+    (gradient,) = torch.autograd.grad(Relabel(label="person", top=1, spread=1.0)(seen, TARGET), [logits])
+    assert gradient[1, 1] < 0 < gradient[1, 0]
+    (gradient,) = torch.autograd.grad(Relabel(label="person", top=1)(candidates(logits), TARGET), [logits])
+    assert (gradient[1] == 0).all()
+
+
 @pytest.mark.parametrize("objective", OBJECTIVES)
 def test_without_any_candidate_the_loss_is_zero_and_differentiable(objective: Objective) -> None:
     empty = candidates(torch.zeros(0, 3, requires_grad=True))
@@ -147,6 +156,8 @@ def test_without_any_candidate_the_loss_is_zero_and_differentiable(objective: Ob
         (relabel("person"), found(("car", 0.9, BOX), ("person", 0.8, BOX)), True, 0.8),
         (relabel("person"), found(("car", 0.9, shifted(200.0)), ("person", 0.8, BOX)), True, 0.8),
         (relabel("person", confidence=0.9), found(("person", 0.8, BOX)), False, 0.8),
+        (Relabel(label="person", strict=True), found(("car", 0.49, BOX), ("person", 0.8, BOX)), True, 0.51),
+        (Relabel(label="person", strict=True), found(("car", 0.6, BOX), ("person", 0.8, BOX)), False, 0.4),
         (hide(), found(), True, 1.0),
         (hide(), found(("bird", 0.9, shifted(200.0))), True, 1.0),
         (hide(), found(("bird", 0.4, BOX)), False, 0.6),

@@ -256,7 +256,18 @@ def test_every_setting_of_the_attack_is_a_flag(toy: SplatScene, tmp_path: Path) 
     words = ["--object", "thing", "--attributes", "sh", "means", "--eps", "3", "--norm", "linf", "--steps", "2"]
     words += ["--step-factor", "1.5", "--restarts", "2", "--random-start", "--no-early-stop", "--required-views", "0.5"]
     words += ["--required-detectors", "0.4", "--ensemble", "max", "--noise-draws", "0", "--sh-degree", "None"]
-    words += ["--seed", "7", "--momentum", "0.5", "--schedule", "linear", "--gradient-power", "0.5"]
+    words += [
+        "--alone",
+        "--in-turn",
+        "--seed",
+        "7",
+        "--momentum",
+        "0.5",
+        "--schedule",
+        "linear",
+        "--gradient-power",
+        "0.5",
+    ]
     assert cli.main(["dagger", *words, "--out", str(tmp_path)]) == 0
     config = DaggerConfig(
         attributes=("sh", "means"),
@@ -267,6 +278,8 @@ def test_every_setting_of_the_attack_is_a_flag(toy: SplatScene, tmp_path: Path) 
         restarts=2,
         random_start=True,
         early_stop=False,
+        alone=True,
+        in_turn=True,
         required_views=0.5,
         required_detectors=0.4,
         ensemble="max",

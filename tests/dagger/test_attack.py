@@ -147,6 +147,21 @@ def test_several_views_are_attacked_together() -> None:
     assert not torch.equal(found.views[0].target.box, found.views[1].target.box)
 
 
+def test_views_are_attacked_in_turn_each_from_where_the_one_before_has_ended() -> None:
+    views = [camera(), camera(offset=2.5)]
+    found, alone = run(cameras=views, in_turn=True), run(cameras=views[:1])
+    assert found.trace[: len(alone.trace)] == alone.trace
+    assert found.trace[len(alone.trace)].index == 0
+    assert found.views[-1].attacked.verdict.success
+
+
+def test_the_search_can_look_at_the_object_alone_and_is_judged_in_the_scene() -> None:
+    found = run(alone=True)
+    assert found.success
+    assert found.trace[0].loss != run().trace[0].loss
+    assert torch.equal(found.views[0].clean.image, run().views[0].clean.image)
+
+
 def test_a_fraction_of_the_views_can_be_enough() -> None:
     views = [camera(), camera(offset=2.5)]
     every, half = (run(cameras=views, eps=(4.0,), required_views=fraction) for fraction in (1.0, 0.5))

@@ -31,6 +31,7 @@ JOBS = {
     "coco_demo": (12, 0),
     "coco_smallest": (252, 0),
     "dagger": (456, 0),
+    "dagger_strict": (96, 0),
     "eot_pairs": (13, 0),
     "eot_settings": (38, 0),
     "eot_smallest": (66, 0),
