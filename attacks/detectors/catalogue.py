@@ -68,8 +68,14 @@ TORCHVISION_FILES = {
 }
 """Names of torchvision's published COCO weights; a test compares them with the library's own."""
 
-YOLO_NAMES = tuple(f"{family}{size}" for family in ("yolov8", "yolo11") for size in "nsmlx")
-"""ultralytics' published COCO detectors; a file of the name and ".pt" has the weights of one."""
+YOLO_NAMES = (
+    *(f"{family}{size}" for family in ("yolov8", "yolo11") for size in "nsmlx"),
+    *("yolov3u", *(f"yolov5{size}u" for size in "nsmlx")),
+)
+"""ultralytics' published COCO detectors; a file of the name and ".pt" has the weights of one.
+
+Those that end in u are YOLOv3 and YOLOv5 with the head of YOLOv8, as the library trains them anew.
+"""
 
 
 class HubEntry(NamedTuple):

@@ -1,4 +1,4 @@
-"""Adapter to YOLOv8 and YOLO11 of ultralytics, which the user installs (extra `yolo`); nothing else imports it.
+"""Adapter to YOLOv3, v5, v8 and 11 of ultralytics, which the user installs (extra `yolo`); nothing else imports it.
 
 Its licence is AGPL-3.0, which is stricter than that of this project: read it before you build on this module.
 """
@@ -65,12 +65,12 @@ USUAL_SIDE = 640
 """Longer image side, in pixels, that the published ones work at; the small one works at `SMALL_SIDE`."""
 _MIN_CONFIDENCE, _MAX_IOU, _MAX_DETECTIONS = 0.25, 0.7, 300
 """The library's own settings of prediction: least confidence, largest IoU of two boxes, most boxes."""
-_FAMILY = re.compile(r"yolov?\d+")
-"""How the library names a family of architectures: yolov8, yolo11."""
+_NAME = re.compile(r"(?P<family>yolov?\d+)(?P<size>[nsmlx]?)")
+"""How the library names a family of architectures (yolov3, yolov8, yolo11), and a size of it if there are several."""
 
 
 class YOLODetector(FrozenDetector):
-    """A frozen YOLOv8 or YOLO11 behind the `Detector` interface.
+    """A frozen detector of the library behind the `Detector` interface.
 
     Attributes:
         name: Name in `attacks.detectors.DETECTORS`.
@@ -147,7 +147,7 @@ def _frame(shape: tuple[int, int], side: int, stride: int) -> tuple[tuple[int, i
 
 
 def build(size: str, classes: int, *, family: str = "yolov8") -> nn.Module:
-    """A YOLOv8 or, for the family "yolo11", a YOLO11 of random weights; `size` is one of n, s, m, l, x."""
+    """A detector of random weights; `size` is one of n, s, m, l, x, and empty for "yolov3", which has one."""
     model: nn.Module = DetectionModel(f"{family}{size}.yaml", ch=3, nc=classes, verbose=False)
     model.args = get_cfg()  # which its loss reads
     return model
@@ -157,7 +157,7 @@ def load(name: str, weights: Path | None = None) -> YOLODetector:
     """The project's own small YOLOv8, or one of the library's COCO detectors.
 
     Args:
-        name: `SMALL`, or the library's: yolov8 or yolo11, and one of n, s, m, l, x.
+        name: `SMALL`, or one of `attacks.detectors.catalogue.YOLO_NAMES`.
         weights: A .safetensors or .pth file of a state dict, or the library's own .pt file, of which nothing but known
             classes of layers is unpickled. None takes the file of a checkout, or asks the library's hub.
 
@@ -170,8 +170,9 @@ def load(name: str, weights: Path | None = None) -> YOLODetector:
     if path is None or not (small or Path(path).suffix == ".safetensors"):
         model = _unpickled(name, path)
         return YOLODetector(name, model, [model.names[number] for number in sorted(model.names)], side=side)
-    stem, classes = name.removesuffix("_small"), SMALL_CLASSES if small else COCO_CLASSES
-    model = build(stem[-1], len(classes), family=stem[:-1])
+    family, size = _parts(name)
+    classes = SMALL_CLASSES if small else COCO_CLASSES
+    model = build(size, len(classes), family=family)
     apply_weights(model, read_weights(Path(path)), path)
     return YOLODetector(name, model, classes, side=side)
 
@@ -198,8 +199,15 @@ def _unpickled(name: str, weights: Path | None) -> Any:
         reason = in_a_line(error)
         expected = "a detection checkpoint of ultralytics, or a network that reaches its hub"
         raise DetectorError(message(f"weights of {name}", expected, reason, elsewhere("file"))) from error
-    family = _FAMILY.match(Path(str(model.yaml.get("yaml_file", ""))).stem)
-    if family is not None and family[0] != name[:-1]:
-        do = f"load them as {family[0]}{name[-1]}, or pass weights of {name}"
-        raise DetectorError(message(f"weights of {name}", f"a {name[:-1]}", f"a {family[0]}", do))
+    there, (family, _) = _NAME.match(Path(str(model.yaml.get("yaml_file", ""))).stem), _parts(name)
+    if there is not None and there["family"] != family:
+        do = f"load them as a {there['family']}, or pass weights of {name}"
+        raise DetectorError(message(f"weights of {name}", f"a {family}", f"a {there['family']}", do))
     return model.float()
+
+
+def _parts(name: str) -> tuple[str, str]:
+    """The family and the size in the name of a detector."""
+    parts = _NAME.match(name)
+    assert parts is not None, name
+    return parts["family"], parts["size"]

@@ -1,4 +1,4 @@
-"""The adapter to YOLOv8 and YOLO11 against the library itself, with random weights."""
+"""The adapter to YOLOv3, YOLOv5, YOLOv8 and YOLO11 against the library itself, with random weights."""
 
 from __future__ import annotations
 
@@ -73,6 +73,10 @@ def pictures(height: int, width: int, count: int = 2) -> Tensor:
 def test_detections_are_those_of_the_library(
     detector: ultralytics.YOLODetector, model: Any, size: tuple[int, int]
 ) -> None:
+    agrees_with_the_library(detector, model, size)
+
+
+def agrees_with_the_library(detector: ultralytics.YOLODetector, model: Any, size: tuple[int, int]) -> None:
     from ultralytics import YOLO
 
     images = pictures(*size)
@@ -85,7 +89,7 @@ def test_detections_are_those_of_the_library(
         # The library fuses convolutions and norms, which moves the last digits.
         assert torch.allclose(found.boxes, other.boxes.xyxy, atol=0.1)
         assert torch.allclose(found.scores, other.boxes.conf, atol=1e-4)
-        assert found.labels == tuple(SMALL_CLASSES[int(number)] for number in other.boxes.cls)
+        assert found.labels == tuple(detector.classes[int(number)] for number in other.boxes.cls)
 
 
 @pytest.mark.parametrize("size", [(128, 128), (90, 160), (75, 50)])
@@ -162,19 +166,34 @@ def test_weights_come_from_a_file_of_tensors(tmp_path: Path) -> None:
         assert torch.equal(loaded.model.state_dict()[name], value), name
 
 
-@pytest.mark.parametrize("family", ["yolov8", "yolo11"])
-def test_the_library_s_own_checkpoints_are_read(tmp_path: Path, family: str) -> None:
+@pytest.mark.parametrize(("family", "name"), [("yolov8", "yolov8n"), ("yolo11", "yolo11n"), ("yolov5", "yolov5nu")])
+def test_the_library_s_own_checkpoints_are_read(tmp_path: Path, family: str, name: str) -> None:
     model = random_model(80, family)
     model.names = {number: f"thing {number}" for number in range(80)}
-    path = tmp_path / f"{family}n.pt"
+    path = tmp_path / f"{name}.pt"
     torch.save({"model": model.half(), "ema": None, "train_args": {}}, path)
-    loaded = load_detector(f"{family}n", weights=path)
+    loaded = load_detector(name, weights=path)
     assert loaded.classes[3] == "thing 3"
     assert isinstance(loaded, ultralytics.YOLODetector)
     assert loaded.side == 640
     other = "yolo11n" if family == "yolov8" else "yolov8n"
     with pytest.raises(DetectorError, match=f"weights of {other}: expected a {other[:-1]}, got a {family}"):
         load_detector(other, weights=path)
+
+
+def test_yolov3_has_one_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a hundred million numbers, so that a YOLOv5 stands in for it."""
+    asked, stand_in = list[tuple[str, int, str]](), random_model(80, "yolov5")
+
+    def build(size: str, classes: int, *, family: str) -> Any:
+        asked.append((size, classes, family))
+        return stand_in
+
+    monkeypatch.setattr(ultralytics, "build", build)
+    save_file({key: value.contiguous() for key, value in stand_in.state_dict().items()}, tmp_path / "w.safetensors")
+    loaded = load_detector("yolov3u", weights=tmp_path / "w.safetensors")
+    assert (loaded.name, loaded.classes, asked) == ("yolov3u", COCO_CLASSES, [("", 80, "yolov3")])
+    agrees_with_the_library(ultralytics.YOLODetector("x", stand_in, COCO_CLASSES, side=128), stand_in, (75, 50))
 
 
 def test_published_yolo11_is_read_from_tensors(tmp_path: Path) -> None:

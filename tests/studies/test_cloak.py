@@ -35,8 +35,8 @@ def configs(name: str) -> dict[str, dict[str, StudyConfig]]:
     """The studies of a shipped file, by part and value."""
     groups: dict[str, dict[str, StudyConfig]] = {}
     for point in read_file(SHIPPED / f"{name}.toml").points:
-        (value,) = point.labels.values()
-        groups.setdefault(point.part, {})[str(value)] = config_of(point.settings, "base")
+        value = "".join(map(str, point.labels.values()))
+        groups.setdefault(point.part, {})[value] = config_of(point.settings, "base")
     return groups
 
 
@@ -62,6 +62,13 @@ def test_a_shipped_study_changes_one_thing_and_keeps_all_seeds(monkeypatch: pyte
     assert objects["bird"].scene.ground_size < 0.2 * objects["car"].scene.ground_size  # 0.45 m across and not 5.4 m
     assert 2 < objects["train"].cameras.height < 3  # half of 5.1 m, as the car's is half of 1.5 m
     assert [list(values) for values in configs("cloak_bird").values()] == [["road", "grass", "clock", "football"]]
+    design = {part: list(values.values()) for part, values in configs("cloak_design").items()}
+    assert {part: len(values) for part, values in design.items()} == dict(
+        zip(("paint", "cameras", "sector", "object", "appearance"), (3, 3, 1, 4, 4), strict=True)
+    )
+    assert {one.training for values in design.values() for one in values} == {
+        read_study(ROOT / "scenes" / "cloak_car_stealthy.toml").training
+    }
     cars = configs("cloak_new_cars")[""].values()
     assert all(one.attack == read_study(ROOT / "scenes" / "cloak_car_stealthy.toml").attack for one in cars)
     assert {(one.seeds, one.evaluation.seed) for one in cars} == {((0,), 1)}
