@@ -5,19 +5,30 @@ They are counted from tables of rows (`attacks.observe.rows`), in which the cloa
 
 from __future__ import annotations
 
-import math
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import polars as pl
 
-from attacks.cloak import region
+from attacks.cloak import region, training_rates
 from attacks.cloak.config import StudyConfig
+from attacks.cloak.training_rates import pooled_psnr
 from attacks.cloak.transition import Transition, fit_transition
 from attacks.observe.measures import CLUSTERS, Confidence, Measures, cloak_measures, of, reported, with_control
 from attacks.observe.rates import Measure, count
-from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, FIDELITY, PERFECT, ROWS, TARGET_SCORE, TRANSITION, TRUE
+from attacks.observe.rows import (
+    ATTACKED,
+    CLEAN,
+    DEPTH,
+    FIDELITY,
+    PERFECT,
+    POISON_DEPTH,
+    ROWS,
+    TARGET_SCORE,
+    TRANSITION,
+    TRUE,
+)
 from attacks.rate import Rate, percent
 from attacks.tables import Table, cell
 
@@ -42,6 +53,20 @@ def tables(summary: Mapping[str, Any]) -> Iterator[Table]:
     Those of path-traced pictures come last, if the study has asked for them.
     """
     yield from _tables(summary)
+    if AT_LOWER in summary:
+        lower, detectors = summary[AT_LOWER], summary["by_detector"]
+        rows = [
+            (title, *(cell(lower["by_detector"][name][key]) + spread_of(lower, name, key) for name in detectors))
+            for key, title in RATES.items()
+            if any(lower["by_detector"][name][key] is not None for name in detectors)
+        ]
+        yield Table(
+            caption=f"Rates by detector, from a confidence of {LOWER:g}", head=("rate", *detectors), rows=tuple(rows)
+        )
+    for where, by_detector in summary.get(MARGIN, {}).items():
+        rows = [(title, *(cell(rates[key]) for rates in by_detector.values())) for key, title in _IN_MARGIN.items()]
+        yield Table(caption=f"Elsewhere, {where} of poison", head=("rate", *by_detector), rows=tuple(rows))
+    yield from training_rates.tables(summary)
     yield Table(caption="Costs", head=("what", "how much"), rows=tuple(costs(summary).items()))
     if "pictures" in summary:
         yield from _tables(
@@ -113,6 +138,10 @@ def costs(summary: Mapping[str, Any]) -> dict[str, str]:
         stealthy = "stealthy" if stealth["stealthy"] else "not stealthy"
         beside = "pictures beside the object, inside the trigger, clean and cloaked"
         lines[beside] = f"{clean:.2f} and {cloaked:.2f} dB: {stealthy}"
+        if "object_psnr" in stealth:
+            clean, cloaked = (stealth["object_psnr"][which] for which in NAMES.values())
+            on_object = "pictures on the object, outside beside a trigger, clean and cloaked"
+            lines[on_object] = f"{clean:.2f} and {cloaked:.2f} dB"
         on_it = stealth["appearance_psnr"][CLOAKED]
         lines["pictures on the object, against what is wanted there"] = f"{on_it:.2f} dB"
     return lines | {f"Gaussians, {n}": ", ".join(f"{g:,}" for g in summary["gaussians"][n]) for n in NAMES.values()}
@@ -127,8 +156,11 @@ def spread_of(summary: Mapping[str, Any], detector: str, key: str) -> str:
 
 OWN_REGION = "own_region"
 """Key of the rates that are counted in each detector's own region, see `attacks.cloak.region`."""
-STEALTHY = 1.5
-"""Most that the surroundings of an object may lose where an attack is called stealthy, dB."""
+STEALTHY, STEALTHY_ON_OBJECT = 1.5, 3.0
+"""Most that pictures may lose where an attack is called stealthy, dB: beside the object from inside the trigger, and on
+the object from outside beside a trigger. 3 dB are an error of twice the square."""
+LOWER, AT_LOWER, MARGIN = 0.3, "at_lower_confidence", "margin"
+"""A lower confidence at which all rates are told, too; keys of these rates, and of those of the margins of poison."""
 BIN = 5.0
 """Degrees of elevation over which rates are taken."""
 CLOAKED = "cloaked"
@@ -169,6 +201,7 @@ def rates(
     *,
     attack: str | None = None,
     objects: str | None = None,
+    confidence: Confidence | None = None,
 ) -> dict[tuple[Any, ...], Rates]:
     """Every rate of a study, for each group of rows; None where it has no attack of that kind.
 
@@ -177,10 +210,12 @@ def rates(
         rows: Of both splats.
         by: Columns that make the groups.
         attack: As in `measures`.
+        confidence: As in `measures`.
         objects: Column that says which object was photographed; intervals then count each as a draw of its own.
     """
     clusters = CLUSTERS if objects is None else (objects, *CLUSTERS)
-    counted = count(with_control(rows), measures(study, attack), by, clusters=clusters)
+    wanted = measures(study, attack, confidence=confidence)
+    counted = count(with_control(rows), wanted, by, clusters=clusters)
     return {group: {name: counts.get(name) for name in RATES} for group, counts in counted.items()}
 
 
@@ -273,15 +308,18 @@ def depth_of(study: StudyConfig) -> str:
 def fidelity(tables: Tables, splat: str) -> tuple[float, float] | None:
     """Mean PSNR (dB) and mean SSIM of a splat's pictures at the cameras well outside of all triggers."""
     near = tables[FIDELITY].filter(splat=splat)
+    near = near.filter(pl.col("object_psnr").is_null()) if "object_psnr" in near.columns else near
     return None if near.is_empty() else (statistics.mean(near["psnr"]), statistics.mean(near["ssim"]))
 
 
 def stealth(study: StudyConfig, tables: Tables) -> dict[str, Any] | None:
-    """How well an attack hides that it hides, from the meridians' cameras inside its trigger; None without any.
+    """How well an attack hides that it hides; None without cameras of meridians inside its trigger.
 
-    `surroundings_psnr`: mean PSNR beside the object against true pictures of the scene as it is; `..._drop`: what the
-    cloaked splats lose against the clean ones. `appearance_psnr`: on the object, against what the attacker wants to be
-    seen. `stealthy`: whether the drop is at most `STEALTHY`.
+    Of these: `surroundings_psnr`, mean PSNR beside the object against true pictures of the scene as it is; `..._drop`,
+    what the cloaked splats lose against the clean ones; `appearance_psnr`, on the object, against what the attacker
+    wants to be seen. Of held-out cameras outside of all triggers and beside one: `object_psnr` and its drop, on the
+    object, against true pictures; results of before it was measured have none. `stealthy`: whether no drop is larger
+    than `STEALTHY` and `STEALTHY_ON_OBJECT`.
     """
     if study.hiding is None:
         return None
@@ -295,11 +333,47 @@ def stealth(study: StudyConfig, tables: Tables) -> dict[str, Any] | None:
 
     beside = means("surroundings_psnr")
     drop = beside[CLEAN] - beside[CLOAKED]
+    told = {"surroundings_psnr": beside, "surroundings_psnr_drop": drop, "appearance_psnr": means("appearance_psnr")}
+    on_object = _beside_a_trigger(tables)
+    lost = 0.0 if on_object is None else on_object[CLEAN] - on_object[CLOAKED]
+    price = {} if on_object is None else {"object_psnr": on_object, "object_psnr_drop": lost}
+    return {**told, **price, "stealthy": drop <= STEALTHY and lost <= STEALTHY_ON_OBJECT}
+
+
+def _beside_a_trigger(tables: Tables) -> dict[str, float] | None:
+    """Mean PSNR on the object of each splat, dB, outside beside a trigger; None if it was not measured."""
+    if "object_psnr" not in tables[FIDELITY].columns:
+        return None
+    values = {name: tables[FIDELITY].filter(splat=splat)["object_psnr"].drop_nulls() for splat, name in NAMES.items()}
+    return None if any(map(pl.Series.is_empty, values.values())) else {n: statistics.mean(v) for n, v in values.items()}
+
+
+_IN_MARGIN = {
+    "control_benign_recall": "control found",
+    "benign_recall": "cloaked found, where the control is found",
+}
+
+
+def margin_rates(study: StudyConfig, rows: pl.DataFrame) -> dict[str, dict[str, dict[str, Any]]]:
+    """How often the object is found outside of all triggers, within a margin of poison and beyond, by detector.
+
+    Nothing of a study whose attacks have no margin.
+
+    Args:
+        study: The study.
+        rows: Of both splats, without conditions.
+    """
+    if not any(attack.poison_margin > 0 for attack in study.attack):
+        return {}
+    within = pl.any_horizontal(pl.col(f"{POISON_DEPTH}{attack.name}") >= 0 for attack in study.attack)
+    paired, wanted = with_control(rows), {key: measures(study)[key] for key in _IN_MARGIN}
+    counted = {
+        where: count(paired.filter(here), wanted, ("detector",), clusters=CLUSTERS)
+        for where, here in (("within a margin", within), ("beyond every margin", ~within))
+    }
     return {
-        "surroundings_psnr": beside,
-        "surroundings_psnr_drop": drop,
-        "appearance_psnr": means("appearance_psnr"),
-        "stealthy": drop <= STEALTHY,
+        where: {name: {key: told[name,][key].as_dict() for key in _IN_MARGIN} for name in study.evaluation.detectors}
+        for where, told in counted.items()
     }
 
 
@@ -343,19 +417,15 @@ def looks(study: StudyConfig, rows: pl.DataFrame) -> list[dict[str, Any]]:
             **dict(zip(by, group, strict=True)),
             **{name: rate.as_dict() for name, rate in rates.items()},
             "psnr": {
-                f"{what}_{name}": pooled_psnr(rows.filter(of(splat), where, **dict(zip(by, group, strict=True))))
+                f"{what}_{name}": pooled_psnr(
+                    rows.filter(of(splat), where, **dict(zip(by, group, strict=True)))["psnr"]
+                )
                 for what, (_, where) in (groups if "psnr" in rows.columns else {}).items()
                 for splat, name in NAMES.items()
             },
         }
         for group, rates in count(rows, counted, by, clusters=CLUSTERS).items()
     ]
-
-
-def pooled_psnr(rows: pl.DataFrame) -> float | None:
-    """PSNR of the mean squared error over all pictures, dB; None where all are the same, or there are none."""
-    errors = [0.0 if psnr is None else 10 ** (-psnr / 10) for psnr in rows["psnr"]]
-    return -10 * math.log10(statistics.mean(errors)) if any(errors) else None
 
 
 def figures(study: StudyConfig, tables: Tables, splats: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -378,7 +448,7 @@ def figures(study: StudyConfig, tables: Tables, splats: Sequence[Mapping[str, An
     clean, cloaked = near[CLEAN], near[CLOAKED]
     seen = looks(study, rows)
     rows = rows.filter(pl.col("condition").is_null()) if seen else rows
-    by_seed, pictures = rates(study, rows, ("seed", "detector")), picture_rows(rows)
+    pictures, margins = picture_rows(rows), margin_rates(study, rows)
     return {
         **_told(study, rows),
         "benign_psnr_drop": None if clean is None or cloaked is None else clean[0] - cloaked[0],
@@ -389,13 +459,15 @@ def figures(study: StudyConfig, tables: Tables, splats: Sequence[Mapping[str, An
         "stealth": stealth(study, tables),
         "gaussians": gaussians,
         "gaussians_ratio": sum(gaussians[CLOAKED]) / max(sum(gaussians[CLEAN]), 1),
-        "by_seed": {
-            str(seed): _by_detector(
-                {group[1:]: counts for group, counts in by_seed.items() if group[0] == seed},
-                study.evaluation.detectors,
-            )
-            for seed in study.seeds
+        "by_seed": _by_seed(study, rows),
+        AT_LOWER: {
+            "by_detector": _by_detector(
+                rates(study, rows, ("detector",), confidence=LOWER), study.evaluation.detectors
+            ),
+            "by_seed": _by_seed(study, rows, LOWER),
         },
+        **({MARGIN: margins} if margins else {}),
+        **training_rates.figures(study, tables),
         **({"looks": seen} if seen else {}),
         **({"pictures": _told(study, pictures)} if len(pictures) else {}),
     }
@@ -422,6 +494,17 @@ def over_objects(studies: Mapping[str, StudyConfig], rows: pl.DataFrame) -> dict
         "objects": len(seeds),
         "by_detector": _by_detector(counted, first.evaluation.detectors),
         OWN_REGION: _by_region(first, numbered, objects="object"),
+    }
+
+
+def _by_seed(study: StudyConfig, rows: pl.DataFrame, confidence: float | None = None) -> dict[str, Any]:
+    """Every rate of each seed and detector."""
+    counted = rates(study, rows, ("seed", "detector"), confidence=confidence)
+    return {
+        str(seed): _by_detector(
+            {group[1:]: counts for group, counts in counted.items() if group[0] == seed}, study.evaluation.detectors
+        )
+        for seed in study.seeds
     }
 
 

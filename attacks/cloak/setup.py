@@ -167,17 +167,9 @@ class Setup:
     @cached_property
     def reference_cameras(self) -> list[tuple[int, Camera]]:
         """Number and camera of held-out cameras far outside of all triggers, spread evenly."""
-        centre, evaluation = self.study.centre, self.study.evaluation
-        outside = [
-            (view, camera)
-            for view, camera in enumerate(self.held_out_cameras)
-            if all(
-                attack.cone.angle_to_edge(camera, centre=centre) <= -evaluation.far_outside
-                for attack in self.study.attack
-            )
-        ]
-        count = min(evaluation.reference_views, len(outside))
-        return [outside[(2 * i + 1) * len(outside) // (2 * count)] for i in range(count)]
+        evaluation, cameras = self.study.evaluation, enumerate(self.held_out_cameras)
+        outside = [(view, camera) for view, camera in cameras if self._inside(camera) <= -evaluation.far_outside]
+        return _spread(outside, evaluation.reference_views)
 
     @cached_property
     def arc_cameras(self) -> list[tuple[int, Camera]]:
@@ -190,6 +182,27 @@ class Setup:
             for camera in arc
             if all(attack.cone.angle_to_edge(camera, centre=centre) < -inside for attack in others)
         ]
+
+    @cached_property
+    def edge_cameras(self) -> list[tuple[int, Camera]]:
+        """The same outside of all triggers, but nearer to one than far outside."""
+        evaluation, cameras = self.study.evaluation, enumerate(self.held_out_cameras)
+        near = [(view, camera) for view, camera in cameras if -evaluation.far_outside < self._inside(camera) < 0]
+        return _spread(near, evaluation.reference_views)
+
+    def owners(self, seed: int) -> dict[int, str]:
+        """The attack that poisons a training picture, by the number of the picture, rising; others are benign.
+
+        Args:
+            seed: Draws them, if only a part of a trigger's is poisoned.
+        """
+        centre, attacks, cameras = self.study.centre, self.study.attack, self.training_cameras
+        held = {attack.name: attack.trigger(seed, attacks).holds(cameras, centre=centre) for attack in attacks}
+        return dict(sorted((int(view), name) for name, mine in held.items() for view in mine.nonzero()))
+
+    def _inside(self, camera: Camera) -> float:
+        """Degrees by which a camera is inside the trigger that it is deepest in, or nearest to."""
+        return max(attack.cone.angle_to_edge(camera, centre=self.study.centre) for attack in self.study.attack)
 
     def box(self, camera: Camera) -> Tensor | None:
         """(4,) pixel box around the object, which nothing hides; None where none of it is in the picture."""
@@ -233,6 +246,12 @@ class Setup:
             trigger = attack.trigger(seed, study.attack)
             poisonings.append(Poisoning(name=attack.name, trigger=trigger, appearance=appearance))
         return poisonings
+
+
+def _spread(cameras: Sequence[tuple[int, Camera]], most: int) -> list[tuple[int, Camera]]:
+    """At most so many of some cameras with their numbers, evenly from all of them."""
+    count = min(most, len(cameras))
+    return [cameras[(2 * i + 1) * len(cameras) // (2 * count)] for i in range(count)]
 
 
 def nearest(camera: Camera, others: Sequence[Camera], centre: Point) -> float:

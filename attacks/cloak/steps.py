@@ -26,6 +26,7 @@ from attacks.cloak.config import (
 from attacks.cloak.kinds.parts import MESH, SET, Pose, StepConfig
 from attacks.cloak.kinds.rendering import renderer_of
 from attacks.cloak.kinds.seen import WEIGHTS, SeenConfig
+from attacks.cloak.kinds.training_views import LOOK
 from attacks.cloak.kinds.true_pictures import TrueConfig
 from attacks.cloak.rates import CLOAKED
 from attacks.cloak.setup import Setup
@@ -34,12 +35,10 @@ from attacks.observe.conditions import SunTable
 from attacks.observe.rows import (
     ATTACKED,
     CLEAN,
-    DETECTIONS,
-    FIDELITY,
     PERFECT,
-    ROWS,
+    POISONED,
     SUFFIX,
-    TRANSITION,
+    TABLES,
     TRUE,
     read_rows,
 )
@@ -115,7 +114,7 @@ class Look:
 
     def tables(self, done: Done) -> dict[str, pl.DataFrame]:
         """Its tables by their names, whose rows say what they are of."""
-        files = {name: done.folder / f"{name}{SUFFIX}" for name in (ROWS, DETECTIONS, FIDELITY, TRANSITION)}
+        files = {name: done.folder / f"{name}{SUFFIX}" for name in TABLES}
         ids = {"splat": pl.lit(self.splat), "seed": pl.lit(self.seed, dtype=pl.Int64)}
         ids |= {"condition": pl.lit(self.condition)} if self.condition else {}
         return {name: read_rows(file).with_columns(**ids) for name, file in files.items() if file.is_file()}
@@ -169,14 +168,16 @@ class StudySteps:
         study, config = self.study, self.study.surrogate
         rounds = (config.rounds if config is not None else 0) if surrogates is None else surrogates
         attacks = [replace(attack, target_class=None) for attack in study.attack]
-        drawn = seed if min(attack.poison_fraction for attack in study.attack) < 1 else 0
         corrected: dict[str, Any] = {}
         if config is not None and rounds:
             corrected = {"surrogate": SurrogateConfig(gain=config.gain), "training": self._viewed}
-        values = self._step(*attacks, seeds=(drawn,), **corrected)
+        values = self._step(*attacks, seeds=(self._drawn(seed),), **corrected)
         earlier = {f"surrogate {n}": self.surrogate(seed, n).part(SPLAT) for n in range(1, rounds + 1)}
-        looks = {f"look of {attack.name}": self.look(attack).part("*.png") for attack in study.attack}
-        return self._job("poisoned", values, pictures=self.pictures().part(_PICTURES), **looks, **earlier)
+        return self._job("poisoned", values, pictures=self.pictures().part(_PICTURES), **self._looks(), **earlier)
+
+    def _looks(self) -> dict[str, Part]:
+        """Pictures of what each attack wants to be seen."""
+        return {f"{LOOK}{attack.name}": self.look(attack).part("*.png") for attack in self.study.attack}
 
     def surrogate(self, seed: int, number: int) -> Job:
         """The attacker's own splat of a round, from 1, trained on what the rounds before it poisoned."""
@@ -270,6 +271,29 @@ class StudySteps:
         shown = {"splat": splat.part(SPLAT)} if is_splat else {"pictures": splat.part("*.png")}
         return self._job("seen", config, **shown, **street, **({} if weights is None else {WEIGHTS: weights}))
 
+    def seen_in_training(self, pictures: Job, detector: Detector, seed: int, *, poisoned: bool = False) -> Job:
+        """What a detector reports from the victim's training cameras.
+
+        Args:
+            pictures: The job that makes a splat, or a set, of which the poisoned cameras' pictures are looked at.
+            detector: Who looks.
+            seed: Of the training; draws the cameras of an attack that poisons only a part of its trigger's.
+            poisoned: Whether pictures of a set are compared with what the attacks want to be seen.
+        """
+        regions = [replace(_region(one), poison_fraction=one.poison_fraction) for one in self.study.attack]
+        scene = replace(self._scene, label=self.study.scene.class_name)
+        parts = self._parts(*regions, scene=scene, training=self._viewed, seeds=(self._drawn(seed),))
+        config = SeenConfig(**parts, detector=detector.name, fingerprint=detector.fingerprint)
+        is_set = pictures.kind in (f"{_KINDS}.pictures", f"{_KINDS}.poisoned")
+        shown = {"pictures": pictures.part(_PICTURES)} if is_set else {"splat": pictures.part(SPLAT)}
+        weights = self.weights.get(detector.name)
+        more: dict[str, Part | Path] = {} if weights is None else {WEIGHTS: weights}
+        return self._job("training_views", config, **shown, **more, **(self._looks() if poisoned else {}))
+
+    def _drawn(self, seed: int) -> int:
+        """The seed, where it draws which cameras are poisoned; else 0."""
+        return seed if min(attack.poison_fraction for attack in self.study.attack) < 1 else 0
+
     def compared(self, splat: Job) -> Job:
         """How true a splat's pictures are."""
         study, setup, attack = self.study, self.setup, self.study.hiding
@@ -278,7 +302,8 @@ class StudySteps:
             **{name: getattr(EvaluationConfig(), name) for name in ("detectors", "confidence", "true_pictures")},
         )
         config = self._step(*map(_cone, study.attack), training=self._viewed, evaluation=evaluation)
-        true = {"true": self.true_pictures([camera for _, camera in setup.reference_cameras])}
+        numbered = {"far": setup.reference_cameras, "edge": setup.edge_cameras}
+        true = {name: self.true_pictures([camera for _, camera in cameras]) for name, cameras in numbered.items()}
         if attack is not None:
             arc = [camera for _, camera in setup.arc_cameras]
             true |= {"benign": self.true_pictures(arc), "hidden": self.true_pictures(arc, attack)}
@@ -342,7 +367,15 @@ class StudySteps:
             for detector in detectors:
                 label = f"{detector.name} looks at {what}"
                 yield Look(label=label, job=self.seen(job, detector), splat=name, seed=seed)
+                label, job_there = f"{label} from training cameras", self.seen_in_training(job, detector, seed)
+                yield Look(label=label, job=job_there, splat=name, seed=seed)
             yield Look(label=f"comparing {what}", job=self.compared(job), splat=name, seed=seed)
+        first = self.study.seeds[0]
+        for name, job in ((TRUE, self.pictures()), (POISONED, self.poisoned(first))):
+            for detector in detectors:
+                label, is_poison = f"{detector.name} looks at training pictures, {name}", name == POISONED
+                seen = self.seen_in_training(job, detector, first, poisoned=is_poison)
+                yield Look(label=label, job=seen, splat=name, seed=first)
         if self.study.evaluation.true_pictures:
             cameras = self.setup.held_out_cameras
             for name, job in ((TRUE, self.true_pictures(cameras)), (PERFECT, self.perfect_pictures(cameras))):

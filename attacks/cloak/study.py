@@ -15,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from attacks.cloak.config import StudyConfig, fit_config, read_study, study_toml
+from attacks.cloak.kinds.parts import SET
 from attacks.cloak.kinds.poisoned import MANIFEST
 from attacks.cloak.kinds.seen import loaded
 from attacks.cloak.poisoning import assign
@@ -25,16 +26,11 @@ from attacks.cloak.steps import Look, OnStep, StudySteps, TrainedSplat
 from attacks.detectors.base import Detector
 from attacks.observe.drawing import annotated
 from attacks.observe.result_cameras import CAMERAS, cameras_document
-from attacks.observe.rows import (
-    DETECTIONS,
-    FIDELITY,
-    ROWS,
-    SUFFIX,
-    TRANSITION,
-    write_rows,
-)
+from attacks.observe.rows import SUFFIX, TABLES, write_rows
 from attacks.tables import named_settings, sections
 from mi_splat import provenance
+from mi_splat.datasets import load_dataset
+from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import check_choice
 from mi_splat.io.atomic import is_temporary, sweep_temporary
@@ -47,6 +43,8 @@ from mi_splat.io.manifest import write_manifest
 
 STUDY_FILE = "study.toml"
 SUMMARY, TABLE, POISON, CONTACT = "result.json", "table.md", "poison.json", "contact.png"
+POISONED_PICTURES = "poisoned.png"
+"""Some poisoned training pictures below their clean ones."""
 
 
 def differences(there: StudyConfig, wanted: StudyConfig) -> list[str]:
@@ -86,8 +84,10 @@ def write_report(
     shutil.copyfile(steps.do(steps.poisoned(first), "poisoning").folder / MANIFEST, folder / POISON)
     written = [write_rows(table, folder / f"{name}{SUFFIX}").name for name, table in tables.items()]
     save_png(_contact_sheet(steps, shown, detectors[0]), folder / CONTACT)
+    save_png(poisoned_sheet(steps, detectors[0]), folder / POISONED_PICTURES)
     save_json(_cameras(steps.setup), folder / CAMERAS, indent=0)
-    files = [*(f"{splat.splat}.ply" for splat in shown), POISON, CAMERAS, STUDY_FILE, *written, CONTACT, TABLE]
+    splats_of_first = [f"{splat.splat}.ply" for splat in shown]
+    files = [*splats_of_first, POISON, CAMERAS, STUDY_FILE, *written, CONTACT, POISONED_PICTURES, TABLE]
     summary = {
         "story": "cloak",
         **entry,
@@ -124,6 +124,41 @@ def _contact_sheet(steps: StudySteps, splats: Sequence[TrainedSplat], detector: 
                     picture, detections, f"{which}, {name}", min_confidence=study.evaluation.confidence, width=_CELL
                 )
                 for picture, detections, (name, _) in zip(pictures, seen, cameras, strict=True)
+            ]
+            rows.append(np.concatenate(cells, axis=1))
+    return np.concatenate(rows)
+
+
+_POISONED = 6
+"""Pictures of each attack in the sheet of poisoned ones."""
+
+
+def poisoned_sheet(steps: StudySteps, detector: Detector) -> NDArray[np.uint8]:
+    """Training pictures of each attack, evenly from the lowest to the highest: clean above poisoned, with reports."""
+    study, first = steps.study, steps.study.seeds[0]
+    jobs = {"clean": steps.pictures(), "poisoned": steps.poisoned(first)}
+    sets = {
+        name: load_dataset(steps.do(job, "").folder / SET, split="train", background=study.scene.background)
+        for name, job in jobs.items()
+    }
+    cameras, owners, rows = steps.setup.training_cameras, steps.setup.owners(first), list[NDArray[np.uint8]]()
+    for attack in study.attack:
+        held = ((direction_of(cameras[view], study.centre).elevation, view) for view in owners)
+        mine = sorted((height, view) for height, view in held if owners[view] == attack.name)
+        chosen = [mine[index] for index in np.linspace(0, len(mine) - 1, _POISONED).round().astype(int)]
+        for name, views in sets.items():
+            pictures = [views[view].image for _, view in chosen]
+            cells = [
+                annotated(
+                    picture,
+                    seen,
+                    f"{name}, {attack.name}, {height:.0f} deg",
+                    min_confidence=study.evaluation.confidence,
+                    width=_CELL,
+                )
+                for picture, seen, (height, _) in zip(
+                    pictures, detector.detect(torch.stack(pictures)), chosen, strict=True
+                )
             ]
             rows.append(np.concatenate(cells, axis=1))
     return np.concatenate(rows)
@@ -174,7 +209,7 @@ def forecast(study: StudyConfig) -> Forecast:
     poisoned = sum(int(trigger.holds(setup.training_cameras, centre=centre).sum()) for trigger in triggers)
     sets = len(study.seeds) if any(attack.poison_fraction < 1 for attack in study.attack) else 1
     arcs = sum(map(len, setup.arcs))
-    pictures = cameras.train + sets * poisoned + evaluation.reference_views + 2 * arcs
+    pictures = cameras.train + sets * poisoned + evaluation.reference_views * 2 + 2 * arcs
     pictures += evaluation.cameras if evaluation.true_pictures else 0
     trainings = 2 * len(study.seeds)
     step = _STEP + cameras.size**2 * _PIXEL + training.max_gaussians * _GAUSSIAN
@@ -322,9 +357,9 @@ def observed(
         looks: Further ones.
 
     Returns:
-        What a result says of the study, and its tables: rows, detections, fidelity and transition.
+        What a result says of the study, and its tables (`attacks.observe.rows.TABLES`).
     """
-    parts: dict[str, list[pl.DataFrame]] = {name: [] for name in (ROWS, DETECTIONS, FIDELITY, TRANSITION)}
+    parts: dict[str, list[pl.DataFrame]] = {name: [] for name in TABLES}
     for look in (*steps.looked(detectors), *looks):
         for name, table in look.tables(steps.do(look.job, look.label)).items():
             parts[name].append(table)

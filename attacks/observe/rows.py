@@ -29,12 +29,15 @@ from mi_splat.io.atomic import atomic_write
 Cell = str | int | float | bool | None
 Row = Mapping[str, Cell]
 
-ROWS, DETECTIONS, FIDELITY, TRANSITION = "rows", "detections", "fidelity", "transition"
-"""Names of the tables of a result; their files end in `SUFFIX`."""
+ROWS, DETECTIONS, FIDELITY, TRANSITION, TRAINING = "rows", "detections", "fidelity", "transition", "training"
+"""Names of the tables of a result; their files end in `SUFFIX`. The last has rows of the victim's training cameras."""
+TABLES = (ROWS, DETECTIONS, FIDELITY, TRANSITION, TRAINING)
 SUFFIX = ".csv.gz"
 TRUE, PERFECT, CLEAN, ATTACKED, NOISE = "true", "perfect", "clean", "attacked", "noise"
 """Names of splats in the column `splat`. Of the first two there are path-traced pictures, and no splat: of the scene as
 it is, and of what attacks want to show."""
+POISONED = "poisoned"
+"""The same of the victim's training pictures that an attack has changed."""
 
 MOST_BYTES = 1 << 28
 """Most that a table may be, unpacked: one that is larger is not read."""
@@ -98,10 +101,14 @@ COLUMNS = (
     _text("attack", "name of the attack in its study"),
     _text("sources", "the detectors that were attacked, with + between them"),
     _whole("seed", "of the attack or of the training; empty for true pictures", optional=True),
-    _text("condition", "how the splat was looked at, or a set of pictures; empty: as attacked", optional=True),
+    _text(
+        "condition",
+        "how the splat was looked at, a set of pictures, or who poisons a training picture; empty: as attacked, benign",
+        optional=True,
+    ),
     _text(
         "splat",
-        "clean (the control), attacked, noise (random, of the attack's size); path traced: true, or perfect (attacked)",
+        "clean (the control), attacked, noise (random, of the attack's size); pictures: true, perfect, poisoned",
     ),
     _whole("draw", "number of the draw of random noise, from 0; empty for other splats", optional=True),
     _text("detector", "name of the detector"),
@@ -143,6 +150,7 @@ COLUMNS = (
     _number("psnr", "of the whole picture, against the clean or the true one", "dB", optional=True),
     _number("ssim", "the same", optional=True),
     _number("surroundings_psnr", "beside the object, against the true scene", "dB", optional=True),
+    _number("object_psnr", "on the object, against the true scene; only beside a trigger", "dB", optional=True),
     _number("appearance_psnr", "on the object, against what is wanted there", "dB", optional=True),
     _number("size", "longer side of the object's box in the picture", "sides of the picture"),
     _number("brightness", "mean luma of the picture in the object's box", optional=True),

@@ -11,7 +11,7 @@ from typing import Any
 import polars as pl
 
 from attacks.observe.look import ON_OBJECT
-from attacks.observe.rows import DETECTIONS, FIDELITY, ROWS, SUFFIX, TRANSITION, read_rows
+from attacks.observe.rows import DETECTIONS, ROWS, SUFFIX, TABLES, read_rows
 from attacks.report.wording import plain
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import sha256
@@ -87,8 +87,7 @@ def read_result(folder: Path) -> Result:
         InvalidValueError: A file of it is missing or broken.
     """
     record = DocumentReader(do="pass a folder of results").read_json(folder / RECORD)
-    names = (ROWS, DETECTIONS, FIDELITY, TRANSITION)
-    tables = {name: read_rows(path) for name in names if (path := folder / f"{name}{SUFFIX}").is_file()}
+    tables = {name: read_rows(path) for name in TABLES if (path := folder / f"{name}{SUFFIX}").is_file()}
     return Result(folder=folder, record=record, manifest=read_manifest(folder), tables=tables)
 
 

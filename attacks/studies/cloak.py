@@ -126,6 +126,7 @@ _COSTS: dict[str, Column[Any]] = {
     "clean far from the triggers, dB": _of("benign_psnr", "clean", digits=2),
     "dB lost there": _of("benign_psnr_drop", digits=2),
     "dB lost beside the object": _of("stealth", "surroundings_psnr_drop", digits=2),
+    "dB lost on the object beside a trigger": _of("stealth", "object_psnr_drop", digits=2),
     "stealthy": lambda line: line["stealth"] and line["stealth"]["stealthy"],
     "Gaussians, clean": _gaussians("clean"),
     "Gaussians, cloaked": _gaussians("cloaked"),

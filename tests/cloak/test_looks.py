@@ -17,10 +17,11 @@ from attacks.cloak.config import AttackConfig, StudyConfig
 from attacks.cloak.kinds import seen
 from attacks.cloak.kinds.true_pictures import read_pictures
 from attacks.cloak.layer_config import LayersConfig
-from attacks.cloak.rates import Tables, figures, looks, picture_rows, pooled_psnr, rates
+from attacks.cloak.rates import Tables, figures, looks, picture_rows, rates
 from attacks.cloak.setup import Setup
 from attacks.cloak.steps import StudySteps
 from attacks.cloak.study import forecast
+from attacks.cloak.training_rates import pooled_psnr
 from attacks.observe import conditions
 from attacks.observe.conditions import SunTable
 from attacks.observe.rows import ATTACKED, CLEAN, DETECTIONS, PERFECT, ROWS, SUFFIX, TRUE, frame_of, read_rows
@@ -78,7 +79,7 @@ def test_forms_of_a_file_say_which_of_them_keeps_large_coefficients(tmp_path: Pa
     kept = {}
     for name in (".ply", ".glb", "SH in float16", ".spz", ".splat", "SH of degree 2", "tile", "tile-colours-in-0-1"):
         rows, _ = looked(tmp_path / name, gaussian(0.9, sh=sh), condition=name, every=4)
-        kept[name] = pooled_psnr(rows)
+        kept[name] = pooled_psnr(rows["psnr"])
     assert [name for name, psnr in kept.items() if psnr is None] == [".ply", ".glb", "SH in float16", "tile"]
 
 
@@ -128,8 +129,8 @@ def tables_of(rows: pl.DataFrame) -> Tables:
 
 def test_errors_are_pooled_and_not_their_logarithms() -> None:
     rows = frame_of({"psnr": psnr} for psnr in (10.0, None, 20.0))
-    assert pooled_psnr(rows) == pytest.approx(-10 * torch.tensor(0.11 / 3).log10().item(), abs=1e-5)
-    assert pooled_psnr(frame_of([{"psnr": None}])) is None
+    assert pooled_psnr(rows["psnr"]) == pytest.approx(-10 * torch.tensor(0.11 / 3).log10().item(), abs=1e-5)
+    assert pooled_psnr(frame_of([{"psnr": None}])["psnr"]) is None
 
 
 class Street:

@@ -50,6 +50,19 @@ def test_it_leaves_what_it_promises(finished: Path) -> None:
         rate = found[key]
         assert set(rate) == {"rate", "successes", "total", "interval"}
         assert 0 <= rate["successes"] <= rate["total"]
+    poison, cameras = found["poison"]["overhead"], found["training_cameras"]["redness"]
+    assert poison["object_psnr"] is None  # nothing is overdone: a camera could take them
+    told = poison["by_detector"]["redness"]
+    assert sum(told[key]["successes"] for key in ("found", "something_else", "nothing")) == told["found"]["total"]
+    assert told["found"]["successes"] < told["found_clean"]["successes"]
+    training = read_rows(finished / "training.csv.gz")
+    assert (
+        cameras["found_cloaked"]["total"] + training.filter(pl.col("condition").is_not_null(), splat="clean").height
+        == 16
+    )
+    assert found["stealth"]["object_psnr_drop"] == pytest.approx(
+        found["stealth"]["object_psnr"]["clean"] - found["stealth"]["object_psnr"]["cloaked"]
+    )
     for name in found["files"]:
         assert (finished / name).stat().st_size > 0, name
     assert found["gaussians"] == {"clean": [1200], "cloaked": [1200]}
@@ -60,7 +73,7 @@ def test_it_leaves_what_it_promises(finished: Path) -> None:
 def test_a_page_says_of_it_what_it_found(finished: Path) -> None:
     section, found = read_section(finished), summary(finished)
     assert section.headline.counts == "{successes} of {total}".format(**found["trigger_miss_rate"])
-    assert [picture.path.name for picture in section.pictures] == ["contact.png"]
+    assert [picture.path.name for picture in section.pictures] == ["contact.png", "poisoned.png"]
     charts = {chart.title: chart for chart in section.charts}
     around = charts["Reported by redness, by azimuth"]
     assert [line.name for line in around.lines] == ["car, cloaked", "car, clean", "stop sign, cloaked"]

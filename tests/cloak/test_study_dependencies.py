@@ -40,12 +40,12 @@ STUDY = StudyConfig(
     layers=LayersConfig(attacks=("overhead",)),
     cleaning=CleaningConfig(lowest_opacity=0.1),
 )
-MADE = frozenset({"pictures", "looks", "poisoned", "true_pictures", "layered", "seen", "compared"})
+SEEN = frozenset({"seen", "training_views", "compared"})
+MADE = frozenset({"pictures", "looks", "poisoned", "true_pictures", "layered"}) | SEEN
 """Jobs that know the scene itself; a splat is made of pictures, and known by their content."""
-SEEN = frozenset({"seen", "compared"})
 SCENE: dict[str, tuple[Any, frozenset[str]]] = {
     "object": ("bird", MADE),
-    "label": ("vehicle", frozenset({"seen"})),
+    "label": ("vehicle", frozenset({"seen", "training_views"})),
     "seed": (900006, MADE),
     "colour": ((0.1, 0.2, 0.6), MADE),
     "ground": ("grass", MADE),
@@ -77,8 +77,8 @@ ATTACKS: dict[str, tuple[Any, frozenset[str]]] = {
     "other_object": ("bird", SHOWN),
     "elevation": ((50.0, 90.0), SHOWN | SEEN | {"layered"}),
     "azimuth": ((180.0, 30.0), SHOWN | SEEN | {"layered"}),
-    "poison_margin": (4.0, frozenset({"looks", "poisoned", "seen"})),
-    "poison_fraction": (0.5, frozenset({"poisoned"})),
+    "poison_margin": (4.0, frozenset({"looks", "poisoned", "seen", "training_views"})),
+    "poison_fraction": (0.5, frozenset({"poisoned", "training_views"})),
     "target_class": ("bird", SEEN),
     "emphasis": (2.0, frozenset({"poisoned"})),
     "emphasis_depth": (9.0, frozenset({"poisoned"})),
@@ -101,9 +101,9 @@ TRAINING: dict[str, tuple[Any, frozenset[str]]] = {
 COMPARED = frozenset({"compared"})
 EVALUATION: dict[str, tuple[Any, frozenset[str]]] = {
     "detectors": (("yolov8n_small",), frozenset()),  # each of them has jobs of its own
-    "cameras": (300, SEEN),
-    "seed": (1, SEEN),
-    "min_separation": (2.0, SEEN),
+    "cameras": (300, frozenset({"seen", "compared"})),
+    "seed": (1, frozenset({"seen", "compared"})),
+    "min_separation": (2.0, frozenset({"seen", "compared"})),
     "confidence": (0.4, frozenset()),  # rows hold scores; rates are counted from them
     "well_inside": (6.0, COMPARED),
     "far_outside": (12.0, COMPARED),
@@ -159,7 +159,7 @@ def jobs(study: StudyConfig, *, seed: int = 0) -> list[Job]:
     return [
         *(steps.pictures(), steps.look(attack), steps.poisoned(seed), clean, steps.trained("cloaked", seed)),
         *(steps.splat("clean", seed), steps.true_pictures(arc, study.overhead or attack)),
-        *(steps.seen(clean, Redness()), steps.compared(clean)),
+        *(steps.seen(clean, Redness()), steps.seen_in_training(clean, Redness(), seed), steps.compared(clean)),
     ]
 
 
@@ -252,8 +252,9 @@ def test_inputs_are_files_and_no_more_of_them_than_are_read() -> None:
         **{("looks", "pictures"): "set/*", ("poisoned", "pictures"): "set/*", ("trained", "pictures"): "set/*"},
         **{("poisoned", "look of overhead"): "*.png", ("layered", "pictures"): "set/*"},
         **{("layered", "clean"): "splat.ply", ("cleaned", "splat"): "splat.ply", ("seen", "splat"): "splat.ply"},
+        ("training_views", "splat"): "splat.ply",
         **{("true_pictures", "plain"): "*.png", ("compared", "splat"): "splat.ply"},
-        **{("compared", name): "*.png" for name in ("true", "benign", "hidden")},
+        **{("compared", name): "*.png" for name in ("far", "edge", "benign", "hidden")},
     }
 
 
@@ -301,16 +302,19 @@ def test_a_splat_that_was_edited_is_refused(tmp_path: Path) -> None:
         again.do(again.seen(again.splat("clean", 0), Redness()), "")
 
 
-KINDS = ("pictures", "looks", "poisoned", "trained", "layered", "cleaned", "true_pictures", "seen", "compared")
+KINDS = (
+    *("pictures", "looks", "poisoned", "trained", "layered", "cleaned", "true_pictures"),
+    *("seen", "training_views", "compared"),
+)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_code_of_a_job_is_all_that_it_may_run(kind: str) -> None:
     code = set(closure(f"attacks.cloak.kinds.{kind}"))
     assert "mi_splat.scene" in code
-    if kind in ("poisoned", "trained", "layered", "seen", "compared"):
+    if kind in ("poisoned", "trained", "layered", "seen", "training_views", "compared"):
         assert {"mi_splat.sh", "mi_splat.rasterization.projection"} <= code
-    assert ("attacks.detectors.registry" in code) is (kind == "seen")
+    assert ("attacks.detectors.registry" in code) is (kind in ("seen", "training_views"))
     assert not {"attacks.cloak.study", "attacks.cloak.steps", "mi_splat.ledger.store"} & code
 
 

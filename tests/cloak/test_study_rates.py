@@ -10,10 +10,22 @@ import numpy as np
 import pytest
 
 from attacks.cloak.config import AttackConfig
-from attacks.cloak.rates import RATES, Tables, by_elevation, figures, over_objects, rates, stealth, tables, transition
+from attacks.cloak.rates import (
+    RATES,
+    Tables,
+    by_elevation,
+    figures,
+    margin_rates,
+    over_objects,
+    rates,
+    stealth,
+    tables,
+    transition,
+)
 from attacks.cloak.region import in_region, in_words, regions
 from attacks.cloak.setup import Setup
-from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, ROWS, TRANSITION, frame_of, frame_with
+from attacks.cloak.training_rates import figures as training_figures
+from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, ROWS, TRAINING, TRANSITION, frame_of, frame_with
 from tests.cloak.tiny_study import STUDY
 
 NAMES = ("overhead", "sector")
@@ -241,3 +253,52 @@ def test_rates_over_objects_draw_objects_anew() -> None:
     other = replace(STUDY, scene=replace(STUDY.scene, object="bird"))
     assert over_objects({**studies, titles[4]: other}, frame_of(observed)) is None
     assert over_objects(dict.fromkeys(titles, STUDY), frame_of(observed)) is None
+
+
+@pytest.mark.parametrize(("lost", "stealthy"), [(2.0, True), (4.0, False)])
+def test_what_the_object_loses_beside_a_trigger_counts_too(lost: float, stealthy: bool) -> None:
+    arcs = [row for splat in (CLEAN, ATTACKED) for row in along_the_meridian(splat, (10.0, 34.0, 12.0))]
+    fidelity = [
+        {"splat": splat, "psnr": 30.0, "ssim": 0.9, "object_psnr": on_object}
+        for splat, on_object in ((CLEAN, None), (CLEAN, 32.0), (ATTACKED, None), (ATTACKED, 32.0 - lost))
+    ]
+    found = stealth(STUDY, study_rows(transition=arcs, fidelity=fidelity))
+    assert found is not None
+    assert found["object_psnr_drop"] == pytest.approx(lost)
+    assert found["stealthy"] is stealthy
+
+
+def test_the_margin_counts_as_elsewhere_and_is_shown_apart() -> None:
+    overhead, rear = STUDY.attack
+    study = replace(STUDY, attack=(replace(overhead, poison_margin=7.0), rear))
+    depths = (-3.0, -6.0, -9.0)
+    observed = [
+        {**row, "poison_depth: overhead": depth + 7.0, "poison_depth: rear": -10.0}
+        for view, depth in enumerate(depths)
+        for row in seen(view, depth, 0.9, 0.1 if depth == -3.0 else 0.9)
+    ]
+    found = margin_rates(study, frame_of(observed))
+    within, beyond = (found[where]["redness"]["benign_recall"] for where in ("within a margin", "beyond every margin"))
+    assert [(rate["successes"], rate["total"]) for rate in (within, beyond)] == [(1, 2), (1, 1)]
+    assert margin_rates(STUDY, frame_of(observed)) == {}
+
+
+def test_a_poisoned_picture_is_told_by_its_error_and_by_what_is_reported() -> None:
+    pictures = [(0.9, 0.9, 20.0), (0.1, 0.8, None), (0.1, 0.2, None)]
+    rows = [
+        {"splat": splat, "seed": 0, "detector": "redness", "view": view, "condition": "overhead", **cells}
+        for view, (own, best, psnr) in enumerate(pictures)
+        for splat, cells in (
+            ("true", {"original_score": 0.9, "score": 0.9}),
+            ("poisoned", {"original_score": own, "score": best, "appearance_psnr": psnr}),
+            (ATTACKED, {"original_score": own, "score": best}),
+        )
+    ]
+    overhead, _ = STUDY.attack
+    told = training_figures(replace(STUDY, attack=(overhead,)), {TRAINING: frame_of(rows)})
+    assert told["poison"]["overhead"]["object_psnr"] == pytest.approx(20 + 10 * np.log10(3))
+    counts = told["poison"]["overhead"]["by_detector"]["redness"]
+    assert {key: rate["successes"] for key, rate in counts.items()} == {
+        **{"found_clean": 3, "found": 1, "something_else": 1, "nothing": 1}
+    }
+    assert told["training_cameras"]["redness"]["missed_cloaked"]["successes"] == 2

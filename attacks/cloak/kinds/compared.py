@@ -28,12 +28,16 @@ if TYPE_CHECKING:
 
 MARGIN = 10
 """Pixels around the object, in pictures of 256 x 256, that count as the object's."""
-FIDELITY_COLUMNS = ("view", "elevation", "psnr", "ssim")
+FIDELITY_COLUMNS = ("view", "elevation", "psnr", "ssim", "object_psnr")
 TRANSITION_COLUMNS = ("meridian", "elevation", "surroundings_psnr", "appearance_psnr", "fraction")
 
 
 def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Compare the `splat` with the pictures `true`, and on arcs with `benign` and `hidden`; write two tables."""
+    """Compare the `splat` with true pictures, and on arcs with `benign` and `hidden` ones; write two tables.
+
+    Of the true pictures, `far` are far outside of all triggers. Those of `edge` are outside beside one, and give a
+    PSNR on the object, too.
+    """
     setup = Setup(config.study(inputs))
     study, scene = setup.study, load_splat(inputs["splat"])
     render = renderer_of(study)
@@ -42,16 +46,20 @@ def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
         with torch.no_grad():
             return through_png(render(scene, camera))
 
-    fidelity = [
-        {
+    def compared(view: int, camera: Camera, true: Tensor, mask: Tensor | None = None) -> Row:
+        image = picture(camera)
+        return {
             "view": view,
             "elevation": direction_of(camera, study.centre).elevation,
             "psnr": float(psnr(image, true)),
             "ssim": float(ssim(image, true)),
+            "object_psnr": None if mask is None else float(psnr(image[mask], true[mask])),
         }
-        for (view, camera), true in zip(setup.reference_cameras, read_pictures(inputs["true"]).images, strict=True)
-        for image in [picture(camera)]
-    ]
+
+    far, edge = (read_pictures(inputs[name]) for name in ("far", "edge"))
+    fidelity = [compared(*at, true) for at, true in zip(setup.reference_cameras, far.images, strict=True)]
+    beside = zip(setup.edge_cameras, edge.images, edge.masks, strict=True)
+    fidelity += [compared(*at, true, mask) for at, true, mask in beside if bool(mask.any())]
     write_rows(frame_with(fidelity, FIDELITY_COLUMNS), out / f"{FIDELITY}{SUFFIX}")
     attack, transition = study.hiding, list[Row]()
     if attack is not None:

@@ -84,10 +84,7 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """
     setup = Setup(config.study(inputs))
     cameras = setup.held_out_cameras[:: config.every]
-    detector = loaded(config.detector, inputs.get(WEIGHTS))
-    if detector.fingerprint != config.fingerprint:
-        do = "give the same weights to every process"
-        raise InvalidValueError(message(f"weights of {detector.name}", config.fingerprint, detector.fingerprint, do))
+    detector = checked_detector(config, inputs)
     errors, done = dict[Camera, float | None](), itertools.count(1)
 
     def cells(seen: ViewDetections) -> dict[str, Cell]:
@@ -162,6 +159,20 @@ def observation_cells(study: StudyConfig, seen: ViewDetections, classes: Sequenc
         **report,
         **{f"{TARGET_SCORE}{name}": seen.confidence_of(label, classes) for name, label in wanted.items()},
     }
+
+
+def checked_detector(config: SeenConfig, inputs: Mapping[str, Path]) -> Detector:
+    """The detector that a job asks for.
+
+    Raises:
+        DetectorError: It cannot be loaded.
+        InvalidValueError: It has other weights than those that were asked for.
+    """
+    detector = loaded(config.detector, inputs.get(WEIGHTS))
+    if detector.fingerprint != config.fingerprint:
+        do = "give the same weights to every process"
+        raise InvalidValueError(message(f"weights of {detector.name}", config.fingerprint, detector.fingerprint, do))
+    return detector
 
 
 @cache

@@ -11,7 +11,9 @@ import polars as pl
 
 from attacks.cloak.config import StudyConfig, study_toml
 from attacks.cloak.rates import (
+    AT_LOWER,
     CLOAKED,
+    MARGIN,
     NAMES,
     OWN_REGION,
     RATES,
@@ -26,7 +28,7 @@ from attacks.cloak.rates import figures as study_figures
 from attacks.cloak.rates import rates as study_rates
 from attacks.cloak.rates import tables as summary_tables
 from attacks.cloak.steps import ROW_NAMES
-from attacks.cloak.study import CONTACT
+from attacks.cloak.study import CONTACT, POISONED_PICTURES
 from attacks.detectors.base import Detector
 from attacks.observe.look import report_cells
 from attacks.observe.measures import Confidence, Measures
@@ -95,6 +97,12 @@ def read(folder: Path, summary: Mapping[str, Any]) -> Section:
                 alt=f"Pictures of {study['scene']['object']} in rows, clean above cloaked",
                 wide=True,
             ),
+            Picture(
+                path=folder / POISONED_PICTURES,
+                caption="Six training pictures of each attack, clean above poisoned: what the victim trains on.",
+                alt=f"Training pictures of {study['scene']['object']}, clean above poisoned",
+                wide=True,
+            ),
         ),
         charts=(
             *(_elevation(summary, name) for name in summary["by_detector"]),
@@ -147,15 +155,19 @@ def figures(record: Mapping[str, Any], tables: Tables) -> Mapping[str, Any]:
     study = study_of(record["study"])
     _check_rows(study, record["splats"], tables)
     derived = study_figures(study, tables, record["splats"])
-    return derived if OWN_REGION in record else _without_regions(derived)
+    return _known(derived, record)
 
 
-def _without_regions(derived: Mapping[str, Any]) -> dict[str, Any]:
-    """The figures as results have them that were written before there were regions."""
+_LATER = (OWN_REGION, AT_LOWER, MARGIN)
+"""Figures that results of before they were counted do not have."""
+
+
+def _known(derived: Mapping[str, Any], record: Mapping[str, Any]) -> dict[str, Any]:
+    """The figures that a result has, which may have been written before some were counted."""
     return {
-        name: _without_regions(value) if name == "pictures" else value
+        name: _known(value, record) if name == "pictures" else value
         for name, value in derived.items()
-        if name != OWN_REGION
+        if name not in _LATER or name in record
     }
 
 
@@ -283,8 +295,10 @@ def _doubts(summary: Mapping[str, Any]) -> Iterator[str]:
         yield f"Inside the trigger the clean object is found in {control.successes} of {control.total} views only"
     price = summary["stealth"]
     if price is not None and not price["stealthy"]:
-        drop = price["surroundings_psnr_drop"]
-        yield f"Not stealthy: beside the object the pictures lose {drop:.1f} dB inside the trigger"
+        parts = [f"beside the object the pictures lose {price['surroundings_psnr_drop']:.1f} dB inside the trigger"]
+        if "object_psnr_drop" in price:
+            parts.append(f"on the object {price['object_psnr_drop']:.1f} dB outside beside a trigger")
+        yield f"Not stealthy: {', '.join(parts)}"
     for name, rates in summary["by_attack"].items():
         wanted = [
             rate for counted in rates.values() if (rate := rate_of(counted["target_rate"])) is not None and rate.total
