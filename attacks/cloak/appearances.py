@@ -15,6 +15,7 @@ from torch.nn import functional
 
 from attacks.cloak.config import AttackConfig
 from attacks.cloak.mesh_scene import TEXTURES, MeshScene, camouflaged, cap, mounted, repainted, stand_in
+from attacks.cloak.retouching import BLUR_WIDTH, HOLE_MARGIN, Blur, Fade, Inpaint, grown
 from attacks.cloak.triggers import Trigger
 from mi_splat.assets import build
 from mi_splat.assets.mesh import Asset
@@ -101,6 +102,12 @@ def appearance_of(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point,
         return GroundLook(mesh_scene=mesh_scene, lowest=lowest, reach=reach)
     if attack.appearance == "remove":
         return removed(mesh_scene, reach=attack.reach)
+    if attack.appearance == "fade":
+        return Fade(removed=removed(mesh_scene), reach=1 if attack.reach is None else attack.reach)
+    if attack.appearance == "blur":
+        return Blur(width=BLUR_WIDTH if attack.blur_width is None else attack.blur_width)
+    if attack.appearance == "inpaint":
+        return Inpaint(reach=HOLE_MARGIN if attack.reach is None else attack.reach)
     target, reach, outgrows = mesh_scene.target, 1, False
     if attack.appearance == "paint":
         (make, tile), (azimuth, elevation) = TEXTURES[str(attack.texture)], attack.paint_direction
@@ -109,10 +116,14 @@ def appearance_of(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point,
     elif attack.appearance == "blend in":
         target, name = camouflaged(target, mesh_scene.surroundings or Asset("nothing", ())), "blend in with the ground"
     else:
-        other, azimuth = build(str(attack.other_object), 0), 180.0 if attack.azimuth is None else attack.azimuth[0]
-        is_mounted, outgrows = attack.appearance == "mount", True
-        target = (mounted if is_mounted else stand_in)(target, other, azimuth=azimuth)
-        name = f"{other.name} {'on it' if is_mounted else 'instead'}, to azimuth {azimuth:g}"
+        other, azimuth, outgrows = build(str(attack.other_object), 0), attack.azimuth and attack.azimuth[0], True
+        if attack.appearance == "mount":
+            azimuth = 180.0 if azimuth is None else azimuth
+            target = mounted(target, other, azimuth=azimuth)
+        else:
+            target = stand_in(target, other, azimuth=azimuth)
+        towards = "as large from above" if azimuth is None else f"to azimuth {azimuth:g}"
+        name = f"{other.name} {'on it' if attack.appearance == 'mount' else 'instead'}, {towards}"
     return Rerender(
         mesh_scene=mesh_scene.with_target(target),
         name=name,
@@ -174,12 +185,6 @@ def _occluder(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point, dis
     shell = cap(make(PICTURE, 0), centre=centre, radius=radius, lowest=lowest, tile=tile or radius)
     name = f"{attack.texture} (seed 0) on an occluder of radius {radius:g} about {centre}, from elevation {lowest:g}"
     return Occluder(shell=mesh_scene.with_target(shell), beneath=removed(mesh_scene), name=name)
-
-
-def grown(mask: Tensor, pixels: int) -> Tensor:
-    """(H, W) bool, a mask and everything within so many pixels of it, along rows and columns."""
-    planes = mask[None, None].to(torch.float32)
-    return torch.nn.functional.max_pool2d(planes, 2 * pixels + 1, stride=1, padding=pixels)[0, 0] > 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -37,7 +37,16 @@ from mi_splat.io.parsing import DocumentReader
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import strategy_config, strategy_names
 
-AppearanceName = Literal["blend in", "remove", "ground", "paint", "occluder", "mount", "swap"]
+AppearanceName = Literal[
+    "blend in", "remove", "ground", "paint", "occluder", "mount", "swap", "fade", "blur", "inpaint"
+]
+Knowledge = Literal["scene", "pictures"]
+"""What an attacker has: the meshes, materials and sun, too, or nothing but the pictures and masks of the object."""
+
+
+def knowledge_for(appearance: str) -> Knowledge:
+    """The least that an attacker needs to make pictures with an appearance."""
+    return "pictures" if appearance in ("blur", "inpaint") else "scene"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +70,9 @@ class AttackConfig:
         emphasis_depth: Degrees inside from which it no longer is.
         paint_direction: Azimuth and elevation from which a painted texture looks right, degrees.
         reach: Pixels around the object's outline that are new in a picture; all else, shadows for instance, stays as it
-            was. None is the whole picture where the object is removed or swapped, and 1 elsewhere.
+            was. None is the whole picture where the object is removed or swapped, 3 where it is inpainted, and 1
+            elsewhere. A blur has none: it ends softly.
+        blur_width: Standard deviation of a `blur`, in longer sides of the object's box in the picture; None is 0.04.
         occluder_radius: Of the occluder that covers it, metres; None is 0.6 times the distance of the cameras.
         occluder_edge: Elevation of the occluder's edge, degrees; None is 12 below that of the lowest camera.
     """
@@ -79,6 +90,7 @@ class AttackConfig:
     emphasis_depth: Annotated[float, above(0, "degrees")] = 20.0
     paint_direction: Annotated[tuple[float, float], Range(unit="degrees")] = (180.0, 90.0)
     reach: Annotated[int, at_least(0, "pixels", "leave it out")] | None = None
+    blur_width: PositiveFraction | None = None
     occluder_radius: Annotated[float, above(0, "metres")] | None = None
     occluder_edge: Annotated[float, between(-90, 90, "degrees")] | None = None
 
@@ -93,6 +105,15 @@ class AttackConfig:
         if self.reach is not None and self.appearance == "occluder":
             expected = "no occluder beside it, which is drawn over the picture"
             raise InvalidValueError(message(f"attack {self.name!r}, reach", expected, self.reach, "leave it out"))
+        for key, holds, expected in (
+            ("reach", self.appearance != "blur" or self.reach is None, "none with a blur, which ends softly"),
+            ("blur_width", self.appearance == "blur" or self.blur_width is None, "none without a blur"),
+            ("emphasis", self.appearance not in ("fade", "blur") or self.emphasis == 1, "1: a control is not overdone"),
+        ):
+            if not holds:
+                raise InvalidValueError(
+                    message(f"attack {self.name!r}, {key}", expected, getattr(self, key), "leave it out")
+                )
         if self.elevation[0] <= 0 and self.elevation[1] >= 90 and self.azimuth is None:
             expected = "an elevation or an azimuth that leaves cameras out"
             raise InvalidValueError(message(f"attack {self.name!r}", expected, "all cameras", "narrow one of them"))

@@ -121,7 +121,7 @@ def cap(picture: Floats, *, centre: Sequence[float], radius: float, lowest: floa
     return Asset("cap", (replace(sheet(points, picture), uvs=uvs.reshape(-1, 2).astype(np.float32)),))
 
 
-def stand_in(target: Asset, other: Asset, *, azimuth: float) -> Asset:
+def stand_in(target: Asset, other: Asset, *, azimuth: float | None) -> Asset:
     """Another object in a target's place, without what holds it up, turned to face a viewer at `azimuth`.
 
     It is scaled, in proportion, to fit the target's outline from there, and centred on it. Its front lies where the
@@ -130,15 +130,17 @@ def stand_in(target: Asset, other: Asset, *, azimuth: float) -> Asset:
     Args:
         target: What it stands in for.
         other: An object that faces +x.
-        azimuth: Where the viewer is, degrees.
+        azimuth: Where the viewer is, degrees; None is above: it faces +x, and stands on the ground as the target does.
     """
     # In a frame where the viewer is at +x both are boxes side by side.
-    turn = rotation("z", azimuth).astype(np.float64)
+    turn = rotation("z", 0.0 if azimuth is None else azimuth).astype(np.float64)
     there = Asset(target.name, target.meshes).transformed(np.linalg.inv(turn)).bounds.astype(np.float64)
     here = other.body.bounds.astype(np.float64)
-    scale = float(((there[1] - there[0])[1:] / np.maximum((here[1] - here[0])[1:], 1e-9)).min())
+    outline = slice(0, 2) if azimuth is None else slice(1, 3)
+    scale = float(((there[1] - there[0])[outline] / np.maximum((here[1] - here[0])[outline], 1e-9)).min())
     shift = (there.mean(0) - scale * here.mean(0)).tolist()
-    shift[0] = float(there[1, 0] - scale * here[1, 0])
+    axis, end = (2, 0) if azimuth is None else (0, 1)
+    shift[axis] = float(there[end, axis] - scale * here[end, axis])
     return other.body.transformed(turn @ translation(*shift) @ scaling(scale, scale, scale))
 
 

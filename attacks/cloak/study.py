@@ -14,7 +14,7 @@ import polars as pl
 import torch
 from numpy.typing import NDArray
 
-from attacks.cloak.config import StudyConfig, fit_config, read_study, study_toml
+from attacks.cloak.config import StudyConfig, fit_config, knowledge_for, read_study, study_toml
 from attacks.cloak.kinds.parts import SET
 from attacks.cloak.kinds.poisoned import MANIFEST
 from attacks.cloak.kinds.seen import loaded
@@ -371,5 +371,6 @@ def observed(
         "detectors": {detector.name: detector.fingerprint for detector in detectors},
         "seeds": list(study.seeds),
         "study": asdict(study),
+        "knowledge": {attack.name: knowledge_for(attack.appearance) for attack in study.attack},
     }
     return entry, whole

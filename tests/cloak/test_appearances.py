@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from attacks.cloak.appearances import Appearance, Occluder, Rerender, appearance_of, grown, name_of, removed
+from attacks.cloak.appearances import Appearance, Occluder, Rerender, appearance_of, name_of, removed
 from attacks.cloak.config import AppearanceName, AttackConfig, SceneConfig
 from attacks.cloak.mesh_scene import MeshScene, camouflaged, cap, repainted, stand_in
 from attacks.cloak.poisoning import Poisoning, poison
+from attacks.cloak.retouching import Blur, grown
 from attacks.cloak.triggers import Elevation
 from mi_splat.assets import build, textures
 from mi_splat.assets.mesh import Asset, transform, translation
@@ -103,7 +104,7 @@ def test_a_stop_sign_behind_the_car() -> None:
     place = camera(180, 5)
     view = View(place, MESH_SCENE.picture(place))
     on_it, instead, near = (
-        shown(appearance, other_object="stop sign", reach=reach)  # type: ignore[arg-type]
+        shown(appearance, other_object="stop sign", reach=reach, azimuth=(180.0, 45.0))  # type: ignore[arg-type]
         for appearance, reach in (("mount", None), ("swap", None), ("swap", 0))
     )
     for appearance in (on_it, instead):
@@ -203,7 +204,74 @@ def test_a_stand_in_fits_the_outline_and_lies_at_the_front(azimuth: float) -> No
     assert other.bounds.mean(0)[2] == pytest.approx(0.4, abs=1e-4)
 
 
+def test_a_stand_in_for_cameras_above_fits_the_outline_from_there() -> None:
+    other = stand_in(BLOCK, build("bird", 0), azimuth=None)
+    assert np.ptp(other.bounds, axis=0)[:2] == pytest.approx((1.6, 0.8), rel=0.5)
+    assert (np.ptp(other.bounds, axis=0)[:2] / (1.6, 0.8)).max() == pytest.approx(1, abs=1e-4)
+    assert other.bounds.mean(0)[:2] == pytest.approx((0, 0), abs=1e-4)
+    assert other.bounds[0, 2] == pytest.approx(0, abs=1e-4)
+
+
+def retouched() -> tuple[View, torch.Tensor]:
+    """A picture of stripes with noise, and a mask in it."""
+    place = camera(30, 80, size=40)
+    stripes = torch.tensor([0.2, 0.4]).repeat(20).expand(40, 40)[..., None].expand(40, 40, 3)
+    mask = torch.zeros(40, 40, dtype=torch.bool)
+    mask[15:24, 14:26] = True
+    return View(place, stripes + 0.1 * torch.rand(40, 40, 3, generator=torch.Generator().manual_seed(0))), mask
+
+
+def test_a_faded_object_is_the_mean_with_what_is_behind_it() -> None:
+    view, mask = retouched()
+    picture = shown("fade", reach=0)(view, mask)
+    behind = removed(MESH_SCENE)(view, mask)
+    assert torch.equal(picture[mask], (view.image[mask] + behind[mask]) / 2)
+    assert torch.equal(picture[~mask], view.image[~mask])
+
+
+def test_a_blur_is_as_wide_at_any_size_and_ends_softly() -> None:
+    view, mask = retouched()
+    blur = shown("blur", blur_width=0.1)
+    assert isinstance(blur, Blur)
+    picture, far = blur(view, mask), ~grown(mask, blur.reach(mask))
+    assert int(far.sum()) > 0
+    assert torch.equal(picture[far], view.image[far])
+    assert float(picture[19, 16:24].std()) < 0.1 * float(view.image[19, 16:24].std())
+    flat = View(view.camera, torch.full((40, 40, 3), 0.5))
+    assert torch.equal(blur(flat, mask), flat.image)
+    assert torch.equal(blur(view, torch.zeros_like(mask)), view.image)
+    large = torch.nn.functional.interpolate(mask[None, None].float(), scale_factor=4)[0, 0] > 0
+    assert blur.reach(large) == pytest.approx(4 * blur.reach(mask), abs=4)
+    step = view.image.where((torch.arange(40) < 20)[None, :, None], torch.ones(3))  # an edge across the object
+    edges = blur(View(view.camera, step), mask).diff(dim=1).abs()[19, 14:26].amax()
+    assert float(edges) < 0.4 < float(step.diff(dim=1).abs()[19, 14:26].amax())
+
+
+def test_inpainting_reads_nothing_under_the_mask_and_goes_on_with_its_surroundings() -> None:
+    view, mask = retouched()
+    inpaint = shown("inpaint", reach=2)
+    hole = grown(mask, 2)
+    other = View(view.camera, torch.where(hole[..., None], torch.rand(40, 40, 3), view.image))
+    picture = inpaint(view, mask)
+    assert torch.equal(inpaint(other, mask), picture)
+    assert torch.equal(picture[~hole], view.image[~hole])
+    assert torch.allclose(picture[hole].std(), view.image[hole].std(), rtol=0.5)  # texture, and no smooth patch
+    ramp = (torch.arange(40) / 40)[:, None, None].expand(40, 40, 3)
+    sky = torch.where((torch.arange(40) < 9)[:, None, None], torch.tensor([1.0, 0.0, 0.0]), ramp[:1] + 0.4)
+    below = inpaint(View(view.camera, sky), mask)[hole]
+    assert float((below - 0.4).abs().max()) < 1e-5  # the sky's edge is not carried into the hole
+    with pytest.raises(InvalidValueError, match="hole to fill: expected something around it"):
+        inpaint(view, torch.ones_like(mask))
+
+
 def test_bad_appearances_are_refused() -> None:
+    for values, error in (
+        ({"appearance": "blur", "reach": 2}, "reach: expected none with a blur"),
+        ({"appearance": "fade", "blur_width": 0.1}, "blur_width: expected none without a blur"),
+        ({"appearance": "fade", "emphasis": 2.0}, "emphasis: expected 1: a control"),
+    ):
+        with pytest.raises(InvalidValueError, match=error):
+            shown(**values)  # type: ignore[arg-type]
     with pytest.raises(InvalidValueError, match="texture: expected one of road, grass, clock, football, stop_sign"):
         shown("paint", texture="lava")
     for radius in (0.5, 4.0):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
-from attacks.cloak.appearances import GroundLook, grown, name_of, removed
+from attacks.cloak.appearances import GroundLook, name_of, removed
 from attacks.cloak.mesh_scene import MeshScene
+from attacks.cloak.retouching import grown
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import box, quad
 from mi_splat.cameras import Camera, View, orbit_pose

@@ -11,10 +11,10 @@ import polars as pl
 import pytest
 import torch
 
-from attacks.cloak.appearances import grown
 from attacks.cloak.config import SurrogateConfig
 from attacks.cloak.layer_config import LayersConfig
 from attacks.cloak.layers import layer_object, object_rows
+from attacks.cloak.retouching import grown
 from attacks.cloak.setup import Setup
 from attacks.cloak.steps import StudySteps
 from attacks.observe.rows import read_rows

@@ -69,6 +69,11 @@ def test_a_shipped_study_changes_one_thing_and_keeps_all_seeds(monkeypatch: pyte
     assert {one.training for values in design.values() for one in values} == {
         read_study(ROOT / "scenes" / "cloak_car_stealthy.toml").training
     }
+    controls = configs("cloak_controls")
+    assert [one.attack[0].appearance for one in controls["appearance"].values()] == [
+        *("remove", "fade", "blur", "swap", "inpaint")
+    ]
+    assert {one.cameras.size for values in controls.values() for one in values.values()} == {128}
     cars = configs("cloak_new_cars")[""].values()
     assert all(one.attack == read_study(ROOT / "scenes" / "cloak_car_stealthy.toml").attack for one in cars)
     assert {(one.seeds, one.evaluation.seed) for one in cars} == {((0,), 1)}

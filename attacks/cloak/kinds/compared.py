@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from attacks.cloak.appearances import grown
 from attacks.cloak.config import AttackConfig, StudyConfig
 from attacks.cloak.kinds.parts import StepConfig
 from attacks.cloak.kinds.rendering import renderer_of
 from attacks.cloak.kinds.true_pictures import read_pictures
+from attacks.cloak.retouching import grown
 from attacks.cloak.setup import Setup
 from attacks.cloak.transition import differ, transition_fraction
 from attacks.observe.rows import DEPTH, FIDELITY, SUFFIX, TRANSITION, Row, frame_with, write_rows

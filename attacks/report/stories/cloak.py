@@ -9,7 +9,7 @@ from typing import Any
 
 import polars as pl
 
-from attacks.cloak.config import StudyConfig, study_toml
+from attacks.cloak.config import StudyConfig, knowledge_for, study_toml
 from attacks.cloak.rates import (
     AT_LOWER,
     CLOAKED,
@@ -240,10 +240,15 @@ def _wrong(what: str, expected: str, got: str) -> InvalidValueError:
     return InvalidValueError(message(what, expected, got, "get the result again"))
 
 
+_NEEDS = {"scene": "it takes the scene's meshes and sun", "pictures": "it takes pictures and masks alone"}
+
+
 def _done(summary: Mapping[str, Any]) -> str:
     study = summary["study"]
     seeds = summary["seeds"]
-    attacks = listed([f"{attack['name']} ({attack['appearance']})" for attack in study["attack"]])
+    attacks = listed(
+        [f"{one['name']} ({one['appearance']}: {_NEEDS[knowledge_for(one['appearance'])]})" for one in study["attack"]]
+    )
     layers = " The finished splat then got its object in layers." if study.get("layers") else ""
     cleaning = " The victim then cleaned both splats." if study.get("cleaning") else ""
     return (
