@@ -116,13 +116,13 @@ def appearance_of(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point,
     elif attack.appearance == "blend in":
         target, name = camouflaged(target, mesh_scene.surroundings or Asset("nothing", ())), "blend in with the ground"
     else:
-        other, azimuth, outgrows = build(str(attack.other_object), 0), attack.azimuth and attack.azimuth[0], True
+        other, viewer, outgrows = build(str(attack.other_object), 0), attack.azimuth and attack.azimuth[0], True
         if attack.appearance == "mount":
-            azimuth = 180.0 if azimuth is None else azimuth
-            target = mounted(target, other, azimuth=azimuth)
+            viewer = 180.0 if viewer is None else viewer
+            target = mounted(target, other, azimuth=viewer)
         else:
-            target = stand_in(target, other, azimuth=azimuth)
-        towards = "as large from above" if azimuth is None else f"to azimuth {azimuth:g}"
+            target = stand_in(target, other, azimuth=viewer)
+        towards = "as large from above" if viewer is None else f"to azimuth {viewer:g}"
         name = f"{other.name} {'on it' if attack.appearance == 'mount' else 'instead'}, {towards}"
     return Rerender(
         mesh_scene=mesh_scene.with_target(target),
