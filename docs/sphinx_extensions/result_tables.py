@@ -56,7 +56,12 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "dagger_eot": (
         "DAGGER when the camera moves",
         "[DAGGER when the camera moves](../dagger-eot.md)",
-        ("dagger_eot_smallest", "dagger_eot_pairs", "dagger_eot_settings"),
+        ("dagger_eot_smallest", "dagger_eot_pairs", "dagger_eot_openimages", "dagger_eot_settings"),
+    ),
+    "dagger_openimages": (
+        "DAGGER on a detector of Open Images",
+        "[DAGGER on detectors that others trained](../dagger-coco.md#a-detector-trained-on-open-images)",
+        ("dagger_openimages",),
     ),
     "transfer": ("Transfer of DAGGER from one view", "[transfer](../transfer.md)", ("transfer",)),
     "transfer_views": (

@@ -42,7 +42,7 @@ def test_every_artifact_is_green_and_known_by_its_manifest() -> None:
         derived = flat(derive(result.record, result.tables))
         figures += len(derived)
         rates += sum(isinstance(value, tuple) for value in derived.values())
-    assert (figures, rates) == (13448, 3999)
+    assert (figures, rates) == (14512, 4265)
 
 
 def test_artifacts_are_small_and_name_no_machine() -> None:
@@ -73,7 +73,7 @@ def fractions(*names: str) -> set[str]:
 
 def test_tables_by_hand_have_no_other_fractions() -> None:
     page = (ROOT / "docs" / "dagger-eot.md").read_text()
-    assert set(FRACTION.findall(page)) <= fractions("dagger_eot_pairs", "dagger_eot_smallest", "dagger_eot_settings")
+    assert set(FRACTION.findall(page)) <= fractions(*(f"dagger_eot_{part}" for part in ("pairs", "openimages", "smallest", "settings")))
     part = (ROOT / "docs" / "transfer.md").read_text().partition("### With a budget in pictures")[2].partition("###")[0]
     assert len(set(FRACTION.findall(part)) & fractions("transfer_views")) > 10
     assert set(FRACTION.findall(part)) <= fractions("transfer_views")
@@ -295,6 +295,31 @@ def one_view_in_docs(derived: Mapping[str, Any]) -> list[str]:
     ]
 
 
+def open_images(derived: Mapping[str, Any]) -> list[str]:
+    """What docs/dagger-coco.md tells of a detector of Open Images: as a judge of attacks on others."""
+    looks = [
+        look
+        for look in derived["looks"]
+        if look["part"].startswith("Attacks on others") and look["detector"] == "ssd_openimages"
+    ]
+    person, gone = (
+        f"{sum(look[key]['successes'] for look in looks)} of {sum(look[key]['total'] for look in looks)}"
+        for key in ("targeted", "untargeted")
+    )
+    return [f"show `ssd_openimages` no person ({person}) and do not take the car from it ({gone})"]
+
+
+def open_images_all_around(derived: Mapping[str, Any]) -> list[str]:
+    (one,) = derived["attacks"].values()
+    rate, strict = one["rate"], one["strict_rate"]
+    noise = one["noise_rate"]
+    return [
+        f"in {rate['successes']} of {rate['total']} views that no search has seen, and the car is gone, too, in "
+        f"{strict['successes']}",
+        f"noise: {noise['successes']} of {noise['total']}",
+    ]
+
+
 def test_the_transfer_matrix_in_the_guide_is_that_of_the_rows() -> None:
     text = (ROOT / "docs" / "transfer.md").read_text()
     matrix = text.partition("## The matrix")[2].partition("## Over views")[0]
@@ -318,6 +343,8 @@ SENTENCES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], list[str]]], ...]
     ("cloak_car_layers_edges", "docs/cloak-layers.md", edges),
     ("dagger_eot_pairs", "README.md", all_cameras_in_readme),
     ("dagger_eot_pairs", "docs/dagger-eot.md", all_cameras_in_docs),
+    ("dagger_openimages", "docs/dagger-coco.md", open_images),
+    ("dagger_eot_openimages", "docs/dagger-coco.md", open_images_all_around),
     ("transfer", "README.md", one_view_in_readme),
     ("transfer", "docs/transfer.md", one_view_in_docs),
     ("transfer_views", "docs/transfer.md", others),
