@@ -73,7 +73,9 @@ def fractions(*names: str) -> set[str]:
 
 def test_tables_by_hand_have_no_other_fractions() -> None:
     page = (ROOT / "docs" / "dagger-eot.md").read_text()
-    assert set(FRACTION.findall(page)) <= fractions(*(f"dagger_eot_{part}" for part in ("pairs", "openimages", "smallest", "settings")))
+    assert set(FRACTION.findall(page)) <= fractions(
+        *(f"dagger_eot_{part}" for part in ("pairs", "openimages", "smallest", "settings"))
+    )
     part = (ROOT / "docs" / "transfer.md").read_text().partition("### With a budget in pictures")[2].partition("###")[0]
     assert len(set(FRACTION.findall(part)) & fractions("transfer_views")) > 10
     assert set(FRACTION.findall(part)) <= fractions("transfer_views")
