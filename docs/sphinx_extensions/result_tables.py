@@ -53,6 +53,11 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         ("cloak_car_stealthy_margin",),
     ),
     "dagger": ("DAGGER", "[DAGGER](../dagger.md)", ("dagger",)),
+    "dagger_strict": (
+        "DAGGER, the own class gone, too",
+        "[DAGGER](../dagger.md#the-own-class-gone-too)",
+        ("dagger_strict",),
+    ),
     "dagger_eot": (
         "DAGGER when the camera moves",
         "[DAGGER when the camera moves](../dagger-eot.md)",

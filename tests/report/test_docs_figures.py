@@ -9,8 +9,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import polars as pl
 import pytest
 
+from attacks.objectives import LEFT, REPORTED
+from attacks.observe.rows import ATTACKED, ROWS
 from attacks.report.checking import Result, check_result, flat, in_words, read_result
 from attacks.report.results import story_of
 from attacks.report.stories.cloak import figures as cloak_figures
@@ -18,6 +21,7 @@ from attacks.studies.table import counted
 from tests.project.documented_commands import ROOT
 
 OUR, COCO = ("fasterrcnn_small", "yolov8n_small"), ("centernet_coco", "nanodet_coco")
+_NOISE = ("noise_successes", "noise_draws")
 FRACTION = re.compile(r"(?<![\w/.])(\d+/\d+)(?![\w/]|\.\d)")
 MOST_BYTES = 2_000_000
 """Of an artifact; the largest has 456 attacks."""
@@ -42,7 +46,7 @@ def test_every_artifact_is_green_and_known_by_its_manifest() -> None:
         derived = flat(derive(result.record, result.tables))
         figures += len(derived)
         rates += sum(isinstance(value, tuple) for value in derived.values())
-    assert (figures, rates) == (14512, 4265)
+    assert (figures, rates) == (15892, 4373)
 
 
 def test_artifacts_are_small_and_name_no_machine() -> None:
@@ -240,7 +244,7 @@ def pairs_in_readme(derived: Mapping[str, Any]) -> list[str]:
     every, strictly = (
         names[sum(group[key]["successes"] == group[key]["total"] for group in groups)] for key in ("success", "strict")
     )
-    noise = [sum(group[key] for group in groups) for key in ("noise_successes", "noise_draws")]
+    noise = [sum(group[key] for group in groups) for key in _NOISE]
     return [
         f"the wanted class is reported for {every} of six pairs with every seed; the object's own class is gone, too, "
         f"for {strictly}",
@@ -258,6 +262,31 @@ def pairs_in_docs(derived: Mapping[str, Any]) -> list[str]:
         f"{group['noise_successes']}/{group['noise_draws']} |"
         for group in six_pairs(derived)
     ]
+
+
+def strict_in_docs(derived: Mapping[str, Any]) -> list[str]:
+    """The tables of docs/dagger.md in which the own class is gone, too, and of what the paper's code does."""
+    found: dict[str, dict[str, Any]] = {}
+    for group in derived["groups"]:
+        if group["part"].startswith(("The paper's ball and steps", "Detectors trained on COCO")):
+            name = group["labels"]["pair"].replace("sign to", "stop sign to")
+            found.setdefault(name.replace(" to ", ", "), {})[group["labels"]["detectors"]] = group
+    cells = {pair: [count(by[name], "strict") for name in (*OUR, *COCO)] for pair, by in found.items()}
+    sums = [sum(by[name]["strict"]["successes"] for by in found.values()) for name in (*OUR, *COCO)]
+    noise = [sum(group[key] for by in found.values() for group in by.values()) for key in _NOISE]
+    rows = result_of("dagger_strict").tables[ROWS].filter(splat=ATTACKED)
+    wanted, gone = pl.col("target_score") >= REPORTED, pl.col("original_score") < LEFT
+    lines = [f"Random noise of the same size never succeeds ({noise[0]} of {noise[1]})"]
+    for part, name in (
+        ("The search looks at the object alone", "the search looks at the object alone, on black; judged in the scene"),
+        ("Every camera of the scene", "six cameras one after the other, seed 0; pictures"),
+    ):
+        these = [key for key, attack in derived["attacks"].items() if attack["part"].startswith(part)]
+        looks = rows.filter(pl.col("attack").is_in(these)).select(a=wanted, b=wanted & gone, c=wanted | gone)
+        of_all = " | ".join(f"{sum(column)}/{len(column)}" for column in looks)
+        lines.append(f"| {name} | {of_all} |")
+    table = {**cells, "all": [f"{successes}/{3 * len(found)}" for successes in sums]}
+    return lines + [f"| {' | '.join((name, *values))} |" for name, values in table.items()]
 
 
 def count(group: Mapping[str, Any], key: str) -> str:
@@ -336,6 +365,7 @@ SENTENCES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], list[str]]], ...]
     ("dagger_eot_tried", "docs/research-log.md", tried),
     ("dagger", "README.md", pairs_in_readme),
     ("dagger", "docs/dagger.md", pairs_in_docs),
+    ("dagger_strict", "docs/dagger.md", strict_in_docs),
     ("cloak_car_stealthy", "README.md", stealthy_in_readme),
     ("cloak_car_stealthy", "docs/cloak.md", stealthy),
     ("cloak_car_stealthy_margin", "docs/cloak.md", margin),
