@@ -4,7 +4,7 @@ The settings of `study = "cloak"` are those of a file that `mi-splat cloak` read
 the study says comes in the place of what stands there. Every point is done with all of its seeds. An axis is a chart:
 
     study = "cloak"
-    base = "scenes/cloak_car_stealthy_short.toml"
+    base = "scenes/cloak_car_stealthy.toml"
 
     [[case]]
     name = "cleaning"

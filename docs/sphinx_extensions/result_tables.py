@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 _LAYERS = "[CLOAK in the finished file: variants](../cloak-layers-variants.md)"
-_SECTOR = "[CLOAK](../cloak.md#from-the-street-hidden-from-a-sector)"
-_SHADOW = "CLOAK by colour with the shadow left"
+_SECTOR = "[CLOAK: earlier designs](../cloak-history.md#from-the-street)"
 PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "cloak_car_layers": (
         "CLOAK in the finished file",
@@ -46,12 +45,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "[CLOAK in the finished file: variants](../cloak-layers-variants.md#from-the-street)",
         ("cloak_car_sector_layers",),
     ),
-    "cloak_car_stealthy": (_SHADOW, "[CLOAK](../cloak.md#the-study)", ("cloak_car_stealthy",)),
-    "cloak_car_stealthy_margin": (
-        f"{_SHADOW} and a margin of poison",
-        "[CLOAK](../cloak.md#variant-a-margin-of-poison)",
-        ("cloak_car_stealthy_margin",),
-    ),
+    "cloak_car_stealthy": ("CLOAK", "[CLOAK](../cloak.md#the-study)", ("cloak_car_stealthy",)),
     "dagger": ("DAGGER", "[DAGGER](../dagger.md)", ("dagger",)),
     "dagger_strict": (
         "DAGGER, the own class gone, too",

@@ -70,7 +70,7 @@ def attack(attacked: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def study(tmp_path: Path) -> Path:
     """A copy of a study of CLOAK, for a test to break."""
-    return Path(shutil.copytree(ROOT / "docs" / "artifacts" / "cloak_car_surrogate", tmp_path / "study"))
+    return Path(shutil.copytree(ROOT / "docs" / "artifacts" / "cloak_car_layers_shadow", tmp_path / "study"))
 
 
 def test_a_result_as_it_was_written_is_green(attacked: Path) -> None:
