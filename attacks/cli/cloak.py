@@ -12,7 +12,7 @@ from mi_splat.cli.options import JsonOptions
 from mi_splat.fields import Folder, Seed
 
 EXAMPLES = (
-    "cloak scenes/cloak_car_stealthy.toml --forecast",
+    "cloak scenes/cloak_car_colour.toml --forecast",
     "cloak scenes/cloak_demo.toml --out out/cloak",
 )
 SEE_ALSO = ("study", "capture", "train")
