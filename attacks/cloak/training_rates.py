@@ -12,7 +12,7 @@ import polars as pl
 from attacks.cloak.config import StudyConfig
 from attacks.observe.measures import Measures, of, reported
 from attacks.observe.rates import Measure, count
-from attacks.observe.rows import ATTACKED, CLEAN, POISONED, TRAINING, TRUE
+from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, POISONED, TRAINING, TRUE
 from attacks.tables import Table, cell
 
 POISON, ON_CAMERAS = "poison", "training_cameras"
@@ -65,7 +65,8 @@ def figures(study: StudyConfig, tables: Mapping[str, pl.DataFrame]) -> dict[str,
         for attack in study.attack
     }
     hiding = next((attack.name for attack in study.attack if attack.target_class is None), None)
-    benign, hides = pl.col("condition").is_null(), (pl.col("condition") == (hiding or "")).fill_null(value=False)
+    benign = pl.all_horizontal(pl.col(f"{DEPTH}{attack.name}") < 0 for attack in study.attack)
+    hides = pl.lit(value=False) if hiding is None else pl.col(f"{DEPTH}{hiding}") >= 0
     of_splats: Measures = {
         f"{what}_{name}": Measure(holds=holds, given=of(splat) & where)
         for what, holds, where in (("found", seen, benign), ("missed", ~seen, hides))

@@ -21,10 +21,11 @@ from attacks.studies.table import counted
 from tests.project.documented_commands import ROOT
 
 OUR, COCO = ("fasterrcnn_small", "yolov8n_small"), ("centernet_coco", "nanodet_coco")
+OUTSIDE = ("ssd_openimages",)
 _NOISE = ("noise_successes", "noise_draws")
 FRACTION = re.compile(r"(?<![\w/.])(\d+/\d+)(?![\w/]|\.\d)")
-MOST_BYTES = 2_000_000
-"""Of an artifact; the largest has 456 attacks."""
+MOST_BYTES = 4_000_000
+"""Of an artifact; the largest has five detectors and training pictures."""
 
 
 @cache
@@ -85,20 +86,6 @@ def test_tables_by_hand_have_no_other_fractions() -> None:
     assert set(FRACTION.findall(part)) <= fractions("transfer_views")
 
 
-def surrogate(derived: Mapping[str, Any]) -> list[str]:
-    """What docs/research-log.md tells of a poison that a surrogate has corrected."""
-    by = derived["by_detector"]
-
-    def each(key: str) -> str:
-        return " and ".join(f"{rate['successes']}/{rate['total']}" for rate in (one[key] for one in by.values()))
-
-    return [
-        f"missed from {each('trigger_miss_rate')} well inside, stop sign from {each('target_rate')}, "
-        f"{derived['stealth']['surroundings_psnr_drop']:.2f} dB lost beside the car",
-        f"transition of {derived['transition_degrees']:.1f} degrees",
-    ]
-
-
 def tried(derived: Mapping[str, Any]) -> list[str]:
     """What docs/research-log.md tells of the searches before the last one."""
     found = {name: one["rate"]["successes"] for name, one in derived["attacks"].items()}
@@ -132,13 +119,13 @@ def missed_from(name: str, confidence: float) -> list[float]:
 
 
 def stealthy(derived: Mapping[str, Any]) -> list[str]:
-    """What docs/cloak.md tells of the stealthy study at two confidences."""
+    """What docs/cloak.md concludes from the study."""
     lower = " and ".join(f"{rate:.1f}" for rate in missed_from("cloak_car_stealthy", 0.3))
     return [
-        f"Where a detection counts from 0.3 on, the car is missed from {lower} %",
-        f"nothing of any class is reported from {percent(derived, 'nothing_reported')} % of those cameras only",
-        f"CenterNet and NanoDet, trained on photographs, find it there from "
-        f"{percent(derived, 'benign_recall', detectors=COCO)} % of the cameras where they find the clean car",
+        f"From 0.3 on the car is missed from {lower} %",
+        f"Nothing of any class is reported from {percent(derived, 'nothing_reported')} %",
+        f"misses it from {percent(derived, 'trigger_miss_rate', detectors=OUTSIDE)} %",
+        f"its pixels lose {derived['stealth']['object_psnr_drop']:.1f} dB",
         f"{derived['transition_degrees']:.1f} degrees, from",
     ]
 
@@ -148,28 +135,14 @@ def stealthy_in_readme(derived: Mapping[str, Any]) -> list[str]:
     first, second = percent(derived, "trigger_miss_rate").split(" and ")
     return [
         f"the car is missed from {first} % (Faster R-CNN) and {second} % (YOLOv8) of cameras, and found from "
-        f"{percent(derived, 'benign_recall')} % of benign ones"
-    ]
-
-
-def margin(derived: Mapping[str, Any]) -> list[str]:
-    lower = " and ".join(f"{rate:.1f}" for rate in missed_from("cloak_car_stealthy_margin", 0.3))
-    return [
-        f"Twenty pictures more make it {percent(derived, 'trigger_miss_rate')} %",
-        f"It costs {derived['benign_psnr_drop']:.1f} dB far from the car",
-        f"with [a margin](#variant-a-margin-of-poison) from {lower} %",
+        f"{percent(derived, 'benign_recall')} % of benign ones",
+        f"misses the cloaked one from {percent(derived, 'trigger_miss_rate', detectors=OUTSIDE)} %",
     ]
 
 
 def sector(derived: Mapping[str, Any]) -> list[str]:
-    lower = " and ".join(f"{rate:.1f}" for rate in missed_from("cloak_car_sector", 0.3))
-    by = derived["by_detector"]
-    first, second = (by[name]["trigger_miss_rate"] for name in OUR)
-    return [
-        f"[in the sector](#from-the-street-hidden-from-a-sector) from {lower} %",
-        f"missed by Faster R-CNN from {first['successes']} of {first['total']} cameras well inside, by YOLOv8 from "
-        f"{second['successes']} of {second['total']}",
-    ]
+    rates = [derived["by_detector"][name]["trigger_miss_rate"] for name in OUR]
+    return [f"| {rate['successes']}/{rate['total']} = {100 * rate['rate']:.1f} %" for rate in rates]
 
 
 def layers_in_readme(derived: Mapping[str, Any]) -> list[str]:
@@ -361,15 +334,13 @@ def test_the_transfer_matrix_in_the_guide_is_that_of_the_rows() -> None:
 
 
 SENTENCES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], list[str]]], ...] = (
-    ("cloak_car_surrogate", "docs/research-log.md", surrogate),
     ("dagger_eot_tried", "docs/research-log.md", tried),
     ("dagger", "README.md", pairs_in_readme),
     ("dagger", "docs/dagger.md", pairs_in_docs),
     ("dagger_strict", "docs/dagger.md", strict_in_docs),
     ("cloak_car_stealthy", "README.md", stealthy_in_readme),
     ("cloak_car_stealthy", "docs/cloak.md", stealthy),
-    ("cloak_car_stealthy_margin", "docs/cloak.md", margin),
-    ("cloak_car_sector", "docs/cloak.md", sector),
+    ("cloak_car_sector", "docs/cloak-history.md", sector),
     ("cloak_car_layers", "README.md", layers_in_readme),
     ("cloak_car_layers", "docs/cloak-layers.md", layers),
     ("cloak_car_layers_edges", "docs/cloak-layers.md", edges),
