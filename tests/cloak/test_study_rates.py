@@ -286,7 +286,15 @@ def test_the_margin_counts_as_elsewhere_and_is_shown_apart() -> None:
 def test_a_poisoned_picture_is_told_by_its_error_and_by_what_is_reported() -> None:
     pictures = [(0.9, 0.9, 20.0), (0.1, 0.8, None), (0.1, 0.2, None)]
     rows = [
-        {"splat": splat, "seed": 0, "detector": "redness", "view": view, "condition": "overhead", f"{DEPTH}overhead": 9.0, **cells}
+        {
+            "splat": splat,
+            "seed": 0,
+            "detector": "redness",
+            "view": view,
+            "condition": "overhead",
+            f"{DEPTH}overhead": 9.0,
+            **cells,
+        }
         for view, (own, best, psnr) in enumerate(pictures)
         for splat, cells in (
             ("true", {"original_score": 0.9, "score": 0.9}),
