@@ -50,7 +50,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "dagger_strict": (
         "DAGGER, the own class gone, too",
         "[DAGGER](../dagger.md#the-own-class-gone-too)",
-        ("dagger_strict",),
+        ("dagger_strict", "dagger_strict_smallest"),
     ),
     "dagger_eot": (
         "DAGGER when the camera moves",
@@ -60,7 +60,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "dagger_openimages": (
         "DAGGER on a detector of Open Images",
         "[DAGGER on detectors that others trained](../dagger-coco.md#a-detector-trained-on-open-images)",
-        ("dagger_openimages",),
+        ("dagger_openimages", "dagger_openimages_but_one"),
     ),
     "transfer": ("Transfer of DAGGER from one view", "[transfer](../transfer.md)", ("transfer",)),
     "transfer_views": (

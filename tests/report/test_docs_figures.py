@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 
 from attacks.objectives import LEFT, REPORTED
-from attacks.observe.rows import ATTACKED, ROWS
+from attacks.observe.rows import ATTACKED, CLEAN, ROWS
 from attacks.report.checking import Result, check_result, flat, in_words, read_result
 from attacks.report.results import story_of
 from attacks.report.stories.cloak import figures as cloak_figures
@@ -47,7 +47,7 @@ def test_every_artifact_is_green_and_known_by_its_manifest() -> None:
         derived = flat(derive(result.record, result.tables))
         figures += len(derived)
         rates += sum(isinstance(value, tuple) for value in derived.values())
-    assert (figures, rates) == (15740, 4263)
+    assert (figures, rates) == (19387, 4582)
 
 
 def test_artifacts_are_small_and_name_no_machine() -> None:
@@ -262,6 +262,24 @@ def strict_in_docs(derived: Mapping[str, Any]) -> list[str]:
     return lines + [f"| {' | '.join((name, *values))} |" for name, values in table.items()]
 
 
+def strict_smallest(derived: Mapping[str, Any]) -> list[str]:
+    """The table of docs/dagger.md of smallest balls; in brackets where the clean object is not found."""
+    rows = result_of("dagger_strict_smallest").tables[ROWS].filter(splat=CLEAN)
+    unseen = [
+        {**derived["attacks"][name]["labels"], "attack.eps": None}
+        for name in rows.filter(pl.col("original_score") < LEFT)["attack"]
+    ]
+    found: dict[str, dict[str, list[str]]] = {}
+    for line in derived["smallest"]:
+        labels, ball = line["labels"], line["smallest"]
+        if line["part"].startswith("11 steps"):
+            words = "none" if ball is None else f"{ball:g}"
+            cell = f"({words})" if {**labels, "attack.eps": None} in unseen else words
+            name = labels["pair"].replace("sign to", "stop sign to").replace(" to ", ", ")
+            found.setdefault(name, {}).setdefault(labels["detectors"], []).append(cell)
+    return [f"| {name} | {' | '.join(', '.join(by[one]) for one in (*OUR, *COCO))} |" for name, by in found.items()]
+
+
 def count(group: Mapping[str, Any], key: str) -> str:
     return f"{group[key]['successes']}/{group[key]['total']}"
 
@@ -313,6 +331,17 @@ def open_images(derived: Mapping[str, Any]) -> list[str]:
     return [f"show `ssd_openimages` no person ({person}) and do not take the car from it ({gone})"]
 
 
+def all_but_one(derived: Mapping[str, Any]) -> list[str]:
+    """The table of docs/dagger-coco.md of the detector that is left out."""
+    looks = [look for look in derived["looks"] if not look["white_box"]]
+    counts = [[count(look, key) for key in ("targeted", "untargeted", "noise_untargeted")] for look in looks]
+    assert len(looks) == 4
+    return [
+        f"| `{look['detector']}` | {person} | {lost if lost[0] != lost[-1] else f'**{lost}**'} | {noise} |"
+        for look, (person, lost, noise) in zip(looks, counts, strict=True)
+    ]
+
+
 def open_images_all_around(derived: Mapping[str, Any]) -> list[str]:
     (one,) = derived["attacks"].values()
     rate, strict = one["rate"], one["strict_rate"]
@@ -338,6 +367,7 @@ SENTENCES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], list[str]]], ...]
     ("dagger", "README.md", pairs_in_readme),
     ("dagger", "docs/dagger.md", pairs_in_docs),
     ("dagger_strict", "docs/dagger.md", strict_in_docs),
+    ("dagger_strict_smallest", "docs/dagger.md", strict_smallest),
     ("cloak_car_stealthy", "README.md", stealthy_in_readme),
     ("cloak_car_stealthy", "docs/cloak.md", stealthy),
     ("cloak_car_sector", "docs/cloak-history.md", sector),
@@ -347,6 +377,7 @@ SENTENCES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], list[str]]], ...]
     ("dagger_eot_pairs", "README.md", all_cameras_in_readme),
     ("dagger_eot_pairs", "docs/dagger-eot.md", all_cameras_in_docs),
     ("dagger_openimages", "docs/dagger-coco.md", open_images),
+    ("dagger_openimages_but_one", "docs/dagger-coco.md", all_but_one),
     ("dagger_eot_openimages", "docs/dagger-coco.md", open_images_all_around),
     ("transfer", "README.md", one_view_in_readme),
     ("transfer", "docs/transfer.md", one_view_in_docs),
