@@ -212,15 +212,20 @@ def six_pairs(derived: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def pairs_in_readme(derived: Mapping[str, Any]) -> list[str]:
-    names = {1: "one", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
-    groups = six_pairs(derived)
-    every, strictly = (
-        names[sum(group[key]["successes"] == group[key]["total"] for group in groups)] for key in ("success", "strict")
+    parts = ("The paper's ball and steps", "Detectors trained on COCO")
+    groups = [group for group in derived["groups"] if group["part"].startswith(parts)]
+    ours, theirs = (
+        " and ".join(
+            str(sum(one["strict"]["successes"] for one in groups if one["labels"]["detectors"] == name))
+            for name in names
+        )
+        for names in (OUR, COCO)
     )
+    assert {group["strict"]["total"] for group in groups} == {3}
     noise = [sum(group[key] for group in groups) for key in _NOISE]
     return [
-        f"the wanted class is reported for {every} of six pairs with every seed; the object's own class is gone, too, "
-        f"for {strictly}",
+        f"the wanted class takes the place of the object's own in {ours} of 18 attacks on our two detectors, in "
+        f"{theirs} on two of COCO's",
         f"l2 ball of 5 over SH; random noise {noise[0]} of {noise[1]}",
     ]
 
@@ -364,7 +369,7 @@ def test_the_transfer_matrix_in_the_guide_is_that_of_the_rows() -> None:
 
 SENTENCES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], list[str]]], ...] = (
     ("dagger_eot_tried", "docs/research-log.md", tried),
-    ("dagger", "README.md", pairs_in_readme),
+    ("dagger_strict", "README.md", pairs_in_readme),
     ("dagger", "docs/dagger.md", pairs_in_docs),
     ("dagger_strict", "docs/dagger.md", strict_in_docs),
     ("dagger_strict_smallest", "docs/dagger.md", strict_smallest),
