@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -146,7 +146,9 @@ def test_the_figures_of_the_documentation_follow_from_its_files() -> None:
 def test_a_study_is_done_and_has_a_page(tmp_path: Path) -> None:
     """Files are audited; a scene is photographed first, and of a cloaked splat it is asked whether it hides."""
     save_splat(hidden(standing("car", count=1500), cone(direction(90, 0), 50)).scene, tmp_path / "hidden.ply")
-    base = {**asdict(STUDY), "attack": [asdict(STUDY.attack[0])]}
+    cameras = replace(STUDY.cameras, train=48, samples=16)  # a clean splat of 16 pictures may look different by chance
+    better = replace(STUDY, cameras=cameras, training=replace(STUDY.training, iterations=300))
+    base = {**asdict(better), "attack": [asdict(STUDY.attack[0])]}
     (tmp_path / "base.toml").write_text(study_toml(base))
     file = tmp_path / "tiny.toml"
     file.write_text(
@@ -165,8 +167,7 @@ def test_a_study_is_done_and_has_a_page(tmp_path: Path) -> None:
     record = json.loads((out / "result.json").read_text())
     found = {(one["part"], one["splat"]): one for one in record["files"]}
     assert set(found) == {("files", "honest"), ("scenes", "honest"), ("above", "clean"), ("above", "cloaked")}
-    hiding, rough = found["files", "honest"]["evidence"], found["above", "clean"]["evidence"]
-    assert hiding > max(1.0, 2 * rough)  # a few steps on tiny pictures are too rough for the threshold itself
+    assert found["files", "honest"]["evidence"] > 1 > found["above", "clean"]["evidence"]
     cloaked = found["above", "cloaked"]
     (missed,) = cloaked["missed"].values()
     assert cloaked["hides"] is (missed["total"] > 0 and missed["successes"] >= missed["total"] / 2)
