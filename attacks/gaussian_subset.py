@@ -57,8 +57,8 @@ class GaussianSubset:
             values["sh"] = values["sh"][:, : (self.sh_degree + 1) ** 2]
         return values
 
-    def _complete(self, parameters: Parameters) -> Parameters:
-        """The parameters with the SH coefficients that may not change."""
+    def complete(self, parameters: Parameters) -> Parameters:
+        """The parameters with those SH coefficients, too, that may not change."""
         sh, clean = parameters.get("sh"), self.clean["sh"]
         if sh is None or sh.shape[1] == clean.shape[1]:
             return parameters
@@ -66,7 +66,7 @@ class GaussianSubset:
 
     def scene_with(self, parameters: Parameters) -> GaussianScene:
         """The whole scene with the object's rows exchanged, differentiable in the parameters, other rows untouched."""
-        parameters = self._complete(parameters)
+        parameters = self.complete(parameters)
         moved: dict[str, Tensor] = dict(zip(ATTRIBUTES, activate({**self.clean, **parameters}), strict=True))
         tensors: dict[str, Tensor] = dict(zip(ATTRIBUTES, self.scene.tensors(), strict=True))
         for name in parameters:
@@ -75,7 +75,7 @@ class GaussianSubset:
 
     def applied(self, parameters: Parameters) -> GaussianScene:
         """The attacked scene as a checked value; what did not move keeps the very bits it had."""
-        parameters = self._complete(parameters)
+        parameters = self.complete(parameters)
         attacked, tensors = self.scene_with(parameters).detach(), {}
         for name, value in parameters.items():
             before, after = getattr(self.scene, name).detach(), getattr(attacked, name)

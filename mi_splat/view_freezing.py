@@ -45,23 +45,69 @@ def freeze_views(
         rows: The Gaussians whose colours may change, see `FrozenView`; all if None.
         max_bytes: Upper bound of the memory of all views.
     """
-    from mi_splat.frozen_view import FrozenView  # here, so that importing an attack does not import Mitsuba
-    from mi_splat.rendering import Renderer
-
     views: dict[Camera, FrozenView] = {}
-    if type(render) is not Renderer or render.settings.method != "tile" or render.screen_gradients is not None:
-        return views
     if pictures < MIN_PICTURES:
         return views
-    first: FrozenView | None = None
     for camera in dict.fromkeys(cameras):
         left = max_bytes - sum(view.nbytes for view in views.values())
-        try:
-            if first is None:
-                view = first = FrozenView(scene, camera, settings=render.settings, rows=rows, max_bytes=left)
-            else:
-                view = first.at(camera, max_bytes=left)
-        except MiSplatError:  # it does not fit; what else is wrong `render` says
+        view = _view(scene, camera, next(iter(views.values()), None), render=render, rows=rows, max_bytes=left)
+        if view is None:
             break
         views[camera] = view
     return views
+
+
+class RecentViews:
+    """Views of one scene from cameras that come as they like: made when they are asked for, the last ones kept.
+
+    A picture of a camera has the same bits whether its view was kept or is made again.
+
+    Args:
+        scene: The splat.
+        render: As in `freeze_views`.
+        rows: As in `freeze_views`.
+        max_bytes: Upper bound of the memory of all that are kept.
+    """
+
+    def __init__(
+        self, scene: GaussianScene, *, render: RenderFn, rows: Tensor | None = None, max_bytes: int = MAX_BYTES
+    ) -> None:
+        self._scene, self._render, self._rows, self._max_bytes = scene, render, rows, max_bytes
+        self._first: FrozenView | None = None
+        self._kept: dict[Camera, FrozenView] = {}
+
+    def get(self, camera: Camera) -> FrozenView | None:
+        """The view from a camera; None where there is none, so that pictures are those of `render`."""
+        view = self._kept.pop(camera, None) or _view(
+            self._scene, camera, self._first, render=self._render, rows=self._rows, max_bytes=self._max_bytes
+        )
+        if view is None:
+            return None
+        self._first = self._first or view
+        self._kept[camera] = view
+        while sum(kept.nbytes for kept in self._kept.values()) > self._max_bytes:
+            del self._kept[next(iter(self._kept))]
+        return view
+
+
+def _view(
+    scene: GaussianScene,
+    camera: Camera,
+    first: FrozenView | None,
+    *,
+    render: RenderFn,
+    rows: Tensor | None,
+    max_bytes: int,
+) -> FrozenView | None:
+    """A view like `first`, if there is one before; None where it does not fit, or `render` is one that is not known."""
+    from mi_splat.frozen_view import FrozenView  # here, so that importing an attack does not import Mitsuba
+    from mi_splat.rendering import Renderer
+
+    if type(render) is not Renderer or render.settings.method != "tile" or render.screen_gradients is not None:
+        return None
+    try:
+        if first is not None:
+            return first.at(camera, max_bytes=max_bytes)
+        return FrozenView(scene, camera, settings=render.settings, rows=rows, max_bytes=max_bytes)
+    except MiSplatError:  # it does not fit; what else is wrong `render` says
+        return None

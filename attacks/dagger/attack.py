@@ -128,6 +128,7 @@ def attack_views(
         originals=lambda view, name: originals[name],
         render=views.render,
         clean=views.picture,
+        frozen=views.frozen,
     )
     key = _key(views, problem, config)
     outcome, seconds = search_drawn(problem, views, config, key=key, checkpoint=checkpoint, on_step=on_step)

@@ -6,7 +6,7 @@ bits, decides.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,7 @@ from mi_splat.io.images import quantise
 
 if TYPE_CHECKING:
     from mi_splat.frozen_view import FrozenView
+    from mi_splat.view_freezing import RecentViews
 
 _LOOKED_AT_ONCE = 4
 """Pictures that a detector gets together when nothing is differentiated."""
@@ -42,7 +43,7 @@ class Problem:
         render: The renderer.
         clean: The clean scene's picture from a camera.
         frozen: The search's pictures from these cameras, while SH alone changes; from all others they are `render`'s,
-            as all that are judged.
+            as all of which detectors' reports count.
     """
 
     subset: GaussianSubset
@@ -51,7 +52,7 @@ class Problem:
     originals: Callable[[View, str], str | None]
     render: RenderFn
     clean: Callable[[Camera], Tensor]
-    frozen: Mapping[Camera, FrozenView] = field(default_factory=dict)
+    frozen: dict[Camera, FrozenView] | RecentViews = field(default_factory=dict)
 
     def target(self, view: View, detector: Detector) -> Target:
         """The object in a view, as an objective wants it."""
@@ -96,7 +97,9 @@ class Problem:
     def _differentiable(self, parameters: Parameters, camera: Camera) -> Tensor:
         """The picture of the scene with these parameters of the object."""
         frozen = self.frozen.get(camera) if parameters.keys() == {"sh"} else None
-        return self.render(self.subset.scene_with(parameters), camera) if frozen is None else frozen(parameters["sh"])
+        if frozen is None:
+            return self.render(self.subset.scene_with(parameters), camera)
+        return frozen(self.subset.complete(parameters)["sh"])
 
     def estimate(self, parameters: Parameters, views: Sequence[View], weight: float = 0.0) -> tuple[Evaluation, float]:
         """Mean loss over the views of one step and all detectors with its gradients, and the pictures' squared error.
@@ -110,8 +113,7 @@ class Problem:
                 it nothing is measured.
         """
         leaves = {name: value.detach().requires_grad_(True) for name, value in parameters.items()}
-        scene = self.subset.scene_with(leaves)
-        rendered = [bounded(self.render(scene, view.camera)) for view in views]
+        rendered = [bounded(self._differentiable(leaves, view.camera)) for view in views]
         pictures = torch.stack([view.changed(picture) for picture, view in zip(rendered, views, strict=True)])
         total = pictures.new_zeros(())
         for detector in self.detectors:
@@ -129,8 +131,7 @@ class Problem:
     def error(self, parameters: Parameters, views: Sequence[View]) -> float:
         """Mean squared error of the views' pictures, values in [0, 1], before anything random happens to them."""
         with torch.no_grad():
-            scene = self.subset.scene_with(parameters)
-            errors = [self._error(self.render(scene, view.camera).clamp(0, 1), view) for view in views]
+            errors = [self._error(self._differentiable(parameters, view.camera).clamp(0, 1), view) for view in views]
             return float(torch.stack(errors).mean())
 
     def _error(self, picture: Tensor, view: View) -> Tensor:

@@ -19,6 +19,8 @@ from mi_splat.cameras import Camera, RenderFn
 from mi_splat.directions import Direction, direction_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene, check_scene
+from mi_splat.sh import colour_to_dc
+from mi_splat.view_freezing import RecentViews
 
 T = TypeVar("T")
 
@@ -90,6 +92,7 @@ class ViewDistribution:
         render: The renderer.
         centre: (3,) middle of the object, world units.
         radius: Of the object, world units.
+        frozen: Views in which only the object's colours change, see `RecentViews`.
     """
 
     def __init__(
@@ -111,6 +114,7 @@ class ViewDistribution:
         self.transformations = transformations or Transformations()
         self._subset = GaussianSubset.of(scene, mask)
         self.centre, self.radius = bounds(scene.select(self._subset.rows))
+        self.frozen = RecentViews(scene, render=render, rows=self._subset.rows)
         self._kept: dict[tuple[int, int], View] = {}
         self._memory: dict[Hashable, Any] = {}
         self._pictures: dict[Camera, Tensor] = {}
@@ -145,9 +149,19 @@ class ViewDistribution:
         if camera not in self._pictures:
             while len(self._pictures) >= _PICTURES:
                 del self._pictures[next(iter(self._pictures))]
+            frozen = self.frozen.get(camera)
             with torch.no_grad():
-                self._pictures[camera] = self.render(self.scene, camera).clamp(0, 1)
+                clean = self.render(self.scene, camera) if frozen is None else frozen(self.scene.sh[frozen.rows])
+            self._pictures[camera] = clean.clamp(0, 1)
         return self._pictures[camera]
+
+    def _weight(self, camera: Camera) -> Tensor:
+        """`visible_weight` of the object."""
+        frozen = self.frozen.get(camera)
+        if frozen is None or frozen.settings.linear:  # pictures of light do not add up in sRGB
+            return visible_weight(self._subset, camera, self.render)
+        black, white = (frozen(colour_to_dc(torch.full((len(frozen.rows), 1, 3), value))) for value in (0.0, 1.0))
+        return (white - black)[..., :3].mean(-1).clamp(0, 1)
 
     def views(self, seed: int, count: int) -> list[View]:
         """The first `count` views of a seed."""
@@ -165,7 +179,7 @@ class ViewDistribution:
                 radius=self.radius,
                 reference=self.reference,
             )
-            weight = visible_weight(self._subset, camera, self.render)
+            weight = self._weight(camera)
             box = visible_box(weight)
             if box is not None and float((weight >= 0.5).to(torch.float32).mean()) >= least:
                 return View(

@@ -10,14 +10,19 @@ import pytest
 import torch
 
 from attacks.dagger import search
-from attacks.dagger.attack import attack, fixed_problem
-from attacks.dagger.config import DaggerConfig
+from attacks.dagger.attack import attack, attack_views, fixed_problem
+from attacks.dagger.config import DaggerConfig, EotConfig
 from attacks.dagger.result import Result
+from attacks.dagger.views import ViewDistribution
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import relabel
+from attacks.transformations.config import Transformations
+from mi_splat import rendering
 from mi_splat.cameras import Camera, RenderFn
+from mi_splat.rasterization import pipeline
 from mi_splat.rendering import Renderer
-from mi_splat.view_freezing import freeze_views
+from mi_splat.view_freezing import RecentViews, freeze_views
+from tests.dagger.toy import QUICK, REGION
 from tests.fakes import CoarseDetector, ColourDetector, camera, toy_scene
 
 CAMERAS = [camera(), camera(offset=0.5)]
@@ -103,3 +108,48 @@ def test_other_parameters_of_the_same_problem_take_the_renderer(frozen: list[Cam
     assert not frozen
     problem.evaluate(subset.parameters(("sh",)), views, config)
     assert frozen == CAMERAS
+
+
+def test_a_search_over_drawn_views_makes_few_pictures_of_whole_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[object] = []
+    rasterize = pipeline.rasterize
+
+    def noted(*arguments: Any, **settings: Any) -> Any:
+        made.append(arguments[2])
+        return rasterize(*arguments, **settings)
+
+    monkeypatch.setattr(pipeline, "rasterize", noted)
+    monkeypatch.setattr(rendering, "_bridge", functools.cache(rendering._bridge.__wrapped__))
+    scene, mask = toy_scene()
+    settings = {**QUICK, "image_psnr": 24.0, "held_out": 2, "noise_draws": 0, "sh_degree": 2}
+    found, counts = [], []
+    for render in (unknown(), Renderer()):
+        made.clear()
+        views = ViewDistribution(scene, mask, camera(), Transformations(cameras=REGION), render=render)
+        found.append(attack_views(views, ColourDetector(), relabel("person"), config=EotConfig(**settings)))
+        counts.append(len(made))
+    expected, frozen = found
+    assert counts[1] < counts[0] / 2
+    assert [line.loss for line in frozen.trace] == pytest.approx([line.loss for line in expected.trace], rel=1e-3)
+    assert frozen.rate == expected.rate
+    for one, other in zip(frozen.views, expected.views, strict=True):
+        assert torch.equal(one.target.box, other.target.box)
+        assert (one.view.weight - other.view.weight).abs().max() < 1e-5
+
+
+def test_a_view_that_was_given_up_for_others_has_the_same_bits_when_it_is_made_again() -> None:
+    scene, mask = toy_scene()
+    usual = RecentViews(scene, render=Renderer(), rows=mask).get(CAMERAS[0])
+    assert usual is not None
+    few = RecentViews(scene, render=Renderer(), rows=mask, max_bytes=usual.nbytes + 10_000)
+    first, other, again = (few.get(camera) for camera in (*CAMERAS, CAMERAS[0]))
+    assert first is not None
+    assert again is not None
+    assert again is few.get(CAMERAS[0])
+    assert first is not again
+    assert other is not None
+    sh = scene.sh[mask]
+    assert torch.equal(first(sh), again(sh))
+    assert torch.equal(usual(sh), again(sh))
+    assert RecentViews(scene, render=Renderer(), rows=mask, max_bytes=0).get(CAMERAS[0]) is None
+    assert RecentViews(scene, render=unknown(), rows=mask).get(CAMERAS[0]) is None
