@@ -1,6 +1,6 @@
 """How much faster are attacks on colours with frozen views? A step of DAGGER, and of the training of layers' colours.
 
-    python benchmarks/frozen_attacks.py [--rounds 15] [--json]
+    python benchmarks/frozen_attacks.py [--rounds 15] [--cpu] [--json]
 
 With and without frozen views in one process and in turn; a shared machine changes its speed within minutes. Without
 them the renderer is wrapped in another function, of which the library cannot know what it does. Reported are the
@@ -16,7 +16,6 @@ import contextlib
 import json
 import statistics
 import sys
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,7 @@ from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from cpu_time import Clock, Run, add_cpu_flag, clock, interleaved, ratio
 from render import shell
 
 from attacks.cloak.layers import Layering
@@ -70,21 +70,14 @@ def other(render: Renderer) -> RenderFn:
     return lambda scene, camera: render(scene, camera)
 
 
-def compare(without: Callable[[], object], frozen: Callable[[], object], rounds: int) -> dict[str, Any]:
+def compare(without: Run, frozen: Run, rounds: int, now: Clock) -> dict[str, Any]:
     """Median times in ms and the median of their ratios."""
-    times = []
-    for number in range(rounds + 3):
-        begun = time.perf_counter()
-        without()
-        between = time.perf_counter()
-        frozen()
-        if number >= 3:
-            times.append((between - begun, time.perf_counter() - between))
-    before, after = (round(1e3 * statistics.median(column), 1) for column in zip(*times, strict=True))
-    return {"before": before, "after": after, "ratio": round(statistics.median(a / b for a, b in times), 2)}
+    times = interleaved({"before": without, "after": frozen}, rounds=rounds, now=now)
+    medians = {name: round(1e3 * statistics.median(values), 1) for name, values in times.items()}
+    return {**medians, "ratio": round(ratio(times["before"], times["after"]), 2)}
 
 
-def dagger(detector: Detector, rounds: int) -> dict[str, Any]:
+def dagger(detector: Detector, rounds: int, now: Clock) -> dict[str, Any]:
     """One step: a picture, what the detector makes of it, and the gradient of SH."""
     loaded = read_scene(SCENE)
     subset, camera = GaussianSubset.of(loaded.scene, loaded.objects["car"]), next(iter(loaded.cameras.values()))
@@ -96,10 +89,10 @@ def dagger(detector: Detector, rounds: int) -> dict[str, Any]:
         (lambda problem=problem, views=views: problem.evaluate(subset.parameters(config.attributes), views, config))
         for problem, views in runs
     )
-    return {"what": f"DAGGER, {detector.name}", **compare(without, frozen, rounds)}
+    return {"what": f"DAGGER, {detector.name}", **compare(without, frozen, rounds, now)}
 
 
-def layers(count: int, share: float, rounds: int) -> dict[str, Any]:
+def layers(count: int, share: float, rounds: int, now: Clock) -> dict[str, Any]:
     """One step of training: a picture, its loss, the gradient of SH and a step of Adam. `make`: the first, seconds."""
     scene, render = shell(count), Renderer()
     poses = [orbit_pose((0.0, 0.0, 0.0), azimuth=222.5 * k, elevation=5.0 + k, distance=3.0) for k in range(CAMERAS)]
@@ -112,12 +105,12 @@ def layers(count: int, share: float, rounds: int) -> dict[str, Any]:
     config = FitConfig(iterations=3000, trainable=("sh",), strategy=FixedConfig(), sh_degree_interval=0, lr_sh=0.04)
     layering = Layering(scene=scene, trained=trained, views=views, iterations=config.iterations)
     without, frozen = (training(layering, config, one) for one in (other(render), render))
-    begun = time.perf_counter()
+    begun = now()
     frozen()
-    made = time.perf_counter() - begun
+    made = now() - begun
     return {
         "what": f"layers, {count:,} Gaussians, {share:.0%} trained",
-        **compare(without, frozen, rounds),
+        **compare(without, frozen, rounds, now),
         "make": round(made, 1),
     }
 
@@ -140,10 +133,10 @@ def training(layering: Layering, config: FitConfig, render: RenderFn) -> Callabl
     return step
 
 
-def measure(detectors: Sequence[str], rounds: int) -> list[dict[str, Any]]:
+def measure(detectors: Sequence[str], rounds: int, now: Clock) -> list[dict[str, Any]]:
     """All rows."""
-    found = [dagger(detector, rounds) for detector in (MeanColour(), *as_detectors(detectors))]
-    return found + [layers(*setting, rounds) for setting in LAYERS]
+    found = [dagger(detector, rounds, now) for detector in (MeanColour(), *as_detectors(detectors))]
+    return found + [layers(*setting, rounds, now) for setting in LAYERS]
 
 
 def main() -> None:
@@ -151,11 +144,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Time attacks on colours with frozen views beside those without.")
     parser.add_argument("--rounds", type=int, default=15, help="interleaved runs of everything")
     parser.add_argument("--detectors", nargs="+", default=["fasterrcnn_small"], help="for DAGGER")
+    add_cpu_flag(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     arguments = parser.parse_args()
     torch.set_num_threads(1)  # torch's threads and Dr.Jit's would fight over the cores
     variant.use()
-    rows = measure(arguments.detectors, arguments.rounds)
+    rows = measure(arguments.detectors, arguments.rounds, clock(arguments.cpu))
     if arguments.json:
         print(json.dumps(rows, indent=2))  # noqa: T201
         return

@@ -127,6 +127,7 @@ def main() -> None:
         "iterations": options.iterations,
         "views": len(views),
         "size": [views[0].camera.width, views[0].camera.height],
+        "clock": "CPU time of one thread" if options.cpu else "wall time",
         "minutes": sum(steps) / 60 * options.iterations / max(len(steps), 1),
         "iterations_per_second": 1 / statistics.mean(steps),
         "milliseconds_median": 1000 * statistics.median(steps),
