@@ -26,7 +26,7 @@ from attacks.cloak.steps import Look, OnStep, StudySteps, TrainedSplat
 from attacks.detectors.base import Detector
 from attacks.observe.drawing import annotated
 from attacks.observe.result_cameras import CAMERAS, cameras_document
-from attacks.observe.rows import SUFFIX, TABLES, write_rows
+from attacks.observe.rows import SUFFIX, TABLES, by_camera, write_rows
 from attacks.tables import named_settings, sections
 from mi_splat import provenance
 from mi_splat.datasets import load_dataset
@@ -82,7 +82,7 @@ def write_report(
     for splat in shown:
         shutil.copyfile(splat.file, folder / f"{splat.splat}.ply")
     shutil.copyfile(steps.do(steps.poisoned(first), "poisoning").folder / MANIFEST, folder / POISON)
-    written = [write_rows(table, folder / f"{name}{SUFFIX}").name for name, table in tables.items()]
+    written = [write_rows(by_camera(table), folder / f"{name}{SUFFIX}").name for name, table in tables.items()]
     save_png(_contact_sheet(steps, shown, detectors[0]), folder / CONTACT)
     save_png(poisoned_sheet(steps, detectors[0]), folder / POISONED_PICTURES)
     save_json(_cameras(steps.setup), folder / CAMERAS, indent=0)

@@ -212,6 +212,14 @@ def frame_with(rows: Iterable[Row], columns: Sequence[str]) -> pl.DataFrame:
     return pl.concat([frame_of([dict.fromkeys(columns)]).clear(), frame_of(rows)], how="diagonal")
 
 
+def by_camera(rows: pl.DataFrame) -> pl.DataFrame:
+    """The rows of each seed by their views, else as they were: a file of them is half as large, as cameras repeat."""
+    if not {"seed", "view"} <= set(rows.columns):
+        return rows
+    seeds = rows.partition_by("seed", maintain_order=True)
+    return pl.concat([of_seed.sort("view", maintain_order=True) for of_seed in seeds]) if seeds else rows
+
+
 def rows_bytes(rows: pl.DataFrame) -> bytes:
     """A table as the text of a CSV file; equal tables have equal bytes.
 

@@ -37,7 +37,7 @@ from attacks.cloak.steps import ROW_NAMES, Look, StudySteps
 from attacks.cloak.study import check_disk, check_study, detectors_of, forecast, observed
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import OWN, SunTable
-from attacks.observe.rows import ROWS, SUFFIX, write_rows
+from attacks.observe.rows import ROWS, SUFFIX, by_camera, write_rows
 from attacks.studies.plan import Work, check_apart
 from attacks.studies.scenes import street_of
 from attacks.studies.study_file import Point, Settings, Study, merged, with_none
@@ -268,7 +268,8 @@ class CloakWork(Work):
             if done is not None:
                 points[point.title], of_point = _seen(point, done)
                 for name, table in of_point.items():
-                    frames.setdefault(name, []).append(table.with_columns(attack=pl.lit(point.title)))
+                    titled = by_camera(table).with_columns(attack=pl.lit(point.title))
+                    frames.setdefault(name, []).append(titled)
         paths = [
             write_rows(pl.concat(parts, how="diagonal"), out / f"{name}{SUFFIX}") for name, parts in frames.items()
         ]

@@ -46,11 +46,16 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         ("cloak_car_sector_layers",),
     ),
     "cloak_car_stealthy": ("CLOAK", "[CLOAK](../cloak.md#the-study)", ("cloak_car_stealthy",)),
+    "cloak_variations": (
+        "CLOAK: other cars, objects and attackers",
+        "[CLOAK: other cars, objects and attackers](../cloak-variations.md)",
+        ("cloak_new_cars",),
+    ),
     "dagger": ("DAGGER", "[DAGGER](../dagger.md)", ("dagger",)),
     "dagger_strict": (
         "DAGGER, the own class gone, too",
         "[DAGGER](../dagger.md#the-own-class-gone-too)",
-        ("dagger_strict", "dagger_strict_smallest"),
+        ("dagger_strict", "dagger_strict_smallest", "dagger_strict_forty"),
     ),
     "dagger_eot": (
         "DAGGER when the camera moves",
@@ -102,10 +107,11 @@ def page(name: str, artifacts: Path) -> str:
     parts = [f"# {title}: every figure", f"What the reader may conclude is in {conclusion}."]
     for folder in folders:
         result = read_result(artifacts / folder)
-        command = result.record["command"]
+        record = result.record
+        seeds = record["seeds"] if "seeds" in record else next(iter(record["points"].values()))["seeds"]
         parts.append(
-            f"From the rows in `docs/artifacts/{folder}`, made by `{command}`, seeds "
-            f"{', '.join(map(str, result.record['seeds']))}. Manifest: `{result.manifest.sha256}`."
+            f"From the rows in `docs/artifacts/{folder}`, made by `{record['command']}`, seeds "
+            f"{', '.join(map(str, seeds))}. Manifest: `{result.manifest.sha256}`."
         )
         parts.append(sections(read_section(artifacts / folder).tables).strip())
     return "\n\n".join(parts) + "\n"

@@ -24,8 +24,8 @@ OUR, COCO = ("fasterrcnn_small", "yolov8n_small"), ("centernet_coco", "nanodet_c
 OUTSIDE = ("ssd_openimages",)
 _NOISE = ("noise_successes", "noise_draws")
 FRACTION = re.compile(r"(?<![\w/.])(\d+/\d+)(?![\w/]|\.\d)")
-MOST_BYTES = 4_000_000
-"""Of an artifact; the largest has five detectors and training pictures."""
+MOST_BYTES = 3_000_000
+"""Of an artifact; the largest has five cars, five detectors and training pictures."""
 
 
 @cache
@@ -47,7 +47,7 @@ def test_every_artifact_is_green_and_known_by_its_manifest() -> None:
         derived = flat(derive(result.record, result.tables))
         figures += len(derived)
         rates += sum(isinstance(value, tuple) for value in derived.values())
-    assert (figures, rates) == (19387, 4582)
+    assert (figures, rates) == (23204, 7489)
 
 
 def test_artifacts_are_small_and_name_no_machine() -> None:
@@ -284,6 +284,18 @@ def strict_smallest(derived: Mapping[str, Any]) -> list[str]:
     return [f"| {name} | {' | '.join(', '.join(by[one]) for one in (*OUR, *COCO))} |" for name, by in found.items()]
 
 
+def strict_forty(derived: Mapping[str, Any]) -> list[str]:
+    """What docs/dagger.md says of 40 steps in a ball of 3."""
+    rows = result_of("dagger_strict_forty").tables[ROWS].filter(splat=CLEAN)
+    seen = set(rows.filter(pl.col("original_score") >= LEFT)["attack"])
+    by: dict[str, list[bool]] = {}
+    for name, attack in derived["attacks"].items():
+        if name in seen:
+            by.setdefault(attack["part"], []).append(attack["strict"])
+    names = ("CenterNet", "NanoDet", "YOLOv8", "Faster R-CNN")
+    return [", ".join(f"{name} {sum(by[name])}/{len(by[name])}" for name in names) + "."]
+
+
 def count(group: Mapping[str, Any], key: str) -> str:
     return f"{group[key]['successes']}/{group[key]['total']}"
 
@@ -372,6 +384,7 @@ SENTENCES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], list[str]]], ...]
     ("dagger", "docs/dagger.md", pairs_in_docs),
     ("dagger_strict", "docs/dagger.md", strict_in_docs),
     ("dagger_strict_smallest", "docs/dagger.md", strict_smallest),
+    ("dagger_strict_forty", "docs/dagger.md", strict_forty),
     ("cloak_car_stealthy", "README.md", stealthy_in_readme),
     ("cloak_car_stealthy", "docs/cloak.md", stealthy),
     ("cloak_car_sector", "docs/cloak-history.md", sector),

@@ -32,6 +32,7 @@ JOBS = {
     "coco_smallest": (252, 0),
     "dagger": (456, 0),
     "dagger_strict": (96, 0),
+    "dagger_strict_forty": (27, 0),
     "dagger_strict_smallest": (306, 0),
     "eot_pairs": (14, 0),
     "eot_settings": (38, 0),
