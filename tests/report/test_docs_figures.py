@@ -24,8 +24,8 @@ OUR, COCO = ("fasterrcnn_small", "yolov8n_small"), ("centernet_coco", "nanodet_c
 OUTSIDE = ("ssd_openimages",)
 _NOISE = ("noise_successes", "noise_draws")
 FRACTION = re.compile(r"(?<![\w/.])(\d+/\d+)(?![\w/]|\.\d)")
-MOST_BYTES = 3_000_000
-"""Of an artifact; the largest has five cars, five detectors and training pictures."""
+MOST_BYTES = 4_000_000
+"""Of an artifact; the largest has five attacks, five detectors and training pictures."""
 
 
 @cache
@@ -47,7 +47,7 @@ def test_every_artifact_is_green_and_known_by_its_manifest() -> None:
         derived = flat(derive(result.record, result.tables))
         figures += len(derived)
         rates += sum(isinstance(value, tuple) for value in derived.values())
-    assert (figures, rates) == (23204, 7489)
+    assert (figures, rates) == (26544, 10289)
 
 
 def test_artifacts_are_small_and_name_no_machine() -> None:
@@ -81,6 +81,8 @@ def test_tables_by_hand_have_no_other_fractions() -> None:
     assert set(FRACTION.findall(page)) <= fractions(
         *(f"dagger_eot_{part}" for part in ("pairs", "openimages", "smallest", "settings"))
     )
+    page = (ROOT / "docs" / "cloak-variations.md").read_text()
+    assert set(FRACTION.findall(page)) <= fractions("cloak_new_cars", "cloak_controls")
     part = (ROOT / "docs" / "transfer.md").read_text().partition("### With a budget in pictures")[2].partition("###")[0]
     assert len(set(FRACTION.findall(part)) & fractions("transfer_views")) > 10
     assert set(FRACTION.findall(part)) <= fractions("transfer_views")
