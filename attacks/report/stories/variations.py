@@ -72,7 +72,9 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         ),
         warnings=tuple(map(sentence, warnings)),
         charts=tuple(
-            _chart(group, values, detector) for group, values in groups.items() for detector in points[0]["by_detector"]
+            _chart(group, values, detector)
+            for group, values in groups.items()
+            for detector in dict.fromkeys(name for point in values.values() for name in point["by_detector"])
         )
         + tuple(chart for group, values in groups.items() for chart in _under_conditions(group, values)),
         tables=(*pooled_tables(record), *tables(groups)),
@@ -134,8 +136,10 @@ def _conditions(points: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _chart(group: str, values: Mapping[str, Any], detector: str) -> Chart:
-    rates = [counted["by_detector"][detector] for counted in values.values()]
-    lines = [Line.of(name, role, [rate_of(counted[key]) for counted in rates]) for key, name, role in _LINES]
+    rates = {
+        value: point["by_detector"][detector] for value, point in values.items() if detector in point["by_detector"]
+    }
+    lines = [Line.of(name, role, [rate_of(counted[key]) for counted in rates.values()]) for key, name, role in _LINES]
     title = group.replace("_", " ")
     return Chart(
         title=f"{title}, {detector}",
@@ -143,7 +147,7 @@ def _chart(group: str, values: Mapping[str, Any], detector: str) -> Chart:
         x_label=title,
         y_label="views",
         lines=tuple(lines),
-        ticks=tuple(values),
+        ticks=tuple(rates),
         connected=False,
     )
 
