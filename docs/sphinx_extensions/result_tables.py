@@ -49,7 +49,15 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "cloak_variations": (
         "CLOAK: other cars, objects and attackers",
         "[CLOAK: other cars, objects and attackers](../cloak-variations.md)",
-        ("cloak_new_cars", "cloak_controls", "cloak_design_sector", "cloak_design_appearance", "cloak_design_object"),
+        (
+            "cloak_new_cars",
+            "cloak_controls",
+            "cloak_controls_steps",
+            "cloak_design_sector",
+            "cloak_design_appearance",
+            "cloak_design_object",
+            "cloak_design_paint",
+        ),
     ),
     "dagger": ("DAGGER", "[DAGGER](../dagger.md)", ("dagger",)),
     "dagger_strict": (
