@@ -37,7 +37,7 @@ def use(variant: str = "") -> str:
         )
     if variant.startswith("llvm"):
         prepare_llvm()
-    elif not _has_cuda():
+    elif not has_cuda():
         do = f"use {DEFAULT_VARIANT}, or install the GPU's driver"
         raise VariantError(message(f"variant {variant}", "an NVIDIA GPU that Dr.Jit can use", "none", do))
     if mi.variant() != variant:
@@ -52,7 +52,7 @@ def device_of(variant: str) -> str:
     return "cuda" if variant.startswith("cuda") else "cpu"
 
 
-def _has_cuda() -> bool:
+def has_cuda() -> bool:
     """Whether Dr.Jit finds a GPU and its driver."""
     import drjit as dr
 

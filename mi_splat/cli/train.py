@@ -87,7 +87,7 @@ class TrainOptions(JsonOptions):
     lpips: bool = False
     """Score the held-out pictures by LPIPS, too; its network is downloaded when it is first used."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where it is trained: on the CPU, or on an NVIDIA GPU, where it has not been tried."""
+    """Where it is trained: on the CPU, or on an NVIDIA GPU."""
     checkpoint_every: Annotated[int, at_least(1, "steps", "1000 is usual")] = 1000
     """Steps between two checkpoints."""
     seed: Seed = 0

@@ -1,6 +1,7 @@
 """The rasteriser of the package gsplat as a `RenderFn`; it needs an NVIDIA GPU.
 
-The project's tests give it a stand-in for the package; on a GPU it was not run.
+The project's tests give it a stand-in for the package. On a GPU gsplat 1.5.3 was built and refused the call of before
+(see `packed`); with what stands here it was not run.
 """
 
 from __future__ import annotations
@@ -68,6 +69,7 @@ class GsplatRenderer:
             sh_degree=round(sh.shape[1] ** 0.5) - 1,
             backgrounds=torch.tensor([self.settings.background], **there),
             rasterize_mode="classic",
+            packed=False,  # gsplat 1.5 refuses a background in its packed mode, which is the default
         )
         picture: Tensor = pictures[0].to(scene.means.device)
         return picture

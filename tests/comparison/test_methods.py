@@ -103,7 +103,7 @@ def test_gsplat_is_called_as_its_interface_is_documented(monkeypatch: pytest.Mon
     """A stand-in turns the arguments back into ours and lets the tile rasteriser make the picture."""
 
     def rasterization(**given: Any) -> tuple[Tensor, None, dict[str, Any]]:
-        assert given["rasterize_mode"] == "classic"
+        assert (given["rasterize_mode"], given["packed"]) == ("classic", False)  # packed has no background
         assert given["colors"].shape[1] == (given["sh_degree"] + 1) ** 2
         (k,) = given["Ks"].tolist()
         view = Camera(

@@ -13,9 +13,13 @@ from torch import Tensor
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import ATTRIBUTES, GaussianScene
+from mi_splat.variant import device_of, has_cuda
 from tests import oracle
 
 BACKGROUND = (0.2, 0.5, 0.9)
+GPU = pytest.mark.skipif(not has_cuda(), reason="no GPU was found")
+on_each_device = pytest.mark.parametrize("on", ["llvm_ad_rgb", pytest.param("cuda_ad_rgb", marks=GPU)])
+"""On each machine of Dr.Jit's that is there; `on` is the variant."""
 
 
 def camera(width: int, height: int, *, distance: float = 3.0, azimuth: float = 30.0) -> Camera:
@@ -38,13 +42,15 @@ GRADIENT_ERROR = 2e-5
 """Largest relative difference of a gradient from the oracle's central difference; 3.5e-6 was the largest measured."""
 
 
-def largest_error(scene: GaussianScene, view: Camera) -> float:
+def largest_error(scene: GaussianScene, view: Camera, on: str) -> float:
     """Largest difference from the oracle in any channel of any pixel."""
-    picture = Renderer(RenderSettings(background=BACKGROUND))(scene, view).numpy()
+    render = Renderer(RenderSettings(background=BACKGROUND, variant=on))
+    picture = render(scene.to(device_of(on)), view).cpu().numpy()
     reference, _ = oracle.render(scene, view, background=BACKGROUND)
     return float(np.abs(picture - reference).max())
 
 
+@on_each_device
 @pytest.mark.parametrize(
     ("count", "degree", "size", "distance"),
     [
@@ -59,15 +65,16 @@ def largest_error(scene: GaussianScene, view: Camera) -> float:
         (1, 0, (16, 16), 3.0),
     ],
 )
-def test_picture_is_the_oracles(count: int, degree: int, size: tuple[int, int], distance: float) -> None:
+def test_picture_is_the_oracles(count: int, degree: int, size: tuple[int, int], distance: float, on: str) -> None:
     scene = oracle.random_scene(count, degree=degree, seed=count + degree)
-    assert largest_error(scene, camera(*size, distance=distance, azimuth=37.0 * degree)) <= PICTURE_ERROR
+    assert largest_error(scene, camera(*size, distance=distance, azimuth=37.0 * degree), on) <= PICTURE_ERROR
 
 
-def test_a_dense_pile_stops_where_the_oracle_stops() -> None:
+@on_each_device
+def test_a_dense_pile_stops_where_the_oracle_stops(on: str) -> None:
     scene = oracle.random_scene(400, degree=0, seed=3)
     scene = scene.replace(means=scene.means * 0.2, opacities=torch.full((400,), 0.999))
-    assert largest_error(scene, camera(48, 48)) <= PICTURE_ERROR
+    assert largest_error(scene, camera(48, 48), on) <= PICTURE_ERROR
 
 
 @pytest.mark.parametrize("angle", [0.0, 45.0, 89.0])
@@ -80,7 +87,7 @@ def test_needles_across_the_picture(angle: float) -> None:
         opacities=torch.tensor([1.0]),
         sh=torch.ones(1, 1, 3),
     )
-    assert largest_error(scene, camera(256, 192, azimuth=80.0)) <= NEEDLE_ERROR
+    assert largest_error(scene, camera(256, 192, azimuth=80.0), "llvm_ad_rgb") <= NEEDLE_ERROR
 
 
 def test_alpha_output_is_the_oracles() -> None:
@@ -125,14 +132,14 @@ def smooth_scene(count: int, degree: int, seed: int) -> GaussianScene:
     return scene.replace(sh=sh, opacities=0.2 + 0.6 * scene.opacities, scales=scales)
 
 
-def analytic(scene: GaussianScene, view: Camera) -> dict[str, Tensor]:
-    leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
-    picture = Renderer(RenderSettings(background=BACKGROUND))(GaussianScene(*leaves), view)
-    (picture * torch.from_numpy(weights(view)).float()).sum().backward()  # type: ignore[no-untyped-call]
+def analytic(scene: GaussianScene, view: Camera, on: str = "llvm_ad_rgb") -> dict[str, Tensor]:
+    leaves = [tensor.clone().requires_grad_(True) for tensor in scene.to(device_of(on)).tensors()]
+    picture = Renderer(RenderSettings(background=BACKGROUND, variant=on))(GaussianScene(*leaves), view)
+    (picture.cpu() * torch.from_numpy(weights(view)).float()).sum().backward()  # type: ignore[no-untyped-call]
     gradients: dict[str, Tensor] = {}
     for name, leaf in zip(ATTRIBUTES, leaves, strict=True):
         assert leaf.grad is not None
-        gradients[name] = leaf.grad
+        gradients[name] = leaf.grad.cpu()
     return gradients
 
 
@@ -149,10 +156,11 @@ def numeric(scene: GaussianScene, view: Camera, name: str, entry: int, step: flo
     return (values[0] - values[1]) / (2 * step)
 
 
+@on_each_device
 @pytest.mark.parametrize("name", ATTRIBUTES)
-def test_gradient_is_the_finite_difference(name: str) -> None:
+def test_gradient_is_the_finite_difference(name: str, on: str) -> None:
     scene, view = smooth_scene(25, 2, seed=11), camera(37, 29)
-    gradient = analytic(scene, view)[name].flatten()
+    gradient = analytic(scene, view, on)[name].flatten()
     largest = torch.argsort(gradient.abs(), descending=True)[: len(gradient) // 3]
     for entry in largest[:: max(1, len(largest) // 8)].tolist():
         # Moving a Gaussian moves the alpha = 1/255 edge across pixel centres, a jump that finite differences see and
@@ -229,3 +237,10 @@ def test_gradients_are_the_same_bits_on_any_number_of_threads() -> None:
         dr.set_thread_count(before)
     for run in runs[1:]:
         assert all(torch.equal(run[name], runs[0][name]) for name in ATTRIBUTES)
+
+
+@GPU
+def test_gradients_are_the_same_bits_twice_on_a_gpu() -> None:
+    scene, view = oracle.random_scene(3000, degree=1, seed=8), camera(128, 96)
+    one, other = (analytic(scene, view, "cuda_ad_rgb") for _ in range(2))
+    assert all(torch.equal(one[name], other[name]) for name in ATTRIBUTES)

@@ -34,7 +34,7 @@ def test_pairs_are_sorted_by_tile_and_keep_their_order(tiles: int) -> None:
     assert np.array_equal(sorting.order_below(uints(keys), tiles).numpy(), np.argsort(keys, kind="stable"))
 
 
-@pytest.mark.skipif(not dr.has_backend(dr.JitBackend.CUDA), reason="no GPU was found")
+@pytest.mark.skipif(not variant.has_cuda(), reason="no GPU was found")
 @pytest.mark.parametrize("tiles", [255, 230_400])
 def test_pairs_keep_their_order_on_a_gpu(tiles: int) -> None:
     keys = np.random.default_rng(tiles).integers(0, tiles, 3_000_000)
