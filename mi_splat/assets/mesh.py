@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.placement import axis_turn
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.uint32]
@@ -113,20 +114,11 @@ def translation(x: float, y: float, z: float) -> Floats:
     return matrix
 
 
-def exact_rotation(axis: str, degrees: float) -> NDArray[np.float64]:
-    """(4, 4) float64 right-handed rotation about "x", "y" or "z"."""
-    i = "xyz".index(axis)
-    j, k = (i + 1) % 3, (i + 2) % 3
-    angle = np.radians(degrees)
-    matrix = np.eye(4)
-    matrix[j, j] = matrix[k, k] = np.cos(angle)
-    matrix[k, j], matrix[j, k] = np.sin(angle), -np.sin(angle)
-    return matrix
-
-
 def rotation(axis: str, degrees: float) -> Floats:
     """(4, 4) right-handed rotation about "x", "y" or "z"."""
-    return exact_rotation(axis, degrees).astype(np.float32)
+    matrix = np.eye(4, dtype=np.float32)
+    matrix[:3, :3] = axis_turn(axis, degrees)
+    return matrix
 
 
 def scaling(x: float, y: float, z: float) -> Floats:

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mi_splat.assets.mesh import Asset, Mesh, exact_rotation
+from mi_splat.assets.mesh import Asset, Mesh
 from mi_splat.capture.gltf import GltfError, gltf_notes
 from mi_splat.capture.mesh_colours import Surface, coloured
 from mi_splat.capture.mesh_materials import MeshFileNotes, obj_notes, ply_notes, resolver
-from mi_splat.capture.settings import Front, MeshSettings, Up
+from mi_splat.capture.settings import Front, MeshSettings
 from mi_splat.errors import InvalidValueError, MiSplatError, install, message
 from mi_splat.io.picture_files import pixels_bounded
+from mi_splat.placement import Up, axis_turn, turn_of
 
 SUFFIXES = (".obj", ".ply", ".glb", ".gltf")
 UP: dict[str, Up] = {".obj": "y", ".ply": "z", ".glb": "y", ".gltf": "y"}
@@ -31,16 +32,6 @@ still resolves a sixteen-thousandth of the radius; farther away the mesh is move
 
 COARSE = 1e-3
 """Steps between coordinates of a file, as a part of its mesh's size, from which it is warned of."""
-
-_UPRIGHT: dict[Up, tuple[str, float]] = {
-    "x": ("y", -90.0),
-    "-x": ("y", 90.0),
-    "y": ("x", 90.0),
-    "-y": ("x", -90.0),
-    "z": ("x", 0.0),
-    "-z": ("x", 180.0),
-}
-"""Axis and degrees of the turn that takes what is up in a file to z."""
 
 _TURNS: dict[Front, float] = {"+x": 0.0, "-x": 180.0, "+y": -90.0, "-y": 90.0}
 """Degrees about z that turn a front to +x."""
@@ -111,11 +102,8 @@ def load_mesh(path: Path, settings: MeshSettings | None = None) -> LoadedMesh:
 
 def turning(settings: MeshSettings, *, up: Up) -> NDArray[np.float64]:
     """(3, 3) matrix from the file's axes and unit to z up, the front to +x, and metres."""
-    x, y, z = settings.rotate
-    matrix = exact_rotation(*_UPRIGHT[up])
-    for axis, degrees in (("x", x), ("y", y), ("z", z), ("z", _TURNS[settings.front or "+x"])):
-        matrix = exact_rotation(axis, degrees) @ matrix
-    turned: NDArray[np.float64] = settings.scale * matrix[:3, :3]
+    front = axis_turn("z", _TURNS[settings.front or "+x"])
+    turned: NDArray[np.float64] = settings.scale * (front @ turn_of(up, settings.rotate))
     return turned
 
 

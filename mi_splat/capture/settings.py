@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Called, Checked, Length, above, between, check
+from mi_splat.placement import Turn, Up
 
-Up = Literal["x", "-x", "y", "-y", "z", "-z"]
 Front = Literal["+x", "-x", "+y", "-y"]
 Ground = Literal["road", "grass", "none"]
 MissingTextures = Literal["refuse", "warn"]
@@ -58,7 +58,7 @@ class MeshSettings(Checked):
 
     up: Up | None = None
     scale: Annotated[float, above(0, "metres per unit of the file"), Called("METRES")] = 1.0
-    rotate: Annotated[tuple[float, float, float], between(-360, 360, "degrees"), Called("X Y Z")] = (0.0, 0.0, 0.0)
+    rotate: Turn = (0.0, 0.0, 0.0)
     front: Front | None = None
     missing_textures: MissingTextures = "refuse"
 

@@ -5,15 +5,16 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from mi_splat.cli.console import progress, show_result
-from mi_splat.cli.flags import Positional
+from mi_splat.cli.flags import Positional, Unprefixed
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.formats.detection import format_to_write
+from mi_splat.placement import Placement
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -25,13 +26,15 @@ EXAMPLES = (
     "convert desk.ply desk.spz",
     "convert web.ksplat web.ply",
     "convert desk.ply small.sog --sh-degree 1",
+    "convert web.ply upright.ply --up -y --scale 0.1",
+    "convert street.ply both.ply --add car.ply sign.ply",
 )
 SEE_ALSO = ("info", "render")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConvertOptions(JsonOptions):
-    """Convert a splat file to another format, which the ending of its name says.
+    """Convert a splat file to another format, which the ending of its name says; merge, turn, move and cut splats.
 
     Says what the new file does not hold, and how far its values are off.
     """
@@ -48,6 +51,10 @@ class ConvertOptions(JsonOptions):
     """Version of an SPZ file; None is 3."""
     drop_invalid: bool = False
     """Leave out Gaussians that are not valid, instead of an error."""
+    add: tuple[Path, ...] = ()
+    """Splats whose Gaussians come after those of the source, before all are put in place."""
+    placement: Unprefixed[Placement] = field(default_factory=Placement)
+    """Where the result is put."""
 
 
 def run(options: ConvertOptions) -> None:
@@ -58,16 +65,21 @@ def run(options: ConvertOptions) -> None:
     from mi_splat.io.folders import check_not_input, check_writable
     from mi_splat.io.formats.encoded import Values, dropped_bands
     from mi_splat.io.splat_files import write_splat_file
+    from mi_splat.scene import merge
 
     suffix = format_to_write(str(options.out))  # a name that fits no format is told before a large file is read
     if options.spz_version is not None and suffix != ".spz":
         raise InvalidValueError(message("--spz-version", "a file to write that ends in .spz", suffix, "leave it out"))
-    check_not_input(options.out, options.source)
+    sources = (options.source, *options.add)
+    for source in sources:
+        check_not_input(options.out, source)
     if os.path.lexists(options.out) and not options.force:
         raise InvalidValueError(message(str(options.out), "a free name", "a file that is there", "pass --force"))
     check_writable(options.out.parent)
-    with progress(f"reading {options.source}"):
-        scene = load_splat(options.source, on_invalid="drop" if options.drop_invalid else "raise")
+    with progress(f"reading {', '.join(map(str, sources))}"):
+        invalid: Literal["drop", "raise"] = "drop" if options.drop_invalid else "raise"
+        parts = [load_splat(source, on_invalid=invalid) for source in sources]
+        scene = options.placement.apply(merge(*parts))
     with progress(f"writing {options.out}"):
         kept = scene if options.sh_degree is None else scene.with_degree(min(options.sh_degree, scene.degree))
         options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -76,9 +88,10 @@ def run(options: ConvertOptions) -> None:
     written = scene if encoded.order is None else scene.select(torch.from_numpy(encoded.order))
     changes = differences(written, again)
     losses = (*dropped_bands(Values.of(scene), kept.degree), *encoded.losses)
-    sizes = options.source.stat().st_size, options.out.stat().st_size
+    sizes = sum(source.stat().st_size for source in sources), options.out.stat().st_size
     document = {
         "source": str(options.source),
+        "added": [str(source) for source in options.add],
         "out": str(options.out),
         "gaussians": len(again),
         "bytes_before": sizes[0],

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
+import numpy as np
 import pytest
+import torch
 
 from attacks import cli
+from mi_splat.cameras import Camera, look_at
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.formats.table import FORMATS
+from mi_splat.placement import Up, turn_of
+from mi_splat.rendering import Renderer
 from tests.io.closeness import assert_close, tame_scene
 
 WRITTEN = [entry.suffix for entry in FORMATS if entry.writes]
@@ -72,3 +79,59 @@ def test_info_takes_every_format(suffix: str, splat: Path, capsys: pytest.Captur
     save_splat(scene, splat.with_name(f"a{suffix}"))
     assert cli.main(["info", str(splat.with_name(f"a{suffix}")), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["gaussians"] == 30
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_splat_that_is_put_elsewhere_looks_the_same_to_cameras_that_went_with_it(seed: int, splat: Path) -> None:
+    rng = np.random.default_rng(seed)
+    rotate, move = rng.uniform(-180, 180, 3), rng.uniform(-5, 5, 3)
+    up, scale = get_args(Up)[rng.integers(6)], float(rng.uniform(2, 4))
+    out = splat.with_name("put.ply")
+    words = ["--rotate", *map(repr, rotate.tolist()), "--scale", repr(scale), "--move", *map(repr, move.tolist())]
+    assert cli.main(["convert", str(splat), str(out), "--up", up, *words]) == 0
+    before, after = load_splat(splat), load_splat(out)
+    camera = Camera(to_world=look_at((0.0, -6.0, 1.0), (0.0, 0.0, 0.0)), focal=60.0, width=64, height=64)
+    turn = torch.from_numpy(turn_of(up, tuple(rotate.tolist())))
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3] = turn @ camera.to_world[:3, :3].double()
+    pose[:3, 3] = scale * (turn @ camera.to_world[:3, 3].double()) + torch.from_numpy(move)
+    seen = Renderer()(before, camera)
+    assert float(seen.std()) > 0.05
+    assert (Renderer()(after, replace(camera, to_world=pose.float())) - seen).abs().max() < 2e-3
+
+
+@pytest.mark.parametrize("axis", get_args(Up))
+def test_up_is_turned_to_z(axis: Up) -> None:
+    direction = np.eye(3)["xyz".index(axis[-1])] * (-1 if axis.startswith("-") else 1)
+    assert turn_of(axis) @ direction == pytest.approx([0, 0, 1])
+
+
+def test_splats_are_merged_and_cropped(splat: Path) -> None:
+    scene = load_splat(splat)
+    out = splat.with_name("both.ply")
+    other = splat.with_name("other.spz")
+    assert cli.main(["convert", str(splat), str(other), "--sh-degree", "0", "--move", "100", "0", "0"]) == 0
+    assert cli.main(["convert", str(splat), str(out), "--add", str(other)]) == 0
+    both = load_splat(out)
+    assert len(both) == 2 * len(scene)
+    assert_close(both.select(slice(0, len(scene))), scene)
+    box = ["--crop", "50", "-1000", "-1000", "150", "1000", "1000"]
+    assert cli.main(["convert", str(out), str(splat.with_name("cut.ply")), *box]) == 0
+    assert_close(load_splat(splat.with_name("cut.ply")), load_splat(other).with_degree(2))
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--crop", "1", "0", "0", "0", "1", "1"], "lower corner"),
+        (["--crop", "900", "900", "900", "901", "901", "901"], "they lie in"),
+        (["--scale", "0"], "--scale"),
+        (["--rotate", "0", "nan", "0"], "--rotate"),
+    ],
+)
+def test_a_place_that_makes_no_sense_is_refused(
+    words: list[str], says: str, splat: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["convert", str(splat), str(splat.with_name("no.ply")), *words]) != 0
+    assert says in capsys.readouterr().err
+    assert not splat.with_name("no.ply").exists()
