@@ -53,6 +53,8 @@ _STRATEGY = strategy_name(FitConfig().strategy)
 class TrainOptions(JsonOptions):
     """Train a splat on a set of pictures with cameras (transforms.json or COLMAP), as `mi-splat capture` writes it.
 
+    Lenses with distortion (OPENCV, RADIAL, OPENCV_FISHEYE, ...) are undone as the pictures are read.
+
     Writes splat.ply, metrics.json, config.json and checkpoint.safetensors into --out. A run that was stopped goes on
     when the same command is given again, and makes the bits that it would have made. A run also goes on with more
     --iterations than it had.
@@ -71,13 +73,13 @@ class TrainOptions(JsonOptions):
     fit: Unprefixed[FitConfig] = field(default_factory=FitConfig)
     """How the splat is trained."""
     start: Path | None = None
-    """Splat to begin with; None takes the points of the set."""
+    """Splat to begin with; None takes the points of the set, or Gaussians anywhere if it has none."""
     random: Annotated[int, between(1, 100_000_000, "Gaussians")] | None = None
     """Begin with so many Gaussians anywhere instead."""
     outliers: Annotated[int, between(0, 100_000_000, "Gaussians")] = 0
     """Add so many in the air to those on the points of the set, as false matches do in a cloud from photographs."""
     downscale: Annotated[int, between(1, 64, "times smaller"), Called("FACTOR")] = 1
-    """Integer factor by which the pictures shrink."""
+    """Integer factor by which the pictures shrink. Smaller ones that are in images_2, images_4, ... are used."""
     background: Colour = (0.0, 0.0, 0.0)
     """Colour behind the splat and transparent pixels, as white, #80b0e0 or three sRGB numbers in [0, 1]. See also
     --random-background."""
@@ -121,6 +123,8 @@ def defaults(words: Sequence[str]) -> dict[str, Any]:
     return {"strategy": name, "fit": FitConfig(strategy=strategy_config(name))}
 
 
+_RANDOM = 10_000
+"""Gaussians of a start without points."""
 _WORTH_A_WORD = 0.001
 """Share of the Gaussians from which it is said that the near plane hides them."""
 
@@ -228,10 +232,13 @@ def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
         return load_splat(options.start)
     if options.random is not None:
         return random_points(views, options.random, seed=options.seed)
-    if views.points is None:
-        raise InvalidValueError(
-            message(str(options.dataset), "a point cloud", "none", "pass --random 10000, or a splat with --start")
-        )
+    if views.points is None or not len(views.points):
+        if options.outliers:
+            do = "leave out --outliers"
+            raise InvalidValueError(message("--outliers", "a start on the points of the set", "a set without any", do))
+        count = _RANDOM if limit is None else min(limit, _RANDOM)
+        warn(f"the set has no points: starting on {count:,} Gaussians anywhere (see --random, --start)")
+        return random_points(views, count, seed=options.seed)
     cloud = with_outliers(views.points, views, options.outliers, seed=options.seed)
     if limit is not None and len(cloud.points) > limit:
         warn(f"starting on {limit:,} of {len(cloud.points):,} points, evenly at random: no more are allowed")

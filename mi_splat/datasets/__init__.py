@@ -1,13 +1,14 @@
 """Sets of pictures with cameras, as other programs keep them: Blender/NeRF transforms and COLMAP models."""
 
 from mi_splat.datasets.dataset import Dataset, has_tests, is_dataset, load_dataset
-from mi_splat.datasets.errors import DatasetError
+from mi_splat.datasets.errors import DatasetError, DatasetWarning
 from mi_splat.datasets.writing import write_colmap, write_transforms
 from mi_splat.io.points import PointCloud
 
 __all__ = [
     "Dataset",
     "DatasetError",
+    "DatasetWarning",
     "PointCloud",
     "has_tests",
     "is_dataset",

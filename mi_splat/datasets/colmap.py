@@ -1,4 +1,4 @@
-"""Reader of COLMAP models, text and binary: pinhole cameras, poses and points.
+"""Reader of COLMAP models, text and binary: cameras, poses and points.
 
 COLMAP's poses are world-to-camera with our camera axes, and (0.5, 0.5) is the centre of its first pixel as of ours.
 """
@@ -10,13 +10,24 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from mi_splat.cameras import Camera
 from mi_splat.datasets import colmap_binary, colmap_text
 from mi_splat.datasets.colmap_model import MODELS, Lens, Model, Pose
+from mi_splat.datasets.distortion import Intrinsics
 from mi_splat.datasets.errors import DatasetError
-from mi_splat.datasets.frames import Frame, Split, find_mask, held_out, refuse_doubles
-from mi_splat.datasets.pictures import picture_size
+from mi_splat.datasets.frames import (
+    Frame,
+    Split,
+    find_mask,
+    held_out,
+    photograph,
+    pinhole_camera,
+    refuse_doubles,
+    report_missing,
+    within,
+)
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.points import PointCloud
 from mi_splat.rotation import to_matrix
@@ -26,6 +37,8 @@ TEST_LIST = "test.txt"
 
 _FOLDERS = ("sparse/0", "sparse", "0", ".")
 _KINDS = (".bin", ".txt")
+_ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+_TWO_FOCALS = ("PINHOLE", "OPENCV", "OPENCV_FISHEYE")
 
 
 def find_model(path: Path) -> Path | None:
@@ -35,7 +48,7 @@ def find_model(path: Path) -> Path | None:
 
 
 def read_colmap(
-    root: Path, cameras_file: Path, split: Split | None, every: int
+    root: Path, cameras_file: Path, split: Split | None, every: int, downscale: int = 1
 ) -> tuple[list[Frame], PointCloud | None]:
     """The frames of a split in the order of names, and the points.
 
@@ -44,23 +57,27 @@ def read_colmap(
         cameras_file: Found by `find_model`.
         split: Which part; None for all.
         every: Every so manieth picture is for tests, unless the model has a list of them.
+        downscale: Pictures that are so many times smaller are taken if the set has them.
 
     Raises:
-        DatasetError: A file is missing, broken, or describes cameras that are no pinhole cameras.
+        DatasetError: A file is missing or broken, too many pictures are missing, or a lens is not known.
     """
     folder = cameras_file.parent
     model = _read_model(cameras_file)
-    poses = _split(_poses(model, cameras_file), folder / TEST_LIST, split, every)
-    images = _images_folder(root, folder)
-    cameras = _cameras(model, poses, cameras_file)
-    frames = []
-    for pose, camera in zip(poses, cameras, strict=True):
-        picture, size = images / pose.name, (camera.width, camera.height)
-        picture_size(picture, size)
-        frames.append(
-            Frame(camera=camera, path=picture, mask=find_mask(images.parent / "masks", Path(pose.name), size))
-        )
-    return frames, model.points
+    poses, source = _poses(model, cameras_file), _images_file(cameras_file)
+    images, lenses = _images_folder(root, folder), _lenses(model, cameras_file)
+    frames: dict[str, Frame] = {}
+    for pose in poses:
+        picture = within(images, pose.name, str(source))
+        mask, lens = find_mask(images.parent / "masks", Path(pose.name)), lenses[pose.lens]
+        found = photograph(picture, mask, lens.size, downscale)
+        if found is not None:
+            where = f"{source}, {pose.name}"
+            frames[pose.name] = found.frame(_to_world(pose, where), lens, downscale, where)
+    missing = [images / pose.name for pose in poses if pose.name not in frames]
+    report_missing(missing, len(poses), source)
+    chosen = _split(poses, folder / TEST_LIST, split, every)
+    return [frames[pose.name] for pose in chosen if pose.name in frames], model.points
 
 
 def read_model_cameras(cameras_file: Path) -> dict[str, Camera]:
@@ -70,11 +87,15 @@ def read_model_cameras(cameras_file: Path) -> dict[str, Camera]:
         cameras_file: Found by `find_model`.
 
     Raises:
-        DatasetError: A file is missing, broken, or describes cameras that are no pinhole cameras.
+        DatasetError: A file is missing or broken, or a lens is not known.
     """
     model = _read_model(cameras_file)
-    poses = _poses(model, cameras_file)
-    return dict(zip((pose.name for pose in poses), _cameras(model, poses, cameras_file), strict=True))
+    lenses, source = _lenses(model, cameras_file), _images_file(cameras_file)
+    cameras = {}
+    for pose in _poses(model, cameras_file):
+        where = f"{source}, {pose.name}"
+        cameras[pose.name] = pinhole_camera(_to_world(pose, where), lenses[pose.lens], where)
+    return cameras
 
 
 def _poses(model: Model, cameras_file: Path) -> list[Pose]:
@@ -87,11 +108,11 @@ def _poses(model: Model, cameras_file: Path) -> list[Pose]:
     return poses
 
 
-def _cameras(model: Model, poses: list[Pose], cameras_file: Path) -> list[Camera]:
-    """The camera of each pose."""
-    source = _images_file(cameras_file)
-    used = {pose.lens: _intrinsics(model.lenses, pose.lens, cameras_file) for pose in poses}
-    return [_camera(pose, *used[pose.lens], source) for pose in poses]
+def _lenses(model: Model, cameras_file: Path) -> dict[int, Intrinsics]:
+    """The lenses that poses have, by their numbers."""
+    return {
+        number: _intrinsics(model.lenses, number, cameras_file) for number in {p.lens for p in model.poses.values()}
+    }
 
 
 def _images_file(cameras_file: Path) -> Path:
@@ -129,37 +150,40 @@ def _split(poses: list[Pose], test_list: Path, split: Split | None, every: int) 
     return [pose for pose in poses if (pose.name in tests) == (split == "test")]
 
 
-def _intrinsics(
-    lenses: Mapping[int, Lens], number: int, source: Path
-) -> tuple[tuple[float, float], tuple[float, float], tuple[int, int]]:
-    """Focal lengths, principal point and size in pixels of one camera."""
+def _intrinsics(lenses: Mapping[int, Lens], number: int, source: Path) -> Intrinsics:
+    """What a model says of one lens."""
     if number not in lenses:
         raise DatasetError(message(str(source), f"a camera {number}", "none", "export the model again"))
-    lens = lenses[number]
-    if lens.model not in ("PINHOLE", "SIMPLE_PINHOLE"):
+    lens, where = lenses[number], f"{source}, camera {number}"
+    if lens.model not in (*_ONE_FOCAL, *_TWO_FOCALS):
         do = "undistort the pictures with colmap image_undistorter and pass its output"
-        raise DatasetError(message(f"{source}, camera {number}", "PINHOLE or SIMPLE_PINHOLE", lens.model, do))
+        raise DatasetError(message(where, f"one of {', '.join((*_ONE_FOCAL, *_TWO_FOCALS))}", lens.model, do))
     if len(lens.parameters) != MODELS[lens.model]:
         expected, got = f"{MODELS[lens.model]} parameters of {lens.model}", len(lens.parameters)
-        raise DatasetError(message(f"{source}, camera {number}", expected, got, "export the model again"))
-    fx, fy, cx, cy = lens.parameters if lens.model == "PINHOLE" else (lens.parameters[0], *lens.parameters)
-    return (fx, fy), (cx, cy), (lens.width, lens.height)
+        raise DatasetError(message(where, expected, got, "export the model again"))
+    first = lens.parameters[:1] if lens.model in _ONE_FOCAL else ()
+    fx, fy, cx, cy, *rest = (*first, *lens.parameters)
+    try:
+        return Intrinsics(
+            focal=(fx, fy),
+            principal=(cx, cy),
+            size=(lens.width, lens.height),
+            radial=tuple(rest[:2] if lens.model == "OPENCV" else rest),
+            tangential=(rest[2], rest[3]) if lens.model == "OPENCV" else (0.0, 0.0),
+            fisheye=lens.model.endswith("FISHEYE"),
+        )
+    except InvalidValueError as error:
+        raise DatasetError(f"{where}: {error}") from error
 
 
-def _camera(
-    pose: Pose, focal: tuple[float, float], principal: tuple[float, float], size: tuple[int, int], source: Path
-) -> Camera:
-    """The camera of a picture."""
+def _to_world(pose: Pose, where: str) -> Tensor:
+    """The camera-to-world matrix of a picture; its translation is not checked."""
     quaternion = torch.tensor(pose.quaternion, dtype=torch.float64)
     shift = torch.tensor(pose.translation, dtype=torch.float64)
     length = float(quaternion.norm())
-    where = f"{source}, {pose.name}"
     if not (math.isfinite(length) and length > 1e-6):
         raise DatasetError(message(where, "a quaternion", pose.quaternion, "register the picture again"))
     rotation = to_matrix(quaternion / length)
     to_world = torch.eye(4, dtype=torch.float64)
     to_world[:3, :3], to_world[:3, 3] = rotation.T, -(rotation.T @ shift)
-    try:
-        return Camera(to_world=to_world, focal=focal, width=size[0], height=size[1], principal=principal)
-    except InvalidValueError as error:
-        raise DatasetError(f"{where}: {error}") from error
+    return to_world

@@ -11,16 +11,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, overload
 
+import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera, View, ViewSet
 from mi_splat.datasets.colmap import find_model, read_colmap
+from mi_splat.datasets.distortion import Intrinsics, undistorted
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.datasets.frames import HELD_OUT, Frame, Split, downscaled
 from mi_splat.datasets.pictures import read_mask, read_picture
 from mi_splat.datasets.transforms import PARTS, SINGLE, find_transforms, read_transforms
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import sha256
+from mi_splat.io.picture_files import check_pixels
 from mi_splat.io.points import PointCloud, load_points
 
 CACHE_BYTES = 256 << 20
@@ -28,16 +31,17 @@ CACHE_BYTES = 256 << 20
 
 
 class _Entry(NamedTuple):
-    """One picture in memory: the view, (H, W) alpha and (H, W) mask, if it has them."""
+    """One picture in memory: the view, (H, W) alpha and mask, if it has them, and what of it the photograph shows."""
 
     view: View
     alpha: Tensor | None
     mask: Tensor | None
+    shown: Tensor | None
 
     @property
     def bytes(self) -> int:
         """Memory that it takes."""
-        planes = [plane for plane in (self.alpha, self.mask) if plane is not None]
+        planes = [plane for plane in (self.alpha, self.mask, self.shown) if plane is not None]
         return 4 * (math.prod(self.view.image.shape) + sum(plane.numel() for plane in planes))
 
 
@@ -46,7 +50,7 @@ class Dataset(ViewSet):
     """Views whose pictures are read when they are asked for; the last ones read are kept, so do not change them.
 
     Attributes:
-        frames: Cameras at full size with the files of their pictures.
+        frames: Cameras with the files of their pictures.
         points: Points from which a training may start; None if the set has none.
         downscale: Integer factor by which pictures are made smaller.
         background: sRGB colour behind transparent pixels.
@@ -65,10 +69,17 @@ class Dataset(ViewSet):
     def __post_init__(self) -> None:
         if not (isinstance(self.downscale, int) and self.downscale >= 1):
             raise InvalidValueError(message("downscale", "a positive integer", self.downscale, "1 keeps the size"))
+        if any(self.downscale % frame.shrunk for frame in self.frames):
+            do = "load the set again with that downscale"
+            raise InvalidValueError(message("downscale", "a multiple of that of the pictures", self.downscale, do))
         if len(self.background) != 3 or not all(0 <= value <= 1 for value in self.background):
             do = "white is (1, 1, 1)"
             raise InvalidValueError(message("background", "three sRGB values in [0, 1]", self.background, do))
-        object.__setattr__(self, "cameras", tuple(downscaled(frame.camera, self.downscale) for frame in self.frames))
+        cameras = tuple(downscaled(frame.camera, self._factor(frame)) for frame in self.frames)
+        for frame, camera in zip(self.frames, cameras, strict=True):
+            if frame.lens is not None:  # which may have made the picture larger than that in the file
+                check_pixels(f"{frame.path} without its distortion", camera.width, camera.height)
+        object.__setattr__(self, "cameras", cameras)
 
     @property
     def paths(self) -> tuple[Path, ...]:
@@ -83,7 +94,8 @@ class Dataset(ViewSet):
             DatasetError: A file is not there any more, or cannot be read.
         """
         files = [tuple(_digest(file) for file in (frame.path, frame.mask)) for frame in self.frames]
-        return repr((files, self.downscale, self.background))
+        bent = [(frame.lens, frame.upright) for frame in self.frames if frame.lens or frame.upright]
+        return repr((files, self.downscale, self.background, *([bent] if bent else [])))
 
     def __len__(self) -> int:
         """Number of views."""
@@ -115,14 +127,20 @@ class Dataset(ViewSet):
         """
         return self._read(index).alpha
 
-    def loss_mask(self, index: int) -> Tensor | None:
-        """(H, W) float32 in [0, 1], 1 where the picture's mask lets it count; None if it has no mask.
+    def loss_mask(self, index: int, *, files: bool = True) -> Tensor | None:
+        """(H, W) float32 in [0, 1], 1 where the picture counts in a loss; None if all of it does.
+
+        Args:
+            index: Of the view.
+            files: Whether masks that came with the set count; else only what the photograph does not show, which an
+                undistorted picture may have at its border.
 
         Raises:
             DatasetError: The picture or its mask cannot be read.
             IndexError: There is no such view.
         """
-        return self._read(index).mask
+        entry = self._read(index)
+        return _product(entry.mask if files else None, entry.shown)
 
     def mask(self, index: int) -> Tensor | None:
         """(H, W) float32 in [0, 1], 1 where the picture counts: its alpha times its mask; None if it has neither.
@@ -132,9 +150,11 @@ class Dataset(ViewSet):
             IndexError: There is no such view.
         """
         entry = self._read(index)
-        if entry.mask is None or entry.alpha is None:
-            return entry.alpha if entry.mask is None else entry.mask
-        return entry.mask * entry.alpha
+        return _product(entry.alpha, _product(entry.mask, entry.shown))
+
+    def _factor(self, frame: Frame) -> int:
+        """By what the picture in the file has to be made smaller."""
+        return self.downscale // frame.shrunk
 
     def _read(self, index: int) -> _Entry:
         """A view with its alpha and its mask, from memory or from the disk."""
@@ -148,15 +168,36 @@ class Dataset(ViewSet):
 
     def _load(self, index: int) -> _Entry:
         """A view with its alpha and its mask from the disk."""
-        frame = self.frames[index]
-        image, alpha = read_picture(frame.path, downscale=self.downscale, background=self.background)
-        mask = None if frame.mask is None else read_mask(frame.mask, downscale=self.downscale)
+        frame, camera = self.frames[index], self.cameras[index]
+        factor = self._factor(frame)
+        image, alpha = read_picture(frame.path, downscale=factor, background=self.background, upright=frame.upright)
+        mask = None if frame.mask is None else read_mask(frame.mask, downscale=factor)
+        size = frame.lens.size if frame.lens else (frame.camera.width, frame.camera.height)
+        wanted = (size[1] // factor, size[0] // factor)
         for name, values in ((frame.path, image), (frame.mask, mask)):
-            wanted = (self.cameras[index].height, self.cameras[index].width)
             if values is not None and tuple(values.shape[:2]) != wanted:
                 got, do = tuple(values.shape[:2]), "it has changed: load the set again"
                 raise DatasetError(message(str(name), f"{wanted} rows and columns", got, do))
-        return _Entry(View(self.cameras[index], image), alpha, mask)
+        if frame.lens is None:
+            return _Entry(View(camera, image), alpha, mask, None)
+        lens = frame.lens.resized(wanted[::-1], (1 / factor, 1 / factor))
+        target = Intrinsics(
+            focal=(camera.fx, camera.fy), principal=(camera.cx, camera.cy), size=(camera.width, camera.height)
+        )
+        planes = [plane[..., None] for plane in (alpha, mask) if plane is not None]
+        picture, shown = undistorted(torch.cat([image, *planes], -1), lens, target)
+        picture.clamp_(0, 1)  # the four weights of a pixel may sum to a little more
+        rest = iter(picture[..., 3:].unbind(-1))
+        alpha, mask = (None if plane is None else next(rest).contiguous() for plane in (alpha, mask))
+        view = View(camera, picture[..., :3].contiguous())
+        return _Entry(view, alpha, mask, None if bool(shown.all()) else shown.float())
+
+
+def _product(one: Tensor | None, other: Tensor | None) -> Tensor | None:
+    """Of two masks, of which either may be missing."""
+    if one is None or other is None:
+        return other if one is None else one
+    return one * other
 
 
 def _digest(file: Path | None) -> str | None:
@@ -177,23 +218,27 @@ def load_dataset(
     test_every: int = HELD_OUT,
     cache_bytes: int = CACHE_BYTES,
 ) -> Dataset:
-    """Load a set of pictures with cameras: Blender and NeRF transforms, or a COLMAP model.
+    """Load a set of pictures with cameras: Blender, NeRF and nerfstudio transforms, or a COLMAP model.
 
     The format is found by itself: transforms_train.json and transforms_test.json, or transforms.json, or a COLMAP model
     in sparse/0, in sparse or in the folder itself, with pictures in images/. The world stays as it is in the files.
-    Headers of all pictures are read, and what is missing or does not fit is refused now; pixels are read later.
+    Headers of all pictures are read, and what does not fit is refused now; pixels are read later. Pictures of lenses
+    with distortion become those of pinhole cameras as they are read (`mi_splat.datasets.distortion`). Pictures that are
+    listed and not there are left out, with a `DatasetWarning`.
 
     Args:
         path: The folder, or a transforms file.
         split: "train" or "test"; None is both. Where the set has no split, every `test_every`-th picture in the order
             of names, the first included, is for tests.
-        downscale: Integer factor by which pictures and intrinsics shrink; pixels are averaged.
+        downscale: Integer factor by which pictures and intrinsics shrink; pixels are averaged, or taken from the
+            smaller pictures of the set, in images_2 beside images for a factor of 2, and so on.
         background: sRGB colour behind transparent pixels.
         test_every: See `split`.
         cache_bytes: How much of the set may stay in memory.
 
     Raises:
-        DatasetError: The set is of neither kind, empty, or something in it is missing, broken or no pinhole camera.
+        DatasetError: The set is of neither kind, empty, or something in it is broken or cannot be undistorted, or more
+            than a third of the pictures are missing.
         SplatFileError: The point cloud beside transforms cannot be read.
         InvalidValueError: An argument is out of range.
     """
@@ -205,10 +250,10 @@ def load_dataset(
     transforms = find_transforms(root)
     model = None if transforms else find_model(root)
     if transforms:
-        frames, file = read_transforms(transforms, split, test_every)
+        frames, file = read_transforms(transforms, split, test_every, downscale)
         points = None if file is None else load_points(file)
     elif model:
-        frames, points = read_colmap(root, model, split, test_every)
+        frames, points = read_colmap(root, model, split, test_every, downscale)
     else:
         expected = "transforms.json, transforms_train.json or a COLMAP model in sparse/0"
         got = "none of these" if root.is_dir() else "no such folder"

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+import os
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Literal, NamedTuple, TypeVar
+
+from torch import Tensor
 
 from mi_splat.cameras import Camera
-from mi_splat.datasets.errors import DatasetError
-from mi_splat.datasets.pictures import SUFFIXES, picture_size
-from mi_splat.errors import message
+from mi_splat.datasets.distortion import Intrinsics, pinhole
+from mi_splat.datasets.errors import DatasetError, DatasetWarning
+from mi_splat.datasets.pictures import SUFFIXES, lies_on_its_side, picture_size
+from mi_splat.errors import InvalidValueError, message
 
 Split = Literal["train", "test"]
 HELD_OUT = 8
 """Where a format has no split of its own, pictures in the order of names are for tests at multiples of this index."""
+
+MOST_MISSING = 1 / 3
+"""Share of the pictures that a set lists and does not have, above which it is refused."""
+
+_FOLDERS = ("images", "masks")
+_LONGEST_NAME = 255
 
 Item = TypeVar("Item")
 
@@ -24,14 +35,165 @@ class Frame:
     """One picture of a set.
 
     Attributes:
-        camera: The camera, at the picture's full size.
+        camera: The pinhole camera, at the picture's full size.
         path: The picture.
         mask: A grey picture of the same size that is white where the picture counts; None if there is none.
+        lens: Intrinsics of the picture in the file, out of which that of the camera is taken; None if they are the
+            camera's.
+        upright: Whether the picture is turned as its EXIF orientation says.
+        shrunk: By what the picture in the file is smaller already.
     """
 
     camera: Camera
     path: Path
     mask: Path | None = None
+    lens: Intrinsics | None = None
+    upright: bool = False
+    shrunk: int = 1
+
+
+class Photograph(NamedTuple):
+    """The files of a picture, and what is known of it without decoding it.
+
+    `size` is that of which the set speaks, `stored` that of the file, which is smaller in a folder images_2.
+    """
+
+    path: Path
+    mask: Path | None
+    size: tuple[int, int]
+    stored: tuple[int, int]
+    upright: bool = False
+
+    def frame(self, pose: Tensor, intrinsics: Intrinsics, shrunk: int, where: str) -> Frame:
+        """The frame of a camera with this picture.
+
+        Args:
+            pose: (4, 4) camera to world.
+            intrinsics: At `size`.
+            shrunk: See `Frame`; 1 where `stored` is `size`.
+            where: What the camera is called in messages.
+
+        Raises:
+            DatasetError: They are no camera.
+        """
+        lens = intrinsics if self.stored == self.size else intrinsics.resized(self.stored)
+        return Frame(
+            camera=pinhole_camera(pose, lens, where),
+            path=self.path,
+            mask=self.mask,
+            lens=None if lens.is_pinhole else lens,
+            upright=self.upright,
+            shrunk=1 if self.stored == self.size else shrunk,
+        )
+
+
+def pinhole_camera(pose: Tensor, lens: Intrinsics, where: str) -> Camera:
+    """The camera that sees what a photograph shows, without its distortion.
+
+    Args:
+        pose: (4, 4) camera to world.
+        lens: Of the photograph.
+        where: What it is called in messages.
+
+    Raises:
+        DatasetError: They are no camera.
+    """
+    try:
+        lens = pinhole(lens)
+        width, height = lens.size
+        return Camera(to_world=pose, focal=lens.focal, width=width, height=height, principal=lens.principal)
+    except InvalidValueError as error:
+        raise DatasetError(f"{where}: {error}") from error
+
+
+def photograph(picture: Path, mask: Path | None, claimed: tuple[int, int] | None, shrunk: int) -> Photograph | None:
+    """A picture with its mask, both from folders of smaller ones if there are such; None if there is no picture.
+
+    Args:
+        picture: Its file, found or not.
+        mask: That of its mask.
+        claimed: Width and height of which the set speaks. A picture whose EXIF orientation gives it that size is
+            turned; else its pixels count as they are in the file, which is how COLMAP and others see them.
+        shrunk: Pictures that are so many times smaller lie in images_2 beside images, and so on.
+
+    Raises:
+        DatasetError: A file cannot be read, or has another size.
+    """
+    small, small_mask = (_smaller(file, shrunk) if file and shrunk > 1 else None for file in (picture, mask))
+    if small is not None and (mask is None or small_mask is not None):
+        return _small_photograph(small, small_mask, claimed or _size_of(picture), shrunk)
+    if not picture.is_file():
+        return None
+    stored = picture_size(picture)
+    upright = claimed is not None and claimed != stored and claimed == stored[::-1] and lies_on_its_side(picture)
+    size = stored[::-1] if upright else picture_size(picture, claimed)
+    if mask is not None:
+        picture_size(mask, size)
+    return Photograph(picture, mask, size, size, upright)
+
+
+def _size_of(picture: Path) -> tuple[int, int] | None:
+    """The size of a picture, if it is there."""
+    return picture_size(picture) if picture.is_file() else None
+
+
+def _small_photograph(path: Path, mask: Path | None, size: tuple[int, int] | None, shrunk: int) -> Photograph:
+    """One that lies in a folder of smaller pictures."""
+    stored = picture_size(path)
+    size = size or (stored[0] * shrunk, stored[1] * shrunk)
+    if any(abs(side - whole / shrunk) >= 1 for side, whole in zip(stored, size, strict=True)):
+        expected = f"{size[0] / shrunk:g} x {size[1] / shrunk:g} pixels, rounded"
+        do = f"make the smaller pictures again, or remove their folder; {path.parent.name} is used for that downscale"
+        raise DatasetError(message(str(path), expected, f"{stored[0]} x {stored[1]}", do))
+    if mask is not None:
+        picture_size(mask, stored)
+    return Photograph(path, mask, size, stored)
+
+
+def _smaller(file: Path, factor: int) -> Path | None:
+    """The same file in a folder images_2 in place of images, if there is one."""
+    for folder in file.parents[:3]:
+        if folder.name in _FOLDERS:
+            small = find_picture(folder.with_name(f"{folder.name}_{factor}") / file.relative_to(folder))
+            return small if small.is_file() else None
+    return None
+
+
+def within(folder: Path, name: str, source: str, *, above: int = 0) -> Path:
+    """A file that a set names, which has to lie in the set.
+
+    Args:
+        folder: From where the name counts.
+        name: What the set says.
+        source: Where it says it, for messages.
+        above: How many folders up a name may lead.
+
+    Raises:
+        DatasetError: It leads elsewhere.
+    """
+    parts = Path(os.path.normpath(name)).parts
+    if Path(name).is_absolute() or parts[: above + 1] == ("..",) * (above + 1):
+        do = "put the set's files into its folder, and name them from there"
+        raise DatasetError(message(source, "the name of a file in the set", repr(name[:80]), do))
+    if any(len(part.encode("utf-8", "replace")) > _LONGEST_NAME for part in parts) or len(name) > 4 * _LONGEST_NAME:
+        got, do = f"one of {len(name)} characters", "repair it"
+        raise DatasetError(message(source, f"the name of a file, parts up to {_LONGEST_NAME} bytes", got, do))
+    return folder / name
+
+
+def report_missing(missing: Sequence[Path], listed: int, source: Path) -> None:
+    """Warn of pictures that are not there.
+
+    Raises:
+        DatasetError: They are too many.
+    """
+    if not missing:
+        return
+    got = f"{len(missing)} of {listed} missing ({missing[0].name}{', ...' if len(missing) > 1 else ''})"
+    if len(missing) > MOST_MISSING * listed:
+        do = f"put them there, {missing[0]} for instance, or take them off the list"
+        raise DatasetError(message(str(source), "the pictures that it lists", got, do))
+    warnings.warn(f"{source}: pictures, {got}; going on without them", DatasetWarning, stacklevel=4)
 
 
 def downscaled(camera: Camera, factor: int) -> Camera:
@@ -59,19 +221,12 @@ def find_picture(path: Path) -> Path:
     return next((candidate for candidate in candidates if candidate.is_file()), path)
 
 
-def find_mask(folder: Path, name: Path, size: tuple[int, int]) -> Path | None:
-    """The mask of a picture in a folder: under the picture's name, or that with .png appended or as its suffix.
-
-    Raises:
-        DatasetError: The mask does not have the size of the picture.
-    """
+def find_mask(folder: Path, name: Path) -> Path | None:
+    """The mask of a picture in a folder: under the picture's name, or that with .png appended or as its suffix."""
     if name.is_absolute() or ".." in name.parts:  # which would lead out of the folder, perhaps to the picture itself
         name = Path(name.name)
     names = (name, name.with_name(f"{name.name}.png"), name.with_suffix(".png"))
-    mask = next((folder / candidate for candidate in names if (folder / candidate).is_file()), None)
-    if mask is not None:
-        picture_size(mask, size)
-    return mask
+    return next((folder / candidate for candidate in names if (folder / candidate).is_file()), None)
 
 
 def held_out(items: Sequence[Item], split: Split | None, every: int) -> list[Item]:

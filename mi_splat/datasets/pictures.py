@@ -13,6 +13,7 @@ from torch import Tensor
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.errors import message
 from mi_splat.io.picture_files import PictureFileError, load_picture, picture_header
+from mi_splat.io.picture_files import lies_on_its_side as _lies_on_its_side
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".PNG", ".JPG", ".JPEG")
 """What is appended, in this order, to the name of a picture that has no suffix."""
@@ -44,13 +45,28 @@ def picture_size(path: Path, claimed: tuple[int, int] | None = None) -> tuple[in
     return size
 
 
-def read_picture(path: Path, *, downscale: int, background: tuple[float, float, float]) -> tuple[Tensor, Tensor | None]:
+def lies_on_its_side(path: Path) -> bool:
+    """Whether a picture's EXIF orientation swaps its width and height.
+
+    Raises:
+        DatasetError: It cannot be read.
+    """
+    try:
+        return _lies_on_its_side(path)
+    except PictureFileError as error:
+        raise DatasetError(str(error)).hinted(error.hint) from error
+
+
+def read_picture(
+    path: Path, *, downscale: int, background: tuple[float, float, float], upright: bool = False
+) -> tuple[Tensor, Tensor | None]:
     """A picture over a background, and its alpha.
 
     Args:
         path: The picture.
         downscale: Factor by which it shrinks; each pixel is the mean of those it covers.
         background: sRGB colour behind transparent pixels; blended in sRGB, as NeRF's sets are meant.
+        upright: Whether it is turned as its EXIF orientation says.
 
     Returns:
         (H, W, 3) float32 in [0, 1], and (H, W) float32 alpha in [0, 1] if the picture has any.
@@ -58,7 +74,7 @@ def read_picture(path: Path, *, downscale: int, background: tuple[float, float, 
     Raises:
         DatasetError: The picture cannot be read.
     """
-    picture = _decoded(path)
+    picture = _decoded(path, upright)
     has_alpha = "A" in picture.mode or "a" in picture.mode or "transparency" in picture.info
     values = np.asarray(picture.convert("RGBA" if has_alpha else "RGB"), np.float32) / np.float32(255)
     if not has_alpha:
@@ -88,9 +104,9 @@ def area_mean(values: Pixels, factor: int) -> Pixels:
     return means
 
 
-def _decoded(path: Path) -> Image.Image:
+def _decoded(path: Path, upright: bool = False) -> Image.Image:
     """The whole picture, decoded."""
     try:
-        return load_picture(path)
+        return load_picture(path, upright=upright)
     except PictureFileError as error:
         raise DatasetError(str(error)).hinted(error.hint) from error

@@ -14,9 +14,20 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera
+from mi_splat.datasets.distortion import Intrinsics
 from mi_splat.datasets.errors import DatasetError
-from mi_splat.datasets.frames import Frame, Split, find_mask, find_picture, held_out, refuse_doubles
-from mi_splat.datasets.pictures import picture_size
+from mi_splat.datasets.frames import (
+    Frame,
+    Split,
+    find_mask,
+    find_picture,
+    held_out,
+    photograph,
+    pinhole_camera,
+    refuse_doubles,
+    report_missing,
+    within,
+)
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.parsing import DocumentReader
 
@@ -37,7 +48,12 @@ _TRANSFORMS = DocumentReader(
 )
 _DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 _LARGEST = 1e12
-_PINHOLE_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
+_PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
+_FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
+_COEFFICIENTS = {False: ("k1", "k2", "k3", "p1", "p2"), True: ("k1", "k2", "k3", "k4")}
+"""Those of perspective and of fisheye lenses that are undone; k4 of OpenCV's perspective lenses is a divisor."""
+_ABOVE = 1
+"""Folders above a file from which its pictures may come: some tools keep it beside their folder."""
 
 
 def find_transforms(path: Path) -> Path | None:
@@ -47,28 +63,31 @@ def find_transforms(path: Path) -> Path | None:
     return next((path / name for name in (PARTS["train"], SINGLE, PARTS["test"]) if (path / name).is_file()), None)
 
 
-def read_transforms(path: Path, split: Split | None, every: int) -> tuple[list[Frame], Path | None]:
+def read_transforms(path: Path, split: Split | None, every: int, downscale: int = 1) -> tuple[list[Frame], Path | None]:
     """The frames of a split, and the file of the point cloud.
 
     Args:
         path: A file found by `find_transforms`.
         split: Which part; None for all. A file named for a split belongs to that alone.
         every: In a file for all pictures, those whose index in the order of names is a multiple are for tests.
+        downscale: Pictures that are so many times smaller are taken if the set has them.
 
     Raises:
-        DatasetError: A file is missing, broken, or describes cameras that are no pinhole cameras.
+        DatasetError: A file is missing or broken, too many pictures are missing, or a lens is not known.
     """
     its_part = next((part for part, name in PARTS.items() if name == path.name), None)
     if its_part is None:
         document = _document(path)
-        frames = _split(document, _frames(document, path), split, every)
-        return frames, _points_file(document, path)
+        entries = _split(document, _entries(document, path, downscale), split, every)
+        return [frame for _, frame in entries if frame], _points_file(document, path)
     files = {part: path.with_name(name) for part, name in PARTS.items()}
     wanted = files.values() if split is None else [files[split]]
     documents = {file: _document(file) for file in wanted if split is not None or file.is_file()}
-    frames = [frame for file, document in documents.items() for frame in _frames(document, file)]
-    refuse_doubles((str(frame.path) for frame in frames), path)
-    return frames, next((points for file, doc in documents.items() if (points := _points_file(doc, file))), None)
+    entries = [entry for file, document in documents.items() for entry in _entries(document, file, downscale)]
+    refuse_doubles((str(picture) for picture, _ in entries), path)
+    return [frame for _, frame in entries if frame], next(
+        (points for file, doc in documents.items() if (points := _points_file(doc, file))), None
+    )
 
 
 def read_cameras(path: Path, size: tuple[int, int]) -> list[Camera]:
@@ -118,31 +137,33 @@ def _document(path: Path) -> dict[str, Any]:
     return document
 
 
-def _frames(document: Mapping[str, Any], path: Path) -> list[Frame]:
-    """All frames of a file, pictures checked."""
-    frames = []
+def _entries(document: Mapping[str, Any], path: Path, downscale: int) -> list[tuple[Path, Frame | None]]:
+    """Every picture that a file lists, and its frame if the picture is there."""
+    entries = []
     for number, entry in enumerate(document["frames"]):
         if not isinstance(entry, dict) or not isinstance(entry.get("file_path"), str) or not entry["file_path"]:
             do = "give every frame its file_path"
             raise DatasetError(message(f"{path}, frame {number}", "an object with a file_path", "none", do))
-        where = f"{path}, frame {number} ({entry['file_path']})"
-        picture = find_picture(path.parent / entry["file_path"])
+        where = f"{path}, frame {number} ({entry['file_path'][:200]})"
+        picture = find_picture(within(path.parent, entry["file_path"], where, above=_ABOVE))
         values = {**document, **entry}
-        claimed = _size(values, where)
-        size = picture_size(picture, claimed)
-        frames.append(Frame(camera=_camera(values, size, where), path=picture, mask=_mask(entry, path, picture, size)))
-    refuse_doubles((str(frame.path) for frame in frames), path)
-    return frames
+        found = photograph(picture, _mask(entry, path, picture, where), _size(values, where), downscale)
+        frame = None
+        if found is not None:
+            pose, lens = _pose(values.get("transform_matrix"), where), _intrinsics(values, found.size, where)
+            frame = found.frame(pose, lens, downscale, where)
+        entries.append((picture, frame))
+    refuse_doubles((str(picture) for picture, _ in entries), path)
+    report_missing([picture for picture, frame in entries if frame is None], len(entries), path)
+    return entries
 
 
-def _mask(entry: Mapping[str, Any], path: Path, picture: Path, size: tuple[int, int]) -> Path | None:
+def _mask(entry: Mapping[str, Any], path: Path, picture: Path, where: str) -> Path | None:
     """The mask that the frame names, or that lies in a folder masks/."""
     if isinstance(entry.get("mask_path"), str):
-        named: Path = path.parent / entry["mask_path"]
-        picture_size(named, size)
-        return named
+        return within(path.parent, entry["mask_path"], f"{where}: mask_path", above=_ABOVE)
     name = Path(*Path(entry["file_path"]).parent.parts, picture.name)
-    return find_mask(path.parent / "masks", name.relative_to("images") if name.parts[0] == "images" else name, size)
+    return find_mask(path.parent / "masks", name.relative_to("images") if name.parts[0] == "images" else name)
 
 
 def _number(values: Mapping[str, Any], key: str, where: str) -> float | None:
@@ -167,27 +188,39 @@ def _size(values: Mapping[str, Any], where: str) -> tuple[int, int] | None:
 
 
 def _camera(values: Mapping[str, Any], size: tuple[int, int], where: str) -> Camera:
-    """The camera of a frame whose own values come before those of the file."""
-    distortion = [key for key in _DISTORTION if (_number(values, key, where) or 0.0) != 0.0]
-    model = str(values.get("camera_model", _PINHOLE_MODELS[0])).upper()
-    if distortion or model not in _PINHOLE_MODELS or values.get("is_fisheye"):
-        lens = (
-            f"distortion {', '.join(distortion)}"
-            if distortion
-            else f"camera model {values.get('camera_model', 'fisheye')}"
-        )
+    """The pinhole camera of a frame whose own values come before those of the file."""
+    return pinhole_camera(_pose(values.get("transform_matrix"), where), _intrinsics(values, size, where), where)
+
+
+def _intrinsics(values: Mapping[str, Any], size: tuple[int, int], where: str) -> Intrinsics:
+    """What a frame says of its lens."""
+    model = str(values.get("camera_model", _PERSPECTIVE[0])).upper()
+    if model not in (*_PERSPECTIVE, *_FISHEYE):
         do = "undistort the pictures first, for instance with colmap image_undistorter"
-        raise DatasetError(message(where, "a pinhole camera", lens, do))
+        known = f"a camera_model, one of {', '.join((*_PERSPECTIVE, *_FISHEYE))}"
+        raise DatasetError(message(where, known, model[:60], do))
+    fisheye = model in _FISHEYE or bool(values.get("is_fisheye"))
+    distortion = {key: _number(values, key, where) or 0.0 for key in _DISTORTION}
+    usable = _COEFFICIENTS[fisheye]
+    if others := [key for key, value in distortion.items() if value and key not in usable]:
+        kind = "a fisheye lens" if fisheye else "a lens of this kind"
+        do = "undistort the pictures first, for instance with colmap image_undistorter"
+        raise DatasetError(message(where, f"{', '.join(usable)} of {kind}", ", ".join(others), do))
     focal = [_focal(values, axis, pixels, where) for axis, pixels in zip("xy", size, strict=True)]
-    known = [value for value in focal if value is not None]
-    if not known:
+    known_focal = [value for value in focal if value is not None]
+    if not known_focal:
         raise DatasetError(message(where, "fl_x or camera_angle_x", "neither", "add one of the two"))
-    fx, fy = (known[0] if value is None else value for value in focal)
+    fx, fy = (known_focal[0] if value is None else value for value in focal)
     cx, cy = (_number(values, key, where) for key in ("cx", "cy"))
-    principal = (size[0] / 2 if cx is None else cx, size[1] / 2 if cy is None else cy)
-    pose = _pose(values.get("transform_matrix"), where)
     try:
-        return Camera(to_world=pose, focal=(fx, fy), width=size[0], height=size[1], principal=principal)
+        return Intrinsics(
+            focal=(fx, fy),
+            principal=(size[0] / 2 if cx is None else cx, size[1] / 2 if cy is None else cy),
+            size=size,
+            radial=tuple(distortion[key] for key in usable if key[0] == "k"),
+            tangential=(distortion["p1"], distortion["p2"]),
+            fisheye=fisheye,
+        )
     except InvalidValueError as error:
         raise DatasetError(f"{where}: {error}") from error
 
@@ -215,19 +248,23 @@ def _focal(values: Mapping[str, Any], axis: str, pixels: int, where: str) -> flo
     return 0.5 * pixels / math.tan(0.5 * angle)
 
 
-def _split(document: Mapping[str, Any], frames: list[Frame], split: Split | None, every: int) -> list[Frame]:
+def _split(
+    document: Mapping[str, Any], entries: list[tuple[Path, Frame | None]], split: Split | None, every: int
+) -> list[tuple[Path, Frame | None]]:
     """The part of a single file: what its own lists of names say, or each `every`-th in the order of names."""
     listed = document.get(f"{split}_filenames")
     if split is not None and isinstance(listed, list):
         names = {Path(str(name)).with_suffix("").as_posix() for name in listed}
-        entries = zip(document["frames"], frames, strict=True)
-        return [frame for entry, frame in entries if Path(entry["file_path"]).with_suffix("").as_posix() in names]
-    return held_out(sorted(frames, key=lambda frame: str(frame.path)), split, every)
+        pairs = zip(document["frames"], entries, strict=True)
+        return [entry for said, entry in pairs if Path(said["file_path"]).with_suffix("").as_posix() in names]
+    return held_out(sorted(entries, key=lambda entry: str(entry[0])), split, every)
 
 
 def _points_file(document: Mapping[str, Any], path: Path) -> Path | None:
-    """The point cloud that the file names, or one beside it under a usual name."""
+    """The point cloud that the file names, or one beside it under a usual name; None if it is not there."""
     named = document.get("ply_file_path")
-    if isinstance(named, str):
-        return path.parent / named
-    return next((path.parent / name for name in POINTS if (path.parent / name).is_file()), None)
+    names: tuple[str, ...] = POINTS
+    if isinstance(named, str) and named:
+        within(path.parent, named, f"{path}: ply_file_path", above=_ABOVE)
+        names = (named,)
+    return next((path.parent / name for name in names if (path.parent / name).is_file()), None)

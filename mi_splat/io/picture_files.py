@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from PIL import Image, UnidentifiedImageError
+from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 
@@ -96,13 +96,26 @@ def picture_header(path: Path, what: str = "", *, formats: Sequence[str] = FORMA
         return picture.size, picture.mode
 
 
-def load_picture(source: Path | bytes, what: str = "", *, formats: Sequence[str] = FORMATS) -> Image.Image:
+def lies_on_its_side(path: Path) -> bool:
+    """Whether a picture's EXIF orientation swaps its width and height.
+
+    Raises:
+        PictureFileError: There is no such picture, or it cannot be read.
+    """
+    with _opened(path, str(path), FORMATS) as picture:
+        return picture.getexif().get(ExifTags.Base.Orientation) in (5, 6, 7, 8)
+
+
+def load_picture(
+    source: Path | bytes, what: str = "", *, formats: Sequence[str] = FORMATS, upright: bool = False
+) -> Image.Image:
     """A whole picture, decoded.
 
     Args:
         source: The file, or its bytes.
         what: Its name, for messages; that of the file if empty.
         formats: Pillow's names of the kinds of files that it may be.
+        upright: Turn it as its EXIF orientation says.
 
     Raises:
         PictureFileError: There is no such picture, or it is broken, has too many pixels, or is an animation.
@@ -112,7 +125,7 @@ def load_picture(source: Path | bytes, what: str = "", *, formats: Sequence[str]
             do = "save one picture of it"
             raise PictureFileError(message(what or str(source), "one picture", "an animation", do))
         picture.load()
-        return picture.copy()
+        return ImageOps.exif_transpose(picture) if upright else picture.copy()
 
 
 @contextmanager
@@ -127,12 +140,27 @@ def _opened(source: Path | bytes, what: str, formats: Sequence[str]) -> Iterator
         do = "put the picture there or take it off the list"
         raise PictureFileError(message(what, "a picture", "no such file", do)) from error
     except UnidentifiedImageError as error:
+        if (kind := _of_phones(source)) is not None:
+            do = "convert it, for instance with `magick mogrify -format jpg` (ImageMagick) or heif-convert (libheif)"
+            raise PictureFileError(message(what, f"a picture as {', '.join(formats)}", kind, do)) from error
         kinds = f"a picture that can be read ({', '.join(formats)})"
         raise PictureFileError(message(what, kinds, "something else", "save it as one of these")) from error
     except BROKEN as error:
         found_text = " ".join(str(error).split())[:160] or type(error).__name__
         do = "write or download it again"
         raise PictureFileError(message(what, "a picture that can be read", found_text, do)) from error
+
+
+def _of_phones(source: Path | bytes) -> str | None:
+    """HEIC or AVIF, if the file is a picture of these; its first box names its brand (ISO/IEC 23008-12)."""
+    if isinstance(source, bytes):
+        head = source[:12]
+    else:
+        with source.open("rb") as file:
+            head = file.read(12)
+    if head[4:8] != b"ftyp":
+        return None
+    return {b"avi": "AVIF", b"hei": "HEIC", b"hev": "HEIC", b"mif": "HEIC", b"msf": "HEIC"}.get(head[8:11])
 
 
 def check_pixels(what: str, width: int, height: int) -> None:

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import torch
-from torch import Tensor
 
 from mi_splat.cameras import RenderFn, View, cameras_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.metrics import Perceptual
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
-from mi_splat.training.evaluation import score
+from mi_splat.training.evaluation import HasMasks, score
 from mi_splat.training.losses import masked, over_background, photometric_loss
 from mi_splat.training.state import Progress, TrainingError, TrainState, check_start
 from mi_splat.training.strategies import ScreenGradients, Step
@@ -52,17 +51,6 @@ class _KeepsScreenGradients(Protocol):
     """A renderer that may keep the statistics that some strategies need, as `mi_splat.rendering.Renderer` does."""
 
     screen_gradients: ScreenGradients | None
-
-
-@runtime_checkable
-class _HasMasks(Protocol):
-    """Views that may have alpha and masks, as `mi_splat.datasets.Dataset` has."""
-
-    def alpha(self, index: int) -> Tensor | None:
-        """(H, W) in [0, 1], over black."""
-
-    def loss_mask(self, index: int) -> Tensor | None:
-        """(H, W) in [0, 1], 1 where the picture counts."""
 
 
 def scene_extent(views: Sequence[View]) -> float:
@@ -172,10 +160,10 @@ def _step(state: TrainState, views: Sequence[View], index: int, render: RenderFn
     if state.config.random_background:
         colour = torch.rand(3, generator=state.generator).to(image.device)
         image = over_background(image, colour)
-        alpha = views.alpha(index) if isinstance(views, _HasMasks) else None
+        alpha = views.alpha(index) if isinstance(views, HasMasks) else None
         target = target if alpha is None else target + (1 - alpha.to(image.device)[..., None]) * colour
-    if state.config.masks and isinstance(views, _HasMasks):
-        image = masked(image, target, views.loss_mask(index))
+    if isinstance(views, HasMasks):
+        image = masked(image, target, views.loss_mask(index, files=state.config.masks))
     loss = photometric_loss(image, target, lambda_dssim=state.config.lambda_dssim)
     loss = state.strategy.before_backward(loss, scene)
     state.optimiser.zero_grad(set_to_none=True)

@@ -75,3 +75,39 @@ def colmap_binary(folder: Path, views: list[View], cloud: PointCloud) -> Path:
     ]
     (model / "points3D.bin").write_bytes(struct.pack("<Q", len(data)) + b"".join(data))
     return model
+
+
+LENSES: dict[str, tuple[list[float], tuple[int, int], list[float]]] = {
+    "SIMPLE_RADIAL": ([150.0, 80.3, 60.1, -0.12], (165, 121), [150.0, 150.0, 82.809375, 60.60083333333333]),
+    "RADIAL": ([150.0, 80.3, 60.1, 0.12, -0.03], (152, 114), [150.0, 150.0, 76.285, 57.095]),
+    "OPENCV": (
+        [150.0, 140.0, 80.3, 60.1, -0.2, 0.05, 0.003, -0.002],
+        (168, 124),
+        [150.0, 140.0, 84.315, 62.10333333333333],
+    ),
+    "OPENCV_FISHEYE": (
+        [90.0, 95.0, 80.3, 60.1, 0.02, -0.01, 0.003, -0.001],
+        (215, 136),
+        [90.0, 95.0, 107.903125, 68.11333333333333],
+    ),
+}
+"""COLMAP's parameters of pictures of 160 x 120, and what COLMAP 4.2.1 undistorts them to: size, and fx, fy, cx, cy."""
+
+
+def lens_set(folder: Path, model: str, parameters: list[float], pixels: np.ndarray[Any, Any], count: int = 1) -> None:
+    """Write a text model with pictures of one lens."""
+    sparse = folder / "sparse" / "0"
+    sparse.mkdir(parents=True)
+    (folder / "images").mkdir()
+    words = " ".join(map(repr, parameters))
+    (sparse / "cameras.txt").write_text(f"1 {model} {pixels.shape[1]} {pixels.shape[0]} {words}\n")
+    names = [f"{number}.png" for number in range(count)]
+    (sparse / "images.txt").write_text("".join(f"{i} 1 0 0 0 0 0 {i} 1 {n}\n\n" for i, n in enumerate(names, 1)))
+    for name in names:
+        Image.fromarray(pixels).save(folder / "images" / name)
+
+
+def ramps() -> np.ndarray[Any, Any]:
+    """Bytes (120, 160, 3) in which red is the column and green is the row: they say where a pixel comes from."""
+    rows, columns = np.mgrid[:120, :160]
+    return np.stack([columns, rows, 255 + 0 * rows], -1).astype(np.uint8)

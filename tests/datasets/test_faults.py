@@ -52,7 +52,10 @@ PICTURE = "images/train_00001.png"
 SINGULAR = np.diag([1.0, 1.0, 0.0, 1.0]).tolist()
 
 COMMON: dict[str, tuple[Harm, str]] = {
-    "no picture": (lambda folder: (folder / PICTURE).unlink(), r"train_00001.*no such file"),
+    "few pictures": (
+        lambda folder: [*map(Path.unlink, (folder / "images").glob("*_0000[135].png"))],
+        r"3 of 6 missing \(train_00001.*, \.\.\.\); put them there",
+    ),
     "another size": (
         lambda folder: Image.new("RGB", (5, 5)).save(folder / PICTURE),
         r"00001\.png: expected 18 x 13.*5 x 5",
@@ -94,10 +97,16 @@ TRANSFORMS: dict[str, tuple[Harm, str]] = {
     "a negative focal length": (entry(fl_x=-3.0), "focal x"),
     "half a pixel": (entry(w=18.5), "integers"),
     "another size in the file": (entry(w=36, h=26), r"00000\.png: expected 36 x 26 pixels, got 18 x 13"),
-    "distortion": (entry(k1=0.1), "distortion k1.*colmap image_undistorter"),
-    "fisheye": (entry(camera_model="OPENCV_FISHEYE"), "OPENCV_FISHEYE.*colmap image_undistorter"),
+    "distortion that is not undone": (entry(k1=0.1, k4=0.1), "k1, k2, k3, p1, p2.*got k4; .*colmap image_undistorter"),
+    "distortion that is none": (entry(k1=1e9), r"train_00000.*coefficients up to 1e\+06"),
+    "distortion that folds": (entry(k1=-9.0), r"train_00000.*folds the picture before its border.*calibrate"),
+    "another camera": (entry(camera_model="EQUIRECTANGULAR"), "got EQUIRECTANGULAR; .*colmap image_undistorter"),
+    "a picture from elsewhere": (edit(lambda d: d["frames"][0].update(file_path="../../x")), "a file in the set"),
+    "a picture of the system": (edit(lambda d: d["frames"][0].update(file_path="/etc/passwd")), "a file in the set"),
+    "a mask from elsewhere": (edit(lambda d: d["frames"][0].update(mask_path="a/../../../m.png")), "a file in the set"),
+    "points from elsewhere": (entry(ply_file_path="/x.ply"), "ply_file_path: expected the name of a file in the set"),
+    "an endless name": (edit(lambda d: d["frames"][0].update(file_path="x" * 5000)), "5000 characters"),
     "a mask that is not there": (edit(lambda d: d["frames"][0].update(mask_path="m.png")), r"m\.png.*no such file"),
-    "points that are not there": (lambda folder: (folder / "points3D.ply").unlink(), r"points3D\.ply"),
     "truncated points": (rewrite("points3D.ply", lambda data: data[:-1]), r"points3D\.ply.*truncated"),
 }
 
@@ -120,10 +129,13 @@ def replace(name: str, old: str, new: str) -> Harm:
 
 TEXT: dict[str, tuple[Harm, str]] = {
     **COMMON,
-    "distortion": (
-        replace("cameras.txt", "1 PINHOLE", "1 OPENCV"),
-        "camera 1: .*got OPENCV; .*colmap image_undistorter",
+    "distortion": (replace("cameras.txt", "1 PINHOLE", "1 FOV"), "camera 1: .*got FOV; .*colmap image_undistorter"),
+    "a lens of NaN": (rewrite(MODEL + "cameras.txt", lambda data: b"1 RADIAL 18 13 20 9 6 nan 0\n"), "coefficients"),
+    "a lens without focal length": (
+        rewrite(MODEL + "cameras.txt", lambda data: b"1 RADIAL 18 13 0 9 6 0.1 0\n"),
+        "focal: expected positive",
     ),
+    "a picture from elsewhere": (replace("images.txt", "train_00001", "../x"), "a file in the set"),
     "unknown model": (replace("cameras.txt", "PINHOLE", "CAMERA"), r"cameras\.txt, line 2: expected a camera model"),
     "too few parameters": (replace("cameras.txt", " 7.75", ""), "4 parameters of PINHOLE"),
     "words": (replace("cameras.txt", "18 13", "wide 13"), r"cameras\.txt, line 2: .*'1 PINHOLE wide"),

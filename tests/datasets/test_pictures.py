@@ -11,8 +11,8 @@ import torch
 from PIL import Image
 
 from mi_splat.cameras import project_points
-from mi_splat.datasets import DatasetError, load_dataset, write_transforms
-from tests.datasets.sets import FORMATS, PROBES, TESTS, VIEWS, view
+from mi_splat.datasets import DatasetError, DatasetWarning, load_dataset, write_transforms
+from tests.datasets.sets import CLOUD, FORMATS, PROBES, TESTS, VIEWS, view
 
 
 @pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGB", "RGBA", "CMYK"])
@@ -75,6 +75,54 @@ def test_shrinking_averages_and_scales_the_camera(tmp_path: Path) -> None:
     assert small[0].image[1, 2].tolist() == pytest.approx(whole[3:6, 6:9].mean((0, 1)).tolist())
     there, here = project_points(PROBES, VIEWS[0].camera)[0], project_points(PROBES, camera)[0]
     torch.testing.assert_close(here * 3, there)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_pictures_that_are_missing_are_left_out_of_their_split(name: str, tmp_path: Path) -> None:
+    FORMATS[name](tmp_path, VIEWS, points=CLOUD)
+    (tmp_path / "images" / "train_00002.png").unlink()
+    for split, wanted in (
+        ((None, "01345"), ("train", "135"), ("test", "04")) if name == "colmap" else ((None, "01345"),)
+    ):
+        with pytest.warns(DatasetWarning, match=r"1 of 6 missing \(train_00002(\.png)?\); going on without"):
+            found = load_dataset(tmp_path, split=split, test_every=4 if split == "test" else 2)  # type: ignore[arg-type]
+        assert "".join(path.stem[-1] for path in found.paths) == wanted
+
+
+def test_a_picture_is_as_its_camera_saw_it(tmp_path: Path) -> None:
+    # A telephone held upright writes rows of 18 pixels and says that they are columns.
+    write_transforms(tmp_path, [view(0), view(1, width=13, height=18)])
+    pixels = (VIEWS[0].image.numpy() * 255 + 0.5).astype(np.uint8)
+    exif = Image.Exif()
+    exif[274] = 6
+    for number in range(2):
+        Image.fromarray(pixels).save(tmp_path / "images" / f"train_0000{number}.png", exif=exif)
+    found = load_dataset(tmp_path)
+    assert torch.equal(found[0].image, VIEWS[0].image)
+    assert torch.equal(found[1].image, torch.rot90(VIEWS[0].image, -1))
+    Image.fromarray(pixels).save(tmp_path / "images" / "train_00001.png")
+    with pytest.raises(DatasetError, match="expected 13 x 18 pixels, got 18 x 13"):
+        load_dataset(tmp_path)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_smaller_pictures_of_the_set_are_used(name: str, tmp_path: Path) -> None:
+    FORMATS[name](tmp_path, VIEWS[:2])
+    small = tmp_path / "images_2"
+    small.mkdir()
+    for number in range(2):
+        Image.new("RGB", (9, 7), (255, 0, 0)).save(small / f"train_0000{number}.png")  # 6.5 rows, rounded
+    shutil.move(tmp_path / "images", tmp_path / "elsewhere")
+    two = load_dataset(tmp_path, split=None, downscale=2)
+    camera = two.cameras[0]
+    assert two[0].image.shape == (7, 9, 3)
+    assert two[0].image[0, 0].tolist() == [1, 0, 0]
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((10.65, 19.7 * 7 / 13, 4.125, 7.75 * 7 / 13))
+    with pytest.raises(DatasetError, match="2 of 2 missing"):
+        load_dataset(tmp_path, split=None)
+    Image.new("RGB", (9, 5)).save(small / "train_00001.png")
+    with pytest.raises(DatasetError, match=r"images_2.*expected 9 x 6\.5 pixels, rounded, got 9 x 5"):
+        load_dataset(tmp_path, split=None, downscale=2)
 
 
 def test_pictures_are_read_when_they_are_needed(tmp_path: Path) -> None:

@@ -15,7 +15,8 @@ import torch
 
 from mi_splat.cameras import Camera, project_points
 from mi_splat.datasets import load_dataset, write_colmap
-from tests.datasets.sets import CLOUD, PROBES, VIEWS
+from mi_splat.datasets.distortion import Intrinsics, undistorted
+from tests.datasets.sets import CLOUD, LENSES, PROBES, VIEWS, lens_set, ramps
 
 
 @pytest.fixture(scope="module")
@@ -74,3 +75,29 @@ def test_we_read_colmap_s_set(write: str, model: str, pycolmap: Any, tmp_path: P
     order, theirs = (points[:, 0].argsort() for points in (found.points.points, CLOUD.points))
     torch.testing.assert_close(found.points.points[order], CLOUD.points[theirs], atol=1e-6, rtol=0)
     torch.testing.assert_close(found.points.colours[order], CLOUD.colours[theirs], atol=1e-6, rtol=0)
+
+
+@pytest.mark.parametrize("model", LENSES)
+def test_we_undistort_as_colmap_does(model: str, pycolmap: Any, tmp_path: Path) -> None:
+    parameters, size, wanted = LENSES[model]
+    noise = np.random.default_rng(0).integers(0, 256, (120, 160, 1))
+    pixels = np.concatenate([ramps()[..., :2], noise], -1).astype(np.uint8)
+    lens_set(tmp_path, model, parameters, pixels)
+    camera = pycolmap.Camera(model=model, width=160, height=120, params=parameters)
+    target = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera)
+    assert (target.width, target.height) == size
+    assert target.params.tolist() == pytest.approx(wanted)
+
+    # Where the size stays COLMAP interpolates once, as we always do; else it shrinks the picture in a second step.
+    options = pycolmap.UndistortCameraOptions()
+    options.min_scale = options.max_scale = 1.0
+    theirs, same = pycolmap.undistort_image(options, pycolmap.Bitmap.from_array(pixels), camera)
+    lens = load_dataset(tmp_path, split=None).frames[0].lens
+    assert lens is not None
+    fx, fy, cx, cy = same.params
+    pinhole = Intrinsics(focal=(fx, fy), principal=(cx, cy), size=(160, 120))
+    ours, shown = undistorted(torch.from_numpy(pixels).float(), lens, pinhole)
+    values = theirs.to_array()
+    both = shown.numpy() & values.any(-1)  # COLMAP leaves half a pixel black at the photograph's border
+    assert both.mean() > 0.9
+    assert np.abs(ours.numpy() - values)[both].max() < 0.501

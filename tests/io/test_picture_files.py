@@ -107,6 +107,12 @@ def test_other_kinds_are_refused_whatever_their_name(kind: str, tmp_path: Path) 
         load_picture(path)
 
 
+@pytest.mark.parametrize(("brand", "kind"), [(b"heic", "HEIC"), (b"mif1", "HEIC"), (b"avif", "AVIF")])
+def test_pictures_of_phones_are_named_with_what_converts_them(brand: bytes, kind: str) -> None:
+    with pytest.raises(PictureFileError, match=f"got {kind}; convert it"):
+        load_picture(b"\0\0\0\x1cftyp" + brand + bytes(16), "phone.jpg")
+
+
 @pytest.mark.parametrize("kind", ["PNG", "WEBP"])
 def test_animations_are_refused(kind: str) -> None:
     data = saved(kind, save_all=True, append_images=[SQUARE.rotate(90)])

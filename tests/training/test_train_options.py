@@ -97,6 +97,17 @@ def test_too_many_points_are_thinned_and_it_is_said(
     assert len(load_splat(out / "splat.ply")) == 20
 
 
+def test_a_set_without_points_starts_anywhere_and_it_is_said(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (dataset / "points3D.ply").unlink()
+    words = ["train", str(dataset), "--out", str(tmp_path / "out"), "--iterations", "1"]
+    assert cli.main([*words, "--max-gaussians", "20"]) == 0
+    assert "the set has no points: starting on 20 Gaussians anywhere" in capsys.readouterr().err
+    assert cli.main([*words, "--outliers", "5"]) == 1
+    assert "a set without any" in capsys.readouterr().err
+
+
 def test_the_fixed_strategy_adds_none_and_so_has_no_limit(dataset: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ["--iterations", "2", "--strategy", "fixed", "--max-gaussians", "20"]
