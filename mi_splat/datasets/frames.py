@@ -171,8 +171,9 @@ def within(folder: Path, name: str, source: str, *, above: int = 0) -> Path:
     Raises:
         DatasetError: It leads elsewhere.
     """
-    parts = Path(os.path.normpath(name)).parts
-    if Path(name).is_absolute() or parts[: above + 1] == ("..",) * (above + 1):
+    relative = os.path.relpath(name, os.path.abspath(folder)) if os.path.isabs(name) else os.path.normpath(name)
+    parts = Path(relative).parts
+    if parts[: above + 1] == ("..",) * (above + 1):
         do = "put the set's files into its folder, and name them from there"
         raise DatasetError(message(source, "the name of a file in the set", repr(name[:80]), do))
     if any(len(part.encode("utf-8", "replace")) > _LONGEST_NAME for part in parts) or len(name) > 4 * _LONGEST_NAME:
