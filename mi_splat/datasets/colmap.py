@@ -76,8 +76,8 @@ def read_colmap(
             frames[pose.name] = found.frame(_to_world(pose, where), lens, downscale, where)
     missing = [images / pose.name for pose in poses if pose.name not in frames]
     report_missing(missing, len(poses), source)
-    chosen = _split(poses, folder / TEST_LIST, split, every)
-    return [frames[pose.name] for pose in chosen if pose.name in frames], model.points
+    there = [pose for pose in poses if pose.name in frames]
+    return [frames[pose.name] for pose in _split(there, folder / TEST_LIST, split, every)], model.points
 
 
 def read_model_cameras(cameras_file: Path) -> dict[str, Camera]:

@@ -190,11 +190,11 @@ def report_missing(missing: Sequence[Path], listed: int, source: Path) -> None:
     """
     if not missing:
         return
-    got = f"{len(missing)} of {listed} missing ({missing[0].name}{', ...' if len(missing) > 1 else ''})"
+    got = f"{len(missing)} of {listed} pictures missing ({missing[0].name}{', ...' if len(missing) > 1 else ''})"
     if len(missing) > MOST_MISSING * listed:
         do = f"put them there, {missing[0]} for instance, or take them off the list"
         raise DatasetError(message(str(source), "the pictures that it lists", got, do))
-    warnings.warn(f"{source}: pictures, {got}; going on without them", DatasetWarning, stacklevel=4)
+    warnings.warn(f"{source}: {got}; going on without them", DatasetWarning, stacklevel=4)
 
 
 def downscaled(camera: Camera, factor: int) -> Camera:

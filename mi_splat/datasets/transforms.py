@@ -257,7 +257,8 @@ def _split(
         names = {Path(str(name)).with_suffix("").as_posix() for name in listed}
         pairs = zip(document["frames"], entries, strict=True)
         return [entry for said, entry in pairs if Path(said["file_path"]).with_suffix("").as_posix() in names]
-    return held_out(sorted(entries, key=lambda entry: str(entry[0])), split, every)
+    there = (entry for entry in entries if entry[1] is not None)
+    return held_out(sorted(there, key=lambda entry: str(entry[0])), split, every)
 
 
 def _points_file(document: Mapping[str, Any], path: Path) -> Path | None:

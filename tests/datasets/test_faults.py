@@ -54,7 +54,7 @@ SINGULAR = np.diag([1.0, 1.0, 0.0, 1.0]).tolist()
 COMMON: dict[str, tuple[Harm, str]] = {
     "few pictures": (
         lambda folder: [*map(Path.unlink, (folder / "images").glob("*_0000[135].png"))],
-        r"3 of 6 missing \(train_00001.*, \.\.\.\); put them there",
+        r"3 of 6 pictures missing \(train_00001.*, \.\.\.\); put them there",
     ),
     "another size": (
         lambda folder: Image.new("RGB", (5, 5)).save(folder / PICTURE),
