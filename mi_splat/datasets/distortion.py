@@ -64,7 +64,7 @@ class Intrinsics:
         if not all(abs(value) <= _LARGEST for value in values):  # nan is not smaller than anything
             do = "calibrate again"
             raise InvalidValueError(message("distortion", f"coefficients up to {_LARGEST:g}", values, do))
-        if not (self.is_pinhole or all(0 < value <= LARGEST for value in self.focal)):
+        if not (self.is_pinhole or all(1 / LARGEST <= value <= LARGEST for value in self.focal)):
             do = "check the intrinsics"
             raise InvalidValueError(message("focal", "positive numbers of pixels", self.focal, do))
 
