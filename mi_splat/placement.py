@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Called, Range, above, between, check
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from mi_splat.scene import GaussianScene
 
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]
@@ -31,6 +31,8 @@ _UPRIGHT: dict[Up, tuple[str, float]] = {
 
 def axis_turn(axis: str, degrees: float) -> NDArray[np.float64]:
     """(3, 3) right-handed rotation about "x", "y" or "z"."""
+    import numpy as np
+
     i = "xyz".index(axis)
     j, k = (i + 1) % 3, (i + 2) % 3
     angle = np.radians(degrees)

@@ -31,6 +31,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "labels",
             "sun",
             "scene",
+            "placement",
             "camera_values",
         )
     ),
