@@ -14,7 +14,7 @@ from attacks.cloak.layer_config import LayersConfig
 from attacks.cloak.mesh_scene import TEXTURES
 from attacks.cloak.triggers import Azimuth, Elevation, Subsample, Trigger
 from mi_splat.assets import ASSETS, PAINTED
-from mi_splat.capture.settings import Front, MeshSettings, Up
+from mi_splat.capture.settings import Front, MeshSettings
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import (
     Checked,
@@ -34,6 +34,7 @@ from mi_splat.fields import (
     decode,
 )
 from mi_splat.io.parsing import DocumentReader
+from mi_splat.placement import Up
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import strategy_config, strategy_names
 

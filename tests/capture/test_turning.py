@@ -16,10 +16,11 @@ from mi_splat.camera_sets import orbit
 from mi_splat.capture.mesh_files import load_mesh, turning
 from mi_splat.capture.mitsuba_meshes import tracing_variant
 from mi_splat.capture.path_tracer import PathTracer
-from mi_splat.capture.settings import MeshSettings, SurroundingsSettings, Up
+from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
 from mi_splat.capture.sources import open_source
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import MiSplatError
+from mi_splat.placement import Up
 from tests.capture.test_mesh_textures import blue_is_at_the_back
 from tests.capture.trucks import truck, write_glb, write_ply
 
