@@ -57,6 +57,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
             "cloak_design_appearance",
             "cloak_design_object",
             "cloak_design_paint",
+            "cloak_design_cameras",
         ),
     ),
     "dagger": ("DAGGER", "[DAGGER](../dagger.md)", ("dagger",)),
