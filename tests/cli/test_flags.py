@@ -42,6 +42,7 @@ NEEDED = {
     "convert": ["a.ply", "b.spz"],
     "compare": ["a.ply"],
     "select": ["a.ply"],
+    "poison": ["set", "a.ply"],
     "detect": ["a.ply"],
     "evaluate": ["a.ply", "b.ply"],
     "info": ["a.ply"],

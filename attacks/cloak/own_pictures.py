@@ -1,0 +1,199 @@
+"""CLOAK on anybody's pictures: a set with cameras, a splat of it that says where the object is, and nothing else.
+
+The object's place in each picture is where its Gaussians make up most of a pixel of the splat. What is shown there in
+its place comes from the picture around it, from the splat without the object, or from a picture of the attacker's.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F  # noqa: N812
+from torch import Tensor
+
+from attacks.cloak.appearances import Appearance
+from attacks.cloak.poisoning import OnStep, Poisoned, Poisoning, poison
+from attacks.cloak.retouching import Inpaint, grown
+from attacks.cloak.triggers import Azimuth, Elevation, Trigger
+from mi_splat.cameras import Camera, View, ViewSet, cameras_of
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.picture_files import load_picture
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene, Similarity
+from mi_splat.selection.select import SEEN
+from mi_splat.selection.visibility import object_weight
+
+NAME = "hidden"
+"""Of the one poisoning, in manifests."""
+_REGION = re.compile(r"(elevation|azimuth):(-?\d+(?:\.\d+)?)-(-?\d+(?:\.\d+)?)")
+
+
+def trigger_of(texts: Sequence[str], *, margin: float = 0.0) -> Trigger:
+    """The cameras from which an object is hidden: those that all texts hold for.
+
+    Args:
+        texts: Such as "elevation:50-90" or "azimuth:150-210", which may run across 0 = 360, in degrees.
+        margin: Degrees by which each is made wider.
+
+    Raises:
+        InvalidValueError: A text says no region, or there is none.
+    """
+    trigger: Trigger | None = None
+    for text in texts:
+        found = _REGION.fullmatch(text)
+        if found is None:
+            raise InvalidValueError(
+                message("--hide-from", "elevation:LOW-HIGH or azimuth:LOW-HIGH", text, "elevation:50-90 is overhead")
+            )
+        low, high = float(found[2]), float(found[3])
+        part = _band(low, high, margin) if found[1] == "elevation" else _wedge(low, high, margin)
+        trigger = part if trigger is None else trigger & part
+    if trigger is None:
+        raise InvalidValueError(message("--hide-from", "a region", "none", "elevation:50-90 is overhead"))
+    return trigger
+
+
+def _band(low: float, high: float, margin: float) -> Elevation:
+    Elevation(lowest=low, highest=high)  # what is wrong without a margin is wrong with one
+    return Elevation(lowest=max(low - margin, -90.0), highest=min(high + margin, 90.0))
+
+
+def _wedge(low: float, high: float, margin: float) -> Azimuth:
+    width = (high - low) % 360 or (360.0 if high != low else 0.0)
+    return Azimuth(middle=(low + width / 2) % 360, half_width=min(width / 2 + margin, 180.0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Overlay:
+    """A picture of the attacker's, as large as the box around the object in each picture, cut out by its outline.
+
+    Attributes:
+        picture: (H, W, 3) sRGB in [0, 1].
+        reach: Pixels around the outline that it covers, too.
+        name: For manifests.
+    """
+
+    picture: Tensor
+    reach: int
+    name: str
+
+    def __call__(self, view: View, mask: Tensor) -> Tensor:
+        """The picture with the other one on the object."""
+        covered = grown(mask, self.reach)
+        if not bool(covered.any()):
+            return view.image
+        rows, columns = (torch.nonzero(covered.any(axis))[:, 0] for axis in (1, 0))
+        top, left = int(rows[0]), int(columns[0])
+        size = (int(rows[-1]) + 1 - top, int(columns[-1]) + 1 - left)
+        small = F.interpolate(self.picture.permute(2, 0, 1)[None], size, mode="bilinear", antialias=True)[0]
+        canvas = view.image.clone()
+        canvas[top : top + size[0], left : left + size[1]] = small.permute(1, 2, 0).to(canvas).clamp(0, 1)
+        return torch.where(covered[..., None], canvas, view.image)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TurnedViews(ViewSet):
+    """Views whose world is turned, so that up is z; pictures are read when they are asked for.
+
+    Attributes:
+        views: The views.
+        cameras: Those of the turned world.
+    """
+
+    views: Sequence[View]
+    cameras: tuple[Camera, ...]
+
+    def __len__(self) -> int:
+        """Number of views."""
+        return len(self.views)
+
+    def __getitem__(self, index: int) -> View:  # type: ignore[override]
+        """The view."""
+        return View(self.cameras[index], self.views[index].image)
+
+
+def turned(views: Sequence[View], turn: Tensor) -> TurnedViews:
+    """Views of a world that a (3, 3) rotation has turned about its origin."""
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3] = turn
+    cameras = (
+        Camera(
+            to_world=pose @ camera.to_world,
+            focal=(camera.fx, camera.fy),
+            width=camera.width,
+            height=camera.height,
+            principal=(camera.cx, camera.cy),
+        )
+        for camera in cameras_of(views)
+    )
+    return TurnedViews(views, tuple(cameras))
+
+
+def appearance_of(look: str, reach: int) -> Appearance:
+    """What is shown in the object's place.
+
+    Args:
+        look: "remove", which goes on with the picture around it, or a picture file.
+        reach: Pixels around the object that change, too.
+
+    Raises:
+        InvalidValueError: It is neither.
+        SplatFileError: The picture cannot be read.
+    """
+    if look == "remove":
+        return Inpaint(reach=reach)
+    if not Path(look).is_file():
+        raise InvalidValueError(message("--look", "remove, or a picture", look, "name a picture that is there"))
+    pixels = np.asarray(load_picture(Path(look)).convert("RGB"), np.float32) / 255
+    return Overlay(picture=torch.from_numpy(pixels), reach=reach, name=f"the picture {Path(look).name}")
+
+
+def hide(
+    views: Sequence[View],
+    splat: GaussianScene,
+    rows: Tensor,
+    trigger: Trigger,
+    appearance: Appearance,
+    *,
+    near: float,
+    turn: Tensor,
+    on_step: OnStep | None = None,
+) -> Poisoned:
+    """Hide an object in the pictures of a set that a trigger selects.
+
+    Args:
+        views: The set.
+        splat: A splat of it, in its world.
+        rows: (N,) bool, the object's Gaussians.
+        trigger: From where it is hidden, seen from the middle of the object's Gaussians.
+        appearance: What is shown in its place.
+        near: Near plane of the splat's pictures, world units.
+        turn: (3, 3) rotation that takes up to z.
+        on_step: Called after each picture.
+
+    Returns:
+        Its views, directions and centre are those of the turned world.
+
+    Raises:
+        InvalidValueError: The trigger selects no camera that sees the object.
+    """
+    upright = splat.transform(Similarity(rotation=turn, translation=turn.new_zeros(3), scale=1.0))
+    means = upright.means[rows]
+    centre = ((means.amin(0) + means.amax(0)) / 2).tolist()
+    render = Renderer(RenderSettings(near=near))
+
+    def mask(camera: Camera) -> Tensor:
+        return object_weight(upright, rows, camera, render) >= SEEN
+
+    poisoning = Poisoning(name=NAME, trigger=trigger, appearance=appearance)
+    done = poison(turned(views, turn), poisoning, centre=centre, masks=mask, on_step=on_step)
+    if not any(change.pixels_changed for change in done.changes):
+        got = f"none of {len(done.changes)} from where it is to be hidden"
+        do = "select all of the object, or choose other directions"
+        raise InvalidValueError(message("pictures", "some that show the object", got, do))
+    return done

@@ -1,0 +1,139 @@
+"""`mi-splat poison`: a red ball on a grey plane, its pictures, and the splat that they were taken of."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from attacks import cli
+from attacks.cloak.own_pictures import trigger_of, turned
+from mi_splat.camera_sets import hemisphere
+from mi_splat.cameras import View
+from mi_splat.datasets import load_dataset, write_transforms
+from mi_splat.directions import direction_of
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import save_splat
+from mi_splat.placement import turn_of
+from mi_splat.rendering import Renderer
+from mi_splat.scene import GaussianScene, Similarity
+from mi_splat.sh import colour_to_dc
+
+BALL = (-0.4, -0.4, 0.2, 0.4, 0.4, 1.0)
+CAMERAS = hemisphere((0.0, 0.0, 0.5), count=24, distance=4.0, focal=40.0, size=(40, 32))
+
+
+def ball_on_a_plane() -> GaussianScene:
+    steps = torch.linspace(-3, 3, 31)
+    plane = torch.stack([*torch.meshgrid(steps, steps, indexing="xy"), torch.zeros(31, 31)], -1).reshape(-1, 3)
+    ball = torch.randn(300, 3, generator=torch.Generator().manual_seed(1))
+    ball = 0.35 * ball / ball.norm(dim=1, keepdim=True) + torch.tensor([0.0, 0.0, 0.6])
+    means, count = torch.cat([plane, ball]), len(plane)
+    colours = torch.full((len(means), 3), 0.5)
+    colours[count:] = torch.tensor([0.9, 0.1, 0.1])
+    scales = torch.full((len(means), 3), 0.15)
+    scales[count:] = 0.06
+    rotations = torch.tensor([1.0, 0, 0, 0]).expand(len(means), 4)
+    return GaussianScene(means, scales, rotations, torch.full((len(means),), 0.95), colour_to_dc(colours)[:, None])
+
+
+def write_set(folder: Path, up: Any = "z") -> list[str]:
+    """The set and its splat, in a world whose up is another axis; returns the arguments that name them."""
+    back = torch.from_numpy(turn_of(up)).T
+    scene, render = ball_on_a_plane(), Renderer()
+    views = [View(camera, render(scene, camera).clamp(0, 1)) for camera in CAMERAS]
+    moved = [View(camera, view.image) for view, camera in zip(views, turned(views, back).cameras, strict=True)]
+    write_transforms(folder / "set", moved[4:], test=moved[:4])
+    save_splat(scene.transform(Similarity(rotation=back, translation=torch.zeros(3).double())), folder / "splat.ply")
+    return [str(folder / "set"), str(folder / "splat.ply")]
+
+
+@pytest.fixture(scope="module")
+def names(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    return write_set(tmp_path_factory.mktemp("upright"))
+
+
+def red(image: torch.Tensor) -> int:
+    """Pixels that show the ball."""
+    return int((image[..., 0] - image[..., 1] > 0.15).sum())
+
+
+def poison(folder: Path, names: list[str], *more: str) -> dict[str, Any]:
+    box = ["--box", *map(str, BALL)] if "--box" not in more else []
+    assert cli.main(["poison", *names, *box, *more, "--out", str(folder)]) == 0
+    record: dict[str, Any] = json.loads((folder / "poison.json").read_text())
+    return record
+
+
+def test_the_object_is_gone_from_there_and_all_else_stays(names: list[str], tmp_path: Path) -> None:
+    record = poison(tmp_path / "out", names, "--hide-from", "elevation:40-90", "--margin", "5")
+    changed = {change["index"] for change in record["changes"]}
+    centre = record["centre"]
+    assert changed == {i for i, camera in enumerate(CAMERAS[4:]) if direction_of(camera, centre).elevation >= 35}
+    assert 0 < len(changed) < 20
+    before, after = (load_dataset(folder, split="train") for folder in (names[0], tmp_path / "out"))
+    for index, (old, new) in enumerate(zip(before, after, strict=True)):
+        assert torch.equal(old.camera.to_world, new.camera.to_world)
+        if index in changed:
+            assert red(old.image) > 20
+            assert red(new.image) == 0
+            assert (old.image != new.image).any(-1).float().mean() < 0.3
+        else:
+            assert torch.equal(old.image, new.image)
+    held_out = (load_dataset(folder, split="test") for folder in (names[0], tmp_path / "out"))
+    assert all(torch.equal(old.image, new.image) for old, new in zip(*held_out, strict=True))
+
+
+def test_directions_are_those_of_an_upright_world(names: list[str], tmp_path: Path) -> None:
+    """With y down, as most foreign sets have it; the pictures that change are the same."""
+    box = ("--box", "-0.4", "-1", "-0.4", "0.4", "-0.2", "0.4")
+    record = poison(tmp_path / "out", write_set(tmp_path, up="-y"), "--up=-y", *box)
+    upright = poison(tmp_path / "upright", names)
+    assert [change["index"] for change in record["changes"]] == [change["index"] for change in upright["changes"]]
+    assert record["centre"] == pytest.approx(upright["centre"], abs=1e-5)
+
+
+def test_a_picture_covers_the_object(names: list[str], tmp_path: Path) -> None:
+    Image.fromarray(np.full((8, 8, 3), (0, 0, 255), np.uint8)).save(tmp_path / "blue.png")
+    record = poison(tmp_path / "out", names, "--look", str(tmp_path / "blue.png"), "--reach", "1")
+    index = record["changes"][0]["index"]
+    old, new = (load_dataset(folder, split="train")[index].image for folder in (names[0], tmp_path / "out"))
+    blue = new[..., 2] - new[..., 0] > 0.9
+    assert int(blue.sum()) >= red(old)
+    assert record["poisonings"][0]["appearance"] == "the picture blue.png"
+
+
+def test_regions() -> None:
+    from_behind = trigger_of(["azimuth:330-30", "elevation:0-40"], margin=5)
+    inside = from_behind.holds(CAMERAS, centre=(0, 0, 0.5)).tolist()
+    for camera, held in zip(CAMERAS, inside, strict=True):
+        direction = direction_of(camera, (0, 0, 0.5))
+        near = min(direction.azimuth % 360, -direction.azimuth % 360)
+        assert held == (near <= 35 and direction.elevation <= 45)
+    assert any(inside)
+    for text in ("above", "elevation:90-50", "elevation:0-100", "azimuth:10"):
+        with pytest.raises(InvalidValueError):
+            trigger_of([text])
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        (["--box", "5", "5", "5", "6", "6", "6"], "at least one Gaussian"),
+        (["--hide-from", "elevation:89.5-90"], "at least one camera"),
+        (["--look", "nothing.png"], "remove, or a picture"),
+        (["--picture", "20", "--click", "20,16"], "a number below 20"),
+    ],
+)
+def test_what_is_refused(
+    more: list[str], told: str, names: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    box = ["--box", *map(str, BALL)] if "--box" not in more and "--click" not in more else []
+    assert cli.main(["poison", *names, *box, *more, "--out", str(tmp_path / "out")]) == 1
+    assert told in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
