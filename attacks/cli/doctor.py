@@ -292,6 +292,7 @@ EXTRAS = {
     "report": ("jinja2", "matplotlib"),
     "tflite": ("tflite",),
     "transformers": ("transformers",),
+    "usd": ("pxr",),
     "video": ("imageio_ffmpeg",),
     "view": ("viser",),
     "yolo": ("ultralytics",),

@@ -40,9 +40,9 @@ class ConvertOptions(JsonOptions):
     """
 
     source: Positional[Path]
-    """Splat to read: .ply, .compressed.ply, .spz, .sog, .glb, .splat or .ksplat."""
+    """Splat to read: .ply, .compressed.ply, .spz, .sog, .glb, .usdc, .usda, .usdz, .splat or .ksplat."""
     out: Positional[Path]
-    """Splat to write: .ply, .compressed.ply, .spz, .sog, .glb or .splat."""
+    """Splat to write: .ply, .compressed.ply, .spz, .sog, .glb, .usdc, .usda, .usdz or .splat."""
     force: bool = False
     """Replace a file that is there."""
     sh_degree: Literal[0, 1, 2, 3] | None = None

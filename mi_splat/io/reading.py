@@ -12,7 +12,7 @@ import numpy as np
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.errors import from_os_error, path_name
-from mi_splat.io.formats.detection import HEAD, META, format_to_read
+from mi_splat.io.formats.detection import HEAD, META, USD, format_to_read
 from mi_splat.io.loaded import Arrays, Loaded, open_regular
 from mi_splat.io.ply.header import read_header
 from mi_splat.io.ply.splat import read_ply
@@ -24,6 +24,7 @@ _READERS = {
     META: ("mi_splat.io.formats.sog", "read_sog_folder"),
     ".splat": ("mi_splat.io.formats.splat32", "read_splat"),
     ".ksplat": ("mi_splat.io.formats.ksplat", "read_ksplat"),
+    **dict.fromkeys(USD, ("mi_splat.io.formats.usd", "read_usd")),
 }
 """Module and its function for each format but the PLY."""
 

@@ -5,18 +5,20 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable
+from functools import partial
 from typing import Literal
 
 from mi_splat.errors import message
 from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.io.errors import SplatLossWarning, path_name
 from mi_splat.io.formats.compressed_ply import write_compressed_ply
-from mi_splat.io.formats.detection import format_to_write
+from mi_splat.io.formats.detection import USD, format_to_write
 from mi_splat.io.formats.encoded import Encoded
 from mi_splat.io.formats.gltf import write_glb
 from mi_splat.io.formats.sog import write_sog
 from mi_splat.io.formats.splat32 import write_splat
 from mi_splat.io.formats.spz import write_spz
+from mi_splat.io.formats.usd import write_usd
 from mi_splat.io.loaded import as_scene
 from mi_splat.io.ply.splat import write_ply
 from mi_splat.io.reading import load_arrays
@@ -24,11 +26,11 @@ from mi_splat.scene import GaussianScene, check_scene
 
 
 def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "drop"] = "raise") -> GaussianScene:
-    """Load a splat: 3DGS PLY, compressed PLY, SPZ, SOG, glTF with KHR_gaussian_splatting, .splat or .ksplat.
+    """Load a splat: 3DGS PLY, compressed PLY, SPZ, SOG, glTF, OpenUSD, .splat or .ksplat.
 
     The name and the first bytes of the file say which. Quaternions are normalised. The tensors are float32 on the CPU.
     Every size that the file claims is held against the bytes that are there before memory is taken for it. Where axes
-    differ from those of the PLY (SPZ, glTF), the scene is turned; docs/formats.md says how.
+    differ from those of the PLY (SPZ, glTF, OpenUSD), the scene is turned; docs/formats.md says how.
 
     Of a PLY, text and both byte orders, float and double and any order of properties are read; normals, further
     properties and further elements are passed over. Text, and vertices that carry lists, need the package plyfile.
@@ -50,13 +52,14 @@ def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "dr
 def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
     """Save a splat in the format that the ending of `path` names.
 
-    `.ply` (as 3DGS writes it) and `.glb` hold all of a scene: means and SH of a float32 scene are kept bit for bit. The
-    other formats round; docs/formats.md says how much. The file appears whole or not at all. Saving what was loaded
-    from a saved PLY writes the same bytes again.
+    `.ply` (as 3DGS writes it), `.glb` and OpenUSD hold all of a scene: means and SH of a float32 scene are kept bit for
+    bit. The other formats round; docs/formats.md says how much. The file appears whole or not at all. Saving what was
+    loaded from a saved PLY writes the same bytes again.
 
     Args:
         scene: The scene, on any device.
-        path: The file to write: .ply, .compressed.ply, .spz, .sog, .glb or .splat; a file that is there is replaced.
+        path: The file to write: .ply, .compressed.ply, .spz, .sog, .glb, .usdc, .usda, .usdz or .splat; a file that is
+            there is replaced.
 
     Raises:
         SplatFileError: The file cannot be written, or the name fits no format; what was there before is unchanged.
@@ -103,4 +106,5 @@ _WRITERS: dict[str, Callable[[GaussianScene], Encoded]] = {
     ".glb": write_glb,
     ".sog": write_sog,
     ".splat": write_splat,
+    **{ending: partial(write_usd, ending=ending) for ending in USD},
 }

@@ -14,12 +14,10 @@ import torch
 from attacks import cli
 from mi_splat.cameras import Camera, look_at
 from mi_splat.io import load_splat, save_splat
-from mi_splat.io.formats.table import FORMATS
 from mi_splat.placement import Up, turn_of
 from mi_splat.rendering import Renderer
 from tests.io.closeness import assert_close, tame_scene
-
-WRITTEN = [entry.suffix for entry in FORMATS if entry.writes]
+from tests.io.format_files import WRITTEN
 
 
 @pytest.fixture

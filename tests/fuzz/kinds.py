@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import json
 import shutil
 from collections.abc import Callable, Iterator
@@ -248,7 +249,8 @@ def _ply(folder: Path) -> Path:
     return folder / "a.ply"
 
 
-_SPLATS = ("a.compressed.ply", "a.glb", "a.sog", "a.splat", "v2.spz", "v3.spz", "v4.spz")
+_SPLATS: tuple[str, ...] = ("a.compressed.ply", "a.glb", "a.sog", "a.splat", "v2.spz", "v3.spz", "v4.spz")
+_SPLATS += ("a.usdc", "a.usda") if importlib.util.find_spec("pxr") else ()
 _KSPLATS = sorted(path.name.removesuffix(".gz") for path in (ROOT / "tests/io/data").glob("*.ksplat.gz"))
 
 

@@ -17,9 +17,13 @@ from mi_splat.io.formats.gltf import write_glb
 from mi_splat.io.formats.sog import write_sog
 from mi_splat.io.formats.splat32 import write_splat
 from mi_splat.io.formats.spz import write_spz
+from mi_splat.io.formats.table import FORMATS
+from mi_splat.io.formats.usd import write_usd
 from tests.io.closeness import tame_scene
 
 DATA = Path(__file__).parent / "data"
+WRITTEN = [entry.suffix for entry in FORMATS if entry.writes and entry.suffix != ".usdc"]
+"""Endings of the formats that are written; OpenUSD, each of whose files is read by a new process, is in test_usd.py."""
 
 
 @cache
@@ -33,6 +37,8 @@ def valid(name: str) -> bytes:
         "a.glb": lambda: write_glb(scene).data,
         "a.sog": lambda: write_sog(scene).data,
         "a.splat": lambda: write_splat(scene).data,
+        "a.usdc": lambda: write_usd(scene, ".usdc").data,
+        "a.usda": lambda: write_usd(scene, ".usda").data,
         "v2.spz": lambda: write_spz(scene, 2).data,
         "v3.spz": lambda: write_spz(scene, 3).data,
         "v4.spz": lambda: write_spz(scene, 4).data,

@@ -16,16 +16,16 @@ from torch import Tensor
 
 from mi_splat.io import SplatFileError, SplatLossWarning, load_splat, save_splat
 from mi_splat.io.formats import codebooks
-from mi_splat.io.formats.table import BY_SUFFIX, FORMATS, Precision, markdown
+from mi_splat.io.formats.table import BY_SUFFIX, Precision, markdown
 from mi_splat.io.splat_files import write_splat_file
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.sh import colour_to_dc, dc_to_colour
 from tests.gaussians import random_scene
 from tests.io.closeness import assert_close, differences, tame_scene
+from tests.io.format_files import WRITTEN
 from tests.io.test_round_trip import scenes as wild_scenes
 from tests.project.layers import ROOT
 
-WRITTEN = [entry.suffix for entry in FORMATS if entry.writes]
 DATA = Path(__file__).parent / "data"
 SLACK = 1.02
 """For float32, in which scenes are."""

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import gzip
 import struct
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from mi_splat.io import SplatFileError, SplatFileWarning, load_splat
+from mi_splat.io import SplatFileError, SplatFileWarning, load_splat, save_splat
 from mi_splat.io.formats.sog_files import picture_bytes
 from mi_splat.io.formats.splat32 import RECORD
+from tests.io.closeness import tame_scene
 from tests.io.format_files import gltf_with, rezipped, valid
 
 
@@ -112,6 +114,19 @@ def test_the_checksum_of_gzip_is_looked_at(tmp_path: Path) -> None:
     (tmp_path / "a.spz").write_bytes(damaged)
     with pytest.raises(SplatFileError, match="an intact gzip stream"):
         load_splat(tmp_path / "a.spz")
+
+
+@pytest.mark.parametrize("name", ["a.usdc", "b.usd"])
+def test_openusd_without_its_package_says_what_to_install(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    (tmp_path / name).write_bytes(b"PXR-USDC" + bytes(99))
+    with pytest.raises(SplatFileError, match=r"the package usd-core.*got none; pip install -e '\.\[usd\]'"):
+        load_splat(tmp_path / name)
+    with pytest.raises(SplatFileError, match="usd-core"):
+        save_splat(tame_scene(2, 0), tmp_path / "out.usda")
+    assert not (tmp_path / "out.usda").exists()
 
 
 def splat_rows() -> np.ndarray:

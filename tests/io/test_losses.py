@@ -11,14 +11,11 @@ import torch
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import SplatFileError, SplatFileWarning, SplatLossWarning, load_splat, save_splat
 from mi_splat.io.formats import half_turns
-from mi_splat.io.formats.table import FORMATS
 from mi_splat.io.splat_files import write_splat_file
 from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.sh import colour_to_dc
 from tests.io.closeness import assert_close, tame_scene
-from tests.io.format_files import gltf_with
-
-WRITTEN = [entry.suffix for entry in FORMATS if entry.writes]
+from tests.io.format_files import WRITTEN, gltf_with
 
 
 def changed(scene: GaussianScene, attribute: str, value: float, *columns: int) -> GaussianScene:

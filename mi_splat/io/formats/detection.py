@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 
-from mi_splat.errors import message
+from mi_splat.errors import install, message
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats.table import FORMATS
 
@@ -14,9 +15,13 @@ HEAD = 16
 META = "meta.json"
 """The file that leads to the pictures of an unbundled SOG."""
 
-SUFFIXES = tuple(sorted((entry.suffix for entry in FORMATS), key=len, reverse=True))
+USD = (".usdc", ".usda", ".usdz")
+"""OpenUSD in binary, as text and as a package; what is called `.usd` is read by its mark."""
+
+SUFFIXES = tuple(sorted({*(entry.suffix for entry in FORMATS), *USD}, key=len, reverse=True))
 
 _MAGIC = {b"ply": ".ply", b"NGSP": ".spz", b"\x1f\x8b": ".spz", b"PK\x03\x04": ".sog", b"glTF": ".glb"}
+_MAGIC |= {b"PXR-USDC": ".usdc", b"#usda": ".usda"}
 _OTHERS = {
     ".gltf": "pack it into one .glb, for instance with gltf-transform",
     ".obj": "this is a mesh: capture pictures of it with mi-splat capture, and train a splat on them",
@@ -24,7 +29,7 @@ _OTHERS = {
     ".lcc2": "convert it to .ply with splat-transform",
     ".csv": "save it as .ply; splat-transform writes .csv from that",
     ".html": "save it as .ply; splat-transform makes a page from that",
-    ".usdz": "export it as .ply",
+    ".usd": "call it .usdc or .usda, as what it begins with says",
 }
 _PROGRAMS = (".pt", ".pth", ".ckpt", ".pkl", ".pickle")
 """Checkpoints of PyTorch: to unpickle one runs what is in it, so none is opened, whatever it begins with."""
@@ -72,7 +77,7 @@ def format_to_write(path: str) -> str:
     """The suffix of the format in which a file is to be written.
 
     Raises:
-        SplatFileError: No format fits, or mi-splat only reads it.
+        SplatFileError: No format fits, mi-splat only reads it, or it needs a package that is not installed.
     """
     named = suffix_of(path)
     if named is None:
@@ -82,7 +87,20 @@ def format_to_write(path: str) -> str:
     if named == ".ksplat":
         do = "save it as .ply and convert that with create-ksplat of GaussianSplats3D"
         raise SplatFileError(message(path, "a format that is written", ".ksplat, which is only read", do))
+    if named in USD:
+        require_usd(path)
     return named
+
+
+def require_usd(path: str) -> None:
+    """Raise unless the package that reads and writes OpenUSD is installed.
+
+    Raises:
+        SplatFileError: It is not.
+    """
+    if importlib.util.find_spec("pxr") is None:
+        expected = "the package usd-core, for files of OpenUSD"
+        raise SplatFileError(message(path, expected, "none", f"{install('usd')}, or use .glb"))
 
 
 def _unknown(path: str) -> SplatFileError:

@@ -65,14 +65,14 @@ def read_glb(file: io.FileIO, path: str) -> Loaded:
             check_count(total, len(data) // _LEAST_BYTES, path)
             if len(parts) == _MOST_PARTS:
                 raise SplatFileError(message(path, f"at most {_MOST_PARTS} splats", "more", "merge them"))
-            parts.append(_placed(_primitive(document, primitive, extensions.object(EXTENSION)), matrix, path))
+            parts.append(placed(_primitive(document, primitive, extensions.object(EXTENSION)), matrix, path))
     if not parts:
         got = f"none, but {others} other primitives" if others else "none"
         raise SplatFileError(message(path, f"a primitive with {EXTENSION}", got, "export the splat again"))
     if others:
         text = message(path, "splats only", f"{others} other primitives", "they were left out")
         warnings.warn(text, SplatFileWarning, stacklevel=5)
-    return _together(parts)
+    return together(parts)
 
 
 def _primitive(document: Glb, primitive: Fields, extension: Fields) -> Loaded:
@@ -110,22 +110,25 @@ def _sh_name(degree: int, order: int) -> str:
     return f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{order}"
 
 
-def _placed(part: Loaded, matrix: Array, path: str) -> Loaded:
-    """A part after its node's transform and the turn to the axes of the PLY."""
+def placed(part: Loaded, matrix: Array, path: str) -> Loaded:
+    """A part after a transform to axes whose y points up, and the turn from there to the axes of the PLY."""
     scene = part.scene
     if not np.array_equal(matrix, np.eye(4)):
         if len(part.invalid):
             raise SplatFileError(
-                message(path, "valid Gaussians in a node that is turned or moved", part.reason, "repair it")
+                message(path, "valid Gaussians where they are turned or moved", part.reason, "repair it")
             )
         try:
-            scene = scene.transform(Similarity.from_matrix(torch.from_numpy(matrix), "matrix of a node"))
+            scene = scene.transform(Similarity.from_matrix(torch.from_numpy(matrix), "transform"))
         except InvalidValueError as error:
-            raise SplatFileError(message(path, "nodes that turn, move and resize", error, "export it again")) from None
+            raise SplatFileError(
+                message(path, "transforms that turn, move and resize", error, "export it again")
+            ) from None
     return Loaded.of(half_turns.turned(scene, half_turns.Z), part.invalid, part.reason)
 
 
-def _together(parts: list[Loaded]) -> Loaded:
+def together(parts: list[Loaded]) -> Loaded:
+    """All parts after each other."""
     if len(parts) == 1:
         return parts[0]
     starts = np.cumsum([0, *(len(part.arrays["means"]) for part in parts[:-1])])

@@ -70,6 +70,7 @@ FORMATS: tuple[Format, ...] = (
         opacities=Precision(8e-6, "of opacity"),
     ),
     Format(name="glTF", suffix=".glb"),
+    Format(name="OpenUSD", suffix=".usdc"),
     Format(
         name="compressed PLY",
         suffix=".compressed.ply",

@@ -1,0 +1,169 @@
+"""OpenUSD with prims of the schema `ParticleField3DGaussianSplat` (OpenUSD 26.03); needs the extra `usd`.
+
+Source: pxr/usd/usdVol/schema.usda of github.com/PixarAnimationStudios/OpenUSD. Scales are standard deviations,
+opacities are in 0..1, and SH stand Gaussian by Gaussian, coefficient by coefficient, in the basis of 3DGS. Floats come
+before halves (`positions`, `positionsh`). Where y points up, the scene is turned by half a turn about z, as for glTF;
+where z points up, y is made to before. Where a stage says how many metres a unit has, the splat comes in metres.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import struct
+import subprocess
+import sys
+import warnings
+import zipfile
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import torch
+
+from mi_splat.errors import message
+from mi_splat.io.errors import SplatFileError, SplatFileWarning
+from mi_splat.io.fields import Fields, parse
+from mi_splat.io.formats import half_turns, usd_child
+from mi_splat.io.formats.detection import require_usd
+from mi_splat.io.formats.encoded import Array, Encoded, Values
+from mi_splat.io.formats.gltf import placed, together
+from mi_splat.io.loaded import FREE_GAUSSIANS, Loaded, judged
+from mi_splat.scene import GaussianScene
+
+_ANSWER_LIMIT = 1 << 22
+_Y_UP = {"Y": np.eye(4), "Z": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])}
+_ONE_THREAD = {
+    "PXR_WORK_THREAD_LIMIT": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "MALLOC_ARENA_MAX": "1",
+}
+"""Threads take address space, which the child has little of."""
+
+
+def read_usd(file: io.FileIO, path: str) -> Loaded:
+    """Read the splats of an OpenUSD file, each placed by the transforms above it.
+
+    The file is read by a process of its own, which has limits (`usd_child`). No other file is opened: whatever asks for
+    one is refused, and so are references, variants and inherited prims inside of the file.
+
+    Raises:
+        SplatFileError: It is damaged, has no splats, needs what is not read (another file, motion, shear), or usd-core
+            is not installed.
+    """
+    require_usd(path)
+    file.seek(0)
+    head = file.read(4)
+    ending = {b"#usd": ".usda", b"PK\x03\x04": ".usdz"}.get(head, ".usdc")
+    most = FREE_GAUSSIANS + os.fstat(file.fileno()).st_size
+    with TemporaryDirectory() as folder:
+        link = Path(folder, f"splat{ending}")  # usd-core reads more into a name than that of a file
+        link.symlink_to(os.path.abspath(path))
+        answer = _ask(path, link, most)
+        if "refused" in answer.values:
+            expected, got, do = answer.texts("refused", 3)
+            raise SplatFileError(message(path, expected, got, do))
+        values = np.fromfile(Path(folder, "values"), np.float32)
+    parts, up, metres = answer.objects("parts"), answer.text("up"), answer.number("metres")
+    others = answer.whole("others", 0, 1 << 31)
+    if not parts:
+        got = f"none, but {others} other prims" if others else "none"
+        raise SplatFileError(message(path, f"a visible prim of type {usd_child.SPLAT}", got, "export the splat again"))
+    if up not in _Y_UP or not 0 < metres < math.inf:
+        raise SplatFileError(message(path, "y or z up, and a positive size of units", f"{up}, {metres:g}", "repair it"))
+    frame = np.diag([metres, metres, metres, 1.0]) @ _Y_UP[up]
+    if others:
+        text = message(path, "visible splats only", f"{others} other prims", "they were left out")
+        warnings.warn(text, SplatFileWarning, stacklevel=5)
+    if any(part.whole("degree", 0, 99) > 3 for part in parts):
+        text = message(path, "SH of degree 0 to 3", "more", "the higher bands were left out")
+        warnings.warn(text, SplatFileWarning, stacklevel=5)
+    loaded: list[Loaded] = []
+    for part in parts:
+        matrix = np.array(part.numbers("matrix", 16, 16)).reshape(4, 4)
+        gaussians, values = _gaussians(part, values)
+        loaded.append(placed(gaussians, frame @ matrix, path))
+    return together(loaded)
+
+
+def _ask(path: str, link: Path, most: int) -> Fields:
+    """What the child process says of a file; the values of its Gaussians lie beside the link then."""
+    command = [sys.executable, str(Path(usd_child.__file__).resolve()), str(link), str(link.parent), str(most)]
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, env={**os.environ, **_ONE_THREAD})
+    try:
+        answer = Path(link.parent, "answer.json").read_bytes()
+    except FileNotFoundError:
+        said = done.stderr.decode(errors="replace").strip().splitlines()
+        why = f"signal {-done.returncode}" if done.returncode < 0 else (said or ["no answer"])[-1][:160]
+        got = f"one that usd-core does not get through within its memory and time ({why})"
+        raise SplatFileError(message(path, "an OpenUSD file that is intact", got, "export it again")) from None
+    return parse(answer, path, limit=_ANSWER_LIMIT)
+
+
+def _gaussians(part: Fields, values: Array) -> tuple[Loaded, Array]:
+    """The Gaussians of a prim, and the values of those that follow."""
+    count, degree = part.whole("count", 0, len(values)), part.whole("degree", 0, 99)
+    shapes = [(count, 3), (count, 3), (count, 4), (count,), (count, (degree + 1) ** 2, 3)]
+    arrays: list[Array] = []
+    for shape in shapes:
+        size = math.prod(shape)
+        arrays.append(values[:size].reshape(shape))
+        values = values[size:]
+    means, scales, quaternions, opacities, sh = arrays
+    return judged(means, scales, quaternions[:, [3, 0, 1, 2]], opacities, sh[:, :16]), values
+
+
+def write_usd(scene: GaussianScene, ending: str) -> Encoded:
+    """A scene as an OpenUSD file with one prim, y up, one metre a unit; nothing is rounded.
+
+    Args:
+        scene: The scene.
+        ending: `.usdc` (binary), `.usda` (text) or `.usdz` (a package of one binary layer).
+
+    Raises:
+        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
+        SplatFileError: usd-core is not installed.
+    """
+    require_usd(ending)
+    from pxr import Sdf, Usd, UsdGeom, UsdVol, Vt
+
+    Values.of(scene)
+    turned = half_turns.turned(scene.detach().to("cpu", torch.float32), half_turns.Z)
+    means, scales, rotations, opacities, sh = (np.ascontiguousarray(value.numpy()) for value in turned.tensors())
+    layer = Sdf.Layer.CreateAnonymous(".usdc" if ending == ".usdz" else ending)
+    stage = Usd.Stage.Open(layer)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    prim = UsdVol.ParticleField3DGaussianSplat.Define(stage, "/Splat").GetPrim()
+    stage.SetDefaultPrim(prim)
+    columns = {
+        "positions": Vt.Vec3fArray.FromNumpy(means),
+        "scales": Vt.Vec3fArray.FromNumpy(scales),
+        "orientations": Vt.QuatfArray.FromNumpy(np.ascontiguousarray(rotations[:, [1, 2, 3, 0]])),
+        "opacities": Vt.FloatArray.FromNumpy(opacities),
+        "radiance:sphericalHarmonicsCoefficients": Vt.Vec3fArray.FromNumpy(sh.reshape(-1, 3)),
+        "radiance:sphericalHarmonicsDegree": scene.degree,
+    }
+    if len(scene):
+        reach = 3 * scales.max(axis=1, keepdims=True)
+        extent = np.stack([(means - reach).min(axis=0), (means + reach).max(axis=0)])
+        columns["extent"] = Vt.Vec3fArray.FromNumpy(extent.astype(np.float32))
+    for name, value in columns.items():
+        prim.GetAttribute(name).Set(value)
+    with TemporaryDirectory() as folder:
+        path = os.path.join(folder, f"splat{'.usdc' if ending == '.usdz' else ending}")
+        layer.Export(path)
+        data = Path(path).read_bytes()
+    return Encoded(_package(data) if ending == ".usdz" else data, ())
+
+
+def _package(layer: bytes) -> bytes:
+    """A .usdz of one binary layer: a zip without compression, whose member begins at byte 64."""
+    member = zipfile.ZipInfo("splat.usdc")  # of 1980, so that equal splats have equal files
+    member.extra = struct.pack("<HH20x", 0x1986, 20)
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr(member, layer)
+    return buffer.getvalue()

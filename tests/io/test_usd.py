@@ -1,0 +1,177 @@
+"""OpenUSD: exact there and back, files by hand as the schema says, transforms, and files that mean harm."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import pytest
+import torch
+
+from attacks import cli
+from mi_splat.io import SplatFileError, SplatFileWarning, load_splat, save_splat
+from mi_splat.scene import GaussianScene, Similarity
+from tests.gaussians import random_scene
+from tests.io.closeness import assert_close
+
+pytest.importorskip("pxr", reason="usd-core is not installed: pip install -e '.[usd]'")
+
+TWO = """
+    point3f[] positions = [(1, 2, 3), (4, 5, 6)]
+    float3[] scales = [(0.5, 1, 2), (1, 1, 1)]
+    quatf[] orientations = [(0.5, 0.5, 0.5, 0.5), (1, 0, 0, 0)]
+    float[] opacities = [0.5, 0.25]
+    uniform int radiance:sphericalHarmonicsDegree = 1
+    float3[] radiance:sphericalHarmonicsCoefficients = [(1, 2, 3), (0.5, 0, 0), (0, 0.25, 0), (0, 0, 0.125),
+        (0, 0, 0), (0, 0, 0), (1, 1, 1), (0, 0, 0)]
+"""
+
+
+def usda(*prims: str, head: str = 'upAxis = "Y"') -> str:
+    return f"#usda 1.0\n(\n{head}\n)\n" + "\n".join(prims)
+
+
+def splat(values: str = TWO, name: str = "Splat", about: str = "") -> str:
+    return f'def ParticleField3DGaussianSplat "{name}" {about}\n{{\n{values}\n}}\n'
+
+
+def loaded(folder: Path, text: str) -> GaussianScene:
+    (folder / "a.usda").write_text(text)
+    return load_splat(folder / "a.usda")
+
+
+@pytest.mark.parametrize(("ending", "degree"), [("usdc", 3), ("usda", 1), ("usdz", 0)])
+def test_all_is_kept_to_the_bit(ending: str, degree: int, tmp_path: Path) -> None:
+    scene, path = random_scene(40, degree), tmp_path / f"a.{ending}"
+    save_splat(scene, path)
+    assert all(map(torch.equal, load_splat(path).tensors(), scene.tensors()))
+    first = path.read_bytes()
+    save_splat(scene, path)
+    assert path.read_bytes() == first
+
+
+def test_the_written_stage_is_one_that_other_programs_take(tmp_path: Path) -> None:
+    from pxr import Usd, UsdGeom
+
+    save_splat(random_scene(0), tmp_path / "none.usdc")
+    assert len(load_splat(tmp_path / "none.usdc")) == 0
+    scene = random_scene(9, 2)
+    save_splat(scene, tmp_path / "a.usdz")
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdz"))
+    assert (UsdGeom.GetStageUpAxis(stage), UsdGeom.GetStageMetersPerUnit(stage)) == ("Y", 1)
+    prim = stage.GetDefaultPrim()
+    assert prim.GetTypeName() == "ParticleField3DGaussianSplat"
+    low, high = prim.GetAttribute("extent").Get()
+    means = scene.means * torch.tensor([-1.0, -1, 1])
+    assert bool(((means >= torch.tensor(low)) & (means <= torch.tensor(high))).all())
+
+
+def test_a_file_by_hand_has_the_expected_numbers(tmp_path: Path) -> None:
+    """y points down in the scene: half a turn about z; so x and y of SH, the second and the fourth, change signs."""
+    scene = loaded(tmp_path, usda(splat()))
+    assert scene.means.tolist() == [[-1, -2, 3], [-4, -5, 6]]
+    assert scene.scales.tolist() == [[0.5, 1, 2], [1, 1, 1]]
+    assert scene.rotations.tolist() == [[0.5, -0.5, -0.5, 0.5], [1, 0, 0, 0]]
+    assert scene.opacities.tolist() == [0.5, 0.25]
+    assert scene.sh[0].tolist() == [[1, 2, 3], [-0.5, 0, 0], [0, 0.25, 0], [0, 0, -0.125]]
+    assert scene.sh[1, 2].tolist() == [1, 1, 1]
+
+
+def test_halves_and_what_is_not_said(tmp_path: Path) -> None:
+    """Floats come before halves; what is missing is as the schema says. Other shapes are told of."""
+    values = "point3f[] positions = [(1, 2, 3)]\npoint3h[] positionsh = [(0, 0, 0)]\nhalf3[] scalesh = [(0.5, 0.25, 1)]"
+    hidden = splat(TWO + 'token visibility = "invisible"', "Hidden")
+    (tmp_path / "a.usd").write_text(usda(splat(values), hidden, 'def Mesh "Chair" {\n}'))
+    with pytest.warns(SplatFileWarning, match="visible splats only, got 2 other prims; they were left out") as caught:
+        scene = load_splat(tmp_path / "a.usd")
+    assert caught[0].filename == __file__
+    assert (scene.means.tolist(), scene.scales.tolist()) == ([[-1, -2, 3]], [[0.5, 0.25, 1]])
+    assert (scene.rotations.tolist(), scene.opacities.tolist()) == ([[1, 0, 0, 0]], [1])
+    assert scene.sh.tolist() == [[[0, 0, 0]]]
+
+
+def test_transforms_up_and_units_place_a_splat(tmp_path: Path) -> None:
+    """(1, 2, 3) is doubled, turned by 90 degrees about z, moved, then y is made to point up, in metres."""
+    doubled = splat(TWO + "float3 xformOp:scale = (2, 2, 2)\n" + 'uniform token[] xformOpOrder = ["xformOp:scale"]')
+    moved = f"""def Xform "Above" {{
+        double3 xformOp:translate = (0, 0, 100)
+        float xformOp:rotateZ = 90
+        uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateZ"]
+        {doubled}
+    }}"""
+    head = 'upAxis = "Z"\nmetersPerUnit = 0.01'
+    scene = loaded(tmp_path, usda(moved, splat(name="Second"), head=head))
+    torch.testing.assert_close(scene.means[0], torch.tensor([0.04, -1.06, -0.02]))
+    plain = loaded(tmp_path, usda(splat()))
+    turn = torch.tensor([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])  # of (-x, -y, z) into (y, -z, -x)
+    assert_close(scene.select(torch.arange(2)), plain.transform(Similarity(turn, torch.tensor([0.0, -1, 0]), 0.02)))
+    upright = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    assert_close(scene.select(torch.arange(2, 4)), plain.transform(Similarity(upright, torch.zeros(3), 0.01)))
+
+
+HOSTILE = {
+    "passwd": (usda(splat(about="(references = @/etc/passwd@</x>)")), "references of /Splat"),
+    "sublayer": (usda(splat(), head="subLayers = [@/etc/passwd@]"), "sublayer /etc/passwd"),
+    "payload": (
+        usda('def "A" (variantSets = "v") {\nvariantSet "v" = {\n"a" {\ndef "B" (payload = @x.usd@) {\n}\n}\n}\n}'),
+        "variantSetNames of /A|payload of",
+    ),
+    "copies": (usda(splat(), 'def "B" (inherits = </Splat>) {\n}'), "inheritPaths of /B"),
+    "clips": (usda('def "B" (clips = {dictionary a = {asset[] assetPaths = [@a.usd@]}}) {\n}'), "clips of /B"),
+    "lengths": (usda(splat(TWO.replace("[0.5, 0.25]", "[0.5]"))), "2 values of opacities, got 1"),
+    "degree": (usda(splat(TWO.replace("Degree = 1", "Degree = 3"))), "32 values of radiance.*got 8"),
+    "high_degree": (usda(splat(TWO.replace("Degree = 1", "Degree = 2000000000"))), "an SH degree of 0 to 4"),
+    "kind": (usda(splat(TWO.replace("float[] opacities = [0.5, 0.25]", 'string opacities = "x"'))), "FloatArray"),
+    "nan": (usda(splat(TWO.replace("(1, 2, 3), (4", "(nan, 2, 3), (4"))), "a coordinate of the mean is nan"),
+    "motion": (
+        usda(splat("float[] opacities.timeSamples = {0: [1], 1: [0]}\npoint3f[] positions = [(0, 0, 0)]")),
+        "stands still, got opacities of /Splat",
+    ),
+    "shear": (
+        usda(splat(TWO + 'float3 xformOp:scale = (1, 2, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]')),
+        "uniform scale",
+    ),
+    "units": (usda(splat(), head="metersPerUnit = -1"), "a positive size of units"),
+    "none": (usda('def Mesh "Chair" {\n}'), "got none, but 1 other prims"),
+    "text": ("#usda 1.0\ndef }", "that is intact"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_what_is_refused(name: str, tmp_path: Path) -> None:
+    text, words = HOSTILE[name]
+    with pytest.raises(SplatFileError, match=words) as caught:
+        loaded(tmp_path, text)
+    assert len(str(caught.value)) < len(str(tmp_path)) + 500
+
+
+def test_claims_of_binary_files_do_not_fill_the_memory(tmp_path: Path) -> None:
+    """An array that claims 10^12 values, and one array that a hundred prims share."""
+    from pxr import Sdf, Usd, Vt
+
+    scene = random_scene(77, 0)
+    save_splat(scene, tmp_path / "a.usdc")
+    data = (tmp_path / "a.usdc").read_bytes()
+    count = data.index(struct.pack("<Qf", 77, -float(scene.means[0, 0])))
+    (tmp_path / "a.usdc").write_bytes(data[:count] + struct.pack("<Q", 10**12) + data[count + 8 :])
+    with pytest.raises(SplatFileError, match="an OpenUSD file that is intact"):
+        load_splat(tmp_path / "a.usdc")
+    layer = Sdf.Layer.CreateAnonymous(".usdc")
+    stage = Usd.Stage.Open(layer)
+    for number in range(100):
+        prim = stage.DefinePrim(f"/S{number}", "ParticleField3DGaussianSplat")
+        prim.GetAttribute("positions").Set(Vt.Vec3fArray(10_000))
+    layer.Export(str(tmp_path / "b.usdc"))
+    with pytest.raises(SplatFileError, match="Gaussians, got 10000: this may be a decompression bomb"):
+        load_splat(tmp_path / "b.usdc")
+
+
+def test_commands_take_openusd(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    save_splat(random_scene(30, 2), tmp_path / "a.ply")
+    for source, out in (("a.ply", "b.usda"), ("b.usda", "c.ply")):
+        assert cli.main(["convert", str(tmp_path / source), str(tmp_path / out)]) == 0
+    assert (tmp_path / "c.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
+    capsys.readouterr()
+    assert cli.main(["info", str(tmp_path / "b.usda"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["gaussians"] == 30
