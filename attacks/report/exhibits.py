@@ -26,6 +26,7 @@ from mi_splat.fields import decode
 from mi_splat.io.camera_records import camera_of
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
+from mi_splat.io.reading import splat_in
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.scene_files import open_scene
@@ -49,7 +50,7 @@ def open_exhibit(path: Path, *, clean: Path | None = None) -> Exhibit:
         MiSplatError: It is none of these, a file in it is missing or broken, or the clean scene is not the one that was
             attacked.
     """
-    if not path.is_dir():
+    if not path.is_dir() or (splat_in(path) and not (path / RECORD).is_file()):
         exhibit = exhibit_of_file(path, clean=clean)
         counts = [len(splat.scene) for splat in exhibit.splats]
         if len(set(counts)) > 1:

@@ -10,6 +10,7 @@ from mi_splat.io.errors import from_os_error, path_name
 from mi_splat.io.formats.detection import HEAD, format_to_read
 from mi_splat.io.loaded import open_regular
 from mi_splat.io.ply.header import read_header
+from mi_splat.io.reading import splat_in
 
 PROGRAM, PER_GAUSSIAN, COPIES = 700e6, 300, 4
 """Bytes that the program takes without a splat, that each Gaussian takes beside its values, and copies of its values;
@@ -45,7 +46,7 @@ def gaussians_of(path: Path) -> tuple[int, int]:
     Raises:
         SplatFileError: It cannot be read, or is no splat.
     """
-    name = path_name(path)
+    name = splat_in(path) or path_name(path)
     try:
         with open_regular(name) as file:
             size, kind = os.fstat(file.fileno()).st_size, format_to_read(name, os.pread(file.fileno(), HEAD, 0))

@@ -29,6 +29,16 @@ _READERS = {
 """Module and its function for each format but the PLY."""
 
 
+IN_FOLDERS = ("splat.ply", "attacked.ply", META)
+"""Names by which a folder has one splat: of a training, of an attack, and of an unbundled SOG."""
+
+
+def splat_in(folder: str | os.PathLike[str]) -> str | None:
+    """The splat that a folder may stand for; None if it has none, or is none."""
+    files = (os.path.join(folder, name) for name in IN_FOLDERS)
+    return next(filter(os.path.isfile, files), None)
+
+
 def load_arrays(
     path: str | os.PathLike[str], *, on_invalid: Literal["raise", "drop"] = "raise", stacklevel: int = 1
 ) -> Arrays:
@@ -58,7 +68,7 @@ def load_stored(path: str | os.PathLike[str]) -> Loaded:
         SplatFileError: The file cannot be read, is no splat, or is damaged.
         InvalidValueError: path is no path.
     """
-    name = path_name(path)
+    name = splat_in(path_name(path)) or path_name(path)
     try:
         # Values that are not finite make NumPy warn where they are cast; each reader judges them at its end.
         with open_regular(name) as file, np.errstate(all="ignore"):

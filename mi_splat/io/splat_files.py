@@ -36,7 +36,7 @@ def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "dr
     properties and further elements are passed over. Text, and vertices that carry lists, need the package plyfile.
 
     Args:
-        path: A splat file, or the meta.json of an unbundled SOG.
+        path: A splat file; or a folder with one: of `mi-splat train` or `dagger`, or with the meta.json of a SOG.
         on_invalid: What to do with Gaussians that are not valid (a value is not finite in float32 or above 1e9, the
             scale vanishes, the quaternion is zero): raise, or drop them with a `SplatFileWarning` that says how many
             and which.

@@ -226,6 +226,9 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
     with pytest.raises(SplatFileError, match="got Is a directory; name a file inside the folder"):
         load_splat(tmp_path)
     (tmp_path / "file").write_bytes(HEAD + BODY)
+    for name in ("attacked.ply", "splat.ply"):  # of an attack, and of a training
+        (tmp_path / name).write_bytes(HEAD + BODY)
+        assert len(load_splat(tmp_path)) == len(load_splat(tmp_path / name))
     with pytest.raises(SplatFileError, match="got Not a directory"):
         load_splat(tmp_path / "file" / "a.ply")
 
