@@ -23,6 +23,7 @@ from mi_splat.io.noted_tensors import NOTES, check_like, described, read_line, r
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
+from mi_splat.training.exposure import Exposures
 from mi_splat.training.state import Progress, TrainState
 from mi_splat.training.strategies import strategy_config, strategy_name
 
@@ -30,7 +31,7 @@ FORMAT = 3
 """Of a checkpoint: 2 named its tensors as gsplat does (`sh0`, `shN`), and held the state of any strategy; 3 knows the
 pictures of a set by their bytes, and no longer by names and sizes."""
 _ADAM = ("exp_avg", "exp_avg_sq", "step")
-_STRATEGY = "strategy/"
+_STRATEGY, _EXPOSURES = "strategy/", "exposures/"
 _MOST_VIEWS = 1 << 31
 
 
@@ -81,6 +82,8 @@ def save_state(state: TrainState, path: Path) -> None:
         adam = state.optimiser.state.get(state.parameters[name], {})
         tensors |= {f"{key}/{name}": adam[key] for key in _ADAM if key in adam}
     tensors |= {f"{_STRATEGY}{name}": value for name, value in state.strategy_state.items()}
+    if state.exposures is not None:
+        tensors |= {f"{_EXPOSURES}{name}": value for name, value in state.exposures.tensors().items()}
     tensors["generator"] = state.generator.get_state()
     notes = {
         "format": FORMAT,
@@ -148,13 +151,17 @@ def _assemble(notes: Fields, tensors: dict[str, Tensor]) -> TrainState:
             state.optimiser.state[state.parameters[name]] = adam
     check_like(groups["strategy"], state.strategy_state, f"{notes.where}, strategy", _READER)
     state.strategy_state = groups["strategy"]
+    if config.exposure and groups["exposures"]:
+        count = max(1, len(groups["exposures"].get("maps", ())))
+        check_like(groups["exposures"], Exposures(count, torch.device("cpu")).tensors(), notes.where, _READER)
+        state.exposures = Exposures.of(groups["exposures"], torch.device("cpu"))
     _restore(state, notes, tensors.get("generator"))
     return state
 
 
 def _parts(tensors: Mapping[str, Tensor]) -> dict[str, dict[str, Tensor]]:
     """The tensors of a checkpoint by what stands before the / in their names."""
-    groups: dict[str, dict[str, Tensor]] = {group: {} for group in ("parameters", "strategy", *_ADAM)}
+    groups: dict[str, dict[str, Tensor]] = {group: {} for group in ("parameters", "strategy", "exposures", *_ADAM)}
     for key, value in tensors.items():
         group, _, name = key.partition("/")
         groups.setdefault(group, {})[name] = value

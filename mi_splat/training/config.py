@@ -37,6 +37,8 @@ class FitConfig:
         masks: Leave out of the loss what is black in the masks of the set, people who walk by for instance.
         random_background: Put another colour behind splat and pictures in every step, so that what is transparent in
             the pictures stays so; the renderer has to give alpha, and pictures without alpha count as opaque.
+        exposure: Train an affine map of colours for each picture along with the splat, for pictures whose exposure or
+            white balance differ. Held-out pictures are compared with the splat as it is.
         eval_interval: Steps between two evaluations on the held-out pictures; 0 evaluates at the end only.
 
     Raises:
@@ -58,6 +60,7 @@ class FitConfig:
     lr_sh_final: DecayingRate | None = None
     masks: bool = False
     random_background: bool = False
+    exposure: bool = False
     eval_interval: Annotated[int, at_least(0, "steps", "0 evaluates at the end only")] = 1000
 
     def __post_init__(self) -> None:

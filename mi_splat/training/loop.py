@@ -162,6 +162,7 @@ def _step(state: TrainState, views: Sequence[View], index: int, render: RenderFn
         image = over_background(image, colour)
         alpha = views.alpha(index) if isinstance(views, HasMasks) else None
         target = target if alpha is None else target + (1 - alpha.to(image.device)[..., None]) * colour
+    image = state.exposed(image, index, len(views))
     if isinstance(views, HasMasks):
         image = masked(image, target, views.loss_mask(index, files=state.config.masks))
     loss = photometric_loss(image, target, lambda_dssim=state.config.lambda_dssim)
@@ -175,6 +176,8 @@ def _step(state: TrainState, views: Sequence[View], index: int, render: RenderFn
     for group in state.optimiser.param_groups:
         group["lr"] = rates[group["name"]]
     state.optimiser.step()
+    if state.exposures is not None:
+        state.exposures.step(state.iteration / state.config.iterations)
     state.iteration += 1
     return value
 

@@ -163,7 +163,10 @@ def _check_same(state: TrainState, config: FitConfig, seed: int, data: str, fold
 
 
 def _check_queue(state: TrainState, views: int, path: Path) -> None:
-    """Raise if the run is to see a view next that there is not."""
+    """Raise if the run is to see a view next that there is not, or has exposures of others."""
+    if state.exposures is not None and len(state.exposures.maps) != views:
+        got, do = len(state.exposures.maps), "train anew in another folder"
+        raise CheckpointError(message(f"checkpoint {path}: exposures", f"{views}, one a view", got, do))
     if state.view_queue and max(state.view_queue) >= views:
         got = max(state.view_queue)
         raise CheckpointError(

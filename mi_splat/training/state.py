@@ -14,6 +14,7 @@ from mi_splat.io.parameters import from_raw_parameters, to_raw_parameters
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.evaluation import Scores
+from mi_splat.training.exposure import Exposures
 from mi_splat.training.strategies import Edit, build_strategy
 
 _MOMENTS = ("exp_avg", "exp_avg_sq")
@@ -74,6 +75,7 @@ class TrainState:
         settings: What else the pictures depend on, the near plane for instance; kept in the checkpoint.
         data_digest: Stands for what it is trained on, so that a run does not go on with something else.
         history: Every evaluation so far, and the last step.
+        exposures: Of the pictures, once the first was looked at, if they are trained.
     """
 
     def __init__(self, start: GaussianScene, config: FitConfig, *, scene_extent: float, seed: int) -> None:
@@ -85,6 +87,7 @@ class TrainState:
         self.parameters = {name: value.float() for name, value in values.items()}
         self.iteration, self.view_queue = 0, list[int]()
         self.history = list[Progress]()
+        self.exposures: Exposures | None = None
         self.generator = Generator().manual_seed(seed)
         self.strategy = build_strategy(config.strategy)
         self.strategy_state = _moved(self.strategy.initial_state(len(start)), start.means.device)
@@ -98,6 +101,8 @@ class TrainState:
 
     def to(self, device: torch.device) -> None:
         """Move everything that is trained or counted to another device."""
+        if self.exposures is not None:
+            self.exposures = Exposures.of(self.exposures.tensors(), device)
         self.strategy_state = _moved(self.strategy_state, device)
         old, self.parameters = self.parameters, _moved(self.parameters, device)
         for group in self.optimiser.param_groups:
@@ -148,6 +153,14 @@ class TrainState:
             "sh0": sh,
             "shN": sh / 20,
         }
+
+    def exposed(self, image: Tensor, index: int, count: int) -> Tensor:
+        """A picture of the splat with the exposure of one of `count` views, if exposures are trained."""
+        if not self.config.exposure:
+            return image
+        if self.exposures is None:
+            self.exposures = Exposures(count, image.device)
+        return self.exposures.applied(image, index)
 
     def next_view(self, count: int) -> int:
         """Number of the view to look at; all are seen once before any is seen again."""
