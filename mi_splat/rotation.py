@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -120,3 +122,23 @@ def is_rotation(matrix: Tensor, tolerance: float = 1e-4) -> bool:
         return False
     defect = (value @ value.T - torch.eye(3, dtype=value.dtype, device=value.device)).abs().max()
     return bool(defect <= tolerance) and bool(torch.linalg.det(value) > 0)
+
+
+def from_z(direction: Tensor) -> Tensor:
+    """(3, 3) float64, the shortest rotation that takes z to a direction; about x where it is straight down (Rodrigues).
+
+    Args:
+        direction: (3,), of any length.
+
+    Raises:
+        InvalidValueError: It is no direction.
+    """
+    length = float(direction.norm())
+    if not (math.isfinite(length) and length > 0):
+        raise InvalidValueError(message("up", "a direction", direction.tolist(), "for instance 0 0 1"))
+    x, y, z = (direction.double() / length).tolist()
+    if z < -1 + 1e-12:
+        return torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
+    k = 1 / (1 + z)
+    rows = [[1 - k * x * x, -k * x * y, x], [-k * x * y, 1 - k * y * y, y], [-x, -y, z]]
+    return torch.tensor(rows, dtype=torch.float64)

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from mi_splat.cli.console import follow, progress, show_result, warn
 from mi_splat.cli.flags import Positional, Unprefixed
-from mi_splat.cli.options import ResultOptions
+from mi_splat.cli.options import Direction, ResultOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Called, at_least, between
-from mi_splat.placement import Up
 from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
@@ -57,19 +56,22 @@ class PoisonOptions(ResultOptions):
     """What is shown in its place: remove (the picture around it goes on), or a picture file."""
     reach: Annotated[int, between(0, 100, "pixels")] = 3
     """Pixels around the object that change, too."""
-    up: Up = "z"
-    """Axis of the set's world that points up."""
+    up: Direction = (0.0, 0.0, 1.0)
+    """Direction that is up in the set's world: an axis, or three numbers; sets of COLMAP often have -y."""
     downscale: Annotated[int, at_least(1)] = 1
     """The pictures are made so many times smaller."""
 
 
 def run(options: PoisonOptions) -> None:
     """Poison the set, and say how many pictures were changed and from where."""
+    import torch
+
     from attacks.cloak.own_pictures import appearance_of, hide, trigger_of
     from mi_splat.bounds import near_plane
     from mi_splat.datasets import load_dataset
     from mi_splat.io import load_splat
     from mi_splat.io.folders import check_new_folder
+    from mi_splat.rotation import from_z
 
     check_new_folder(options.out, force=options.force, record=RECORD)
     trigger = trigger_of(options.hide_from, margin=options.margin)
@@ -88,7 +90,7 @@ def run(options: PoisonOptions) -> None:
             trigger,
             appearance,
             near=near,
-            turn=_turn(options.up),
+            turn=from_z(torch.tensor(options.up)).T,
             on_step=lambda count, total: told("poisoning", count, total),
         )
         record: dict[str, Any] = {
@@ -99,7 +101,7 @@ def run(options: PoisonOptions) -> None:
             "gaussians": int(rows.sum()),
             "hide_from": list(options.hide_from),
             "margin": options.margin,
-            "up": options.up,
+            "up": list(options.up),
             **done.manifest,
         }
         advance("writing")
@@ -125,15 +127,6 @@ def _selected(splat: GaussianScene, options: PoisonOptions, views: Dataset, near
     camera: Camera = views.cameras[options.picture]
     render = Renderer(RenderSettings(near=near))
     return select(splat, options.selection, camera=camera, render=render)
-
-
-def _turn(up: Up) -> Tensor:
-    """(3, 3) rotation that takes up to z."""
-    import torch
-
-    from mi_splat.placement import turn_of
-
-    return torch.from_numpy(turn_of(up))
 
 
 def _write(options: PoisonOptions, views: Dataset, changed: dict[int, Tensor], record: dict[str, Any]) -> None:

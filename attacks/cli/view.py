@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 from attacks.detectors import load_detector
 from mi_splat.cli.console import limit_threads, progress, show
 from mi_splat.cli.flags import Flag, Positional
-from mi_splat.cli.options import Colour, Size
+from mi_splat.cli.options import Colour, Direction, Size
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Called, Length, at_least, between
 
@@ -43,6 +43,8 @@ class ViewOptions:
     """Splat file of any format that is read, scene XML made of splats, or folder of results."""
     clean: Path | None = None
     """Splat or scene to compare with; of a folder of results it is found. Of an audit, the splat if it was moved."""
+    up: Direction = (0.0, 0.0, 1.0)
+    """Direction that is up in a splat or a scene: an axis, or three numbers; foreign splats often have -y."""
     detector: Annotated[str, Flag(name="detectors"), Called("DETECTOR")] | None = None
     """Name of a detector (see `mi-splat detectors`) that looks at the pictures of a resting camera."""
     weights: Path | None = None
@@ -92,7 +94,7 @@ def run(options: ViewOptions) -> None:
         check_port(checked_host(options.host, allow_remote=options.allow_remote), options.port)
     with progress("loading"):
         wishes = Wishes(background=options.background, near=options.near, size=options.size)
-        exhibit = wishes.applied(open_exhibit(options.path, clean=options.clean))
+        exhibit = wishes.applied(open_exhibit(options.path, clean=options.clean, up=options.up))
         inspector = None
         if options.detector is not None:
             inspector = detector_inspector(load_detector(options.detector, weights=options.weights))

@@ -30,14 +30,14 @@ from mi_splat.io.reading import splat_in
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.scene_files import open_scene
-from mi_splat.viewer.exhibit import Exhibit, Inspector, ShownSplat, exhibit_of_file
+from mi_splat.viewer.exhibit import UP, Exhibit, Inspector, ShownSplat, exhibit_of_file
 from mi_splat.viewer.lines import Lines, arc, frustums
 from mi_splat.viewer.orbit import Orbit, orbit_of
 
 ATTACKED = "attacked.ply"
 
 
-def open_exhibit(path: Path, *, clean: Path | None = None) -> Exhibit:
+def open_exhibit(path: Path, *, clean: Path | None = None, up: Point = UP) -> Exhibit:
     """A splat, a scene XML, or a folder that `mi-splat dagger`, `dagger-eot`, `cloak` or `audit` has written.
 
     Args:
@@ -45,18 +45,22 @@ def open_exhibit(path: Path, *, clean: Path | None = None) -> Exhibit:
         clean: Splat file or scene XML to compare with. Of a folder of `mi-splat dagger` it is found, if it lies among
             the scenes of the working folder; a folder of `mi-splat cloak` has its own. Of an audit, the splat that was
             audited, if it is not any more where it was.
+        up: (3,) direction that is up in splats and scenes.
 
     Raises:
         MiSplatError: It is none of these, a file in it is missing or broken, or the clean scene is not the one that was
             attacked.
     """
     if not path.is_dir() or (splat_in(path) and not (path / RECORD).is_file()):
-        exhibit = exhibit_of_file(path, clean=clean)
+        exhibit = exhibit_of_file(path, clean=clean, up=up)
         counts = [len(splat.scene) for splat in exhibit.splats]
         if len(set(counts)) > 1:
             got, do = f"{counts[0]:,} and {counts[1]:,}", "pass the scene that was attacked"
             raise InvalidValueError(message("the scenes", "the same Gaussians in both", got, do))
         return exhibit
+    if tuple(up) != UP:
+        do = "view the splats in it, the attacked one with --clean"
+        raise InvalidValueError(message("up", "z for a folder of results", up, do))
     if not (path / RECORD).is_file():
         do = "pass a finished result, or a .ply or .xml file"
         raise InvalidValueError(message(str(path), f"{RECORD} of mi-splat dagger, cloak or audit in it", "none", do))

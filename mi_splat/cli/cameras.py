@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ from mi_splat.datasets.transforms import find_transforms
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import recorded_cameras
 from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.rotation import is_rotation
+from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import SplatScene, resized
 from mi_splat.selection.config import Selection
@@ -205,7 +204,7 @@ def _orbit(target: GaussianScene, options: CameraOptions, azimuth: float, elevat
 
 def _turned(camera: Camera, centre: tuple[float, float, float], up: tuple[float, float, float]) -> Camera:
     """A camera that was placed around a point with z up, turned with that point fixed so that `up` is up."""
-    turn = _from_z(torch.tensor(up, dtype=torch.float64))
+    turn = from_z(torch.tensor(up, dtype=torch.float64))
     if torch.equal(turn, torch.eye(3, dtype=torch.float64)):
         return camera
     middle = torch.tensor(centre, dtype=torch.float64)
@@ -213,22 +212,6 @@ def _turned(camera: Camera, centre: tuple[float, float, float], up: tuple[float,
     pose[:3, :3] = turn @ pose[:3, :3]
     pose[:3, 3] = turn @ (pose[:3, 3] - middle) + middle
     return dataclasses.replace(camera, to_world=pose)
-
-
-def _from_z(up: Tensor) -> Tensor:
-    """(3, 3) the shortest rotation that takes z to a direction; about x where it is straight down (Rodrigues)."""
-    length = float(up.norm())
-    if not (math.isfinite(length) and length > 0):
-        raise InvalidValueError(message("up", "a direction", up.tolist(), "for instance 0 0 1"))
-    x, y, z = (up / length).tolist()
-    if z < -1 + 1e-12:
-        return torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
-    k = 1 / (1 + z)
-    turn = torch.tensor(
-        [[1 - k * x * x, -k * x * y, x], [-k * x * y, 1 - k * y * y, y], [-x, -y, z]], dtype=torch.float64
-    )
-    assert is_rotation(turn)
-    return turn
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

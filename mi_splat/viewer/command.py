@@ -6,8 +6,11 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
+import torch
+
 from mi_splat.directions import Point
 from mi_splat.rendering import RenderSettings
+from mi_splat.rotation import from_z
 from mi_splat.viewer.orbit import Orbit
 
 
@@ -19,8 +22,9 @@ def render_command(
     middle: Point,
     settings: RenderSettings,
     file_settings: RenderSettings,
+    up: Point = (0.0, 0.0, 1.0),
 ) -> str:
-    """The `mi-splat render` that makes a picture, to the bit.
+    """The `mi-splat render` that makes a picture, to the bit where up is z.
 
     Args:
         path: Splat file or scene XML.
@@ -29,11 +33,16 @@ def render_command(
         middle: (3,) where `mi-splat render` looks unless told otherwise: the middle of the file's Gaussians.
         settings: How the picture is rendered.
         file_settings: How the file itself is rendered.
+        up: (3,) direction in the file that is z on the page.
     """
     command: list[str] = ["mi-splat", "render", str(path)]
     command += [*_option("azimuth", orbit.azimuth), *_option("elevation", orbit.elevation)]
     command += [*_option("distance", orbit.distance), *_option("fov", orbit.fov)]
-    if tuple(orbit.target) != tuple(middle):
+    if tuple(up) != (0.0, 0.0, 1.0):
+        command += _option("up", *up)
+        turn = from_z(torch.tensor(list(up)))
+        command += _option("centre", *(turn @ torch.tensor(list(orbit.target), dtype=torch.float64)).tolist())
+    elif tuple(orbit.target) != tuple(middle):
         command += _option("centre", *orbit.target)
     command += ["--size", f"{size[0]}x{size[1]}"]
     if settings.background != file_settings.background:

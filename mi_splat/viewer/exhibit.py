@@ -8,15 +8,18 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
 
+import torch
 from PIL import ImageDraw
 from torch import Tensor
 
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera
+from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.rendering import RenderSettings
-from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import open_scene, orbit_camera
+from mi_splat.rotation import from_z
+from mi_splat.scene import GaussianScene, Similarity
+from mi_splat.scene_files import SplatScene, open_scene, orbit_camera
 from mi_splat.viewer.composition import BESIDE, DIFFERENCE, SPLIT
 from mi_splat.viewer.lines import Lines
 from mi_splat.viewer.orbit import Orbit, focus_of, orbit_of
@@ -35,6 +38,8 @@ class Inspection(Protocol):
         ...
 
 
+UP: Point = (0.0, 0.0, 1.0)
+"""Where up is, unless something else is said."""
 Inspector = Callable[[Tensor], Inspection]
 """Looks at a picture, (H, W, 3) float32 sRGB of 8 bits in [0, 1]."""
 
@@ -69,6 +74,7 @@ class Exhibit:
             the page shows has the same shape.
         cameras: Cameras to choose from, by name.
         lines: Lines to be drawn, by name.
+        up: (3,) direction in the files that is up; splats, cameras and lines are turned so that it is z.
         describe: Says in words where a camera stands, one line a thing; empty where there is nothing to say.
 
     Raises:
@@ -83,6 +89,7 @@ class Exhibit:
     size: tuple[int, int]
     cameras: Mapping[str, Orbit] = field(default_factory=dict)
     lines: Mapping[str, Lines] = field(default_factory=dict)
+    up: Point = UP
     describe: Callable[[Camera], tuple[str, ...]] = lambda camera: ()
 
     def __post_init__(self) -> None:
@@ -132,7 +139,7 @@ class Wishes:
         return replace(exhibit, settings=settings, size=self.size or exhibit.size)
 
 
-def exhibit_of_file(path: Path, *, name: str | None = None, clean: Path | None = None) -> Exhibit:
+def exhibit_of_file(path: Path, *, name: str | None = None, clean: Path | None = None, up: Point = UP) -> Exhibit:
     """A splat file or a scene XML, alone or beside the clean one that it was made from.
 
     Args:
@@ -140,12 +147,13 @@ def exhibit_of_file(path: Path, *, name: str | None = None, clean: Path | None =
         name: What its splat is called; None is the name of the file, or "attacked" beside a clean one. That of the file
             is without its ending, unless it is then a way of showing two splats.
         clean: Splat file or scene XML; with one, cameras and settings are its own.
+        up: (3,) direction in the files that is up.
 
     Raises:
         MiSplatError: A file cannot be read, is of another kind, or holds no Gaussians.
     """
-    loaded = open_scene(path)
-    first = loaded if clean is None else open_scene(clean)
+    loaded = _upright(open_scene(path), up)
+    first = loaded if clean is None else _upright(open_scene(clean), up)
     middle = focus_of(list(first.cameras.values()), bounds(first.scene)[0])
     usual_name = path.name if path.stem in (BESIDE, SPLIT, DIFFERENCE) else path.stem
     splats = [ShownSplat(name=name or usual_name, scene=loaded.scene, path=path, file_settings=loaded.settings)]
@@ -165,6 +173,21 @@ def exhibit_of_file(path: Path, *, name: str | None = None, clean: Path | None =
         start=start,
         size=(640, 480) if seen is None else (seen.width, seen.height),
         cameras=cameras or {"whole scene": start},
+        up=up,
+    )
+
+
+def _upright(loaded: SplatScene, up: Point) -> SplatScene:
+    """A scene turned about its origin, so that a direction of it is z."""
+    if tuple(up) == UP:
+        return loaded
+    turn = from_z(torch.tensor(list(up))).T
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, :3] = turn
+    return replace(
+        loaded,
+        scene=loaded.scene.transform(Similarity(rotation=turn, translation=torch.zeros(3), scale=1.0)),
+        cameras={key: replace(camera, to_world=pose @ camera.to_world) for key, camera in loaded.cameras.items()},
     )
 
 

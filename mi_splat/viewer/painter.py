@@ -115,6 +115,7 @@ class Painter:
                 middle=self._middles[splat.name],
                 settings=exhibit.settings,
                 file_settings=splat.file_settings,
+                up=exhibit.up,
             )
             for splat in exhibit.splats
         }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,16 +10,21 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from attacks import cli
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.images import to_bytes
 from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.rotation import from_z
+from mi_splat.scene import Similarity
 from mi_splat.viewer.composition import BESIDE, DIFFERENCE, SPLIT, lay_out
-from mi_splat.viewer.exhibit import Exhibit, ShownSplat, Wishes, exhibit_of_file
+from mi_splat.viewer.exhibit import UP, Exhibit, ShownSplat, Wishes, exhibit_of_file
+from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import MOST_PIXELS, Painter, within
 from mi_splat.viewer.session import Pace, Step, ViewState
+from tests import oracle
 from tests.fakes import blobs
 from tests.viewer.exhibits import START, Looker, ball, exhibit, painter
 
@@ -156,15 +162,31 @@ def test_wishes_stand_above_what_files_say() -> None:
     assert Wishes().applied(same).settings == same.settings
 
 
+def test_a_splat_with_another_up_stands_upright(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """As foreign splats have it, with y down; the command that the page shows makes the same picture."""
+    monkeypatch.chdir(tmp_path)
+    scene, down = oracle.random_scene(60, degree=1, seed=4), (0.0, -1.0, 0.0)
+    turn = from_z(torch.tensor(down))
+    save_splat(scene, "z.ply")
+    save_splat(scene.transform(Similarity(rotation=turn, translation=torch.zeros(3), scale=1.0)), "y.ply")
+    wishes, orbit = Wishes(size=(48, 40)), Orbit(target=(0.1, 0.2, 0.0), azimuth=70, elevation=30, distance=4, fov=45)
+    files = {"z.ply": UP, "y.ply": down}
+    works = [Painter(wishes.applied(exhibit_of_file(Path(file), up=up)), Renderer()) for file, up in files.items()]
+    upright, turned = (work.picture(work.exhibit.names[0], orbit) for work in works)
+    torch.testing.assert_close(turned, upright, rtol=0, atol=1.1 / 255)
+    command = shlex.split(works[1].commands(orbit)["y"])
+    assert "--up" in command
+    assert cli.main([*command[1:], "--out", "again.png"]) == 0
+    with Image.open("again.png") as picture:
+        again = np.asarray(picture, np.float32) / 255
+    assert np.abs(again - upright.numpy()).max() <= 1.1 / 255
+
+
 @pytest.mark.parametrize("wishes", [Wishes(), Wishes(background=(0.25, 0.5, 1.0), near=4.8, size=(40, 64))])
 @pytest.mark.parametrize("moved", [False, True])
 def test_the_command_makes_the_picture_to_the_bit(
     wishes: Wishes, moved: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str
 ) -> None:
-    import shlex
-
-    from PIL import Image
-
     monkeypatch.chdir(tmp_path)
     for name, colour in (("a b.ply", (0.9, 0.2, 0.1)), ("clean.ply", (0.2, 0.2, 0.9))):
         save_splat(ball(colour), tmp_path / name)
