@@ -17,7 +17,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "cloak_car_layers": (
         "CLOAK in the finished file",
         "[CLOAK in the finished file](../cloak-layers.md)",
-        ("cloak_car_layers",),
+        ("cloak_car_layers", "cloak_car_layers_five"),
     ),
     "cloak_car_layers_edges": (
         "CLOAK in the finished file with a layer more for each edge and the geometry trained",
