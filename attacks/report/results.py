@@ -21,6 +21,7 @@ from attacks.report.stories import (
     renderers,
     sanity,
     study,
+    training,
     variations,
 )
 from attacks.report.stories.detectors import held_out, pictures
@@ -30,6 +31,7 @@ from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.folders import RECORD
 from mi_splat.io.manifest import MANIFEST, read_manifest
 from mi_splat.io.parsing import read_json
+from mi_splat.training.resume import METRICS
 
 Record = Mapping[str, Any]
 
@@ -64,6 +66,7 @@ STORIES = (
     Story(name="detect", read=pictures.read),
     Story(name="evaluate-detector", read=held_out.read, figures=detector_figures),
     Story(name="dagger-sanity", read=sanity.read),
+    Story(name="train", read=training.read),
 )
 """Every kind of result that a page can show."""
 
@@ -77,13 +80,14 @@ def read_section(path: Path) -> Section:
     Raises:
         InvalidValueError: It is none that one of `STORIES` names, or a file in it is broken.
     """
-    file, commands = path / RECORD, ", ".join(f"mi-splat {story.name}" for story in STORIES)
+    trained = (path / METRICS).is_file() and not (path / RECORD).is_file()
+    file, commands = path / (METRICS if trained else RECORD), ", ".join(f"mi-splat {story.name}" for story in STORIES)
     if not file.is_file():
         got, do = ("one without a result" if path.is_dir() else "nothing there"), "check the path"
         if path.is_file():
             got, do = "a file", f"pass {path.parent}"
         raise InvalidValueError(message(str(path), f"a folder that one of {commands} has written", got, do))
-    record = read_json(file)
+    record = read_json(file) | ({"story": "train"} if trained else {})
     story = _story(record)
     if story is None:
         raise InvalidValueError(

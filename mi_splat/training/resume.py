@@ -15,6 +15,7 @@ from types import FrameType
 
 import torch
 
+from mi_splat import provenance
 from mi_splat.cameras import RenderFn, View, cameras_of, fingerprint_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import save_splat
@@ -196,6 +197,7 @@ def _figures(fit: Fit, held_out: int) -> dict[str, object]:
         "threads": torch.get_num_threads(),
         "seed": fit.seed,
         "history": [asdict(line) for line in fit.history],
+        **provenance.origin(),
     }
 
 

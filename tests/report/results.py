@@ -189,6 +189,18 @@ def write_audit_study(folder: Path) -> Path:
     return folder
 
 
+def write_training(folder: Path) -> Path:
+    """A training of two looks at pictures that were held out."""
+    folder.mkdir()
+    looks = [{"psnr": 20.0 + step, "ssim": 0.5, "lpips": None} for step in (1, 2)]
+    history = [{"iteration": 10 * i, "loss": 0.1, "count": 50, "held_out": look} for i, look in enumerate(looks, 1)]
+    metrics = {**looks[-1], "held_out_views": 3, "gaussians": 50, "threads": 1, "seed": 0, "history": history}
+    (folder / "metrics.json").write_text(json.dumps({**metrics, **provenance.origin()}))
+    config = {"config": {"iterations": 20, "sh_degree": 3}, "seed": 0, "views": 12}
+    (folder / "config.json").write_text(json.dumps(config))
+    return folder
+
+
 MAKERS: dict[str, Callable[[Path], Path]] = {
     "study": write_study,
     "dagger": write_dagger,
@@ -202,5 +214,6 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "compare": write_comparison,
     "detect": write_detections,
     "evaluate-detector": write_detector,
+    "train": write_training,
 }
 """By the command that writes it."""

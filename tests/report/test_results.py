@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,7 @@ def said(section: Section) -> str:
 
 
 LINE = ["mi-splat", "some command", "a b.ply", "--out", "x"]
-UNCONTROLLED = {"dagger-sanity", "compare", "detect", "audit"}
+UNCONTROLLED = {"dagger-sanity", "compare", "detect", "audit", "train"}
 """Kinds without a control."""
 
 
@@ -83,7 +84,10 @@ def test_every_kind_is_read_and_its_command_is_stored(name: str, folders: dict[s
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_what_is_broken_is_told_in_one_line(name: str, folders: dict[str, Path], tmp_path: Path) -> None:
-    whole, file = json.loads((folders[name] / "result.json").read_text()), tmp_path / "result.json"
+    record = "metrics.json" if name == "train" else "result.json"
+    whole, file = json.loads((folders[name] / record).read_text()), tmp_path / record
+    if name == "train":
+        shutil.copyfile(folders[name] / "config.json", tmp_path / "config.json")
     file.write_text("{")
     with pytest.raises(InvalidValueError, match="expected a JSON object"):
         read_section(tmp_path)
