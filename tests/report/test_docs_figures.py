@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
@@ -22,16 +23,9 @@ from tests.project.documented_commands import ROOT
 
 OUR, COCO = ("fasterrcnn_small", "yolov8n_small"), ("centernet_coco", "nanodet_coco")
 OUTSIDE = ("ssd_openimages",)
-VARIATIONS = (
-    "cloak_new_cars",
-    "cloak_controls",
-    "cloak_controls_steps",
-    "cloak_design_sector",
-    "cloak_design_appearance",
-    "cloak_design_object",
-    "cloak_design_paint",
-    "cloak_design_cameras",
-)
+VARIATIONS: tuple[str, ...] = runpy.run_path(str(ROOT / "docs" / "sphinx_extensions" / "result_tables.py"))["PAGES"][
+    "cloak_variations"
+][2]
 _NOISE = ("noise_successes", "noise_draws")
 FRACTION = re.compile(r"(?<![\w/.])(\d+/\d+)(?![\w/]|\.\d)")
 MOST_BYTES = 4_000_000
