@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -103,6 +103,14 @@ class Camera:
     def position(self) -> Tensor:
         """(3,) float64 centre of projection in world space."""
         return self.to_world[:3, 3]
+
+    def turned(self, turn: Tensor, about: Tensor | None = None) -> Camera:
+        """The camera in a world that a (3, 3) float64 rotation has turned about a point (3,), the origin if None."""
+        middle = torch.zeros(3, dtype=torch.float64) if about is None else about
+        pose = self.to_world.clone()
+        pose[:3, :3] = turn @ pose[:3, :3]
+        pose[:3, 3] = turn @ (pose[:3, 3] - middle) + middle
+        return replace(self, to_world=pose)
 
     @property
     def to_camera(self) -> Tensor:

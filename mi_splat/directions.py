@@ -16,6 +16,8 @@ from mi_splat.errors import InvalidValueError, message
 
 Point = Sequence[float]
 
+UP: Point = (0.0, 0.0, 1.0)
+"""Where up is, unless something else is said."""
 POLE = 1e-7
 """Radians around straight above and straight below in which a direction has no azimuth."""
 

@@ -141,4 +141,6 @@ def from_z(direction: Tensor) -> Tensor:
         return torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
     k = 1 / (1 + z)
     rows = [[1 - k * x * x, -k * x * y, x], [-k * x * y, 1 - k * y * y, y], [-x, -y, z]]
-    return torch.tensor(rows, dtype=torch.float64)
+    turn = torch.tensor(rows, dtype=torch.float64)
+    assert is_rotation(turn)
+    return turn

@@ -94,7 +94,6 @@ def run(options: PoisonOptions) -> None:
             on_step=lambda count, total: told("poisoning", count, total),
         )
         record: dict[str, Any] = {
-            "story": "poison",
             "set": str(options.dataset),
             "splat": str(options.splat),
             "selection": options.selection.as_dict(),
@@ -148,7 +147,7 @@ def _write(options: PoisonOptions, views: Dataset, changed: dict[int, Tensor], r
     def shown(part: Dataset) -> Iterator[View]:
         for index, view in enumerate(part):
             image = changed.get(index, view.image) if part is views else view.image
-            alpha = part.alpha(index)
+            alpha = part.alpha(index) if transparent else None
             image = image if alpha is None else (image / alpha.clamp(min=1 / 255)[..., None]).clamp(0, 1)
             yield View(view.camera, image)
 

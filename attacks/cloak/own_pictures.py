@@ -1,7 +1,7 @@
 """CLOAK on anybody's pictures: a set with cameras, a splat of it that says where the object is, and nothing else.
 
 The object's place in each picture is where its Gaussians make up most of a pixel of the splat. What is shown there in
-its place comes from the picture around it, from the splat without the object, or from a picture of the attacker's.
+its place comes from the picture around it, or from a picture of the attacker's.
 """
 
 from __future__ import annotations
@@ -119,19 +119,7 @@ class TurnedViews(ViewSet):
 
 def turned(views: Sequence[View], turn: Tensor) -> TurnedViews:
     """Views of a world that a (3, 3) rotation has turned about its origin."""
-    pose = torch.eye(4, dtype=torch.float64)
-    pose[:3, :3] = turn
-    cameras = (
-        Camera(
-            to_world=pose @ camera.to_world,
-            focal=(camera.fx, camera.fy),
-            width=camera.width,
-            height=camera.height,
-            principal=(camera.cx, camera.cy),
-        )
-        for camera in cameras_of(views)
-    )
-    return TurnedViews(views, tuple(cameras))
+    return TurnedViews(views, tuple(camera.turned(turn) for camera in cameras_of(views)))
 
 
 def appearance_of(look: str, reach: int) -> Appearance:

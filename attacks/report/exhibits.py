@@ -20,17 +20,16 @@ from attacks.observe.drawing import draw_detections
 from mi_splat.audit.files import HEAT
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera
-from mi_splat.directions import Point
+from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.fields import decode
 from mi_splat.io.camera_records import camera_of
-from mi_splat.io.folders import RECORD
+from mi_splat.io.folders import RECORD, splat_in
 from mi_splat.io.parsing import read_json
-from mi_splat.io.reading import splat_in
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.scene_files import open_scene
-from mi_splat.viewer.exhibit import UP, Exhibit, Inspector, ShownSplat, exhibit_of_file
+from mi_splat.viewer.exhibit import Exhibit, Inspector, ShownSplat, exhibit_of_file
 from mi_splat.viewer.lines import Lines, arc, frustums
 from mi_splat.viewer.orbit import Orbit, orbit_of
 

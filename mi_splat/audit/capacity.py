@@ -7,10 +7,10 @@ from pathlib import Path
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.errors import from_os_error, path_name
+from mi_splat.io.folders import splat_in
 from mi_splat.io.formats.detection import HEAD, format_to_read
 from mi_splat.io.loaded import open_regular
 from mi_splat.io.ply.header import read_header
-from mi_splat.io.reading import splat_in
 
 PROGRAM, PER_GAUSSIAN, COPIES = 700e6, 300, 4
 """Bytes that the program takes without a splat, that each Gaussian takes beside its values, and copies of its values;

@@ -207,11 +207,7 @@ def _turned(camera: Camera, centre: tuple[float, float, float], up: tuple[float,
     turn = from_z(torch.tensor(up, dtype=torch.float64))
     if torch.equal(turn, torch.eye(3, dtype=torch.float64)):
         return camera
-    middle = torch.tensor(centre, dtype=torch.float64)
-    pose = camera.to_world.clone()
-    pose[:3, :3] = turn @ pose[:3, :3]
-    pose[:3, 3] = turn @ (pose[:3, 3] - middle) + middle
-    return dataclasses.replace(camera, to_world=pose)
+    return camera.turned(turn, torch.tensor(centre, dtype=torch.float64))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

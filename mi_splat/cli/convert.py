@@ -62,7 +62,7 @@ def run(options: ConvertOptions) -> None:
     import torch
 
     from mi_splat.io import load_splat
-    from mi_splat.io.folders import check_not_input, check_writable
+    from mi_splat.io.folders import check_not_input, check_writable, splat_in
     from mi_splat.io.formats.encoded import Values, dropped_bands
     from mi_splat.io.splat_files import write_splat_file
     from mi_splat.scene import merge
@@ -88,7 +88,7 @@ def run(options: ConvertOptions) -> None:
     written = scene if encoded.order is None else scene.select(torch.from_numpy(encoded.order))
     changes = differences(written, again)
     losses = (*dropped_bands(Values.of(scene), kept.degree), *encoded.losses)
-    sizes = sum(source.stat().st_size for source in sources), options.out.stat().st_size
+    sizes = sum(os.path.getsize(splat_in(source) or source) for source in sources), options.out.stat().st_size
     document = {
         "source": str(options.source),
         "added": [str(source) for source in options.add],

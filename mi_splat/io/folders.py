@@ -12,11 +12,20 @@ from pathlib import Path
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import is_temporary, replace_folder, sweep_temporary, sync_folder, sync_names, temporary_name
 from mi_splat.io.errors import SplatFileError, from_os_error
+from mi_splat.io.formats.detection import META
 from mi_splat.io.locks import check_unlocked, locked_folder
 from mi_splat.io.manifest import write_manifest
 
 RECORD = "result.json"
 """The file that every folder of results holds."""
+IN_FOLDERS = ("splat.ply", "attacked.ply", META)
+"""Names by which a folder has one splat: of a training, of an attack, and of an unbundled SOG."""
+
+
+def splat_in(folder: str | os.PathLike[str]) -> str | None:
+    """The splat that a folder may stand for; None if it has none, or is none."""
+    files = (os.path.join(folder, name) for name in IN_FOLDERS)
+    return next(filter(os.path.isfile, files), None)
 
 
 def check_writable(out: str | os.PathLike[str]) -> None:
@@ -66,12 +75,13 @@ def check_not_input(out: str | os.PathLike[str], *inputs: str | os.PathLike[str]
 
     Args:
         out: The file to write.
-        inputs: Files that are read; None is none.
+        inputs: Files that are read, or folders that stand for the splat in them; None is none.
 
     Raises:
         SplatFileError: They are the same file, by whatever names.
     """
-    for source in inputs:
+    for given in inputs:
+        source = given if given is None else splat_in(given) or given
         if source is not None and os.path.exists(out) and os.path.exists(source) and os.path.samefile(out, source):
             do = "choose another name"
             raise SplatFileError(message(str(out), "another file than the input", "the input itself", do))

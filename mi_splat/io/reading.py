@@ -12,6 +12,7 @@ import numpy as np
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.errors import from_os_error, path_name
+from mi_splat.io.folders import splat_in
 from mi_splat.io.formats.detection import HEAD, META, USD, format_to_read
 from mi_splat.io.loaded import Arrays, Loaded, open_regular
 from mi_splat.io.ply.header import read_header
@@ -27,16 +28,6 @@ _READERS = {
     **dict.fromkeys(USD, ("mi_splat.io.formats.usd", "read_usd")),
 }
 """Module and its function for each format but the PLY."""
-
-
-IN_FOLDERS = ("splat.ply", "attacked.ply", META)
-"""Names by which a folder has one splat: of a training, of an attack, and of an unbundled SOG."""
-
-
-def splat_in(folder: str | os.PathLike[str]) -> str | None:
-    """The splat that a folder may stand for; None if it has none, or is none."""
-    files = (os.path.join(folder, name) for name in IN_FOLDERS)
-    return next(filter(os.path.isfile, files), None)
 
 
 def load_arrays(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import torch
 
-from mi_splat.directions import Point
+from mi_splat.directions import UP, Point
 from mi_splat.rendering import RenderSettings
 from mi_splat.rotation import from_z
 from mi_splat.viewer.orbit import Orbit
@@ -22,7 +22,7 @@ def render_command(
     middle: Point,
     settings: RenderSettings,
     file_settings: RenderSettings,
-    up: Point = (0.0, 0.0, 1.0),
+    up: Point = UP,
 ) -> str:
     """The `mi-splat render` that makes a picture, to the bit where up is z.
 
@@ -38,7 +38,7 @@ def render_command(
     command: list[str] = ["mi-splat", "render", str(path)]
     command += [*_option("azimuth", orbit.azimuth), *_option("elevation", orbit.elevation)]
     command += [*_option("distance", orbit.distance), *_option("fov", orbit.fov)]
-    if tuple(up) != (0.0, 0.0, 1.0):
+    if tuple(up) != UP:
         command += _option("up", *up)
         turn = from_z(torch.tensor(list(up)))
         command += _option("centre", *(turn @ torch.tensor(list(orbit.target), dtype=torch.float64)).tolist())

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera
-from mi_splat.directions import Point
+from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.rendering import RenderSettings
 from mi_splat.rotation import from_z
@@ -38,8 +38,6 @@ class Inspection(Protocol):
         ...
 
 
-UP: Point = (0.0, 0.0, 1.0)
-"""Where up is, unless something else is said."""
 Inspector = Callable[[Tensor], Inspection]
 """Looks at a picture, (H, W, 3) float32 sRGB of 8 bits in [0, 1]."""
 
@@ -182,12 +180,10 @@ def _upright(loaded: SplatScene, up: Point) -> SplatScene:
     if tuple(up) == UP:
         return loaded
     turn = from_z(torch.tensor(list(up))).T
-    pose = torch.eye(4, dtype=torch.float64)
-    pose[:3, :3] = turn
     return replace(
         loaded,
         scene=loaded.scene.transform(Similarity(rotation=turn, translation=torch.zeros(3), scale=1.0)),
-        cameras={key: replace(camera, to_world=pose @ camera.to_world) for key, camera in loaded.cameras.items()},
+        cameras={key: camera.turned(turn) for key, camera in loaded.cameras.items()},
     )
 
 

@@ -133,3 +133,17 @@ def test_a_place_that_makes_no_sense_is_refused(
     assert cli.main(["convert", str(splat), str(splat.with_name("no.ply")), *words]) != 0
     assert says in capsys.readouterr().err
     assert not splat.with_name("no.ply").exists()
+
+
+def test_a_folder_stands_for_its_splat_and_is_not_overwritten(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "trained"
+    folder.mkdir()
+    save_splat(tame_scene(60, 2), folder / "splat.ply")
+    before = (folder / "splat.ply").read_bytes()
+    assert cli.main(["convert", str(folder), str(folder / "splat.ply"), "--force"]) == 1
+    assert "the input itself" in capsys.readouterr().err
+    assert (folder / "splat.ply").read_bytes() == before
+    assert cli.main(["convert", str(folder), str(tmp_path / "b.ply"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["bytes_before"] == len(before)

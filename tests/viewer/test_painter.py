@@ -13,6 +13,7 @@ import torch
 from PIL import Image
 
 from attacks import cli
+from mi_splat.directions import UP
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.images import to_bytes
@@ -20,7 +21,7 @@ from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import from_z
 from mi_splat.scene import Similarity
 from mi_splat.viewer.composition import BESIDE, DIFFERENCE, SPLIT, lay_out
-from mi_splat.viewer.exhibit import UP, Exhibit, ShownSplat, Wishes, exhibit_of_file
+from mi_splat.viewer.exhibit import Exhibit, ShownSplat, Wishes, exhibit_of_file
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import MOST_PIXELS, Painter, within
 from mi_splat.viewer.session import Pace, Step, ViewState
