@@ -1,4 +1,4 @@
-"""Directions of cameras from a centre, and how deep they lie in a band or a wedge of the sphere of directions.
+"""Directions of cameras from a centre, and how deep they lie in a band, a wedge or a cap of the sphere of directions.
 
 A direction is a point of the unit sphere around the centre: azimuth in degrees from world +x towards +y, elevation in
 degrees above the horizontal plane, as in `mi_splat.cameras.orbit_pose`. Depths are angles between directions, in
@@ -96,6 +96,28 @@ def depth_in_wedge(direction: Direction, middle: float, half_width: float) -> fl
             across = abs(math.sin(turn)) * math.cos(math.radians(direction.elevation))
             nearest = min(nearest, math.degrees(math.asin(min(across, 1.0))))
     return nearest if azimuth_gap(direction, middle) <= half_width else -nearest
+
+
+def depth_in_cap(direction: Direction, azimuth: float, elevation: float, half_angle: float) -> float:
+    """Depth within an angle of a direction; a half angle of 180 degrees is every direction.
+
+    Args:
+        direction: Of the camera.
+        azimuth: Of the middle, degrees.
+        elevation: Of the middle, degrees.
+        half_angle: From the middle to the edge, degrees.
+    """
+    if half_angle == 180:
+        return math.inf
+    x, y, z = unit_vector(direction.azimuth - azimuth, direction.elevation)  # the middle has azimuth 0
+    flat, up = math.cos(math.radians(elevation)), math.sin(math.radians(elevation))
+    return half_angle - math.degrees(math.atan2(math.hypot(y, z * flat - x * up), x * flat + z * up))
+
+
+def unit_vector(azimuth: float, elevation: float) -> tuple[float, float, float]:
+    """(x, y, z) of a direction given in degrees."""
+    turn, rise = math.radians(azimuth), math.radians(elevation)
+    return math.cos(turn) * math.cos(rise), math.sin(turn) * math.cos(rise), math.sin(rise)
 
 
 def _turn(direction: Direction, azimuth: float) -> float:

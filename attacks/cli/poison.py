@@ -17,17 +17,16 @@ from mi_splat.selection.config import Selection
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from attacks.cloak.poisoning import Poisoned
     from mi_splat.cameras import Camera
     from mi_splat.datasets import Dataset
     from mi_splat.scene import GaussianScene
 
 EXAMPLES = (
     "poison my_photos out/photos/splat.ply --click 320,240 --hide-from elevation:50-90 --out out/poisoned",
-    "poison my_photos out/photos/splat.ply --box -1 -1 0 1 1 1 --hide-from azimuth:150-210 --look stop.png",
+    "poison my_photos out/photos/splat.ply --box -1 -1 0 1 1 1 --hide-from cone:180,30,25 --look stop.png",
 )
-SEE_ALSO = ("train", "select", "cloak")
-RECORD = "poison.json"
-"""What was changed in a set, and how; by it a set that this command wrote is known."""
+SEE_ALSO = ("train", "select", "report", "cloak")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +34,8 @@ class PoisonOptions(ResultOptions):
     """Poison a set of pictures with cameras, so that a splat that is trained on it hides an object from some sides.
 
     Writes a set of the same cameras into --out: pictures from --hide-from show something else in the place of the
-    object, all others are the same. A victim trains on it as on any other. poison.json says what was changed. Pictures
-    that are held out stay as they are, so that what the splat shows can be compared with the truth.
+    object, all others are the same. A victim trains on it as on any other. poison.json says what was changed, and
+    mi-splat report shows it. Pictures that are held out stay as they are, so that the splat can be compared with them.
     """
 
     dataset: Positional[Path]
@@ -48,8 +47,8 @@ class PoisonOptions(ResultOptions):
     picture: Annotated[int, at_least(0), Called("NUMBER")] = 0
     """Which of the pictures for training --click is on, in their order."""
     hide_from: tuple[Annotated[str, Called("REGION")], ...] = ("elevation:50-90",)
-    """Where the object is hidden, seen from its middle, in degrees: elevation:LOW-HIGH or azimuth:LOW-HIGH; of
-    several, from where all of them hold."""
+    """Where the object is hidden, seen from its middle, in degrees: elevation:LOW-HIGH, azimuth:LOW-HIGH or
+    cone:AZIMUTH,ELEVATION,HALF_ANGLE, which is around a direction; of several, from where all of them hold."""
     margin: Annotated[float, between(0, 90, "degrees", "7 hides more, and begins to show before")] = 0.0
     """Degrees around it in which pictures are changed, too."""
     look: Annotated[str, Called("LOOK")] = "remove"
@@ -66,7 +65,8 @@ def run(options: PoisonOptions) -> None:
     """Poison the set, and say how many pictures were changed and from where."""
     import torch
 
-    from attacks.cloak.own_pictures import appearance_of, hide, trigger_of
+    from attacks.cloak.own_pictures import RECORD, appearance_of, directions_of, hide, trigger_of
+    from mi_splat import provenance
     from mi_splat.bounds import near_plane
     from mi_splat.datasets import load_dataset
     from mi_splat.io import load_splat
@@ -100,11 +100,16 @@ def run(options: PoisonOptions) -> None:
             "gaussians": int(rows.sum()),
             "hide_from": list(options.hide_from),
             "margin": options.margin,
+            "look": options.look,
+            "reach": options.reach,
             "up": list(options.up),
+            "downscale": options.downscale,
             **done.manifest,
+            "directions": [[one.azimuth, one.elevation] for one in directions_of(done)],
+            **provenance.origin(),
         }
         advance("writing")
-        _write(options, views, {change.index: done.views[change.index].image for change in done.changes}, record)
+        _write(options, views, done, record)
     shares = sorted(change.pixels_changed / change.pixels for change in done.changes if change.pixels_changed)
     if idle := len(done.changes) - len(shares):
         warn(f"{idle} pictures from where it is to be hidden do not show the object, and stay as they are")
@@ -128,20 +133,19 @@ def _selected(splat: GaussianScene, options: PoisonOptions, views: Dataset, near
     return select(splat, options.selection, camera=camera, render=render)
 
 
-def _write(options: PoisonOptions, views: Dataset, changed: dict[int, Tensor], record: dict[str, Any]) -> None:
+def _write(options: PoisonOptions, views: Dataset, done: Poisoned, record: dict[str, Any]) -> None:
     """The set with the changed pictures, whole or not at all."""
     import torch
 
+    from attacks.cloak.own_pictures import BEFORE_AND_AFTER, RECORD, before_and_after, counting
     from mi_splat.cameras import View
     from mi_splat.datasets import has_tests, load_dataset, write_transforms
-    from mi_splat.io.documents import save_json
+    from mi_splat.io.documents import save_json, save_png
     from mi_splat.io.folders import new_folder
 
-    parts = [views]
+    parts, changed = [views], {change.index: done.views[change.index].image for change in done.changes}
     if has_tests(options.dataset):
         parts.append(load_dataset(options.dataset, split="test", downscale=options.downscale))
-    if masks := sum(frame.mask is not None for part in parts for frame in part.frames):
-        warn(f"the masks of {masks} pictures are not in the new set")
     transparent = views.alpha(0) is not None
 
     def shown(part: Dataset) -> Iterator[View]:
@@ -157,9 +161,20 @@ def _write(options: PoisonOptions, views: Dataset, changed: dict[int, Tensor], r
                 alpha = part.alpha(index)
                 yield torch.ones(camera.height, camera.width) if alpha is None else alpha
 
+    def masks() -> Iterator[Tensor | None]:
+        for part in parts:
+            for index in range(len(part)):
+                yield counting(part, index, changed.get(index) if part is views else None)
+
     with new_folder(options.out, force=options.force, record=RECORD) as folder:
         train, *test = map(shown, parts)
         write_transforms(
-            folder, train, test=test[0] if test else (), alphas=alphas() if transparent else None, points=views.points
+            folder,
+            train,
+            test=test[0] if test else (),
+            alphas=alphas() if transparent else None,
+            masks=masks(),
+            points=views.points,
         )
+        save_png(before_and_after(done), folder / BEFORE_AND_AFTER)
         save_json(record, folder / RECORD)

@@ -8,20 +8,24 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812
+from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.cloak.appearances import Appearance
 from attacks.cloak.poisoning import OnStep, Poisoned, Poisoning, poison
 from attacks.cloak.retouching import Inpaint, grown
-from attacks.cloak.triggers import Azimuth, Elevation, Trigger
+from attacks.cloak.triggers import Azimuth, Cap, Elevation, Trigger
 from mi_splat.cameras import Camera, View, ViewSet, cameras_of
+from mi_splat.datasets import Dataset
+from mi_splat.directions import Direction, direction_of
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.images import quantise, to_bytes
 from mi_splat.io.picture_files import load_picture
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, Similarity
@@ -30,14 +34,22 @@ from mi_splat.selection.visibility import object_weight
 
 NAME = "hidden"
 """Of the one poisoning, in manifests."""
-_REGION = re.compile(r"(elevation|azimuth):(-?\d+(?:\.\d+)?)-(-?\d+(?:\.\d+)?)")
+RECORD, BEFORE_AND_AFTER = "poison.json", "before_and_after.png"
+"""What was changed in a set, and how, by which a set that was poisoned is known; a sheet of some changed pictures."""
+_SHOWN, _HEIGHT = 6, 160
+"""Pictures on the sheet, and their rows."""
+_NUMBER = r"(-?\d+(?:\.\d+)?)"
+_REGION = re.compile(rf"(elevation|azimuth):{_NUMBER}-{_NUMBER}")
+_CONE = re.compile(rf"cone:{_NUMBER},{_NUMBER},{_NUMBER}")
+_REGIONS = "elevation:LOW-HIGH, azimuth:LOW-HIGH or cone:AZIMUTH,ELEVATION,HALF_ANGLE"
 
 
 def trigger_of(texts: Sequence[str], *, margin: float = 0.0) -> Trigger:
     """The cameras from which an object is hidden: those that all texts hold for.
 
     Args:
-        texts: Such as "elevation:50-90" or "azimuth:150-210", which may run across 0 = 360, in degrees.
+        texts: In degrees, such as "elevation:50-90", "azimuth:150-210", which may run across 0 = 360, or
+            "cone:180,30,25", within 25 degrees of the direction of azimuth 180 and elevation 30.
         margin: Degrees by which each is made wider.
 
     Raises:
@@ -45,17 +57,23 @@ def trigger_of(texts: Sequence[str], *, margin: float = 0.0) -> Trigger:
     """
     trigger: Trigger | None = None
     for text in texts:
-        found = _REGION.fullmatch(text)
-        if found is None:
-            raise InvalidValueError(
-                message("--hide-from", "elevation:LOW-HIGH or azimuth:LOW-HIGH", text, "elevation:50-90 is overhead")
-            )
-        low, high = float(found[2]), float(found[3])
-        part = _band(low, high, margin) if found[1] == "elevation" else _wedge(low, high, margin)
+        part = _region(text, margin)
         trigger = part if trigger is None else trigger & part
     if trigger is None:
         raise InvalidValueError(message("--hide-from", "a region", "none", "elevation:50-90 is overhead"))
     return trigger
+
+
+def _region(text: str, margin: float) -> Trigger:
+    if found := _CONE.fullmatch(text):
+        azimuth, elevation, half_angle = map(float, found.groups())
+        cap = Cap(azimuth=azimuth, elevation=elevation, half_angle=half_angle)
+        return replace(cap, half_angle=min(half_angle + margin, 180.0))
+    found = _REGION.fullmatch(text)
+    if found is None:
+        raise InvalidValueError(message("--hide-from", _REGIONS, text, "elevation:50-90 is overhead"))
+    low, high = float(found[2]), float(found[3])
+    return _band(low, high, margin) if found[1] == "elevation" else _wedge(low, high, margin)
 
 
 def _band(low: float, high: float, margin: float) -> Elevation:
@@ -185,3 +203,41 @@ def hide(
         do = "select all of the object, or choose other directions"
         raise InvalidValueError(message("pictures", "some that show the object", got, do))
     return done
+
+
+def directions_of(done: Poisoned) -> list[Direction]:
+    """Where each camera of a poisoned set stands, seen from the object."""
+    return [direction_of(camera, done.centre) for camera in done.views.cameras]
+
+
+def counting(views: Dataset, index: int, changed: Tensor | None) -> Tensor | None:
+    """What of a picture counts for who trains on it: as it was, and all that was changed.
+
+    Args:
+        views: The set.
+        index: Of the picture.
+        changed: (H, W, 3), what takes its place; None if it stays.
+
+    Returns:
+        (H, W) in [0, 1]; None where all of it counts.
+    """
+    mask = views.loss_mask(index)
+    if mask is None or changed is None:
+        return mask
+    known = views.loss_mask(index, files=False)  # what no photograph shows cannot count
+    differs = quantise(changed) != quantise(views[index].image)  # as files have them
+    counted = torch.where(differs.any(-1), 1.0, mask)
+    return counted if known is None else counted * known
+
+
+def before_and_after(done: Poisoned) -> NDArray[np.uint8]:
+    """(H, W, 3) sheet of some changed pictures from low to high, as they were above what they are now."""
+    changes = sorted((one for one in done.changes if one.pixels_changed), key=lambda change: change.elevation)
+    chosen = sorted(set(np.linspace(0, len(changes) - 1, _SHOWN).round().astype(int).tolist()))
+    columns = []
+    for index in (changes[number].index for number in chosen):
+        pair = torch.stack([views[index].image for views in (done.views.untouched, done.views)])
+        size = (_HEIGHT, max(1, round(_HEIGHT * pair.shape[2] / pair.shape[1])))
+        small = F.interpolate(pair.permute(0, 3, 1, 2), size, mode="bilinear", antialias=True)
+        columns.append(torch.cat([*small.permute(0, 2, 3, 1)]))
+    return to_bytes(torch.cat(columns, 1))

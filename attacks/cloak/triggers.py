@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera
-from mi_splat.directions import Direction, Point, azimuth_gap, depth_in_band, depth_in_wedge, direction_of
+from mi_splat.directions import Direction, Point, azimuth_gap, depth_in_band, depth_in_cap, depth_in_wedge, direction_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import PositiveFraction, Range, Seed, between, check
 
@@ -144,6 +144,31 @@ class Azimuth(Cone):
     def depth(self, direction: Direction) -> float:
         """See `depth_in_wedge`."""
         return depth_in_wedge(direction, self.middle, self.half_width)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cap(Cone):
+    """Cameras within an angle of a direction: a cap of the sphere of directions.
+
+    Attributes:
+        azimuth: Of the direction, degrees from world +x towards +y.
+        elevation: Of the direction, degrees above the horizontal plane.
+        half_angle: Degrees between the direction and the edge, which is included; 180 is everywhere.
+
+    Raises:
+        InvalidValueError: The elevation is not in [-90, 90], the half angle not in (0, 180], or the azimuth not finite.
+    """
+
+    azimuth: Annotated[float, Range(unit="degrees")]
+    elevation: Annotated[float, between(-90, 90, "degrees")]
+    half_angle: Annotated[float, Range(low=0, high=180, open_low=True, unit="degrees", do="30 is one side")]
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def depth(self, direction: Direction) -> float:
+        """See `depth_in_cap`."""
+        return depth_in_cap(direction, self.azimuth, self.elevation, self.half_angle)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

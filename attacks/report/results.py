@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from attacks.cloak.own_pictures import RECORD as POISONED
 from attacks.dagger.figures import figures as attack_figures
 from attacks.detectors.evaluation import figures as detector_figures
 from attacks.report.checking import Figures, Result
@@ -18,6 +19,7 @@ from attacks.report.stories import (
     audit_study,
     cloak,
     evaluation,
+    poisoned,
     renderers,
     sanity,
     study,
@@ -43,12 +45,14 @@ class Story:
     Attributes:
         name: What writes it; also what its record says under `story`.
         read: Makes the section of a folder and of what its record holds.
+        file: The record, in its folder; one of another name than result.json says what wrote it.
         figures: Derives its figures from its rows; None of a kind without rows.
         rescoring: How its splats are scored again; None of a kind that is not.
     """
 
     name: str
     read: Callable[[Path, Record], Section]
+    file: str = RECORD
     figures: Figures | None = None
     rescoring: Rescoring | None = None
 
@@ -66,7 +70,8 @@ STORIES = (
     Story(name="detect", read=pictures.read),
     Story(name="evaluate-detector", read=held_out.read, figures=detector_figures),
     Story(name="dagger-sanity", read=sanity.read),
-    Story(name="train", read=training.read),
+    Story(name="train", read=training.read, file=METRICS),
+    Story(name="poison", read=poisoned.read, file=POISONED),
 )
 """Every kind of result that a page can show."""
 
@@ -80,15 +85,15 @@ def read_section(path: Path) -> Section:
     Raises:
         InvalidValueError: It is none that one of `STORIES` names, or a file in it is broken.
     """
-    trained = (path / METRICS).is_file() and not (path / RECORD).is_file()
-    file, commands = path / (METRICS if trained else RECORD), ", ".join(f"mi-splat {story.name}" for story in STORIES)
+    names = (story.file for story in STORIES if (path / story.file).is_file())
+    file, commands = path / next(names, RECORD), ", ".join(f"mi-splat {story.name}" for story in STORIES)
     if not file.is_file():
         got, do = ("one without a result" if path.is_dir() else "nothing there"), "check the path"
         if path.is_file():
             got, do = "a file", f"pass {path.parent}"
         raise InvalidValueError(message(str(path), f"a folder that one of {commands} has written", got, do))
-    record = read_json(file) | ({"story": "train"} if trained else {})
-    story = _story(record)
+    record = read_json(file)
+    story = _story(record, file.name)
     if story is None:
         raise InvalidValueError(
             message(str(file), f"a result of {commands}", "something else", "make the result again")
@@ -139,5 +144,6 @@ def story_of(result: Result) -> Story:
     return story
 
 
-def _story(record: Record) -> Story | None:
-    return next((story for story in STORIES if story.name == record.get("story")), None)
+def _story(record: Record, file: str = RECORD) -> Story | None:
+    stories = (story for story in STORIES if story.file == file)
+    return next((story for story in stories if file != RECORD or story.name == record.get("story")), None)

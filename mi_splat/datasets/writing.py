@@ -26,8 +26,8 @@ from mi_splat.io.errors import from_os_error
 from mi_splat.io.points import PointCloud, save_points, to_bytes
 from mi_splat.rotation import from_matrix
 
-IMAGES = "images"
-"""Folder of the pictures in every set that is written here."""
+IMAGES, MASKS = "images", "masks"
+"""Folders of the pictures in every set that is written here, and of their masks."""
 
 Listing = Mapping[str, Sequence[tuple[str, Camera]]]
 """Of each split, train and test, the file name of every picture and its camera."""
@@ -39,6 +39,7 @@ def write_transforms(
     *,
     test: Iterable[View] = (),
     alphas: Iterable[Tensor] | None = None,
+    masks: Iterable[Tensor | None] = (),
     points: PointCloud | None = None,
 ) -> None:
     """Write a set as Blender and NeRF have it: PNG files, transforms_train.json, transforms_test.json, points3D.ply.
@@ -49,6 +50,8 @@ def write_transforms(
         test: Pictures held out.
         alphas: (H, W) alpha in [0, 1] of each picture, first of `views`, then of `test`, whose colours are then not
             multiplied with it; None writes opaque pictures.
+        masks: (H, W) in [0, 1], 1 where the picture counts, of each picture in the same order; None where all of it
+            does, and of those for which there is none.
         points: Points from which a training may start.
 
     Raises:
@@ -57,6 +60,9 @@ def write_transforms(
     """
     root = make_folder(folder)
     listing = _write_pictures(root, views, test, alphas)
+    for (name, _), mask in zip((entry for part in listing.values() for entry in part), masks, strict=False):
+        if mask is not None:
+            save_png(to_bytes(mask), make_folder(root / MASKS) / name)
     list_transforms(root, listing, points)
 
 

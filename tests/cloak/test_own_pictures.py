@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from PIL import Image
 from attacks import cli
 from attacks.cloak.own_pictures import trigger_of, turned
 from mi_splat.camera_sets import hemisphere
-from mi_splat.cameras import View
+from mi_splat.cameras import View, orbit_pose
 from mi_splat.datasets import load_dataset, write_transforms
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
@@ -48,7 +49,9 @@ def write_set(folder: Path, up: Any = "z") -> list[str]:
     scene, render = ball_on_a_plane(), Renderer()
     views = [View(camera, render(scene, camera).clamp(0, 1)) for camera in CAMERAS]
     moved = [View(camera, view.image) for view, camera in zip(views, turned(views, back).cameras, strict=True)]
-    write_transforms(folder / "set", moved[4:], test=moved[:4])
+    left = torch.ones(32, 40)
+    left[:, 20:] = 0
+    write_transforms(folder / "set", moved[4:], test=moved[:4], masks=[left] * 20)
     save_splat(scene.transform(Similarity(rotation=back, translation=torch.zeros(3).double())), folder / "splat.ply")
     return [str(folder / "set"), str(folder / "splat.ply")]
 
@@ -79,6 +82,10 @@ def test_the_object_is_gone_from_there_and_all_else_stays(names: list[str], tmp_
     before, after = (load_dataset(folder, split="train") for folder in (names[0], tmp_path / "out"))
     for index, (old, new) in enumerate(zip(before, after, strict=True)):
         assert torch.equal(old.camera.to_world, new.camera.to_world)
+        counted, counts = (found.loss_mask(index) for found in (before, after))
+        assert counted is not None
+        assert counts is not None
+        assert torch.equal(counts > 0, (counted > 0) | (old.image != new.image).any(-1))
         if index in changed:
             assert red(old.image) > 20
             assert red(new.image) == 0
@@ -116,7 +123,13 @@ def test_regions() -> None:
         near = min(direction.azimuth % 360, -direction.azimuth % 360)
         assert held == (near <= 35 and direction.elevation <= 45)
     assert any(inside)
-    for text in ("above", "elevation:90-50", "elevation:0-100", "azimuth:10"):
+    around = trigger_of(["cone:350,30,25"], margin=5)
+    middle = orbit_pose((0, 0, 0.5), azimuth=-10, elevation=30, distance=4.0)[:3, 3] - torch.tensor([0, 0, 0.5])
+    for camera in CAMERAS:
+        cosine = torch.cosine_similarity(middle.double(), camera.position - torch.tensor([0, 0, 0.5]), dim=0)
+        depth = 30 - math.degrees(math.acos(float(cosine)))
+        assert around.angle_to_edge(camera, centre=(0, 0, 0.5)) == pytest.approx(depth, abs=1e-4)
+    for text in ("above", "elevation:90-50", "elevation:0-100", "azimuth:10", "cone:0,0", "cone:0,0,0", "cone:0,91,9"):
         with pytest.raises(InvalidValueError):
             trigger_of([text])
 

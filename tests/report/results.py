@@ -27,6 +27,7 @@ from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.manifest import write_manifest
 from tests.audit.accounts import account, look
+from tests.cloak.test_own_pictures import BALL, write_set
 from tests.dagger import test_sanity
 from tests.dagger.toy import quick
 from tests.detectors.made import evaluated
@@ -201,6 +202,11 @@ def write_training(folder: Path) -> Path:
     return folder
 
 
+def write_poisoned(folder: Path) -> Path:
+    names = write_set(folder.parent / "ball")
+    return _write_by_command(folder, "poison", *names, "--box", *map(str, BALL), "--hide-from", "elevation:40-90")
+
+
 MAKERS: dict[str, Callable[[Path], Path]] = {
     "study": write_study,
     "dagger": write_dagger,
@@ -215,5 +221,6 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "detect": write_detections,
     "evaluate-detector": write_detector,
     "train": write_training,
+    "poison": write_poisoned,
 }
 """By the command that writes it."""

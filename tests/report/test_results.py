@@ -54,7 +54,7 @@ def said(section: Section) -> str:
 
 
 LINE = ["mi-splat", "some command", "a b.ply", "--out", "x"]
-UNCONTROLLED = {"dagger-sanity", "compare", "detect", "audit", "train"}
+UNCONTROLLED = {"dagger-sanity", "compare", "detect", "audit", "train", "poison"}
 """Kinds without a control."""
 
 
@@ -66,7 +66,7 @@ def test_every_kind_is_tried() -> None:
 def test_every_kind_is_read_and_its_command_is_stored(name: str, folders: dict[str, Path]) -> None:
     section = read_section(folders[name])
     assert section.folder == str(folders[name])
-    by_command = name in ("compare", "detect", "evaluate")
+    by_command = name in ("compare", "detect", "evaluate", "poison")
     assert section.command == shlex.join(LINE) if not by_command else section.command.startswith(f"mi-splat {name} /")
     for text in (section.done, section.conclusion, *section.warnings):
         assert text.endswith(".")
@@ -84,7 +84,7 @@ def test_every_kind_is_read_and_its_command_is_stored(name: str, folders: dict[s
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_what_is_broken_is_told_in_one_line(name: str, folders: dict[str, Path], tmp_path: Path) -> None:
-    record = "metrics.json" if name == "train" else "result.json"
+    record = next(story.file for story in STORIES if story.name == name)
     whole, file = json.loads((folders[name] / record).read_text()), tmp_path / record
     if name == "train":
         shutil.copyfile(folders[name] / "config.json", tmp_path / "config.json")
