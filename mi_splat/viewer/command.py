@@ -1,4 +1,4 @@
-"""The command that makes the picture on the page again."""
+"""Commands for what is on the page: the one that makes its picture again, and the words for its camera."""
 
 from __future__ import annotations
 
@@ -35,20 +35,43 @@ def render_command(
         file_settings: How the file itself is rendered.
         up: (3,) direction in the file that is z on the page.
     """
-    command: list[str] = ["mi-splat", "render", str(path)]
+    camera = camera_words(orbit, size, settings=settings, background=file_settings.background, centre=middle, up=up)
+    return shlex.join(["mi-splat", "render", str(path), *camera])
+
+
+def camera_words(
+    orbit: Orbit,
+    size: tuple[int, int],
+    *,
+    settings: RenderSettings,
+    background: Point | None = None,
+    centre: Point | None = None,
+    up: Point = UP,
+) -> list[str]:
+    """The flags by which a command looks from a camera.
+
+    Args:
+        orbit: The camera.
+        size: Width and height in pixels.
+        settings: How pictures are rendered.
+        background: sRGB colour behind the splat unless the command is told otherwise; None tells it always.
+        centre: (3,) where the command looks unless told otherwise; None tells it always.
+        up: As in `render_command`.
+    """
+    command = list[str]()
     command += [*_option("azimuth", orbit.azimuth), *_option("elevation", orbit.elevation)]
     command += [*_option("distance", orbit.distance), *_option("fov", orbit.fov)]
     if tuple(up) != UP:
         command += _option("up", *up)
         turn = from_z(torch.tensor(list(up)))
         command += _option("centre", *(turn @ torch.tensor(list(orbit.target), dtype=torch.float64)).tolist())
-    elif tuple(orbit.target) != tuple(middle):
+    elif centre is None or tuple(orbit.target) != tuple(centre):
         command += _option("centre", *orbit.target)
     command += ["--size", f"{size[0]}x{size[1]}"]
-    if settings.background != file_settings.background:
+    if settings.background != background:
         command += _option("background", *settings.background)
     command += _option("near", settings.near)  # of a bare splat it follows the camera, unless it is given
-    return shlex.join(command)
+    return command
 
 
 def _option(name: str, *values: float) -> Sequence[str]:

@@ -10,17 +10,20 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from mi_splat.errors import InvalidValueError, MiSplatError, install, message
+from mi_splat.viewer.bench import Bench
+from mi_splat.viewer.bench_panel import BenchPanel
 from mi_splat.viewer.composition import ways_of_showing
 from mi_splat.viewer.guard import LOOPBACK_NAMES, Guard, guarding, is_loopback
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter, Painting
 from mi_splat.viewer.panel import Panel, Remark
+from mi_splat.viewer.picking import Click, clicked
 from mi_splat.viewer.policy import viser_scripts
 from mi_splat.viewer.session import Session, Step, ViewState
 
@@ -67,28 +70,54 @@ class Visitor:
 
     Args:
         client: viser's handle of it.
-        painter: Makes its pictures.
+        bench: Has what makes its pictures, and what is done beside.
         wake: Called when something changed.
     """
 
-    def __init__(self, client: Any, painter: Painter, wake: Any) -> None:
-        self.client, self._painter, self._wake = client, painter, wake
+    def __init__(self, client: Any, bench: Bench, wake: Callable[[], None]) -> None:
+        self.client, self._bench, self._painter, self._wake = client, bench, bench.painter, wake
         self._lock, self._deaf_until = threading.Lock(), 0.0
         self._sent: deque[Orbit] = deque(maxlen=ECHOES)  # the browser says late where it was told to be
-        exhibit = painter.exhibit
-        first = ViewState(
-            orbit=exhibit.start,
-            show=ways_of_showing(exhibit.names)[0],
-            canvas=_canvas(client.camera),
-        )
+        first = self._first_state(self._painter.exhibit.start, _canvas(client.camera))
         self._session = Session(state=first, changed=time.monotonic())
-        self._panel = Panel(
-            client.gui, exhibit, first, inspector=painter.inspector is not None, change=self._change_by_control
-        )
+        self._add_controls()
         # What it shows before it has read where to begin is nobody's wish.
         self._sent.append(first.orbit.moved(client.camera.position, client.camera.look_at))
         self._place_camera(first.orbit)
         client.camera.on_update(self._change_by_camera)
+        client.scene.on_click()(self._click)
+        client.scene.on_click(modifier="shift")(self._click)
+
+    @property
+    def orbit(self) -> Orbit:
+        """The camera."""
+        return self._session.state.orbit
+
+    def follow(self) -> None:
+        """Show what has become of the work, and what is shown now."""
+        if self._painter is not self._bench.painter:
+            with self._lock:
+                self._painter, state = self._bench.painter, self._session.state
+                self._session = Session(state=self._first_state(state.orbit, state.canvas), changed=time.monotonic())
+            self.client.gui.reset()
+            self._add_controls()
+        self._change_by_control(lambda state: replace(state, tint=self._bench.tints))
+        self._bench_panel.follow()
+
+    def fly(self, orbit: Orbit) -> None:
+        """Take the camera somewhere else."""
+        self._change_by_control(lambda state: replace(state, orbit=orbit))
+
+    def download(self, name: str, content: bytes) -> None:
+        """Give the visitor a file."""
+        self.client.send_file_download(name, content, save_immediately=True)
+
+    def pick_middle(self) -> None:
+        """Pick what is in the middle of the first picture."""
+        state = self._session.state
+        layout = self._painter.layout(state)
+        (left, top), (width, height) = layout.corners[0], layout.size
+        self._pick(((left + width / 2) / layout.canvas[0], (top + height / 2) / layout.canvas[1]), adds=False)
 
     def due(self) -> Step | None:
         """The picture to make now."""
@@ -105,6 +134,7 @@ class Visitor:
             scene.set_background_image(painting.pixels, format="jpeg", jpeg_quality=JPEG_QUALITY[step])
             if step is not Step.COARSE:
                 self._panel.tell(self._remarks(state, painting), self._painter.commands(state.orbit))
+                self._bench_panel.tell()
         except MiSplatError as error:  # of this picture; the next one may do
             self._panel.tell([("", str(error))], {})
         self.client.flush()
@@ -123,6 +153,34 @@ class Visitor:
             yield "", "Both pictures are the same."
         for name, inspection in painting.inspections.items():
             yield name, inspection.text
+
+    def _first_state(self, orbit: Orbit, canvas: tuple[int, int]) -> ViewState:
+        """What is seen of an exhibit at first."""
+        show = ways_of_showing(self._painter.exhibit.names)[0]
+        return ViewState(orbit=orbit, show=show, canvas=canvas, tint=self._bench.tints)
+
+    def _add_controls(self) -> None:
+        """The controls, which are those of what is shown."""
+        gui, painter = self.client.gui, self._painter
+        tabs, state = gui.add_tab_group(), self._session.state
+        with tabs.add_tab("Look"):
+            self._panel = Panel(
+                gui, painter.exhibit, state, inspector=painter.inspector is not None, change=self._change_by_control
+            )
+        with tabs.add_tab("Tools"):
+            self._bench_panel = BenchPanel(gui, self._bench, self, self._wake)
+
+    async def _click(self, event: Any) -> None:
+        self._pick(event.screen_pos, adds=event.modifier is not None)
+
+    def _pick(self, at: tuple[float, float], *, adds: bool) -> None:
+        """Pick what a point of the page shows."""
+        state = self._session.state
+        hit = clicked(at, self._painter.layout(state), state.show, self._painter.exhibit, split=state.split)
+        if hit is not None:
+            click = Click(splat=hit[0], pixel=hit[1], orbit=state.orbit, adds=adds)
+            self._bench.later(lambda: self._bench.pick(click))
+            self._wake()
 
     def _change_by_control(self, wished: Any) -> None:
         with self._lock:
@@ -161,7 +219,7 @@ class Page:
     """Serves an exhibit until it is closed; pictures are made in the thread that calls `run`.
 
     Args:
-        painter: Makes the pictures.
+        painter: Makes the pictures, or a bench with it.
         host: Name or address to serve on.
         port: Port; 0 is any free one.
 
@@ -169,14 +227,16 @@ class Page:
         InvalidValueError: viser is not installed, or the port is taken.
     """
 
-    def __init__(self, painter: Painter, *, host: str = "127.0.0.1", port: int = 8080) -> None:
+    def __init__(self, painter: Painter | Bench, *, host: str = "127.0.0.1", port: int = 8080) -> None:
         need_viser()
         check_port(host, port)
-        self._painter, self._news, self._visitors = painter, threading.Condition(), dict[int, Visitor]()
+        self._bench = painter if isinstance(painter, Bench) else Bench(painter)
+        self._news, self._visitors = threading.Condition(), dict[int, Visitor]()
         self._guard = Guard(names=LOOPBACK_NAMES | {host} if is_loopback(host) else None, scripts=_scripts())
         self._host, self._server = host, _serve(self._guard, host, port)
         self._closed = False
-        start, exhibit = painter.exhibit.start, painter.exhibit
+        exhibit = self._bench.exhibit
+        start = exhibit.start
         self._server.scene.set_up_direction("+z")
         first = self._server.initial_camera
         first.position, first.look_at, first.up = start.position, start.target, (0.0, 0.0, 1.0)
@@ -197,11 +257,14 @@ class Page:
     def run(self, stop: threading.Event) -> None:
         """Make pictures until `stop` is set."""
         while not stop.is_set():
+            changed = self._bench.turn()
             with self._news:
                 visitors = list(self._visitors.values())
                 due = [(visitor, step) for visitor in visitors if (step := visitor.due()) is not None]
-                if not due:
+                if not (due or changed):
                     self._news.wait(0.05)
+            for visitor in visitors if changed else ():
+                visitor.follow()
             for visitor, step in due:
                 if not stop.is_set():
                     visitor.paint(step)
@@ -210,6 +273,7 @@ class Page:
         """Close every window's connection and free the port."""
         if not self._closed:
             self._closed = True
+            self._bench.close()
             with contextlib.redirect_stdout(io.StringIO()):  # viser says that it stopped
                 self._server.stop()
 
@@ -220,7 +284,7 @@ class Page:
         self.close()
 
     async def _enter(self, client: Any) -> None:
-        visitor = Visitor(client, self._painter, self._wake)
+        visitor = Visitor(client, self._bench, self._wake)
         with self._news:
             self._visitors[client.client_id] = visitor
             self._news.notify()

@@ -15,11 +15,13 @@ from mi_splat.cameras import Camera, RenderFn
 from mi_splat.io.images import quantise, to_bytes
 from mi_splat.labels import write_label
 from mi_splat.metrics import psnr
+from mi_splat.scene import GaussianScene
 from mi_splat.viewer.command import render_command
-from mi_splat.viewer.composition import DIFFERENCE, SPLIT, Pixels, compose, lay_out, needed, pane_pixels, panes
+from mi_splat.viewer.composition import DIFFERENCE, SPLIT, Layout, Pixels, compose, lay_out, needed, pane_pixels, panes
 from mi_splat.viewer.exhibit import Exhibit, Inspection, Inspector
 from mi_splat.viewer.lines import draw_lines
 from mi_splat.viewer.orbit import Orbit
+from mi_splat.viewer.picking import tinted
 from mi_splat.viewer.session import Pace, Step, ViewState
 from mi_splat.viewer.thinning import Thinned, thinning
 
@@ -60,8 +62,17 @@ class Painter:
     def __init__(self, exhibit: Exhibit, render: RenderFn, inspector: Inspector | None = None) -> None:
         self.exhibit, self.render, self.inspector = exhibit, render, inspector
         self._thinned = {splat.name: Thinned(splat.scene) for splat in exhibit.splats}
+        self._tinted = dict[str, Thinned]()
         self._middles = {splat.name: bounds(splat.scene)[0] for splat in exhibit.splats}
         self._last: tuple[Orbit, dict[str, Inspection]] | None = None
+
+    def tint(self, mask: Tensor | None) -> None:
+        """Show Gaussians, (N,) bool, in another colour from now on, in each splat that has as many; None shows none.
+
+        A heat map, and what is inspected, never has it.
+        """
+        fits = [splat for splat in self.exhibit.splats if mask is not None and len(splat.scene) == len(mask)]
+        self._tinted = {splat.name: Thinned(tinted(splat.scene, mask)) for splat in fits if mask is not None}
 
     def paint(self, state: ViewState, step: Step, pace: Pace) -> Painting:
         """The picture that a step of a session asks for.
@@ -72,11 +83,9 @@ class Painter:
             pace: How coarse a coarse picture is.
         """
         full = within(state.canvas, MOST_PIXELS)
-        canvas = pace.size(full) if step is Step.COARSE else full
         names = panes(state.show, self.exhibit.names)
-        width, height = self.exhibit.size
-        scale = canvas[0] / full[0]
-        layout = lay_out(canvas, width / height, len(names), gap=round(4 * scale))
+        layout = self.layout(state, pace.size(full) if step is Step.COARSE else full)
+        scale = layout.canvas[0] / full[0]
         shown = list(dict.fromkeys(name for pane in names for name in needed(pane, self.exhibit.names)))
         inspections = {name: self.inspect(name, state.orbit) for name in shown} if step is Step.INSPECTED else {}
         camera = state.orbit.camera(layout.size)
@@ -85,14 +94,22 @@ class Painter:
         if step is Step.COARSE and DIFFERENCE not in names:
             most = max(len(self.exhibit.splat(name).scene) for name in shown)
             every = thinning(most, camera.width * camera.height * pace.richness)
-        pictures = {name: to_bytes(self._render(name, camera, every)) for name in shown}
+        splats = self._thinned if DIFFERENCE in names else {**self._thinned, **self._tinted}
+        pictures = {name: to_bytes(self._render(splats[name](every), camera)) for name in shown}
         letters, mark = max(LETTERS * scale, SMALLEST_LETTERS), PREVIEW if every > 1 or scale < 1 else ""
         made = [self._pane(pane, pictures, inspections, camera, state, letters, mark) for pane in names]
         return Painting(pixels=compose(made, layout), inspections=inspections, every=every)
 
+    def layout(self, state: ViewState, canvas: tuple[int, int] | None = None) -> Layout:
+        """Where pictures stand in a place of the shape of the page's; None is as large as it gets."""
+        full, (width, height) = within(state.canvas, MOST_PIXELS), self.exhibit.size
+        canvas = canvas or full
+        count = len(panes(state.show, self.exhibit.names))
+        return lay_out(canvas, width / height, count, gap=round(4 * canvas[0] / full[0]))
+
     def picture(self, name: str, orbit: Orbit) -> Tensor:
         """(H, W, 3) the picture of a splat that is inspected: of the exhibit's size, and of 8 bits."""
-        return quantise(self._render(name, orbit.camera(self.exhibit.size)))
+        return quantise(self._render(self._thinned[name](1), orbit.camera(self.exhibit.size)))
 
     def inspect(self, name: str, orbit: Orbit) -> Inspection:
         """What is found in the picture of a splat; of the last camera it is remembered."""
@@ -127,9 +144,9 @@ class Painter:
         first, second = (self.picture(name, orbit) for name in self.exhibit.names)
         return None if torch.equal(first, second) else float(psnr(first, second))
 
-    def _render(self, name: str, camera: Camera, every: int = 1) -> Tensor:
+    def _render(self, scene: GaussianScene, camera: Camera) -> Tensor:
         with torch.no_grad():
-            return self.render(self._thinned[name](every), camera)
+            return self.render(scene, camera)
 
     def _pane(
         self,

@@ -35,6 +35,7 @@ class ViewState:
         lines: Names of the sets of lines that are drawn.
         inspected: Whether findings are drawn into the picture.
         canvas: Width and height in pixels of the place for pictures.
+        tint: Counts the changes of what is shown in another colour.
     """
 
     orbit: Orbit
@@ -43,6 +44,7 @@ class ViewState:
     lines: frozenset[str] = frozenset()
     inspected: bool = True
     canvas: tuple[int, int] = (640, 480)
+    tint: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -130,6 +130,18 @@ def test_a_control_moves_the_camera() -> None:
         browser.until(lambda message: expected in str(message.get("updates", {})))
 
 
+def test_a_click_picks_an_object_and_a_button_takes_it_back() -> None:
+    with visiting(painter(1)) as browser:
+        browser.picture(FULL)
+        ray = {"ray_origin": (0.0, 0.0, 0.0), "ray_direction": (0.0, 0.0, 1.0)}
+        for at in ((float("nan"), 7.0), (0.5, 0.5)):
+            browser.say("ScenePointerMessage", event_type="click", screen_pos=(at,), modifier=None, **ray)
+        browser.until(lambda message: "Gaussians of clean" in str(message.get("updates", {})))
+        assert "mi-splat select clean.ply --click 24,16" in str(browser.messages)
+        browser.say("GuiUpdateMessage", uuid=browser.control("Undo")["uuid"], updates={"value": True})
+        browser.until(lambda message: "Click on an object" in str(message.get("updates", {})))
+
+
 @pytest.mark.parametrize("value", [float("nan"), 1e9, "text", None])
 def test_nonsense_from_a_browser_changes_nothing(value: object) -> None:
     with visiting(painter(1)) as browser:

@@ -1,0 +1,224 @@
+"""What the visitors of a page do together beside looking: pick an object, have work done on it, and see the result.
+
+All of it happens in the thread that makes the pictures, where `turn` is called again and again; what a browser asks for
+is put in a queue.
+"""
+
+from __future__ import annotations
+
+import shlex
+import tempfile
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from mi_splat.cameras import RenderFn
+from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.io.documents import save_bytes
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.viewer.exhibit import Exhibit
+from mi_splat.viewer.jobs import Field, Job, Laboratory, News, Outcome, Request, Value
+from mi_splat.viewer.orbit import Orbit
+from mi_splat.viewer.painter import Painter
+from mi_splat.viewer.picking import MASK, Click, Picked, pick
+
+MOST_TASKS = 100
+"""Wishes that wait; more are dropped."""
+MOST_UNDONE = 50
+"""Picks that can be undone."""
+
+
+class Bench:
+    """The work on an exhibit.
+
+    Args:
+        painter: Makes the first pictures.
+        laboratory: Does the work; without one, objects can be picked.
+        renderer: Makes the renderer of what work leads to.
+        processes: Starts processes, as `multiprocessing` does.
+
+    Attributes:
+        painters: What was shown; the last one is shown now.
+        tints: Counts the changes of the tint.
+        lines: What there is to say.
+        news: Of running work.
+        outcome: Of the last work.
+    """
+
+    def __init__(
+        self,
+        painter: Painter,
+        laboratory: Laboratory | None = None,
+        *,
+        renderer: Callable[[RenderSettings], RenderFn] = Renderer,
+        processes: Any = None,
+    ) -> None:
+        self.painters, self.laboratory, self._renderer, self._processes = [painter], laboratory, renderer, processes
+        self.tints, self.tinted = 0, True
+        self.lines: tuple[str, ...] = ()
+        self.news: News | None = None
+        self.outcome: Outcome | None = None
+        self._values = dict[str, dict[str, Value]]()
+        self._picks: deque[Picked | None] = deque([None], maxlen=MOST_UNDONE)
+        self._tasks: deque[Callable[[], None]] = deque(maxlen=MOST_TASKS)
+        self._job: tuple[Job, Request, Path] | None = None
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._count = 0
+
+    @property
+    def painter(self) -> Painter:
+        """Makes the pictures now."""
+        return self.painters[-1]
+
+    @property
+    def exhibit(self) -> Exhibit:
+        """What is shown now."""
+        return self.painter.exhibit
+
+    @property
+    def picked(self) -> Picked | None:
+        """The object; None if none is picked, or what is shown has no such Gaussians."""
+        picked, counts = self._picks[-1], [len(splat.scene) for splat in self.exhibit.splats]
+        return picked if picked is not None and len(picked.mask) in counts else None
+
+    @property
+    def running(self) -> str:
+        """Which work is being done; empty for none."""
+        return "" if self._job is None else self._job[1].kind
+
+    def later(self, task: Callable[[], None]) -> None:
+        """Have something done in the thread of the pictures; from any thread."""
+        self._tasks.append(task)
+
+    def turn(self) -> bool:
+        """Do what waits, and hear what work says; whether anything changed."""
+        changed = bool(self._tasks)
+        while self._tasks:
+            task = self._tasks.popleft()
+            try:
+                task()
+            except MiSplatError as error:
+                self.lines = (str(error),)
+        return self._listen() or changed
+
+    def pick(self, click: Click) -> None:
+        """Pick what is at a pixel.
+
+        Raises:
+            InvalidValueError: Nothing is there.
+        """
+        if click.splat not in self.exhibit.names:  # shown no longer
+            return
+        self._picks.append(pick(click, self.exhibit, self.painter.render, self.picked))
+        self.lines = ()
+        self.tint(True)
+
+    def undo(self) -> None:
+        """Take the last pick back."""
+        if len(self._picks) > 1:
+            self._picks.pop()
+        self.tint(self.tinted)
+
+    def tint(self, on: bool) -> None:
+        """Show the object in another colour, or no longer."""
+        self.tinted, self.tints = on, self.tints + 1
+        self.painter.tint(self.picked.mask if on and self.picked is not None else None)
+
+    def form(self, kind: str) -> tuple[Field, ...]:
+        """The fields of a kind of work."""
+        return () if self.laboratory is None else self.laboratory.form(kind, self.exhibit, self._values.get(kind, {}))
+
+    def values(self, kind: str) -> dict[str, Value]:
+        """What is chosen in a form."""
+        chosen = self._values.get(kind, {})
+        return {field.name: field.taken(chosen.get(field.name)) for field in self.form(kind)}
+
+    def choose(self, kind: str, name: str, value: object) -> None:
+        """Choose something in a form; what cannot be chosen changes nothing."""
+        for field in self.form(kind):
+            if field.name == name and field.taken(value) == value:
+                self._values.setdefault(kind, {})[name] = field.taken(value)
+
+    def command(self, kind: str, orbit: Orbit) -> str:
+        """The command that does the work, or why there is none."""
+        assert self.laboratory is not None
+        try:
+            words = self.laboratory.words(self._request(kind, orbit), mask=Path(MASK))
+        except MiSplatError as error:
+            return f"# {error}"
+        return shlex.join(["mi-splat", *words])
+
+    def start(self, kind: str, orbit: Orbit) -> None:
+        """Begin work.
+
+        Raises:
+            InvalidValueError: Other work is being done, or it cannot be done so.
+        """
+        if self.laboratory is None or kind not in self.laboratory.kinds:
+            return
+        if self._job is not None:
+            raise InvalidValueError(message(kind, "one work at a time", f"{self.running} that runs", "stop it first"))
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="mi-splat-view-")
+        self._count += 1
+        place, request = Path(self._folder.name) / str(self._count), self._request(kind, orbit)
+        words = self.laboratory.words(request, mask=place / MASK, out=place / "result")
+        place.mkdir()
+        if request.picked is not None:
+            save_bytes(request.picked.file, place / MASK)
+        self._job = (Job(self.laboratory.perform, words, processes=self._processes), request, place / "result")
+        self.lines, self.outcome, self.news = (), None, News(text="starting")
+
+    def stop(self) -> None:
+        """End the work that is being done; nothing of it is kept."""
+        if self._job is not None:
+            self._job[0].stop()
+            self.lines, self._job, self.news = (f"{self.running} was stopped; nothing of it is kept.",), None, None
+
+    def back(self) -> None:
+        """Show what was shown before."""
+        if len(self.painters) > 1:
+            self.painters.pop()
+            self.outcome, self.lines = None, ()
+            self.tint(self.tinted)
+
+    def close(self) -> None:
+        """End work and delete what it left."""
+        self.stop()
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
+
+    def _request(self, kind: str, orbit: Orbit) -> Request:
+        return Request(kind=kind, exhibit=self.exhibit, orbit=orbit, values=self.values(kind), picked=self.picked)
+
+    def _listen(self) -> bool:
+        """Hear what work says, and open its result where it is done; whether there was anything."""
+        if self._job is None:
+            return False
+        job, request, out = self._job
+        heard = job.heard()
+        if isinstance(heard, News):
+            self.news = heard
+        elif heard is not None:
+            job.stop()
+            self._job, self.news = None, None
+            self._finish(request, out, heard)
+        return heard is not None
+
+    def _finish(self, request: Request, out: Path, failure: str) -> None:
+        """Show what work has led to."""
+        if failure or self.laboratory is None:
+            self.lines = (f"{request.kind} failed: {failure}",)
+            return
+        try:
+            self.outcome = self.laboratory.opened(request, out)
+        except MiSplatError as error:
+            self.lines = (f"{request.kind}: {error}",)
+            return
+        self.lines = self.outcome.lines
+        exhibit, inspector = self.outcome.exhibit, self.outcome.inspector or self.painter.inspector
+        if exhibit is not None:
+            self.painters.append(Painter(exhibit, self._renderer(exhibit.settings), inspector))
+            self.tint(False)

@@ -1,0 +1,227 @@
+"""Long work beside the page: a command in a process of its own, what it says meanwhile, and what it leaves behind.
+
+The renderer is for one thread. So whatever takes longer than a picture runs in another process, which can be stopped.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import multiprocessing
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from mi_splat.errors import MiSplatError
+from mi_splat.viewer.composition import Pixels
+from mi_splat.viewer.exhibit import Exhibit, Inspector
+from mi_splat.viewer.orbit import Orbit
+from mi_splat.viewer.picking import Picked
+
+Value = str | float
+Values = Mapping[str, Value]
+"""What was chosen in a form, by the name of the field."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """A field of a form: one of some words.
+
+    Attributes:
+        name: Of the field.
+        label: What it is called on the page.
+        options: The words; at least one.
+        usual: The one that is chosen at first.
+    """
+
+    name: str
+    label: str
+    options: tuple[str, ...]
+    usual: str
+
+    def taken(self, value: object) -> Value:
+        """The value if it can be chosen, else the usual one: what comes from a browser may be anything."""
+        return value if isinstance(value, str) and value in self.options else self.usual
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Number:
+    """A field of a form: a number in a range.
+
+    Attributes:
+        name: Of the field.
+        label: What it is called on the page.
+        low: Smallest.
+        high: Largest.
+        step: Between two.
+        usual: What it is at first.
+    """
+
+    name: str
+    label: str
+    low: float
+    high: float
+    step: float
+    usual: float
+
+    def taken(self, value: object) -> Value:
+        """The value if it is a number in the range, else the usual one."""
+        fits = isinstance(value, int | float) and math.isfinite(value) and self.low <= value <= self.high
+        return value if fits and isinstance(value, int | float) else self.usual
+
+
+Field = Choice | Number
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Request:
+    """What a visitor asks for.
+
+    Attributes:
+        kind: Which work.
+        exhibit: What is shown.
+        orbit: The visitor's camera.
+        values: Of every field of the form.
+        picked: The object; None if none was picked.
+    """
+
+    kind: str
+    exhibit: Exhibit
+    orbit: Orbit
+    values: Values
+    picked: Picked | None
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Outcome:
+    """What work has led to.
+
+    Attributes:
+        lines: It in words; plain text.
+        exhibit: To be shown in place of what is shown; None leaves that.
+        inspector: Looks at its pictures.
+        cameras: Cameras that are worth a look, by what is to be seen there.
+        picture: (H, W, 3) a picture beside the words.
+    """
+
+    lines: tuple[str, ...]
+    exhibit: Exhibit | None = None
+    inspector: Inspector | None = None
+    cameras: Mapping[str, Orbit] = field(default_factory=dict)
+    picture: Pixels | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class News:
+    """What running work says.
+
+    Attributes:
+        text: In a line.
+        share: Part of it that is done, in [0, 1]; None where that is not known.
+        picture: (H, W, 3) what it looks at.
+    """
+
+    text: str
+    share: float | None = None
+    picture: Pixels | None = None
+
+
+Tell = Callable[[News], None]
+Perform = Callable[[Sequence[str], Tell], None]
+"""Runs the words of a command; a function of a module, as another process imports it. Raises what ends it."""
+
+
+class Laboratory(Protocol):
+    """What can be done with an exhibit beside looking at it; all of it is commands.
+
+    Attributes:
+        kinds: Kinds of work, in the order of the page.
+        perform: Runs a command.
+    """
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of work, in the order of the page."""
+        ...
+
+    @property
+    def perform(self) -> Perform:
+        """Runs the words of a command."""
+        ...
+
+    def form(self, kind: str, exhibit: Exhibit, values: Values) -> tuple[Field, ...]:
+        """What a kind of work asks for; what can be chosen in a field may depend on what was chosen in others."""
+        ...
+
+    def words(self, request: Request, *, mask: Path, out: Path | None = None) -> list[str]:
+        """The words of the command that does the work, after the program's name.
+
+        Args:
+            request: What was asked for.
+            mask: File with the picked Gaussians.
+            out: Folder for the result; None is what a user would call it.
+
+        Raises:
+            MiSplatError: It cannot be done so.
+        """
+        ...
+
+    def opened(self, request: Request, out: Path) -> Outcome:
+        """The result in a folder.
+
+        Raises:
+            MiSplatError: It cannot be read.
+        """
+        ...
+
+
+class Job:
+    """A command in a process of its own.
+
+    Args:
+        perform: Runs it.
+        words: Its words.
+        processes: Starts it; `multiprocessing` by default.
+    """
+
+    def __init__(self, perform: Perform, words: Sequence[str], *, processes: Any = None) -> None:
+        processes = processes or multiprocessing.get_context("spawn")
+        self._pipe, end = processes.Pipe(duplex=False)
+        self._process = processes.Process(target=_run, args=(perform, list(words), end), daemon=True)
+        self._process.start()
+        end.close()
+
+    def heard(self) -> News | str | None:
+        """What it has said last since the last call; how it ended (empty: well) as text; None for nothing new."""
+        last: News | str | None = None
+        try:
+            while not isinstance(last, str) and self._pipe.poll():
+                last = self._pipe.recv()
+        except (EOFError, OSError):
+            self._process.join()
+            last = f"it ended with status {self._process.exitcode}"
+        return last
+
+    def stop(self) -> None:
+        """End it, if it still runs."""
+        self._process.terminate()
+        self._process.join()
+        self._pipe.close()
+
+
+def _run(perform: Perform, words: Sequence[str], pipe: Any) -> None:
+    """What the process does: says what happens, and last how it ended."""
+    os.nice(5)  # pictures come first
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            perform(words, pipe.send)
+    except (MiSplatError, OSError) as error:
+        pipe.send(" ".join(str(error).split()) or type(error).__name__)
+    else:
+        pipe.send("")
+    finally:
+        pipe.close()

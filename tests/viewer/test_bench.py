@@ -1,0 +1,215 @@
+"""Objects are picked where one clicks, and work is one job at a time, whose result is shown; without a browser."""
+
+from __future__ import annotations
+
+import io
+import multiprocessing.dummy
+import shlex
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from attacks import cli
+from mi_splat.errors import InvalidValueError
+from mi_splat.scene import GaussianScene
+from mi_splat.sh import dc_to_colour
+from mi_splat.viewer.bench import Bench
+from mi_splat.viewer.composition import BESIDE, DIFFERENCE, SPLIT, lay_out
+from mi_splat.viewer.exhibit import Exhibit
+from mi_splat.viewer.jobs import Choice, Field, Job, News, Number, Outcome, Request, Tell, Values
+from mi_splat.viewer.picking import TINT, Click, clicked, tinted
+from mi_splat.viewer.session import Pace, Step, ViewState
+from tests.fakes import blobs
+from tests.viewer.exhibits import ABOVE, START, ball, exhibit, painter
+
+MIDDLE = Click(splat="clean", pixel=(24, 16), orbit=START)
+
+
+class _Thread(multiprocessing.dummy.DummyProcess):
+    """A thread in the place of a process, which is ended by an event."""
+
+    exitcode = 0
+    ended = threading.Event()
+
+    def terminate(self) -> None:
+        self.ended.set()
+
+
+PROCESSES = SimpleNamespace(Pipe=multiprocessing.dummy.Pipe, Process=lambda **given: _Thread(**_plain(given)))
+
+
+def _plain(given: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in given.items() if name != "daemon"}
+
+
+def perform(words: Sequence[str], tell: Tell) -> None:
+    """Says that it begins, waits if it is to, and writes its words where its result is wanted."""
+    tell(News(text=f"beginning {words[0]}", share=0.5, picture=np.zeros((4, 4, 3), np.uint8)))
+    if words[0] == "wait":
+        assert _Thread.ended.wait(20)
+        return
+    if words[0] == "fail":
+        raise InvalidValueError("work: expected to be done, got this; look elsewhere")
+    Path(words[-1]).write_text(" ".join(words))
+
+
+class Works:
+    """A laboratory that does nothing."""
+
+    kinds = ("Work",)
+    perform = staticmethod(perform)
+
+    def form(self, kind: str, exhibit: Exhibit, values: Values) -> tuple[Field, ...]:
+        return (
+            Choice(name="verb", label="Verb", options=("do", "wait", "fail"), usual="do"),
+            Number(name="eps", label="eps", low=0.5, high=20.0, step=0.5, usual=5.0),
+        )
+
+    def words(self, request: Request, *, mask: Path, out: Path | None = None) -> list[str]:
+        if request.picked is None:
+            raise InvalidValueError("Work: expected an object, got none; click on one")
+        return [str(request.values["verb"]), f"--eps={request.values['eps']}", str(mask), str(out or "out/work")]
+
+    def opened(self, request: Request, out: Path) -> Outcome:
+        mask = np.load(out.parent / "mask.npy")
+        return Outcome(
+            lines=(f"done to {mask.sum()}",), exhibit=exhibit(2), cameras={"from above": ABOVE}, picture=None
+        )
+
+
+def bench(**others: Any) -> Bench:
+    """A bench with a laboratory that does nothing."""
+    return Bench(painter(1), Works(), renderer=lambda settings: blobs, processes=PROCESSES, **others)
+
+
+def until(true: Callable[[], bool], work: Bench) -> None:
+    """Go on until something is the case."""
+    end = time.monotonic() + 20
+    while not true():
+        assert time.monotonic() < end, work.lines
+        work.turn()
+        time.sleep(0.005)
+
+
+def test_a_click_means_the_pixel_that_it_is_on() -> None:
+    shown = exhibit(2)
+    beside = lay_out((200, 100), 1.5, 2)
+    left, top = beside.corners[1]
+    point = (left + 0.26 * beside.size[0]) / 200, (top + 0.5 * beside.size[1]) / 100
+    assert clicked(point, beside, BESIDE, shown) == ("attacked", (12, 16))
+    assert clicked((0.5, 0.0), beside, BESIDE, shown) is None
+    one = lay_out((150, 100), 1.5, 1)
+    assert clicked((0.2, 0.9), one, SPLIT, shown, split=0.5) == ("clean", (9, 28))
+    assert clicked((0.8, 0.9), one, SPLIT, shown, split=0.5) == ("attacked", (38, 28))
+    assert clicked((0.8, 0.9), one, DIFFERENCE, shown) == ("clean", (38, 28))
+    assert clicked((float("nan"), 0.5), one, "clean", shown) is None
+
+
+def test_what_is_picked_has_another_colour_and_can_be_undone() -> None:
+    work = bench()
+    state = ViewState(orbit=START, show="clean", canvas=(48, 32))
+    plain = work.painter.paint(state, Step.FULL, Pace()).pixels
+    work.pick(MIDDLE)
+    picked = work.picked
+    assert picked is not None
+    assert picked.mask.any()
+    assert np.array_equal(np.load(io.BytesIO(picked.file)), picked.mask.numpy())
+    coloured = work.painter.paint(state, Step.FULL, Pace()).pixels
+    assert (coloured[..., 2].astype(int) - plain[..., 2]).max() > 20
+    assert torch.equal(work.painter.picture("clean", START), painter(1).picture("clean", START))
+    work.undo()
+    assert work.picked is None
+    again = work.painter.paint(state, Step.FULL, Pace()).pixels
+    assert np.array_equal(again, plain)
+
+
+def test_tinted_gaussians_are_half_of_another_colour_from_everywhere() -> None:
+    scene = ball((0.2, 0.4, 0.6)).with_degree(1)
+    scene = GaussianScene(*scene.tensors()[:4], scene.sh + 0.01)
+    mask = torch.arange(len(scene)) < 3
+    changed = tinted(scene, mask)
+    before = dc_to_colour(scene.sh[:, 0])
+    assert torch.allclose(dc_to_colour(changed.sh[mask, 0]), 0.5 * before[mask] + 0.5 * torch.tensor(TINT), atol=1e-6)
+    assert torch.equal(changed.sh[mask, 1:], 0.5 * scene.sh[mask, 1:])
+    assert torch.equal(changed.sh[~mask], scene.sh[~mask])
+
+
+def test_the_command_picks_by_the_same_click() -> None:
+    work = bench()
+    work.pick(MIDDLE)
+    assert work.picked is not None
+    program, name, *words = shlex.split(work.picked.command)
+    options = cli.parse(name, words)
+    assert (program, name, options.out) == ("mi-splat", "select", (Path("mask.npy"),))
+    assert options.selection.pixels == ((24, 16),)
+    assert (options.view.azimuth, options.view.size, options.view.near) == (30.0, (48, 32), 0.2)
+    work.pick(replace(MIDDLE, adds=True))
+    assert not work.picked.command  # several clicks, perhaps from several cameras
+
+
+def test_work_is_told_of_and_its_result_is_shown() -> None:
+    work = bench()
+    assert work.command("Work", START) == "# Work: expected an object, got none; click on one"
+    work.later(lambda: work.start("Work", START))
+    work.turn()
+    assert work.lines == ("Work: expected an object, got none; click on one",)
+    work.pick(MIDDLE)
+    assert work.picked is not None
+    assert work.command("Work", START) == "mi-splat do --eps=5.0 mask.npy out/work"
+    work.start("Work", START)
+    until(lambda: not work.running, work)
+    assert work.lines == (f"done to {int(work.picked.mask.sum())}",)
+    assert work.exhibit.names == ("clean", "attacked")
+    assert work.outcome is not None
+    assert not work.tinted
+    work.back()
+    assert len(work.exhibit.splats) == 1
+    work.close()
+
+
+def test_one_work_at_a_time_which_can_be_stopped_and_may_fail() -> None:
+    _Thread.ended.clear()
+    work = bench()
+    work.pick(MIDDLE)
+    work.choose("Work", "verb", "wait")
+    work.start("Work", START)
+    until(lambda: work.news is not None and work.news.share == 0.5, work)
+    with pytest.raises(InvalidValueError, match="one work at a time"):
+        work.start("Work", START)
+    work.stop()
+    assert not work.running
+    work.choose("Work", "verb", "fail")
+    work.start("Work", START)
+    until(lambda: not work.running, work)
+    assert work.lines == ("Work failed: work: expected to be done, got this; look elsewhere",)
+    assert work.exhibit.names == ("clean",)
+    work.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("verb", "rm -rf"), ("verb", 3), ("eps", float("nan")), ("eps", 1e9), ("eps", "5"), ("no", 1)]
+)
+def test_nonsense_from_a_browser_is_not_chosen(name: str, value: object) -> None:
+    work = bench()
+    before = work.values("Work")
+    work.choose("Work", name, value)
+    assert work.values("Work") == before
+
+
+def test_a_process_that_is_killed_is_told_of() -> None:
+    job = Job(perform, ["wait"])
+    job._process.terminate()
+    heard: object = None
+    while not isinstance(heard, str):
+        heard = job.heard()
+        time.sleep(0.01)
+    assert "ended with status -15" in heard
+    job.stop()
