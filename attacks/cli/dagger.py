@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -9,20 +10,29 @@ from typing import TYPE_CHECKING
 
 from attacks.cli.options import AttackOptions
 from attacks.dagger.config import DaggerConfig
-from mi_splat.cli.console import Advance, limit_threads, progress
+from mi_splat.cli.console import Advance, limit_threads, progress, warn
 from mi_splat.cli.flags import Unprefixed
 from mi_splat.cli.options import CameraOptions
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Folder
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from torch import Tensor
+
+    from attacks.detectors.base import Detector
     from attacks.pgd import Step
+    from mi_splat.cli.cameras import Chosen
+    from mi_splat.scene import GaussianScene
 
 EXAMPLES = (
     "dagger scenes/car_street.xml --object car --target person --out out/dagger",
     "dagger scenes/car_street.xml --objective hide --eps 2 --out out/hidden",
     "dagger desk.ply --mask mask.npy --cameras orbit:4@25 --target person --out out/desk",
 )
+_LOOKS = 3
+"""How many looks from a camera a step takes as long as: what is seen, and the gradient."""
 SEE_ALSO = ("select", "evaluate", "dagger-eot", "study", "detectors")
 
 
@@ -36,7 +46,8 @@ class DaggerOptions(AttackOptions):
     """
 
     view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
-    """The cameras attacked at once."""
+    """The cameras attacked at once; without any flag it is one. Of the folder of a set it is those of the pictures for
+    training that show the object, so that the others can judge."""
     config: Unprefixed[DaggerConfig] = field(default_factory=DaggerConfig)
     """How to attack."""
     out: Folder = Path("out/dagger")
@@ -59,10 +70,14 @@ def run(options: DaggerOptions) -> None:
     with progress("loading the scene and the detector", total=config.restarts * (config.steps + 1)) as advance:
         loaded = open_scene(options.scene)
         selection = chosen_object(loaded, options.selection)
-        chosen = choose(loaded, selection, options.view)
+        chosen = choose(loaded, selection, options.view, split="train")
         weights = chosen.weights(loaded)
+        if any(Path(text).is_dir() for text in options.view.cameras):
+            chosen, weights = _showing(chosen, weights)
         require_visible(weights)
         detectors = load_detectors(options.detectors, options.weights)
+        if len(chosen.cameras) > 1:
+            _forecast(loaded.scene, chosen, detectors, config)
         objective = aim(options.objective, options.target, options.confidence)
         advance("attacking", 0)
         result = attack(
@@ -80,6 +95,33 @@ def run(options: DaggerOptions) -> None:
         result = replace(result, origin={**result.origin, **origin}, doubts=doubtful)
         write_result(result, loaded, chosen.mask, options.out, force=options.force)
     show_summary(options.out, as_json=options.json)
+
+
+def _showing(chosen: Chosen, weights: dict[str, Tensor]) -> tuple[Chosen, dict[str, Tensor]]:
+    """The cameras from which the object shows; all if there is none."""
+    from mi_splat.selection.select import SEEN
+
+    kept = {name: weight for name, weight in weights.items() if bool((weight >= SEEN).any())} or weights
+    if idle := len(weights) - len(kept):
+        warn(f"{idle} of {len(weights)} pictures for training do not show the object, and are left out")
+    return replace(chosen, cameras={name: chosen.cameras[name] for name in kept}), kept
+
+
+def _forecast(scene: GaussianScene, chosen: Chosen, detectors: Sequence[Detector], config: DaggerConfig) -> None:
+    """Say how many views are attacked and about how long that takes, by one look from one of them."""
+    import torch
+
+    from attacks.report.wording import duration
+
+    camera, begun = next(iter(chosen.cameras.values())), 0.0
+    with torch.no_grad():
+        for _ in range(2):  # the first one compiles
+            begun = time.perf_counter()
+            picture = chosen.render(scene, camera).clamp(0, 1)[None]
+            for detector in detectors:
+                detector.detect(picture)
+    seconds = _LOOKS * (time.perf_counter() - begun) * len(chosen.cameras) * config.restarts * (config.steps + 1)
+    warn(f"{len(chosen.cameras)} views at once, {config.steps} steps: at most about {duration(seconds)}")
 
 
 def _follow(advance: Advance, label: str | None, config: DaggerConfig) -> Callable[[Step], None]:

@@ -98,6 +98,7 @@ def _work(study: Study) -> Work:
 
 def _plan(options: StudyOptions, study: Study) -> None:
     """Count the jobs, and forecast."""
+    from attacks.report.wording import duration
     from mi_splat.ledger import Store
     from mi_splat.ledger.index import forecast, plan
 
@@ -112,17 +113,11 @@ def _plan(options: StudyOptions, study: Study) -> None:
     if seconds:
         workers = max(1, chosen_workers(options.workers))
         on = "" if workers < 2 else f", on {workers} workers"
-        lines.append(f"About {_duration(seconds / workers)} by what was measured{on}.")
+        lines.append(f"About {duration(seconds / workers)} by what was measured{on}.")
     if unknown:
         lines.append(f"{unknown} jobs are of kinds that were never done here, so how long they take is not known.")
     document |= {"not_measured": unknown, "searches": len(work.searches)}
     show_result(document, *lines, as_json=options.json)
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.1f} hours"
 
 
 def _run(options: StudyOptions, study: Study) -> int:

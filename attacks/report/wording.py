@@ -28,6 +28,13 @@ def pooled(rates: Iterable[Rate | Mapping[str, Any] | None]) -> Rate:
     return Rate(successes=sum(rate.successes for rate in known), total=sum(rate.total for rate in known))
 
 
+def duration(seconds: float) -> str:
+    """A time in the unit that suits it."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} minutes" if seconds < 5400 else f"{seconds / 3600:.1f} hours"
+
+
 def listed(words: Sequence[str]) -> str:
     """Several words as a sentence has them."""
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)

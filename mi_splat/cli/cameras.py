@@ -17,6 +17,7 @@ from mi_splat.cli.console import warn
 from mi_splat.cli.options import CameraOptions
 from mi_splat.datasets import load_dataset
 from mi_splat.datasets.colmap import find_model, read_model_cameras
+from mi_splat.datasets.frames import Split
 from mi_splat.datasets.transforms import find_transforms
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import recorded_cameras
@@ -44,7 +45,12 @@ Shows = Callable[[Camera], float]
 
 
 def find_cameras(
-    loaded: SplatScene, options: CameraOptions, *, focus: GaussianScene | None = None, shows: Shows | None = None
+    loaded: SplatScene,
+    options: CameraOptions,
+    *,
+    focus: GaussianScene | None = None,
+    shows: Shows | None = None,
+    split: Split | None = None,
 ) -> dict[str, Camera]:
     """The cameras by name, in the order in which they are asked for.
 
@@ -53,6 +59,7 @@ def find_cameras(
         options: Which cameras.
         focus: What to look at; all of the scene if None.
         shows: By it one of several orbit cameras is chosen where nothing says which is meant; the first if None.
+        split: Which part of a folder of pictures; None is all of it.
 
     Raises:
         InvalidValueError: A camera is not there, or a number is out of range.
@@ -63,7 +70,7 @@ def find_cameras(
         _check_meaning(loaded, options)
         cameras: dict[str, Camera] = {}
         for text in options.cameras:
-            for name, camera in _named(text, loaded, options, target):
+            for name, camera in _named(text, loaded, options, target, split):
                 cameras[name if name not in cameras else f"{name}-{len(cameras)}"] = camera
         return cameras
     if loaded.cameras and not options.orbits:
@@ -130,7 +137,9 @@ def renderer_of(loaded: SplatScene, options: CameraOptions, cameras: dict[str, C
     return Renderer(settings)
 
 
-def _named(text: str, loaded: SplatScene, options: CameraOptions, target: GaussianScene) -> list[tuple[str, Camera]]:
+def _named(
+    text: str, loaded: SplatScene, options: CameraOptions, target: GaussianScene, split: Split | None
+) -> list[tuple[str, Camera]]:
     """The cameras that one text means, with names that may not differ."""
     path = Path(text)
     if text in loaded.cameras:
@@ -143,7 +152,7 @@ def _named(text: str, loaded: SplatScene, options: CameraOptions, target: Gaussi
     elif path.suffix.lower() == ".json":
         named = _listed(path, options)
     elif path.is_dir():
-        named = _beside_pictures(path)
+        named = _beside_pictures(path, split)
     elif _is_set(text, loaded):
         centre, distance, focal = _placement(target, options)
         cameras = camera_set(text, centre, distance=distance, focal=focal, size=options.size or SIZE)
@@ -163,12 +172,12 @@ def _listed(path: Path, options: CameraOptions) -> list[tuple[str, Camera]]:
     return _numbered(path.stem, camera_set(str(path), (0, 0, 0), distance=1, focal=1, size=options.size or SIZE))
 
 
-def _beside_pictures(folder: Path) -> list[tuple[str, Camera]]:
+def _beside_pictures(folder: Path, split: Split | None) -> list[tuple[str, Camera]]:
     """The cameras of a set of pictures by their names; those of a COLMAP model need no pictures."""
     model = find_model(folder)
     if model is not None and find_transforms(folder) is None:
-        return [(Path(name).stem, camera) for name, camera in read_model_cameras(model).items()]
-    pictures = load_dataset(folder, split=None)
+        return [(Path(name).stem, camera) for name, camera in read_model_cameras(model, split).items()]
+    pictures = load_dataset(folder, split=split)
     return [(file.stem, camera) for file, camera in zip(pictures.paths, pictures.cameras, strict=True)]
 
 
@@ -231,7 +240,7 @@ class Chosen:
         }
 
 
-def choose(loaded: SplatScene, selection: Selection, options: CameraOptions) -> Chosen:
+def choose(loaded: SplatScene, selection: Selection, options: CameraOptions, *, split: Split | None = None) -> Chosen:
     """The object and the cameras.
 
     A click is on the picture that `mi-splat render` makes with the same flags, so with one the cameras come first.
@@ -241,6 +250,7 @@ def choose(loaded: SplatScene, selection: Selection, options: CameraOptions) -> 
         loaded: The scene.
         selection: Which object.
         options: Which cameras.
+        split: As in `find_cameras`.
 
     Raises:
         InvalidValueError: As in `select` and `find_cameras`.
@@ -248,22 +258,23 @@ def choose(loaded: SplatScene, selection: Selection, options: CameraOptions) -> 
         SplatFileError: A mask file cannot be read.
     """
     if selection.click:
-        cameras = find_cameras(loaded, options)
+        cameras = find_cameras(loaded, options, split=split)
         render = renderer_of(loaded, options, cameras)
         first = next(iter(cameras.values()))
         mask = select(loaded.scene, selection, objects=loaded.objects, camera=first, render=render)
         return Chosen(mask=mask, cameras=cameras, render=render)
     mask = select(loaded.scene, selection, objects=loaded.objects)
-    return look_at_object(loaded, mask, options)
+    return look_at_object(loaded, mask, options, split=split)
 
 
-def look_at_object(loaded: SplatScene, mask: Tensor, options: CameraOptions) -> Chosen:
+def look_at_object(loaded: SplatScene, mask: Tensor, options: CameraOptions, *, split: Split | None = None) -> Chosen:
     """An object that is known, and the cameras.
 
     Args:
         loaded: The scene.
         mask: (N,) bool, the object's Gaussians.
         options: Which cameras; those that nothing else is said of look at the object, from where most of it shows.
+        split: As in `find_cameras`.
     """
 
     def shows(camera: Camera) -> float:
@@ -271,5 +282,5 @@ def look_at_object(loaded: SplatScene, mask: Tensor, options: CameraOptions) -> 
         with torch.no_grad():
             return float(object_weight(loaded.scene, mask, camera, small).mean())
 
-    cameras = find_cameras(loaded, options, focus=loaded.scene.select(mask), shows=shows)
+    cameras = find_cameras(loaded, options, focus=loaded.scene.select(mask), shows=shows, split=split)
     return Chosen(mask=mask, cameras=cameras, render=renderer_of(loaded, options, cameras))

@@ -18,6 +18,7 @@ from mi_splat.datasets.colmap_model import MODELS, Lens, Model, Pose
 from mi_splat.datasets.distortion import Intrinsics
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.datasets.frames import (
+    HELD_OUT,
     Frame,
     Split,
     find_mask,
@@ -80,11 +81,12 @@ def read_colmap(
     return [frames[pose.name] for pose in _split(there, folder / TEST_LIST, split, every)], model.points
 
 
-def read_model_cameras(cameras_file: Path) -> dict[str, Camera]:
+def read_model_cameras(cameras_file: Path, split: Split | None = None) -> dict[str, Camera]:
     """The cameras of a model by the names of their pictures, which need not be there.
 
     Args:
         cameras_file: Found by `find_model`.
+        split: Which part; None for all.
 
     Raises:
         DatasetError: A file is missing or broken, or a lens is not known.
@@ -92,7 +94,7 @@ def read_model_cameras(cameras_file: Path) -> dict[str, Camera]:
     model = _read_model(cameras_file)
     lenses, source = _lenses(model, cameras_file), _images_file(cameras_file)
     cameras = {}
-    for pose in _poses(model, cameras_file):
+    for pose in _split(_poses(model, cameras_file), cameras_file.with_name(TEST_LIST), split, HELD_OUT):
         where = f"{source}, {pose.name}"
         cameras[pose.name] = pinhole_camera(_to_world(pose, where), lenses[pose.lens], where)
     return cameras

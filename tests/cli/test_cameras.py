@@ -98,8 +98,10 @@ def test_an_object_is_looked_at_from_where_it_shows() -> None:
 
 def test_cameras_are_read_from_files(tmp_path: Path) -> None:
     pictures = write_set(tmp_path / "set")
-    names = list(find_cameras(loaded(), CameraOptions(cameras=(str(pictures),))))
-    assert names
+    asked = CameraOptions(cameras=(str(pictures),))
+    parts = [list(find_cameras(loaded(), asked, split=split)) for split in ("train", "test")]
+    assert all(parts)
+    assert list(find_cameras(loaded(), asked)) == [*parts[0], *parts[1]]
     (file,) = pictures.glob("transforms_train.json")
     numbered = find_cameras(loaded(), CameraOptions(cameras=(str(file),)))
     assert next(iter(numbered)).startswith("transforms_train-")
@@ -111,6 +113,8 @@ def test_a_colmap_model_needs_no_pictures(tmp_path: Path) -> None:
     shutil.rmtree(tmp_path / "images")
     found = find_cameras(loaded(), CameraOptions(cameras=(str(tmp_path),)))
     assert len(found) == len(VIEWS)
+    train = find_cameras(loaded(), CameraOptions(cameras=(str(tmp_path),)), split="train")
+    assert list(train) == list(found)[1:8] + list(found)[9:]
     for shot, one in zip(VIEWS, found.values(), strict=True):
         assert torch.allclose(one.to_world, shot.camera.to_world, atol=1e-6)
 

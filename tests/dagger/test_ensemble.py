@@ -21,6 +21,8 @@ from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import relabel
 from attacks.optimisers import momentum
 from attacks.pgd import Evaluation, pgd
+from mi_splat.cameras import View, look_at
+from mi_splat.datasets import write_transforms
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, register, toy_scene
@@ -117,17 +119,24 @@ def test_the_report_shows_every_detector(tmp_path: Path) -> None:
 def test_the_command_says_what_each_detector_saw(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """From a set's pictures for training, of which one shows nothing of the object."""
     scene, _ = toy_scene()
+    away = dataclasses.replace(camera(), to_world=look_at((0.0, -3.0, 0.0), (0.0, -6.0, 0.0)))
+    shots = [View(one, torch.zeros(32, 32, 3)) for one in (camera(), away, camera(offset=0.4), camera(offset=0.2))]
+    write_transforms(tmp_path / "set", shots[:3], test=shots[3:])
     save_splat(scene, tmp_path / "toy.ply")
     register(monkeypatch, {one.name: one for one in (FINE, COARSE)})
     words = ["dagger", str(tmp_path / "toy.ply"), "--mask", str(tmp_path / "mask.npy"), "--eps", "20"]
-    words += ["--distance", "3", "--fov", "50", "--size", "32", "--noise-draws", "0"]
+    words += ["--cameras", str(tmp_path / "set"), "--noise-draws", "0"]
     words += ["--detectors", FINE.name, COARSE.name]
     np.save(tmp_path / "mask.npy", np.arange(10, 40))
     assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    shown = capsys.readouterr()
+    assert "1 of 3 pictures for training do not show the object" in shown.err
+    assert "2 views at once, 11 steps: at most about" in shown.err
+    lines = shown.out.splitlines()
     figures = {line.split("  ")[0]: line.partition("  ")[2].split()[:3] for line in lines}
-    assert figures["fake_colour"] == figures["fake_coarse"] == ["1", "of", "1"]
+    assert figures["fake_colour"] == figures["fake_coarse"] == ["2", "of", "2"]
 
 
 def test_a_faint_object_is_warned_of_by_the_name_of_the_detector() -> None:
