@@ -290,6 +290,7 @@ EXTRAS = {
     "cluster": ("distributed",),
     "meshes": ("trimesh",),
     "report": ("jinja2", "matplotlib"),
+    "robots": ("mujoco",),
     "tflite": ("tflite",),
     "transformers": ("transformers",),
     "usd": ("pxr",),
