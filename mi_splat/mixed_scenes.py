@@ -38,6 +38,7 @@ class MixedScene:
         path: An XML scene with the integrator `splat_ray`.
         samples: A pixel.
         seed: Of the samples.
+        linear: Whether pictures have linear values, without an upper limit.
         parameters: Take the place of the file's default values, for instance `sun_z=0.25`.
 
     Attributes:
@@ -47,7 +48,9 @@ class MixedScene:
         MiSplatError: The file cannot be read, holds no splat or no sensor, or has another integrator.
     """
 
-    def __init__(self, path: Path, *, samples: int = SAMPLES, seed: int = 0, **parameters: Any) -> None:
+    def __init__(
+        self, path: Path, *, samples: int = SAMPLES, seed: int = 0, linear: bool = False, **parameters: Any
+    ) -> None:
         if samples < 1:
             raise InvalidValueError(message("samples", "at least 1", samples, "64 are little noise"))
         variant.use()
@@ -56,7 +59,7 @@ class MixedScene:
             do = 'write <integrator type="splat_ray"/>'
             raise InvalidValueError(message(str(path), "the integrator splat_ray", "another one", do))
         self.splats: SplatScene = values_of(self._loaded, path, among="surfaces")
-        self.samples, self.seed = samples, seed
+        self.samples, self.seed, self.linear = samples, seed, linear
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
         """Render one picture.
@@ -66,7 +69,7 @@ class MixedScene:
             camera: The camera.
 
         Returns:
-            (H, W, 3) float32 tensor of sRGB values in [0, 1].
+            (H, W, 3) float32 tensor of sRGB values in [0, 1], or of linear ones.
 
         Raises:
             InvalidValueError: There is another number of Gaussians than the file has.
@@ -80,8 +83,9 @@ class MixedScene:
         film = {"type": "hdrfilm", "width": camera.width, "height": camera.height, "pixel_format": "rgb"}
         sensor = mi.load_dict({**sensor_dict(camera), "film": film})
         picture = self._loaded.integrator().render(self._loaded, sensor, seed=self.seed, spp=self.samples)
-        values = torch.from_numpy(srgb_value(picture.array).numpy().copy())
-        return values.reshape(camera.height, camera.width, 3).clamp(0.0, 1.0)
+        flat = picture.array if self.linear else srgb_value(picture.array)
+        values = torch.from_numpy(flat.numpy().copy()).reshape(camera.height, camera.width, 3)
+        return values if self.linear else values.clamp(0.0, 1.0)
 
     def _put(self, scene: GaussianScene) -> None:
         """Put Gaussians into the shapes of the file."""

@@ -1,10 +1,17 @@
-"""What the tile rasteriser knows of each pixel besides its colour."""
+"""What the tile rasteriser knows of each pixel besides its colour, and files for it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
+
+from mi_splat import variant
+from mi_splat.io.documents import save_bytes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,3 +31,17 @@ class SideOutputs:
     alpha: Tensor
     depth: Tensor
     median_depth: Tensor
+
+
+def save_floats(channels: Mapping[str, NDArray[np.float32]], path: Path) -> None:
+    """Write (H, W) channels by their names as OpenEXR with 32-bit floats, without loss.
+
+    Raises:
+        SplatFileError: The file cannot be written.
+    """
+    variant.use()
+    import mitsuba as mi
+
+    stream, planes = mi.MemoryStream(), np.stack(list(channels.values()), -1)
+    mi.Bitmap(planes, mi.Bitmap.PixelFormat.MultiChannel, list(channels)).write(stream, mi.Bitmap.FileFormat.OpenEXR)
+    save_bytes(bytes(stream.raw_buffer()), path)

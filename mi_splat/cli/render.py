@@ -18,15 +18,20 @@ from mi_splat.fields import Called
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+    from torch import Tensor
 
     from mi_splat.cameras import Camera, RenderFn
     from mi_splat.mixed_scenes import MixedScene
+    from mi_splat.scene import GaussianScene
+
+    Pixels = NDArray[np.uint8] | Mapping[str, NDArray[np.float32]]
 
 
 EXAMPLES = (
     "render scenes/car_street.xml --out car.png",
     "render desk.ply --azimuth 40 --elevation 15 --out desk.png",
     "render desk.ply --cameras orbit:60@20 --out desk.gif",
+    "render desk.ply --alpha --depth --out desk.exr",
 )
 SEE_ALSO = ("info", "compare", "train")
 
@@ -44,8 +49,9 @@ class RenderOptions(JsonOptions):
     scene: Positional[Path]
     """Scene XML of splats, alone or among meshes, or a splat file of any format that is read."""
     out: Annotated[Path, Called("PATH")] = Path("picture.png")
-    """What to write: NAME.png or NAME.jpg; NAME.gif or NAME.mp4 (needs the extra `video`) of several cameras one after
-    the other; a folder, or a name with {} for the camera's, for a picture from each."""
+    """What to write: NAME.png or NAME.jpg; NAME.exr with linear values as 32-bit floats; NAME.gif or NAME.mp4 (needs
+    the extra `video`) of several cameras one after the other; a folder, or a name with {} for the camera's, for a
+    picture from each."""
     view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """Where from."""
     fps: Rate = 24.0
@@ -53,6 +59,11 @@ class RenderOptions(JsonOptions):
     method: Literal["tile", "ray"] | None = None
     """How splats alone are rendered: tile is the picture of the reference 3DGS rasteriser, ray traces rays; without the
     flag it is what the scene XML says, or tile."""
+    alpha: bool = False
+    """Write opacity, too, as channel A of NAME.exr; colours stay those over the background."""
+    depth: bool = False
+    """Write depths along the camera's axis, too, world units: the expected one as channel Z of NAME.exr (0 where
+    nothing is), and median.Z, at which half of the light is blocked (0 where less is)."""
     samples: Samples = 64
     """Samples a pixel, for a scene with meshes; the other pictures need one."""
     force: bool = False
@@ -71,24 +82,28 @@ def run(options: RenderOptions) -> None:
     from mi_splat.cli.cameras import find_cameras, render_settings, renderer_of
     from mi_splat.io.camera_records import describe
     from mi_splat.io.folders import check_not_input
-    from mi_splat.io.images import to_bytes
+    from mi_splat.io.pictures import is_floats
     from mi_splat.scene_files import open_scene
 
+    floats = is_floats(options.out)
     check_not_input(options.out, options.scene)
     with progress("loading") as advance:
         mixed = _mixed_scene(options)
         loaded = open_scene(options.scene) if mixed is None else mixed.splats
         if options.method is not None:
             loaded = dataclasses.replace(loaded, settings=dataclasses.replace(loaded.settings, method=options.method))
+        if floats:
+            loaded = dataclasses.replace(loaded, settings=dataclasses.replace(loaded.settings, linear=True))
         cameras = find_cameras(loaded, options.view)
         _check_out(options, cameras)
+        _check_channels(options, loaded.settings.method)
         settings = render_settings(loaded, options.view, cameras)
         render: RenderFn = renderer_of(loaded, options.view, cameras) if mixed is None else mixed
         begun, pictures = time.perf_counter(), {}
         for number, (name, camera) in enumerate(cameras.items(), 1):
             advance(f"rendering {number} of {len(cameras)}")
             with torch.no_grad():
-                pictures[name] = to_bytes(render(loaded.scene, camera))
+                pictures[name] = _pixels(render, loaded.scene, camera, options)
         files = _save(pictures, cameras, options)
     seconds = time.perf_counter() - begun
     first = next(iter(cameras.values()))
@@ -116,22 +131,62 @@ def _mixed_scene(options: RenderOptions) -> MixedScene | None:
     Raises:
         InvalidValueError: A flag is given that such a scene cannot follow.
     """
+    from mi_splat.io.pictures import is_floats
     from mi_splat.mixed_scenes import MixedScene, holds_surfaces
 
     if options.scene.suffix.lower() != ".xml" or not holds_surfaces(options.scene):
         return None
     given = {"--method": options.method, "--background": options.view.background, "--near": options.view.near}
+    given |= {"--alpha": options.alpha or None, "--depth": options.depth or None}
     idle = [flag for flag, value in given.items() if value is not None]
     if idle:
         do = "leave it out: the scene file says how it is rendered"
         raise InvalidValueError(message("scene with meshes", "flags that it can follow", ", ".join(idle), do))
-    return MixedScene(options.scene, samples=options.samples)
+    return MixedScene(options.scene, samples=options.samples, linear=is_floats(options.out))
+
+
+def _check_channels(options: RenderOptions, method: str) -> None:
+    """Raise, before anything is rendered, unless what --alpha and --depth ask for can be made and written."""
+    from mi_splat.io.pictures import is_floats
+
+    flags = [flag for flag, given in (("--alpha", options.alpha), ("--depth", options.depth)) if given]
+    if flags and not is_floats(options.out):
+        do = "end it in .exr, which has channels for them"
+        raise InvalidValueError(
+            message(f"--out with {' and '.join(flags)}", "a name that ends in .exr", options.out, do)
+        )
+    if options.depth and method != "tile":
+        do = "leave one of them out: along a ray a Gaussian has no one depth"
+        raise InvalidValueError(message("--depth", "--method tile", method, do))
+
+
+def _pixels(render: RenderFn, scene: GaussianScene, camera: Camera, options: RenderOptions) -> Pixels:
+    """A picture as its file has it: bytes, or float channels by name."""
+    from mi_splat.io.images import to_bytes
+    from mi_splat.io.pictures import is_floats
+    from mi_splat.rendering import Renderer
+
+    if not is_floats(options.out):
+        return to_bytes(render(scene, camera))
+    more: dict[str, Tensor] = {}
+    if isinstance(render, Renderer) and options.depth:
+        seen = render.outputs(scene, camera)
+        image, more = seen.image, {"A": seen.alpha, "Z": seen.depth, "median.Z": seen.median_depth}
+    elif isinstance(render, Renderer) and options.alpha:
+        image = Renderer(dataclasses.replace(render.settings, alpha=True))(scene, camera)
+        more = {"A": image[..., 3]}
+    else:
+        image = render(scene, camera)
+    if not options.alpha:
+        more.pop("A", None)
+    planes = {"R": image[..., 0], "G": image[..., 1], "B": image[..., 2], **more}
+    return {name: plane.cpu().numpy() for name, plane in planes.items()}
 
 
 def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
     """Raise, before anything is rendered, unless --out can take these pictures."""
     from mi_splat.io.folders import check_new_folder, check_writable
-    from mi_splat.io.pictures import check_animation, is_animation, is_picture
+    from mi_splat.io.pictures import check_animation, is_animation, is_floats, is_picture
 
     out = options.out
     check_writable(out.parent)
@@ -146,39 +201,38 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
         sizes = {f"{camera.width} x {camera.height}" for camera in cameras.values()}
         if len(sizes) > 1:
             raise InvalidValueError(message("--out", "cameras of one size", ", ".join(sorted(sizes)), "pass --size"))
-    elif is_picture(out):
+    elif is_picture(out) or is_floats(out):
         if len(cameras) > 1 and _PLACE not in out.name:
             do = f"name a folder, {out.stem}-{_PLACE}{out.suffix}, or a .gif or .mp4"
             raise InvalidValueError(message("--out", f"room for {len(cameras)} pictures", out, do))
     elif out.suffix:
-        expected = "a name that ends in .png, .jpg, .gif or .mp4, or a folder"
+        expected = "a name that ends in .png, .jpg, .exr, .gif or .mp4, or a folder"
         raise InvalidValueError(message("--out", expected, out, "change the ending"))
     else:
         check_new_folder(out, force=options.force, record=RECORD)
 
 
-def _save(
-    pictures: Mapping[str, NDArray[np.uint8]], cameras: Mapping[str, Camera], options: RenderOptions
-) -> list[Path]:
+def _save(pictures: Mapping[str, Pixels], cameras: Mapping[str, Camera], options: RenderOptions) -> list[Path]:
     """Write what --out says, and name the files."""
     from mi_splat.io.camera_records import describe
     from mi_splat.io.documents import file_name, save_json
     from mi_splat.io.folders import new_folder
-    from mi_splat.io.pictures import is_animation, is_picture, save_animation, save_picture
+    from mi_splat.io.pictures import is_animation, is_floats, is_picture, save_animation, save_picture
+    from mi_splat.side_outputs import save_floats
 
-    out = options.out
+    out, shown = options.out, [pixels for pixels in pictures.values() if not isinstance(pixels, Mapping)]
     if is_animation(out):
         out.parent.mkdir(parents=True, exist_ok=True)
-        save_animation(list(pictures.values()), out, fps=options.fps)
+        save_animation(shown, out, fps=options.fps)
         return [out]
-    if is_picture(out):
+    if is_picture(out) or is_floats(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         files = [out.with_name(out.name.replace(_PLACE, file_name(name))) for name in pictures]
         for file, pixels in zip(files, pictures.values(), strict=True):
-            save_picture(pixels, file)
+            save_floats(pixels, file) if isinstance(pixels, Mapping) else save_picture(pixels, file)
         return files
     with new_folder(out, force=options.force, record=RECORD) as folder:
-        for name, pixels in pictures.items():
+        for name, pixels in zip(pictures, shown, strict=True):
             save_picture(pixels, folder / f"{file_name(name)}.png")
         save_json([describe(name, camera) for name, camera in cameras.items()], folder / RECORD)
     return [*(out / f"{file_name(name)}.png" for name in pictures), out / RECORD]

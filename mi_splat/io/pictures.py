@@ -19,6 +19,8 @@ from mi_splat.io.documents import save_bytes
 PICTURES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
 """Format of a picture by the ending of its name."""
 ANIMATIONS = (".gif", ".mp4")
+FLOATS = ".exr"
+"""Ending of a picture of floats."""
 _JPEG_QUALITY = 95
 
 
@@ -34,6 +36,11 @@ def is_picture(path: Path) -> bool:
 def is_animation(path: Path) -> bool:
     """Whether a name ends as that of an animation that can be written."""
     return path.suffix.lower() in ANIMATIONS
+
+
+def is_floats(path: Path) -> bool:
+    """Whether a name ends as that of a picture of floats."""
+    return path.suffix.lower() == FLOATS
 
 
 def save_picture(pixels: NDArray[np.uint8], path: Path) -> None:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import mitsuba as mi
+import numpy as np
 import pytest
 from PIL import Image
 
 from attacks import cli
-from mi_splat.io import save_splat
-from mi_splat.io.camera_records import describe
+from mi_splat.io import load_splat, save_splat
+from mi_splat.io.camera_records import camera_of, describe
+from mi_splat.rendering import Renderer, RenderSettings
 from tests.fakes import camera, toy_scene
 
 SMALL = ["--size", "24x16"]
@@ -50,6 +53,33 @@ def test_a_pattern_takes_the_names_of_the_cameras(toy: Path) -> None:
     for number in (0, 1):
         with Image.open(toy / f"view_orbit-{number}.jpg") as picture:
             assert (picture.format, picture.size) == ("JPEG", (24, 16))
+
+
+def channels(file: Path) -> dict[str, np.ndarray]:
+    """What Mitsuba reads of an OpenEXR file."""
+    bitmap = mi.Bitmap(str(file))
+    names = [field.name for field in bitmap.struct_()]
+    return dict(zip(names, np.moveaxis(np.array(bitmap), -1, 0), strict=True))
+
+
+def test_floats_are_those_of_the_renderer(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["render", "toy.ply", "--azimuth", "0", "--distance", "3", *SMALL, "--near", "0.2", "--background", "white"]
+    assert cli.main([*words, "--alpha", "--depth", "--out", "a.exr", "--json"]) == 0
+    found = channels(toy / "a.exr")
+    shot = camera_of(json.loads(capsys.readouterr().out)["cameras"][0])
+    seen = Renderer(RenderSettings(background=(1.0, 1.0, 1.0), linear=True)).outputs(load_splat("toy.ply"), shot)
+    wanted = [*seen.image.unbind(-1), seen.alpha, seen.depth, seen.median_depth]
+    assert set(found) == {"R", "G", "B", "A", "Z", "median.Z"}
+    for name, plane in zip(("R", "G", "B", "A", "Z", "median.Z"), wanted, strict=True):
+        assert np.array_equal(found[name], plane.numpy())
+    assert cli.main([*words, "--alpha", "--method", "ray", "--out", "ray-{}.exr"]) == 0
+    assert set(channels(toy / "ray-orbit.exr")) == {"R", "G", "B", "A"}
+    for more, told in (
+        (["--depth", "--out", "a.png"], "--out with --depth: expected a name that ends in .exr"),
+        (["--depth", "--method", "ray", "--out", "b.exr"], "--depth: expected --method tile"),
+    ):
+        assert cli.main([*words, *more]) == 1
+        assert told in capsys.readouterr().err
 
 
 def test_an_orbit_makes_an_animation(toy: Path) -> None:

@@ -29,6 +29,7 @@ RENDERERS = (
     "mi_splat.mitsuba_log",
     "mi_splat.variant",
     "mi_splat.rendering",
+    "mi_splat.side_outputs",
     "mi_splat.frozen_view",
     "mi_splat.overdraw",
     "mi_splat.volprim",
