@@ -14,7 +14,7 @@ from mi_splat.audit import pictures
 from mi_splat.audit.pictures import compare_pictures
 from mi_splat.audit.surfaces import lattice
 from mi_splat.cameras import Camera, View, look_at
-from mi_splat.datasets import PointCloud, write_transforms
+from mi_splat.datasets import Dataset, PointCloud, write_transforms
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
@@ -73,7 +73,13 @@ def test_the_command_takes_a_folder_of_pictures(
     """Its surface is known here already: a training has tests of its own."""
     colours = torch.full_like(suitcase.scene.means, 0.5)
     write_transforms(tmp_path / "set", poisoned, points=PointCloud(suitcase.scene.means, colours))
-    monkeypatch.setattr(pictures, "quick_surface", lambda views, on_step: suitcase.scene)
+
+    def surface(views: Dataset, on_step: object) -> GaussianScene:
+        if views.downscale > 1:
+            raise InvalidValueError(f"{views.downscale} times smaller")
+        return suitcase.scene
+
+    monkeypatch.setattr(pictures, "quick_surface", surface)
     out = tmp_path / "out"
     assert cli.main(["audit", str(tmp_path / "set"), "--out", str(out)]) == 3
     record = json.loads((out / "result.json").read_text())
@@ -85,6 +91,8 @@ def test_the_command_takes_a_folder_of_pictures(
     assert section.kind == "audit of pictures"
     assert len(section.tables[-1].rows) == len(named)
     assert cli.main(["audit", str(tmp_path / "set"), "--cameras", "orbit:20@20"]) == 2
+    assert cli.main(["audit", str(tmp_path / "set"), "--downscale", "2"]) == 1
+    assert "2 times smaller" in capsys.readouterr().err
     monkeypatch.setattr(pictures, "MOST_CAMERAS", COUNT - 1)
     capsys.readouterr()
     cli.main(["audit", str(tmp_path / "set"), "--out", str(out), "--force"])
