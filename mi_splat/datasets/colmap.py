@@ -39,7 +39,9 @@ TEST_LIST = "test.txt"
 _FOLDERS = ("sparse/0", "sparse", "0", ".")
 _KINDS = (".bin", ".txt")
 _ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
-_TWO_FOCALS = ("PINHOLE", "OPENCV", "OPENCV_FISHEYE")
+_TWO_FOCALS = ("PINHOLE", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV")
+_TANGENTIAL = ("OPENCV", "FULL_OPENCV")
+"""Whose third and fourth coefficient are tangential, and the sixth and later ones a divisor's."""
 
 
 def find_model(path: Path) -> Path | None:
@@ -165,13 +167,17 @@ def _intrinsics(lenses: Mapping[int, Lens], number: int, source: Path) -> Intrin
         raise DatasetError(message(where, expected, got, "export the model again"))
     first = lens.parameters[:1] if lens.model in _ONE_FOCAL else ()
     fx, fy, cx, cy, *rest = (*first, *lens.parameters)
+    radial, tangential, divisor = rest, [0.0, 0.0], list[float]()
+    if lens.model in _TANGENTIAL:
+        radial, tangential, divisor = rest[:2] + rest[4:5], rest[2:4], rest[5:]
     try:
         return Intrinsics(
             focal=(fx, fy),
             principal=(cx, cy),
             size=(lens.width, lens.height),
-            radial=tuple(rest[:2] if lens.model == "OPENCV" else rest),
-            tangential=(rest[2], rest[3]) if lens.model == "OPENCV" else (0.0, 0.0),
+            radial=tuple(radial),
+            divisor=tuple(divisor),
+            tangential=(tangential[0], tangential[1]),
             fisheye=lens.model.endswith("FISHEYE"),
         )
     except InvalidValueError as error:

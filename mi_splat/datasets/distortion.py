@@ -1,9 +1,10 @@
 """Lenses that bend straight lines: the pinhole camera that sees the same, and its picture out of the photograph.
 
-The models are those of COLMAP (src/colmap/sensor/models.h) and OpenCV: Brown's radial and tangential distortion, and
-the fisheye of Kannala and Brandt (2006). The pinhole camera is the one of COLMAP's `image_undistorter`
-(src/colmap/image/undistortion.cc): focal lengths stay, and the picture is cut, or grows, until no pixel is blank.
-Only the direction from the pinhole camera to the photograph is needed for pictures; it is a closed form.
+The models are those of COLMAP (src/colmap/sensor/models.h) and OpenCV: Brown's radial and tangential distortion,
+OpenCV's rational one (`FULL_OPENCV`), and the fisheye of Kannala and Brandt (2006). The pinhole camera is the one of
+COLMAP's `image_undistorter` (src/colmap/image/undistortion.cc): focal lengths stay, and the picture is cut, or grows,
+until no pixel is blank. Only the direction from the pinhole camera to the photograph is needed for pictures; it is a
+closed form.
 """
 
 from __future__ import annotations
@@ -48,6 +49,8 @@ class Intrinsics:
         size: Width and height.
         radial: Coefficients of the second, fourth, ... power of the distance from the axis: its tangent, or for
             fisheye the angle in radians.
+        divisor: The same of the polynomial that radial distortion is divided by: k4, k5 and k6 of OpenCV's rational
+            model.
         tangential: p1 and p2 of Brown's model; zero for fisheye.
         fisheye: Whether distances in the picture grow with the angle and not with its tangent.
     """
@@ -56,11 +59,12 @@ class Intrinsics:
     principal: tuple[float, float]
     size: tuple[int, int]
     radial: tuple[float, ...] = ()
+    divisor: tuple[float, ...] = ()
     tangential: tuple[float, float] = (0.0, 0.0)
     fisheye: bool = False
 
     def __post_init__(self) -> None:
-        values = (*self.radial, *self.tangential)
+        values = (*self.radial, *self.divisor, *self.tangential)
         if not all(abs(value) <= _LARGEST for value in values):  # nan is not smaller than anything
             do = "calibrate again"
             raise InvalidValueError(message("distortion", f"coefficients up to {_LARGEST:g}", values, do))
@@ -71,7 +75,7 @@ class Intrinsics:
     @property
     def is_pinhole(self) -> bool:
         """Whether straight lines stay straight."""
-        return not (self.fisheye or any(self.radial) or any(self.tangential))
+        return not (self.fisheye or any(self.radial) or any(self.divisor) or any(self.tangential))
 
     def resized(self, size: tuple[int, int], scale: tuple[float, float] | None = None) -> Intrinsics:
         """The lens of the same photograph with other pixels.
@@ -107,10 +111,16 @@ class Intrinsics:
 
     def _factor(self, square: Values) -> Values:
         """By what radial distortion multiplies a distance of that square."""
-        factor = np.zeros_like(square)
-        for coefficient in (*self.radial[::-1], 1.0):
-            factor = factor * square + coefficient
-        return factor
+        factor = _polynomial(self.radial, square)
+        return factor / _polynomial(self.divisor, square) if any(self.divisor) else factor
+
+
+def _polynomial(coefficients: tuple[float, ...], square: Values) -> Values:
+    """1 + c1 s + c2 s^2 + ... of a square s."""
+    value = np.zeros_like(square)
+    for coefficient in (*coefficients[::-1], 1.0):
+        value = value * square + coefficient
+    return value
 
 
 @functools.lru_cache(maxsize=256)
@@ -130,7 +140,7 @@ def pinhole(lens: Intrinsics) -> Intrinsics:
     left, right = (_seen(lens, np.full(height, x), rows)[0] for x in (0.5, width - 0.5))
     top, bottom = (_seen(lens, columns, np.full(width, y))[1] for y in (0.5, height - 0.5))
     if min(map(len, (left, right, top, bottom))) == 0 or not (0 < cx < width and 0 < cy < height):
-        got = f"one that folds the picture before its border (k {lens.radial}, p {lens.tangential})"
+        got = f"one that folds the picture before its border (k {lens.radial + lens.divisor}, p {lens.tangential})"
         do = "calibrate again, or undistort the pictures with colmap image_undistorter"
         raise InvalidValueError(message("distortion", "a lens that can be undone", got, do))
     wide = _scale(width, cx, float(left.max()), float(right.min()))
@@ -169,8 +179,9 @@ def _profile(lens: Intrinsics) -> _Table:
     """Angles from the axis, and distances from the centre at which the lens shows them, as far as both grow."""
     angles = np.linspace(0.0, _WIDEST, _ANGLES)
     lengths = angles if lens.fisheye else np.tan(angles)
-    distances = lengths * lens._factor(lengths * lengths)
-    grows = np.diff(distances) > 0
+    with np.errstate(all="ignore"):  # where a divisor is zero
+        distances = lengths * lens._factor(lengths * lengths)
+        grows = (np.diff(distances) > 0) & np.isfinite(distances[1:])
     count = len(angles) if bool(grows.all()) else 1 + int(np.argmin(grows))
     return angles[:count], distances[:count]
 

@@ -49,9 +49,9 @@ _TRANSFORMS = DocumentReader(
 _DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 _LARGEST = 1e12
 _PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
-_FISHEYE = ("OPENCV_FISHEYE", "FISHEYE")
-_COEFFICIENTS = {False: ("k1", "k2", "k3", "p1", "p2"), True: ("k1", "k2", "k3", "k4")}
-"""Those of perspective and of fisheye lenses that are undone; k4 of OpenCV's perspective lenses is a divisor."""
+_FISHEYE, _RATIONAL = ("OPENCV_FISHEYE", "FISHEYE"), "FULL_OPENCV"
+_DIVISOR = ("k4", "k5", "k6")
+"""Of a rational lens. Programs mean different things by k4 of other perspective lenses, so it is refused there."""
 _ABOVE = 1
 """Folders above a file from which its pictures may come: some tools keep it beside their folder."""
 
@@ -195,16 +195,19 @@ def _camera(values: Mapping[str, Any], size: tuple[int, int], where: str) -> Cam
 def _intrinsics(values: Mapping[str, Any], size: tuple[int, int], where: str) -> Intrinsics:
     """What a frame says of its lens."""
     model = str(values.get("camera_model", _PERSPECTIVE[0])).upper()
-    if model not in (*_PERSPECTIVE, *_FISHEYE):
+    if model not in (*_PERSPECTIVE, *_FISHEYE, _RATIONAL):
         do = "undistort the pictures first, for instance with colmap image_undistorter"
-        known = f"a camera_model, one of {', '.join((*_PERSPECTIVE, *_FISHEYE))}"
+        known = f"a camera_model, one of {', '.join((*_PERSPECTIVE, *_FISHEYE, _RATIONAL))}"
         raise DatasetError(message(where, known, model[:60], do))
     fisheye = model in _FISHEYE or bool(values.get("is_fisheye"))
     distortion = {key: _number(values, key, where) or 0.0 for key in _DISTORTION}
-    usable = _COEFFICIENTS[fisheye]
+    radial, divisor = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "k3"), _DIVISOR * (model == _RATIONAL)
+    usable = (*radial, *divisor, *(() if fisheye else ("p1", "p2")))
     if others := [key for key, value in distortion.items() if value and key not in usable]:
         kind = "a fisheye lens" if fisheye else "a lens of this kind"
         do = "undistort the pictures first, for instance with colmap image_undistorter"
+        if not fisheye:
+            do += f", or name the camera_model {_RATIONAL} if they are a divisor as OpenCV's"
         raise DatasetError(message(where, f"{', '.join(usable)} of {kind}", ", ".join(others), do))
     focal = [_focal(values, axis, pixels, where) for axis, pixels in zip("xy", size, strict=True)]
     known_focal = [value for value in focal if value is not None]
@@ -217,7 +220,8 @@ def _intrinsics(values: Mapping[str, Any], size: tuple[int, int], where: str) ->
             focal=(fx, fy),
             principal=(size[0] / 2 if cx is None else cx, size[1] / 2 if cy is None else cy),
             size=size,
-            radial=tuple(distortion[key] for key in usable if key[0] == "k"),
+            radial=tuple(distortion[key] for key in radial),
+            divisor=tuple(distortion[key] for key in divisor),
             tangential=(distortion["p1"], distortion["p2"]),
             fisheye=fisheye,
         )

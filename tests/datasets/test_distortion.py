@@ -21,14 +21,14 @@ from tests.datasets.sets import LENSES, lens_set, ramps
 
 def where(model: str, parameters: list[float], x: float, y: float) -> tuple[float, float]:
     """Where OpenCV's documentation says that a lens shows the point (x, y, 1)."""
-    fx, fy, cx, cy, *k = parameters if model.startswith("OPENCV") else [parameters[0], *parameters]
+    fx, fy, cx, cy, *k = parameters if "OPENCV" in model else [parameters[0], *parameters]
     r = math.hypot(x, y)
     if model == "OPENCV_FISHEYE":
         theta = math.atan(r)
         ratio = (theta + k[0] * theta**3 + k[1] * theta**5 + k[2] * theta**7 + k[3] * theta**9) / r
         return fx * x * ratio + cx, fy * y * ratio + cy
-    k1, k2, p1, p2 = [*k, 0.0, 0.0, 0.0][:4]
-    ratio = 1 + k1 * r**2 + k2 * r**4
+    k1, k2, p1, p2, k3, k4, k5, k6 = [*k, *[0.0] * 7][:8]
+    ratio = (1 + k1 * r**2 + k2 * r**4 + k3 * r**6) / (1 + k4 * r**2 + k5 * r**4 + k6 * r**6)
     right = x * ratio + 2 * p1 * x * y + p2 * (r**2 + 2 * x**2)
     down = y * ratio + p1 * (r**2 + 2 * y**2) + 2 * p2 * x * y
     return fx * right + cx, fy * down + cy
@@ -48,7 +48,8 @@ def test_a_lens_is_undone_as_by_colmap(model: str, tmp_path: Path) -> None:
     parameters, size, wanted = LENSES[model]
     lens_set(tmp_path / "text", model, parameters, ramps())
     keys = {"SIMPLE_RADIAL": ["k1"], "RADIAL": ["k1", "k2"], "OPENCV": ["k1", "k2", "p1", "p2"]}
-    fx, fy, cx, cy, *k = parameters if model.startswith("OPENCV") else [parameters[0], *parameters]
+    keys["FULL_OPENCV"] = [*keys["OPENCV"], "k3", "k4", "k5", "k6"]
+    fx, fy, cx, cy, *k = parameters if "OPENCV" in model else [parameters[0], *parameters]
     document = {"camera_model": model, "w": 160, "h": 120, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
     document |= dict(zip(keys.get(model, ["k1", "k2", "k3", "k4"]), k, strict=True))
     frames = [{"file_path": "../text/images/0.png", "transform_matrix": np.eye(4).tolist()}]

@@ -94,6 +94,9 @@ def test_we_undistort_as_colmap_does(model: str, pycolmap: Any, tmp_path: Path) 
     theirs, same = pycolmap.undistort_image(options, pycolmap.Bitmap.from_array(pixels), camera)
     lens = load_dataset(tmp_path, split=None).frames[0].lens
     assert lens is not None
+    points = np.random.default_rng(1).uniform(-0.5, 0.5, (40, 2))
+    mapped = np.stack([camera.img_from_cam(np.array([x, y, 1.0])) for x, y in points])
+    np.testing.assert_allclose(np.stack(lens.project(*points.T), -1), mapped, atol=1e-11)
     fx, fy, cx, cy = same.params
     pinhole = Intrinsics(focal=(fx, fy), principal=(cx, cy), size=(160, 120))
     ours, shown = undistorted(torch.from_numpy(pixels).float(), lens, pinhole)
