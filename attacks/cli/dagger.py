@@ -53,8 +53,13 @@ class DaggerOptions(AttackOptions):
     out: Folder = Path("out/dagger")
 
 
-def run(options: DaggerOptions) -> None:
-    """Attack, write what came of it, and say it."""
+def run(options: DaggerOptions, *, watched: Callable[[Detector], Detector] | None = None) -> None:
+    """Attack, write what came of it, and say it.
+
+    Args:
+        options: What was asked for.
+        watched: Makes of each detector the one that is attacked, for instance one that shows its pictures.
+    """
     from attacks.cli.aims import aim, chosen_object, write_result
     from attacks.cli.names import load_detectors
     from attacks.cli.summary import show_summary
@@ -78,6 +83,8 @@ def run(options: DaggerOptions) -> None:
         detectors = load_detectors(options.detectors, options.weights)
         if len(chosen.cameras) > 1:
             _forecast(loaded.scene, chosen, detectors, config)
+        if watched is not None:
+            detectors = list(map(watched, detectors))
         objective = aim(options.objective, options.target, options.confidence)
         advance("attacking", 0)
         result = attack(

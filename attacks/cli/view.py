@@ -35,8 +35,9 @@ class ViewOptions:
 
     Pictures are those of the renderer, spherical harmonics and all. Of a folder that `mi-splat dagger` or `mi-splat
     cloak` has written, the clean and the attacked splat are shown from one camera; of one of `mi-splat audit` the splat
-    and its heat, from the cameras that prove a look. The page is served to this machine alone until Ctrl-C; open it by
-    the address that is printed.
+    and its heat, from the cameras that prove a look. On the page a click picks an object, which can be attacked from
+    there; the splat can be audited, and the attack judged from all around. The page is served to this machine
+    alone until Ctrl-C; open it by the address that is printed.
     """
 
     path: Positional[Annotated[Path, Called("RESULT")]]
@@ -109,11 +110,14 @@ def run(options: ViewOptions) -> None:
 
 def _serve(painter: Painter, options: ViewOptions) -> None:
     """Serve the page until it is to stop."""
+    from attacks.cli.laboratory import Laboratory
+    from mi_splat.viewer.bench import Bench
     from mi_splat.viewer.guard import is_loopback
     from mi_splat.viewer.page import Page, stopping
 
     stop = threading.Event()
-    with stopping(stop), Page(painter, host=options.host, port=options.port) as page:
+    bench = Bench(painter, Laboratory(options.detector, weights=options.weights))
+    with stopping(stop), Page(bench, host=options.host, port=options.port) as page:
         show(f"Open {page.address}")
         if not is_loopback(options.host):
             show("Other machines can reach it under the name of this one. Nothing is encrypted, the token included.")

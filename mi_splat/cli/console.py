@@ -108,6 +108,9 @@ def progress(text: str, total: int | None = None) -> Iterator[Advance]:
     Yields:
         A function to call after each unit of work.
     """
+    if _LISTENERS:
+        yield _Told(_LISTENERS[-1], text, total)
+        return
     if not sys.stderr.isatty():
         yield _Lines(text, total)
         return
@@ -121,6 +124,35 @@ def progress(text: str, total: int | None = None) -> Iterator[Advance]:
         yield lambda text=None, units=1: bar.update(
             task, advance=units, description=None if text is None else printable(text)
         )
+
+
+Listener = Callable[[str, float | None], None]
+"""Told what is going on, and which part of it is done; None where that is not known."""
+_LISTENERS: list[Listener] = []
+
+
+@contextmanager
+def telling(listener: Listener) -> Iterator[None]:
+    """Progress is told to a listener, and shown nowhere, while the block runs."""
+    _LISTENERS.append(listener)
+    try:
+        yield
+    finally:
+        _LISTENERS.pop()
+
+
+class _Told:
+    """Progress that a listener is told."""
+
+    def __init__(self, listener: Listener, text: str, total: int | None) -> None:
+        self._listener, self._text, self._total, self._done = listener, text, total, 0
+        self(text, 0)
+
+    def __call__(self, text: str | None = None, units: int = 1) -> None:
+        self._text = self._text if text is None else text
+        self._done += units
+        counted = f" ({self._done} of {self._total})" if self._total else ""
+        self._listener(f"{self._text}{counted}", self._done / self._total if self._total else None)
 
 
 class _Lines:

@@ -10,6 +10,7 @@ import shlex
 import tempfile
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -59,12 +60,12 @@ class Bench:
         self.lines: tuple[str, ...] = ()
         self.news: News | None = None
         self.outcome: Outcome | None = None
-        self._values = dict[str, dict[str, Value]]()
+        self._values = dict[str, Value]()
         self._picks: deque[Picked | None] = deque([None], maxlen=MOST_UNDONE)
         self._tasks: deque[Callable[[], None]] = deque(maxlen=MOST_TASKS)
         self._job: tuple[Job, Request, Path] | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
-        self._count = 0
+        self._called = dict[str, str]()
 
     @property
     def painter(self) -> Painter:
@@ -79,8 +80,11 @@ class Bench:
     @property
     def picked(self) -> Picked | None:
         """The object; None if none is picked, or what is shown has no such Gaussians."""
-        picked, counts = self._picks[-1], [len(splat.scene) for splat in self.exhibit.splats]
-        return picked if picked is not None and len(picked.mask) in counts else None
+        picked = self._picks[-1]
+        fits = [splat.name for splat in self.exhibit.splats if picked is not None and picked.fits(splat.scene)]
+        if picked is None or not fits or picked.splat in fits:
+            return picked if fits else None
+        return replace(picked, splat=fits[0], command="")
 
     @property
     def running(self) -> str:
@@ -127,18 +131,17 @@ class Bench:
 
     def form(self, kind: str) -> tuple[Field, ...]:
         """The fields of a kind of work."""
-        return () if self.laboratory is None else self.laboratory.form(kind, self.exhibit, self._values.get(kind, {}))
+        return () if self.laboratory is None else self.laboratory.form(kind, self.exhibit, self._values)
 
     def values(self, kind: str) -> dict[str, Value]:
         """What is chosen in a form."""
-        chosen = self._values.get(kind, {})
-        return {field.name: field.taken(chosen.get(field.name)) for field in self.form(kind)}
+        return {field.name: field.taken(self._values.get(field.name)) for field in self.form(kind)}
 
     def choose(self, kind: str, name: str, value: object) -> None:
-        """Choose something in a form; what cannot be chosen changes nothing."""
+        """Choose something in a form, and in all that have the field; what cannot be chosen changes nothing."""
         for field in self.form(kind):
             if field.name == name and field.taken(value) == value:
-                self._values.setdefault(kind, {})[name] = field.taken(value)
+                self._values[name] = field.taken(value)
 
     def command(self, kind: str, orbit: Orbit) -> str:
         """The command that does the work, or why there is none."""
@@ -147,6 +150,8 @@ class Bench:
             words = self.laboratory.words(self._request(kind, orbit), mask=Path(MASK))
         except MiSplatError as error:
             return f"# {error}"
+        for folder, called in self._called.items():  # of this page, which the user would have made elsewhere
+            words = [word.replace(folder, called) for word in words]
         return shlex.join(["mi-splat", *words])
 
     def start(self, kind: str, orbit: Orbit) -> None:
@@ -161,13 +166,15 @@ class Bench:
             raise InvalidValueError(message(kind, "one work at a time", f"{self.running} that runs", "stop it first"))
         if self._folder is None:
             self._folder = tempfile.TemporaryDirectory(prefix="mi-splat-view-")
-        self._count += 1
-        place, request = Path(self._folder.name) / str(self._count), self._request(kind, orbit)
-        words = self.laboratory.words(request, mask=place / MASK, out=place / "result")
+        place, request = Path(self._folder.name) / str(len(self._called)), self._request(kind, orbit)
+        out = place / "result"
+        words = self.laboratory.words(request, mask=place / MASK, out=out)
+        self._called[str(out)] = self.laboratory.words(request, mask=place / MASK)[words.index(str(out))]
         place.mkdir()
         if request.picked is not None:
             save_bytes(request.picked.file, place / MASK)
-        self._job = (Job(self.laboratory.perform, words, processes=self._processes), request, place / "result")
+        self._values |= request.values
+        self._job = (Job(self.laboratory.perform, words, processes=self._processes), request, out)
         self.lines, self.outcome, self.news = (), None, News(text="starting")
 
     def stop(self) -> None:

@@ -52,10 +52,6 @@ class BenchPanel:
         self._fields = dict[str, dict[str, Any]]()
         self._commands = dict[str, Any]()
         self._seen: object = None
-        self._add_object()
-        kinds = () if bench.laboratory is None else bench.laboratory.kinds
-        for kind in kinds:
-            self._add_kind(kind)
         self._work = gui.add_folder("Result", visible=False)
         with self._work:
             self._lines = gui.add_html("")
@@ -63,6 +59,9 @@ class BenchPanel:
             self._stop = self._button("Stop", bench.stop)
             self._picture: Any = None
             self._back = self._button("Back to what was shown before", bench.back)
+        self._add_object()
+        for kind in () if bench.laboratory is None else bench.laboratory.kinds:
+            self._add_kind(kind)
         self.follow()
 
     def follow(self) -> None:

@@ -153,7 +153,13 @@ class Laboratory(Protocol):
         ...
 
     def form(self, kind: str, exhibit: Exhibit, values: Values) -> tuple[Field, ...]:
-        """What a kind of work asks for; what can be chosen in a field may depend on what was chosen in others."""
+        """What a kind of work asks for.
+
+        Args:
+            kind: Of work.
+            exhibit: What is shown.
+            values: What was chosen so far, in this form or in others: what can be chosen may depend on it.
+        """
         ...
 
     def words(self, request: Request, *, mask: Path, out: Path | None = None) -> list[str]:

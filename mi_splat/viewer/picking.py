@@ -40,6 +40,10 @@ class Picked:
     mask: Tensor
     command: str = ""
 
+    def fits(self, scene: GaussianScene) -> bool:
+        """Whether a scene has as many Gaussians."""
+        return len(scene) == len(self.mask)
+
     @property
     def words(self) -> str:
         """How many there are."""
