@@ -10,9 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 Point = Sequence[float]
 
@@ -20,6 +24,32 @@ UP: Point = (0.0, 0.0, 1.0)
 """Where up is, unless something else is said."""
 POLE = 1e-7
 """Radians around straight above and straight below in which a direction has no azimuth."""
+
+
+_ONE_LINE = 0.01
+"""Of the second axis of all rights, its mean square below which cameras are turned about one line alone."""
+
+
+def up_of(turns: Tensor) -> Tensor:
+    """Where up is, as people hold cameras: across the rights of all cameras, on the side of their ups.
+
+    Where cameras were all turned alike, or held on their side, it is the mean of the ups.
+
+    Args:
+        turns: (N, 3, 3) float64 rotations from camera axes (x right, y down) to the world's.
+
+    Returns:
+        (3,) float64 of length one.
+    """
+    import torch
+
+    rights, mean = turns[:, :, 0], -turns[:, :, 1].mean(0)
+    squares, axes = torch.linalg.eigh(rights.T @ rights / len(rights))
+    axis = axes[:, 0] * (1.0 if float(axes[:, 0] @ mean) >= 0 else -1.0)
+    agrees = float(axis @ mean) > 0.5 * float(mean.norm())
+    found: Tensor = axis if agrees and float(squares[1]) > _ONE_LINE else mean
+    found /= found.norm()
+    return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,6 +27,7 @@ DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 
 COMMANDS = {
     "capture": "take pictures of a mesh scene, to train a splat from",
+    "prepare": "cameras of photographs or of a video, to train a splat from them",
     "train": "train a splat on pictures with cameras",
     "render": "render a splat: a picture, many, or an animation",
     "compare": "compare renderers on one splat: pictures, gradients, time and memory",
@@ -54,7 +55,7 @@ COMMANDS = {
     "doctor": "check that everything works here, and say what to do where it does not",
 }
 """What each command does, in a line; its module is called as it is."""
-OF_SPLATS = ("capture", "train", "render", "select", "info", "audit", "convert", "example-scenes")
+OF_SPLATS = ("capture", "prepare", "train", "render", "select", "info", "audit", "convert", "example-scenes")
 """Commands whose modules are in `mi_splat.cli`; those of the others are here."""
 WITHOUT_TORCH = ("detectors", "doctor", "info", "rows", "study")
 """Commands that do without torch, or with most of what they are asked."""

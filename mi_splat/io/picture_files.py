@@ -106,6 +106,25 @@ def lies_on_its_side(path: Path) -> bool:
         return picture.getexif().get(ExifTags.Base.Orientation) in (5, 6, 7, 8)
 
 
+def focal_length_35mm(picture: Image.Image) -> float | None:
+    """The focal length that a camera has written into a picture, in millimetres for the diagonal of 35 mm film.
+
+    Args:
+        picture: Of `load_picture`.
+
+    Returns:
+        From 1 to 2000; None if there is none.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            written = picture.getexif().get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
+        length = float(written or 0)
+    except (*BROKEN, ArithmeticError):
+        return None
+    return length if 1 <= length <= 2000 else None
+
+
 def load_picture(
     source: Path | bytes, what: str = "", *, formats: Sequence[str] = FORMATS, upright: bool = False
 ) -> Image.Image:

@@ -37,6 +37,7 @@ from mi_splat.training.strategies import strategy_config, strategy_names
 
 NEEDED = {
     "capture": ["car_street"],
+    "prepare": ["photos", "--out", "out"],
     "train": ["set", "--out", "out"],
     "render": ["a.ply"],
     "convert": ["a.ply", "b.spz"],

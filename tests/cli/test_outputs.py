@@ -23,6 +23,7 @@ from tests.training.sets import write_set
 COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     "capture": (["capture", "truck.glb", "--size", "16"], "{}", ("mi_splat.capture.writer.write_capture",)),
     "train": (["train", "set"], "{}", ("mi_splat.training.resume.train",)),
+    "prepare": (["prepare", "set/images"], "{}", ("mi_splat.preparation.prepare.take_photographs",)),
     "render": (["render", "a.ply"], "{}/a.png", ("mi_splat.cli.cameras.renderer_of",)),
     "render, a folder": (["render", "a.ply", "--cameras", "orbit:3@20"], "{}", ("mi_splat.cli.cameras.renderer_of",)),
     "render, a film": (

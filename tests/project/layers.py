@@ -56,6 +56,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         "mi_splat.scene_writing",
     ),
     "comparison": ("mi_splat.comparison",),
+    "preparation": ("mi_splat.preparation",),
     "training": ("mi_splat.training",),
     "audit": ("mi_splat.audit",),
     "capture": ("mi_splat.capture",),

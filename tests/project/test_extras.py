@@ -76,6 +76,7 @@ elevation = [60, 90]
     ("extra", "words"),
     [
         ("report", ["report", "scenes"]),
+        ("colmap", ["prepare", "docs/images"]),
         ("meshes", ["capture", "MESH"]),
         ("meshes", ["cloak", "STUDY"]),
         ("transformers", ["dagger", "--detectors", "rtdetr_r18vd"]),

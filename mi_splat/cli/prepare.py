@@ -1,0 +1,62 @@
+"""`mi-splat prepare`: a set of pictures with cameras from photographs or a video."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mi_splat.cli.console import follow, progress, show_result, warn
+from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.options import JsonOptions
+from mi_splat.fields import Folder
+from mi_splat.preparation.config import PrepareConfig
+
+EXAMPLES = (
+    "prepare my_photos --out out/desk",
+    "prepare walk.mp4 --out out/walk --interval 0.5",
+)
+SEE_ALSO = ("train", "render", "poison")
+LISTED = 6
+"""Pictures that are named which could not be placed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrepareOptions(JsonOptions):
+    """Find out where pictures were taken from, and write them with their cameras as a set to train on.
+
+    The set has the pictures that could be placed, a COLMAP model whose z is up, contact_sheet.png with all pictures,
+    and prepare.json, which lists what could not be placed. Every eighth picture is held out. Cameras are found by
+    COLMAP: pip install -e '.[colmap]', and for a video -e '.[colmap,video]'.
+    """
+
+    source: Positional[Path]
+    """A folder of pictures (JPEG, PNG, WebP, BMP, TIFF), or a video (MP4, MOV, MKV, WebM, AVI)."""
+    out: Folder
+    """Folder for the set: a new one, written whole at the end."""
+    force: bool = False
+    """Replace an older set in --out."""
+    config: Unprefixed[PrepareConfig] = field(default_factory=PrepareConfig)
+    """How large the pictures are, and how many."""
+
+
+def run(options: PrepareOptions) -> None:
+    """Prepare the set, and say what was placed and what was not."""
+    from mi_splat.preparation.prepare import RECORD, SHEET, not_placed, prepare
+
+    with progress("preparing") as advance:
+        record = prepare(options.source, options.out, options.config, force=options.force, told=follow(advance))
+    pictures, missing = record["pictures"], not_placed(record)
+    counts = {part: sum(row["part"] == part for row in pictures) for part in ("train", "test")}
+    if missing:
+        more = f", and {len(missing) - LISTED} more" if len(missing) > LISTED else ""
+        warn(f"not placed: {', '.join(missing[:LISTED])}{more}")
+    if len(record["models"]) > 1:
+        sizes = ", ".join(map(str, record["models"]))
+        warn(f"the pictures fall into {len(record['models'])} models, of {sizes} pictures: the largest is taken")
+    placed, count = sum(counts.values()), len(pictures) + len(record["broken"])
+    lines = (
+        f"{placed} of {count} pictures are placed: {counts['train']} for training, {counts['test']} held out",
+        f"{record['points']:,} points, {record['reprojection_error']:.2f} pixels off on average; z is up",
+        f"{options.out}: train on it as on any set; {SHEET} shows the pictures, {RECORD} lists them",
+    )
+    show_result({**record, "out": str(options.out)}, *lines, as_json=options.json)

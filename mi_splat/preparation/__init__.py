@@ -1,0 +1,1 @@
+"""From photographs or a video to a set of pictures with cameras, by COLMAP (`pip install -e '.[colmap]'`)."""

@@ -1,0 +1,39 @@
+"""What a set is prepared with; light, for the command line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from mi_splat.errors import MiSplatError
+from mi_splat.fields import Called, between, check
+
+VIDEOS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi")
+"""How the name of a video may end."""
+
+
+class PreparationError(MiSplatError):
+    """No set can be made of what was given; the message says why, and what to do."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PrepareConfig:
+    """How a set is prepared.
+
+    Attributes:
+        longest_side: Pixels; larger pictures are made smaller.
+        interval: Of each so many seconds of a video, the sharpest picture is taken.
+        max_pictures: Of a folder, more are refused; of a video, the interval grows.
+        features: Points of a picture, at most, by which it is found in others; twice as many take four times as long.
+
+    Raises:
+        FieldError: A number is out of range.
+    """
+
+    longest_side: Annotated[int, between(128, 8192, "pixels", "1600 is usual")] = 1600
+    interval: Annotated[float, between(0.1, 600, "seconds", "1 is usual"), Called("SECONDS")] = 1.0
+    max_pictures: Annotated[int, between(3, 1000, "pictures", "300 is usual")] = 300
+    features: Annotated[int, between(256, 32768, "points", "4096 is usual")] = 4096
+
+    def __post_init__(self) -> None:
+        check(self)

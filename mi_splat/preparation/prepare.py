@@ -1,0 +1,147 @@
+"""From a folder of photographs or a video to a set that every command reads: pictures, a COLMAP model, a sheet."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mi_splat.datasets import load_dataset
+from mi_splat.datasets.writing import IMAGES
+from mi_splat.errors import message
+from mi_splat.io.documents import save_json
+from mi_splat.io.folders import check_new_folder, new_folder
+from mi_splat.io.pictures import save_picture
+from mi_splat.preparation.config import PreparationError, PrepareConfig
+from mi_splat.preparation.contact_sheet import Part, Tile, contact_sheet
+from mi_splat.preparation.pictures import Picture, Told, pictures_in, take_frames, take_photographs
+from mi_splat.preparation.reconstruction import Reconstruct, Reconstruction, by_colmap, check_colmap
+from mi_splat.preparation.video import check_video
+
+RECORD = "prepare.json"
+"""What was placed and what was not; by it a set that was prepared is known."""
+SHEET = "contact_sheet.png"
+"""All pictures, and which of them were placed."""
+
+
+def prepare(
+    source: Path,
+    out: Path,
+    config: PrepareConfig,
+    *,
+    force: bool = False,
+    told: Told,
+    reconstruct: Reconstruct | None = None,
+) -> dict[str, Any]:
+    """Write a set of pictures with cameras, whole or not at all: images/, sparse/0, the sheet and the record.
+
+    Lenses keep their distortion in the model; it is undone as the set is loaded. Pictures that could not be placed are
+    on the sheet and in the record, and not in images/.
+
+    Args:
+        source: A folder of pictures, or a video.
+        out: The folder to write.
+        config: How large, how many.
+        force: Whether an older set that was prepared may be replaced.
+        told: Told what is going on, how much of it is done, and of how much.
+        reconstruct: What finds the cameras; None is COLMAP.
+
+    Returns:
+        The record.
+
+    Raises:
+        PreparationError: There are no pictures, too few or too many, or they could not be placed; what it needs is not
+            installed.
+        SplatFileError: The folder cannot be written.
+    """
+    check_new_folder(out, force=force, record=RECORD)
+    if reconstruct is None:
+        check_colmap()
+    is_video = not source.is_dir()
+    if not source.exists():
+        raise PreparationError(message(str(source), "a folder of pictures, or a video", "no such file", "check it"))
+    if is_video:
+        check_video(source)
+    else:
+        pictures_in(source, config.max_pictures)
+    with new_folder(out, force=force, record=RECORD) as root:
+        images = root / IMAGES
+        images.mkdir()
+        broken: Mapping[str, str] = {}
+        if is_video:
+            pictures = take_frames(source, images, config, told)
+        else:
+            pictures, broken = take_photographs(source, images, config, told)
+        done = (reconstruct or by_colmap)(root, pictures, is_video, config.features, told)
+        if not done.models:
+            raise _nothing_placed(source, pictures, done)
+        shutil.rmtree(root / "colmap", ignore_errors=True)
+        parts = _parts(root)
+        tiles = [
+            Tile(file=images / picture.name, text=picture.name, part=parts.get(picture.name, "none"))
+            for picture in pictures
+        ]
+        save_picture(contact_sheet(tiles), root / SHEET)
+        for tile in tiles:
+            if tile.part == "none":
+                tile.file.unlink()
+        record = {
+            "source": str(source),
+            **dataclasses.asdict(config),
+            "models": list(done.models),
+            "reprojection_error": done.error,
+            "points": _points(root),
+            "pictures": [_row(picture, done, parts) for picture in pictures],
+            "broken": dict(broken),
+        }
+        save_json(record, root / RECORD)
+    return record
+
+
+def not_placed(record: Mapping[str, Any]) -> list[str]:
+    """What of a record could not be placed, each with the reason, as far as one is known."""
+    unplaced = [row for row in record["pictures"] if row["part"] == "none"]
+    reasons = [
+        f"{row['source']} ({row['features']} features, overlaps with {row['overlaps']} pictures)" for row in unplaced
+    ]
+    return reasons + [f"{name} (cannot be read)" for name in record["broken"]]
+
+
+def _parts(root: Path) -> dict[str, Part]:
+    """Which part of the set each picture is in, as those who load the set find it."""
+    parts: dict[str, Part] = {}
+    for part in ("train", "test"):
+        parts |= {path.name: part for path in load_dataset(root, split=part).paths}
+    return parts
+
+
+def _points(root: Path) -> int:
+    """How many points the set has to begin a training with."""
+    points = load_dataset(root, split=None).points
+    return 0 if points is None else len(points.points)
+
+
+def _row(picture: Picture, done: Reconstruction, parts: Mapping[str, Part]) -> dict[str, Any]:
+    """What the record says of a picture."""
+    return {
+        "name": picture.name,
+        "source": picture.source,
+        "part": parts.get(picture.name, "none"),
+        "features": done.features.get(picture.name, 0),
+        "overlaps": done.overlaps.get(picture.name, 0),
+    }
+
+
+def _nothing_placed(source: Path, pictures: Sequence[Picture], done: Reconstruction) -> PreparationError:
+    """What is said where no picture could be placed: what may be at fault."""
+    features = sorted(done.features.get(picture.name, 0) for picture in pictures)
+    alone = sum(not done.overlaps.get(picture.name) for picture in pictures)
+    got = f"none (features: {features[len(features) // 2]} in the middle; overlapping with no other: {alone})"
+    do = (
+        "take sharp pictures of things with texture, each from another place, that overlap by two thirds"
+        if features[len(features) // 2] >= 200
+        else "pass larger or sharper pictures, of things with texture"
+    )
+    return PreparationError(message(str(source), f"{len(pictures)} pictures that can be placed", got, do))

@@ -1,0 +1,142 @@
+"""The sharpest pictures of a video, decoded by the ffmpeg that imageio-ffmpeg brings."""
+
+from __future__ import annotations
+
+import math
+import re
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mi_splat.errors import install, message
+from mi_splat.io.picture_files import MOST_PIXELS
+from mi_splat.preparation.config import VIDEOS, PreparationError
+
+MOST_SECONDS = 1800.0
+"""Of the longest video that is read."""
+CANDIDATES = 10
+"""Pictures a second from which the sharpest is chosen."""
+
+_SAFE = ("-nostdin", "-protocol_whitelist", "file", "-format_whitelist", "mov,matroska,avi")
+"""Only files, and only of these kinds, by ffmpeg's names of them: playlists and the like lead to other files."""
+_LENGTH = re.compile(rb"Duration: (\d+):(\d+):([\d.]+)")
+
+Pixels = NDArray[np.uint8]
+
+
+def check_video(path: Path) -> None:
+    """Raise, before any work is done, if a video cannot be read here.
+
+    Raises:
+        PreparationError: Its name ends as that of something else, or the package that reads it is not installed.
+    """
+    if path.suffix.lower() not in VIDEOS:
+        expected, do = f"a folder of pictures, or a video ({', '.join(VIDEOS)})", "pass one of these"
+        raise PreparationError(message(str(path), expected, path.suffix or "a file without an ending", do))
+    if find_spec("imageio_ffmpeg") is None:
+        expected = "imageio-ffmpeg, which reads videos"
+        raise PreparationError(message(str(path), expected, "no such package", install("video")))
+
+
+def sharpness(pixels: Pixels) -> float:
+    """Variance of the Laplacian of the grey values, which blur makes small (Pech-Pacheco et al., ICPR 2000).
+
+    Args:
+        pixels: (H, W, 3), at least 3 x 3.
+    """
+    grey = pixels.mean(-1, dtype=np.float32)
+    laplacian = grey[:-2, 1:-1] + grey[2:, 1:-1] + grey[1:-1, :-2] + grey[1:-1, 2:] - 4 * grey[1:-1, 1:-1]
+    return float(laplacian.var())
+
+
+def sharpest_frames(
+    path: Path, *, longest_side: int, interval: float, most: int, on_second: Callable[[int, int], None]
+) -> Iterator[tuple[float, Pixels]]:
+    """Of each interval of a video, the sharpest picture, upright, and when it is.
+
+    Args:
+        path: The video.
+        longest_side: Pixels; larger pictures are made smaller.
+        interval: Seconds; it grows where there would be more than `most` pictures.
+        most: Pictures, at most.
+        on_second: Called with how many seconds were read, and of how many (0 if the file does not say).
+
+    Yields:
+        Seconds from the start, and (H, W, 3) sRGB bytes.
+
+    Raises:
+        PreparationError: The file is no video, is broken, too long, or longer than it says.
+    """
+    length = _length(path)
+    if length > MOST_SECONDS:
+        expected, do = f"a video of at most {MOST_SECONDS:.0f} seconds", "cut it, for instance with ffmpeg -t 600"
+        raise PreparationError(message(str(path), expected, f"{length:.0f}", do))
+    interval = max(interval, math.nextafter(length / most, math.inf))
+    best: tuple[float, float, Pixels] | None = None
+    part = count = 0
+    for number, pixels in enumerate(_decoded(path, longest_side)):
+        second = number / CANDIDATES
+        if number % CANDIDATES == 0:
+            on_second(int(second), math.ceil(length))
+        if best is not None and int(second / interval) > part:
+            yield best[1:]
+            best, count = None, count + 1
+        if count == most:
+            if second > length + 1:
+                do = "write it again with ffmpeg -c copy, or pass a longer interval"
+                raise PreparationError(message(str(path), f"{length:.1f} seconds, as it says", "more", do))
+            return
+        part = int(second / interval)
+        if pixels is not None and (best is None or sharpness(pixels) > best[0]):
+            best = (sharpness(pixels), second, pixels)
+    if best is not None:
+        yield best[1:]
+
+
+def _ffmpeg() -> str:
+    """The program."""
+    import imageio_ffmpeg
+
+    return str(imageio_ffmpeg.get_ffmpeg_exe())
+
+
+def _length(path: Path) -> float:
+    """Seconds, as the file says; 0 if it does not."""
+    done = subprocess.run([_ffmpeg(), *_SAFE, "-i", str(path.absolute())], capture_output=True)
+    found = _LENGTH.search(done.stderr)
+    return 0.0 if found is None else int(found[1]) * 3600 + int(found[2]) * 60 + float(found[3])
+
+
+def _decoded(path: Path, longest_side: int) -> Iterator[Pixels | None]:
+    """`CANDIDATES` pictures a second of a video; None where one is the same as that before it.
+
+    ffmpeg writes each as PPM, which says how large it is.
+    """
+    fit = f"scale=w='min({longest_side},iw)':h='min({longest_side},ih)':force_original_aspect_ratio=decrease"
+    command = [_ffmpeg(), "-loglevel", "error", *_SAFE, "-max_pixels", str(MOST_PIXELS), "-i", str(path.absolute())]
+    command += ["-map", "0:V:0", "-vf", f"fps={CANDIDATES},{fit}", "-f", "image2pipe", "-c:v", "ppm", "-"]
+    last = b""
+    with tempfile.TemporaryFile() as errors:
+        with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors) as process:
+            assert process.stdout is not None
+            try:
+                while process.stdout.readline() == b"P6\n":
+                    width, height = map(int, process.stdout.readline().split())
+                    process.stdout.readline()
+                    data = process.stdout.read(3 * width * height)
+                    if len(data) < 3 * width * height:
+                        break
+                    yield None if data == last else np.frombuffer(data, np.uint8).reshape(height, width, 3)
+                    last = data
+            finally:
+                process.kill()
+        if not last:
+            errors.seek(0)
+            lines = errors.read(1 << 16).decode(errors="replace").split("\n")
+            got = next((line.strip()[:160] for line in lines if line.strip()), "nothing that it could read")
+            raise PreparationError(message(str(path), "a video that ffmpeg can read", got, "save it as MP4"))
