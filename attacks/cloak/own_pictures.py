@@ -221,6 +221,8 @@ def counting(views: Dataset, index: int, changed: Tensor | None) -> Tensor | Non
     Returns:
         (H, W) in [0, 1]; None where all of it counts.
     """
+    if views.frames[index].mask is None and views.frames[index].lens is None:
+        return None  # without reading the picture once more
     mask = views.loss_mask(index)
     if mask is None or changed is None:
         return mask
