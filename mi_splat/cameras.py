@@ -215,6 +215,7 @@ def orbit_pose(
     azimuth: float,
     elevation: float,
     distance: float,
+    roll: float = 0.0,
 ) -> Tensor:
     """Camera-to-world pose on a sphere around `target`, looking at it.
 
@@ -223,12 +224,13 @@ def orbit_pose(
         azimuth: Degrees from world +x towards +y.
         elevation: Degrees above the horizontal plane, 90 is straight down.
         distance: World units between camera and target.
+        roll: Degrees that the camera is turned about its axis, clockwise as it looks.
 
     Raises:
         InvalidValueError: A number is not finite, or the distance is not positive.
     """
     check_points(target=target)
-    check_finite(azimuth=(azimuth,), elevation=(elevation,), distance=(distance,))
+    check_finite(azimuth=(azimuth,), elevation=(elevation,), distance=(distance,), roll=(roll,))
     if distance <= 0:
         raise InvalidValueError(message("distance", "a positive number of world units", distance, "change it"))
     a, e = math.radians(azimuth), math.radians(elevation)
@@ -236,7 +238,11 @@ def orbit_pose(
     origin = [t + distance * o for t, o in zip(target, offset, strict=True)]
     # Near the zenith world z is no usable "up"; this direction is perpendicular to the view everywhere.
     up = (-math.sin(e) * math.cos(a), -math.sin(e) * math.sin(a), math.cos(e))
-    return look_at(origin, target, up=up)
+    pose = look_at(origin, target, up=up)
+    if roll:
+        c, s = math.cos(math.radians(roll)), math.sin(math.radians(roll))
+        pose[:3, :2] = pose[:3, :2] @ torch.tensor([[c, -s], [s, c]], dtype=torch.float64)
+    return pose
 
 
 def project_points(points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:

@@ -203,6 +203,8 @@ def resized(camera: Camera, size: tuple[int, int]) -> Camera:
     Raises:
         InvalidValueError: The size is not positive.
     """
+    if size == (camera.width, camera.height):
+        return camera
     width, height = size
     factor = width / camera.width
     offset = ((camera.cx - camera.width / 2) * factor, (camera.cy - camera.height / 2) * factor)

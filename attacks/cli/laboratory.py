@@ -104,7 +104,8 @@ class Laboratory:
             return ["audit", str(exhibit.splat(str(values["splat"])).path), "--out", str(out or "out/audit")]
         if request.picked is None:
             raise InvalidValueError(message(request.kind, "an object", "none", "click on one in the picture"))
-        camera = camera_words(request.orbit, exhibit.size, settings=exhibit.settings, up=exhibit.up)
+        orbit = request.orbit.changed() if request.kind == JUDGE else request.orbit  # its distance and lens
+        camera = camera_words(orbit, exhibit.size_at(request.orbit), settings=exhibit.settings, up=exhibit.up)
         detector = str(values["detector"])
         weights = ["--weights", str(self._weights[detector])] if detector in self._weights else []
         shared = ["--mask", str(mask), "--detectors", detector, *weights]
@@ -113,7 +114,7 @@ class Laboratory:
             paths = [str(exhibit.splat(name).path) for name in (names[0], names[-1])]
             target = [] if values["success"] == MISSED else ["--target", str(values["success"])]
             around = ["--cameras", f"hemisphere:{values['cameras']:.0f}"]
-            around += without(camera, "--azimuth", "--elevation", "--centre")
+            around += without(camera, "--azimuth", "--elevation", "--camera-roll", "--centre")
             return ["evaluate", *paths, *shared, *target, *around, "--pictures", "0", "--out", str(out or "out/judged")]
         wish = ["--objective", str(values["wish"])]
         wish += ["--target", str(values["target"])] if values["wish"] == "relabel" else []
@@ -152,7 +153,7 @@ def available() -> Iterator[tuple[str, tuple[str, ...]]]:
 
 def splats_of(exhibit: Exhibit) -> tuple[str, ...]:
     """Names of the splats that are shown, without the heat of an audit, which is a picture."""
-    return tuple(name for name in exhibit.names if name != HEAT.partition(".")[0])
+    return tuple(splat.name for splat in exhibit.splats if splat.name != HEAT.partition(".")[0])
 
 
 def without(words: Sequence[str], *flags: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""`mi-splat view`: a splat or a result on a page in the browser, or as a page in a file."""
+"""`mi-splat view`: a splat, a data set or a result on a page in the browser, or as a page in a file."""
 
 from __future__ import annotations
 
@@ -11,18 +11,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from attacks.detectors import load_detector
+from attacks.report.wording import plural
 from mi_splat.cli.console import limit_threads, progress, show
 from mi_splat.cli.flags import Flag, Positional
-from mi_splat.cli.options import Colour, Direction, Size
+from mi_splat.cli.options import Colour, Direction, Size, axis_name
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Called, Length, at_least, between
 
 if TYPE_CHECKING:
+    from mi_splat.viewer.exhibit import Exhibit
     from mi_splat.viewer.painter import Painter
 
 
 EXAMPLES = (
     "view desk.ply",
+    "view out/truck",
+    "view out/truck-splat/splat.ply --cameras out/truck",
     "view out/dagger --detectors fasterrcnn_small",
     "view out/cloak --export cloak.html",
 )
@@ -31,21 +35,25 @@ SEE_ALSO = ("render", "report", "dagger")
 
 @dataclass(frozen=True, kw_only=True)
 class ViewOptions:
-    """Look at a splat or at the result of an attack on a page in the browser, or write such a page to a file.
+    """Look at a splat, a data set or the result of an attack on a page in the browser, or write such a page to a file.
 
     Pictures are those of the renderer, spherical harmonics and all. Of a folder that `mi-splat dagger` or `mi-splat
     cloak` has written, the clean and the attacked splat are shown from one camera; of one of `mi-splat audit` the splat
-    and its heat, from the cameras that prove a look. On the page a click picks an object, which can be attacked from
-    there; the splat can be audited, and the attack judged from all around. The page is served to this machine
-    alone until Ctrl-C; open it by the address that is printed.
+    and its heat, from the cameras that prove a look; of one of `mi-splat train` the splat beside the photographs. On
+    the page a click picks an object, which can be attacked from there; the splat can be audited, and the attack judged
+    from all around. The page is served to this machine alone until Ctrl-C; open it by the address that is printed.
     """
 
     path: Positional[Annotated[Path, Called("RESULT")]]
-    """Splat file of any format that is read, scene XML made of splats, or folder of results."""
+    """Splat file of any format that is read, scene XML made of splats, data set (COLMAP or transforms), or folder of
+    results."""
     clean: Path | None = None
     """Splat or scene to compare with; of a folder of results it is found. Of an audit, the splat if it was moved."""
-    up: Direction = (0.0, 0.0, 1.0)
-    """Direction that is up in a splat or a scene: an axis, or three numbers; foreign splats often have -y."""
+    cameras: Annotated[Path, Called("SET|FILE")] | None = None
+    """Data set, whose photographs are shown beside the splat, or JSON file with cameras to look from."""
+    up: Direction | None = None
+    """Direction that is up in the files: an axis, or three numbers; foreign splats and sets of COLMAP often have -y.
+    None is what the result was made with, z if it says nothing."""
     detector: Annotated[str, Flag(name="detectors"), Called("DETECTOR")] | None = None
     """Name of a detector (see `mi-splat detectors`) that looks at the pictures of a resting camera."""
     weights: Path | None = None
@@ -78,7 +86,7 @@ def run(options: ViewOptions) -> None:
     from attacks.report.exhibits import detector_inspector, open_exhibit
     from mi_splat.rendering import Renderer
     from mi_splat.viewer.exhibit import Wishes
-    from mi_splat.viewer.export import check_export, write_export
+    from mi_splat.viewer.export import check_export, export_cameras, write_export
     from mi_splat.viewer.guard import checked_host
     from mi_splat.viewer.page import check_port, need_viser
     from mi_splat.viewer.painter import Painter
@@ -95,7 +103,10 @@ def run(options: ViewOptions) -> None:
         check_port(checked_host(options.host, allow_remote=options.allow_remote), options.port)
     with progress("loading"):
         wishes = Wishes(background=options.background, near=options.near, size=options.size)
-        exhibit = wishes.applied(open_exhibit(options.path, clean=options.clean, up=options.up))
+        exhibit = open_exhibit(
+            options.path, clean=options.clean, up=options.up, cameras=options.cameras, background=options.background
+        )
+        exhibit = wishes.applied(exhibit)
         inspector = None
         if options.detector is not None:
             inspector = detector_inspector(load_detector(options.detector, weights=options.weights))
@@ -103,9 +114,21 @@ def run(options: ViewOptions) -> None:
     if options.export is None:
         _serve(painter, options)
         return
-    with progress("taking pictures", total=options.views[0] * options.views[1]) as advance:
+    listed, around = export_cameras(exhibit), 0 if exhibit.photographs else options.views[0] * options.views[1]
+    with progress("taking pictures", total=len(listed) + around) as advance:
         write_export(painter, options.export, views=options.views, force=options.force, on_view=advance)
-    show(f"{options.export}: {options.views[0]} x {options.views[1]} pictures; open it in any browser.")
+    turned = f" and {options.views[0]} x {options.views[1]} all around" if around else ""
+    show(f"{options.export}: pictures from {plural(len(listed), 'camera')}{turned}; open it in any browser.")
+    show(_up_in_words(exhibit))
+
+
+def _up_in_words(exhibit: Exhibit) -> str:
+    """Which direction of the files is up on the page, and which the cameras seem to hold for it."""
+    from mi_splat.viewer.exhibit import own_up
+
+    seen = own_up(exhibit)
+    doubt = "" if seen is None else f"; most cameras have {axis_name(seen)} up: --up {axis_name(seen)} turns the page"
+    return f"Up is {axis_name(exhibit.up)}{doubt}."
 
 
 def _serve(painter: Painter, options: ViewOptions) -> None:
@@ -116,9 +139,12 @@ def _serve(painter: Painter, options: ViewOptions) -> None:
     from mi_splat.viewer.page import Page, stopping
 
     stop = threading.Event()
-    bench = Bench(painter, Laboratory(options.detector, weights=options.weights))
+    # There is nothing to work on in a data set alone.
+    laboratory = Laboratory(options.detector, weights=options.weights) if painter.exhibit.splats else None
+    bench = Bench(painter, laboratory)
     with stopping(stop), Page(bench, host=options.host, port=options.port) as page:
         show(f"Open {page.address}")
+        show(_up_in_words(painter.exhibit))
         if not is_loopback(options.host):
             show("Other machines can reach it under the name of this one. Nothing is encrypted, the token included.")
         show("Ctrl-C ends it.")

@@ -1,9 +1,7 @@
-"""What there is to see of a file or of a folder with results, as an exhibit: splats, cameras, triggers, detections."""
+"""What there is to see of a file, a set or a folder with results, as an exhibit: splats, cameras, detections."""
 
 from __future__ import annotations
 
-import itertools
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,55 +11,114 @@ import torch
 from PIL import ImageDraw
 from torch import Tensor
 
-from attacks.cloak.config import AttackConfig, StudyConfig
-from attacks.cloak.setup import Setup
 from attacks.detectors.base import Detections, Detector
 from attacks.observe.drawing import draw_detections
+from attacks.observe.result_cameras import CAMERAS
+from attacks.report.study_exhibit import exhibit_of_study
 from mi_splat.audit.files import HEAT
 from mi_splat.bounds import bounds
-from mi_splat.cameras import Camera
+from mi_splat.datasets import is_dataset
 from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError, MiSplatError, message
-from mi_splat.fields import decode
-from mi_splat.io.camera_records import camera_of
+from mi_splat.io.camera_records import OF, camera_of
 from mi_splat.io.folders import RECORD, splat_in
 from mi_splat.io.parsing import read_json
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.scene_files import open_scene
+from mi_splat.training.resume import CONFIG
 from mi_splat.viewer.exhibit import Exhibit, Inspector, ShownSplat, exhibit_of_file
-from mi_splat.viewer.lines import Lines, arc, frustums
-from mi_splat.viewer.orbit import Orbit, orbit_of
+from mi_splat.viewer.lines import Lines, frustums
+from mi_splat.viewer.orbit import orbit_of
+from mi_splat.viewer.photographs import exhibit_of_dataset, with_cameras
 
 ATTACKED = "attacked.ply"
+POISONED = "poison.json"
+"""Of a set that `mi-splat poison` has written."""
 
 
-def open_exhibit(path: Path, *, clean: Path | None = None, up: Point = UP) -> Exhibit:
-    """A splat, a scene XML, or a folder that `mi-splat dagger`, `dagger-eot`, `cloak` or `audit` has written.
+def open_exhibit(
+    path: Path,
+    *,
+    clean: Path | None = None,
+    up: Point | None = None,
+    cameras: Path | None = None,
+    background: tuple[float, float, float] | None = None,
+) -> Exhibit:
+    """A splat, a scene XML, a data set, or a folder of `mi-splat train`, `dagger`, `dagger-eot`, `cloak` or `audit`.
 
     Args:
         path: The file or the folder.
         clean: Splat file or scene XML to compare with. Of a folder of `mi-splat dagger` it is found, if it lies among
             the scenes of the working folder; a folder of `mi-splat cloak` has its own. Of an audit, the splat that was
             audited, if it is not any more where it was.
-        up: (3,) direction that is up in splats and scenes.
+        up: (3,) direction that is up in the files; None is what a result was made with, z if it says nothing.
+        cameras: Data set or JSON file whose cameras stand before those that there are; with a data set one splat is
+            shown beside what was photographed. That of a training is found if it is where it was.
+        background: sRGB colour behind splats and transparent pixels of a data set; None is what the files say.
 
     Raises:
         MiSplatError: It is none of these, a file in it is missing or broken, or the clean scene is not the one that was
             attacked.
     """
+    exhibit = _opened(path, clean, background or (0.0, 0.0, 0.0))
+    run = path / CONFIG
+    if run.is_file() and exhibit.photographs is None:
+        exhibit, found = _rendered_as_trained(exhibit, read_json(run))
+        cameras = cameras or found
+    if background is not None:
+        exhibit = replace(exhibit, settings=replace(exhibit.settings, background=background))
+    if cameras is not None:
+        exhibit = with_cameras(exhibit, cameras)
+    return exhibit.turned(recorded_up(path) if up is None else up)
+
+
+def recorded_up(path: Path) -> Point:
+    """(3,) direction that was up when a folder was made: a result, or a poisoned set; z if it does not say."""
+    for file in (path / RECORD, path / POISONED):
+        try:
+            x, y, z = map(float, read_json(file).get("up") or UP) if file.is_file() else UP
+        except (TypeError, ValueError, AttributeError) as error:
+            do = "pass --up"
+            raise InvalidValueError(message(f"{file}: up", "three numbers", repr(error), do)) from error
+        if (x, y, z) != UP:
+            return x, y, z
+    return UP
+
+
+def _rendered_as_trained(exhibit: Exhibit, run: Mapping[str, Any]) -> tuple[Exhibit, Path | None]:
+    """The splat of a training with its near plane and background, and its data set, if that is where it was."""
+    values = run.get("settings") or {}
+    try:
+        red, green, blue = map(float, values.get("background") or exhibit.settings.background)
+        settings = replace(
+            exhibit.settings, near=float(values.get("near", exhibit.settings.near)), background=(red, green, blue)
+        )
+    except (TypeError, ValueError, AttributeError) as error:
+        raise InvalidValueError(
+            message(f"settings in {CONFIG}", "near and background", repr(error), "train again")
+        ) from error
+    recorded = run.get("dataset")
+    found = Path(recorded) if isinstance(recorded, str) and is_dataset(recorded) else None
+    return replace(exhibit, settings=settings), found
+
+
+def _opened(path: Path, clean: Path | None, background: tuple[float, float, float]) -> Exhibit:
+    """As `open_exhibit`, as the files have it."""
+    if is_dataset(path) and not (path / RECORD).is_file() and not splat_in(path):
+        if clean is not None:
+            do = "view that splat, with --cameras for the set"
+            raise InvalidValueError(message("clean", "nothing beside a set of pictures", clean, do))
+        return exhibit_of_dataset(path, background=background)
     if not path.is_dir() or (splat_in(path) and not (path / RECORD).is_file()):
-        exhibit = exhibit_of_file(path, clean=clean, up=up)
+        exhibit = exhibit_of_file(path, clean=clean)
         counts = [len(splat.scene) for splat in exhibit.splats]
         if len(set(counts)) > 1:
             got, do = f"{counts[0]:,} and {counts[1]:,}", "pass the scene that was attacked"
             raise InvalidValueError(message("the scenes", "the same Gaussians in both", got, do))
         return exhibit
-    if tuple(up) != UP:
-        do = "view the splats in it, the attacked one with --clean"
-        raise InvalidValueError(message("up", "z for a folder of results", up, do))
     if not (path / RECORD).is_file():
-        do = "pass a finished result, or a .ply or .xml file"
+        do = "pass a finished result, a set of pictures, or a .ply or .xml file"
         raise InvalidValueError(message(str(path), f"{RECORD} of mi-splat dagger, cloak or audit in it", "none", do))
     record = read_json(path / RECORD)
     if record.get("story") == "audit":
@@ -70,7 +127,7 @@ def open_exhibit(path: Path, *, clean: Path | None = None, up: Point = UP) -> Ex
         return _exhibit_of_attack(path, record, clean)
     if clean is not None:
         raise InvalidValueError(message("clean", "nothing, since a study has its own", clean, "leave it out"))
-    return _exhibit_of_study(path, record)
+    return exhibit_of_study(path, record)
 
 
 def _exhibit_of_attack(folder: Path, record: Mapping[str, Any], clean: Path | None) -> Exhibit:
@@ -89,11 +146,14 @@ def _exhibit_of_attack(folder: Path, record: Mapping[str, Any], clean: Path | No
     splat = _clean_splat(folder, expected, clean, recorded=record.get("scene"))
     attacked = open_scene(folder / ATTACKED).scene
     middle, of_scene = middle_of_change(splat.scene, attacked), exhibit_of_file(splat.path)
-    orbits = {f"{kind} view {number}": orbit_of(camera, middle) for number, camera in enumerate(views)}
-    cameras = {name: orbit for name, orbit in orbits.items() if orbit is not None}
+    source = f"{folder / (CAMERAS if (folder / CAMERAS).is_file() else RECORD)}{OF}"
+    cameras = {
+        f"{kind} view {number}": orbit_of(camera, middle, source=f"{source}{number}")
+        for number, camera in enumerate(views)
+    }
     cones = Lines(segments=frustums(views, 0.1 * bounds(splat.scene)[1]), colour="#ffa500")
     return Exhibit(
-        title=str(folder),
+        title=f"{_purpose(record)} ({folder})",
         splats=(
             splat,
             ShownSplat(name="attacked", scene=attacked, path=folder / ATTACKED, file_settings=RenderSettings()),
@@ -104,6 +164,18 @@ def _exhibit_of_attack(folder: Path, record: Mapping[str, Any], clean: Path | No
         cameras={**cameras, **of_scene.cameras},
         lines={f"{kind.capitalize()} cameras": cones},
     )
+
+
+_PURPOSES = {"relabel": "to be taken for {}", "hide": "to be missed", "untargeted": "to be taken for something else"}
+
+
+def _purpose(record: Mapping[str, Any]) -> str:
+    """What a DAGGER attack was to do, in a line."""
+    scene, target = record.get("scene"), record.get("target")
+    where = f" on {Path(scene).stem}" if isinstance(scene, str) else ""
+    wanted = _PURPOSES.get(str(record.get("objective")), "attacked").format(target)
+    names = [str(entry.get("detector")) for entry in record.get("detectors") or () if isinstance(entry, Mapping)]
+    return f"DAGGER{where}: {wanted}" + (f" by {', '.join(names)}" if names else "")
 
 
 def middle_of_change(clean: GaussianScene, attacked: GaussianScene) -> Point:
@@ -170,13 +242,14 @@ def _exhibit_of_audit(folder: Path, record: Mapping[str, Any], audited: Path | N
     if heat.is_file():
         hot = ShownSplat(name="heat", scene=open_scene(heat).scene, path=heat, file_settings=splats[0].file_settings)
         splats = (*splats, hot)
-    orbits = {name: orbit_of(camera, (x, y, z)) for name, camera in views.items()}
-    cameras = {name: orbit for name, orbit in orbits.items() if orbit is not None}
+    cameras = {
+        name: orbit_of(camera, (x, y, z), source=f"{folder / RECORD}{OF}{name}") for name, camera in views.items()
+    }
     distance = min((orbit.distance for orbit in cameras.values()), default=1.0)
     lines = Lines(segments=frustums(list(views.values()), 0.1 * distance), colour="#ffa500")
     return replace(
         exhibit,
-        title=str(folder),
+        title=f"Audit of {path.name} ({folder})",
         splats=splats,
         start=next(iter(cameras.values()), exhibit.start),
         cameras={
@@ -185,92 +258,6 @@ def _exhibit_of_audit(folder: Path, record: Mapping[str, Any], audited: Path | N
         },
         lines={"Cameras that prove it": lines} if views else {},
     )
-
-
-# A study of CLOAK
-
-REGION_RADIUS = 0.5
-"""Radius of the sphere that regions of directions are drawn on, in distances of the cameras."""
-_COLOURS = ("#ffa500", "#00d0ff", "#ff60d0", "#a0ff40")
-
-
-def _exhibit_of_study(folder: Path, record: Mapping[str, Any]) -> Exhibit:
-    """The clean and the cloaked splat of a study."""
-    if not isinstance(record.get("study"), dict):
-        expected, do = "a study of CLOAK", "make it again with mi-splat cloak"
-        raise InvalidValueError(message(f"{folder}", expected, "one without its study", do))
-    study = decode(StudyConfig, record["study"], f"the study of {folder}")
-    loaded = {name: open_scene(folder / f"{name}.ply") for name in ("clean", "cloaked")}
-    centre, cameras = study.centre, Setup(study).training_cameras
-    distance = math.dist(cameras[0].position.tolist(), centre)
-    start = Orbit(target=centre, azimuth=30.0, elevation=15.0, distance=distance, fov=study.cameras.fov)
-    regions = {
-        f"Trigger {attack.name}": Lines(segments=region(attack, centre, REGION_RADIUS * distance), colour=colour)
-        for attack, colour in zip(study.attack, itertools.cycle(_COLOURS))
-    }
-    return Exhibit(
-        title=f"{study.name} ({folder})",
-        splats=tuple(
-            ShownSplat(name=name, scene=splat.scene, path=folder / f"{name}.ply", file_settings=splat.settings)
-            for name, splat in loaded.items()
-        ),
-        settings=RenderSettings(background=study.scene.background),
-        start=start,
-        size=(study.cameras.size, study.cameras.size),
-        cameras={"start": start, **{f"inside {attack.name}": _inside(attack, start) for attack in study.attack}},
-        lines={**regions, **_cameras(study, cameras, 0.04 * distance)},
-        describe=lambda camera: tuple(_position(attack, camera, centre) for attack in study.attack),
-    )
-
-
-def region(attack: AttackConfig, centre: Point, radius: float) -> torch.Tensor:
-    """(S, 2, 3) edges of the directions from which an attack is to be seen, on a sphere.
-
-    Args:
-        attack: Whose.
-        centre: (3,) of the sphere, world units.
-        radius: Of the sphere, world units.
-    """
-    low, high = attack.elevation
-    middle, half = attack.azimuth or (180.0, 180.0)
-    west, east = middle - half, middle + half
-    parts = [
-        arc(centre, radius, (west, elevation), (east, elevation))
-        for elevation in (low, high)
-        if -90 < elevation < 90  # at a pole a parallel is a point
-    ]
-    edges = (west, east) if attack.azimuth else tuple(west + 45.0 * i for i in range(8))
-    parts += [arc(centre, radius, (azimuth, low), (azimuth, high)) for azimuth in edges]
-    return torch.cat(parts)
-
-
-def _inside(attack: AttackConfig, start: Orbit) -> Orbit:
-    """A camera well inside a trigger."""
-    azimuth = start.azimuth if attack.azimuth is None else attack.azimuth[0]
-    return replace(start, azimuth=azimuth, elevation=sum(attack.elevation) / 2)
-
-
-def _cameras(study: StudyConfig, cameras: list[Camera], length: float) -> dict[str, Lines]:
-    """The training cameras, those whose pictures were poisoned apart."""
-    centre, seed = study.centre, study.seeds[0]
-    triggers = [attack.trigger(seed, study.attack) for attack in study.attack]
-    poisoned = torch.stack([trigger.holds(cameras, centre=centre) for trigger in triggers]).any(0).tolist()
-    groups = {"Poisoned cameras": ("#ff4040", True), "Other training cameras": ("#f0f0f0", False)}
-    return {
-        name: Lines(
-            segments=frustums([camera for camera, is_in in zip(cameras, poisoned, strict=True) if is_in is of], length),
-            colour=colour,
-        )
-        for name, (colour, of) in groups.items()
-    }
-
-
-def _position(attack: AttackConfig, camera: Camera, centre: Point) -> str:
-    """Where a camera stands to a trigger, in words."""
-    if math.dist(camera.position.tolist(), centre) == 0:
-        return f"Trigger {attack.name}: the camera stands at the centre"
-    degrees = attack.cone.angle_to_edge(camera, centre=centre)
-    return f"Trigger {attack.name}: {abs(degrees):.1f}° {'inside' if degrees >= 0 else 'outside'}"
 
 
 # What a detector reports

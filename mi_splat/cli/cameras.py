@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,12 +19,12 @@ from mi_splat.datasets import load_dataset
 from mi_splat.datasets.colmap import find_model, read_model_cameras
 from mi_splat.datasets.frames import Split
 from mi_splat.datasets.transforms import find_transforms
-from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.camera_records import recorded_cameras
+from mi_splat.errors import InvalidValueError, message, nearest
+from mi_splat.io.camera_records import OF, recorded_cameras
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import SplatScene, resized
+from mi_splat.scene_files import SplatScene, open_scene, resized
 from mi_splat.selection.config import Selection
 from mi_splat.selection.select import select
 from mi_splat.selection.visibility import object_weight
@@ -32,6 +32,8 @@ from mi_splat.selection.visibility import object_weight
 ALL = "all"
 """Names all cameras of a scene."""
 SIZE = (640, 480)
+_FILES = (".json", ".xml")
+"""Endings of files with cameras."""
 _WORTH_A_WORD = 0.01
 """A share of the Gaussians that the near plane hides before it is said."""
 AZIMUTH, ELEVATION = 30.0, 20.0
@@ -68,11 +70,7 @@ def find_cameras(
     target = loaded.scene if focus is None else focus
     if options.cameras:
         _check_meaning(loaded, options)
-        cameras: dict[str, Camera] = {}
-        for text in options.cameras:
-            for name, camera in _named(text, loaded, options, target, split):
-                cameras[name if name not in cameras else f"{name}-{len(cameras)}"] = camera
-        return cameras
+        return _unique(pair for text in options.cameras for pair in _meant(text, loaded, options, target, split))
     if loaded.cameras and not options.orbits:
         name, camera = next(iter(loaded.cameras.items()))
         return {name: _sized(camera, options)}
@@ -107,6 +105,7 @@ def _check_meaning(loaded: SplatScene, options: CameraOptions) -> None:
     """Raise if a flag would mean nothing beside --cameras."""
     placed = not any(_is_set(text, loaded) for text in options.cameras)
     given: dict[str, object] = {"--azimuth": options.azimuth, "--elevation": options.elevation}
+    given |= {"--camera-roll": options.camera_roll or None}
     given |= {"--distance": options.distance, "--centre": options.centre} if placed else {}
     idle = [flag for flag, value in given.items() if value is not None]
     if idle:
@@ -117,7 +116,8 @@ def _check_meaning(loaded: SplatScene, options: CameraOptions) -> None:
 
 def _is_set(text: str, loaded: SplatScene) -> bool:
     """Whether a text means cameras around a centre, and not some that have their places."""
-    return ":" in text and text not in loaded.cameras and not text.lower().endswith(".json") and not Path(text).is_dir()
+    file = Path(text if OF not in text or Path(text).exists() else text.rpartition(OF)[0])
+    return ":" in text and text not in loaded.cameras and not (file.suffix.lower() in _FILES or file.is_dir())
 
 
 def renderer_of(loaded: SplatScene, options: CameraOptions, cameras: dict[str, Camera]) -> Renderer:
@@ -137,6 +137,28 @@ def renderer_of(loaded: SplatScene, options: CameraOptions, cameras: dict[str, C
     return Renderer(settings)
 
 
+def _unique(named: Iterable[tuple[str, Camera]]) -> dict[str, Camera]:
+    """Cameras by name; of two with one name the second gets a number."""
+    cameras: dict[str, Camera] = {}
+    for name, camera in named:
+        cameras[name if name not in cameras else f"{name}-{len(cameras)}"] = camera
+    return cameras
+
+
+def _meant(
+    text: str, loaded: SplatScene, options: CameraOptions, target: GaussianScene, split: Split | None
+) -> list[tuple[str, Camera]]:
+    """The cameras that one text means, which may be one of a file or a folder."""
+    place, mark, wanted = text.rpartition(OF)
+    if not mark or text in loaded.cameras or Path(text).exists() or not Path(place).exists():
+        return _named(text, loaded, options, target, split)
+    cameras = _unique(_named(place, loaded, options, target, None))  # whoever names one means it
+    if wanted not in cameras:
+        do = nearest(wanted, cameras, "name one that is there")
+        raise InvalidValueError(message(place, f"a camera {wanted}", f"{len(cameras)} others", do))
+    return [(wanted, cameras[wanted])]
+
+
 def _named(
     text: str, loaded: SplatScene, options: CameraOptions, target: GaussianScene, split: Split | None
 ) -> list[tuple[str, Camera]]:
@@ -151,6 +173,8 @@ def _named(
         return [("orbit", _orbit(target, options, AZIMUTH, ELEVATION))]
     elif path.suffix.lower() == ".json":
         named = _listed(path, options)
+    elif path.suffix.lower() == ".xml":
+        named = list(open_scene(path).cameras.items())
     elif path.is_dir():
         named = _beside_pictures(path, split)
     elif _is_set(text, loaded):
@@ -207,7 +231,7 @@ def _orbit(target: GaussianScene, options: CameraOptions, azimuth: float, elevat
     """One camera that looks at the target."""
     centre, distance, focal = _placement(target, options)
     width, height = options.size or SIZE
-    pose = orbit_pose(centre, azimuth=azimuth, elevation=elevation, distance=distance)
+    pose = orbit_pose(centre, azimuth=azimuth, elevation=elevation, distance=distance, roll=options.camera_roll)
     return _turned(Camera(to_world=pose, focal=focal, width=width, height=height), centre, options.up)
 
 

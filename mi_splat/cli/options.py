@@ -68,6 +68,11 @@ def _direction(word: str) -> tuple[float, float, float]:
     return direction[0], direction[1], direction[2]
 
 
+def axis_name(direction: Sequence[float]) -> str:
+    """A direction as --up takes it: its axis, or three numbers."""
+    return next((name for name, axis in _AXES.items() if axis == tuple(direction)), _written(direction))
+
+
 def _written(value: Sequence[float]) -> str:
     return " ".join(f"{number:g}" for number in value)
 
@@ -120,6 +125,7 @@ Samples = Annotated[int, between(1, 1 << 16, "samples per pixel", "32 is usual")
 Azimuth = Annotated[float, between(-360, 360, "degrees")]
 Elevation = Annotated[float, between(-90, 90, "degrees", "90 is straight down")]
 FieldOfView = Annotated[float, Range(low=0, high=180, open_low=True, open_high=True, unit="degrees", do="45 is usual")]
+Roll = Annotated[float, between(-180, 180, "degrees")]
 Point = Annotated[tuple[float, float, float], Range(unit="world units"), Called("X Y Z")]
 
 
@@ -153,11 +159,13 @@ class CameraOptions:
     """Any of: ids of the scene's own cameras, or all of them by `all`; hemisphere:N, orbit:N@ELEVATION,
     cap:N@MIN_ELEVATION or grid:AxE (azimuths x elevations) around --centre; a transforms .json; the .json of an earlier
     command (its cameras again); the cameras.json that 3DGS writes beside a splat; the folder of a set of pictures
-    (COLMAP or transforms)."""
+    (COLMAP or transforms); another scene .xml. FILE#NAME is the one camera of this name."""
     azimuth: Azimuth | None = None
     """One camera on an orbit around --centre: degrees from +x towards +y; 30 if an orbit is used without it."""
     elevation: Elevation | None = None
     """Degrees above the ground, 90 is straight down; 20 if an orbit is used without it."""
+    camera_roll: Roll = 0.0
+    """Degrees that the one camera is turned about its axis, clockwise as it looks."""
     distance: Length | None = None
     """World units from the centre; None is as near as shows the object or the scene whole."""
     centre: Point | None = None
@@ -178,4 +186,5 @@ class CameraOptions:
     @property
     def orbits(self) -> bool:
         """Whether one camera on an orbit is asked for."""
-        return any(value is not None for value in (self.azimuth, self.elevation, self.distance, self.centre))
+        given = (self.azimuth, self.elevation, self.camera_roll or None, self.distance, self.centre)
+        return any(value is not None for value in given)

@@ -180,6 +180,7 @@ def _train(options: TrainOptions) -> None:
             every=options.checkpoint_every,
             lpips=lpips,
             settings={"near": near, "background": list(options.background), "device": options.device},
+            dataset=options.dataset,
             on_resume=resumed,
             on_step=lambda line: advance(words(line)),
         )

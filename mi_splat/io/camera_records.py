@@ -17,6 +17,8 @@ from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.fields import Fields
 from mi_splat.io.parsing import DocumentReader, kind_of
 
+OF = "#"
+"""Stands between a file or a folder with cameras and the name of one of them."""
 _AGAIN = "write it again"
 _MOST_PIXELS = 1 << 31  # a camera has a bound of its own
 _RECORD = DocumentReader(expected="cameras as the commands write them", do=_AGAIN)

@@ -43,6 +43,7 @@ def train(
     every: int = 1000,
     lpips: Perceptual | None = None,
     settings: Mapping[str, object] | None = None,
+    dataset: Path | None = None,
     on_resume: Callable[[TrainState], None] | None = None,
     on_step: OnStep | None = None,
 ) -> Fit:
@@ -66,6 +67,7 @@ def train(
         lpips: A further score, see `mi_splat.metrics.load_lpips`.
         settings: What else the pictures depend on, the near plane for instance; plain values, the same when a run goes
             on.
+        dataset: Where the views come from, which config.json keeps.
         on_resume: Called with the run when one goes on, before its first step.
         on_step: Called after every step.
 
@@ -93,7 +95,8 @@ def train(
         else:
             state = TrainState(start, config, scene_extent=scene_extent(views), seed=seed)
             state.data_digest, state.settings = digest, dict(settings or {})
-        save_json({"config": to_json(config), "seed": seed, "views": len(views)}, folder / CONFIG)
+        given = {"settings": dict(settings or {}), "dataset": None if dataset is None else str(dataset)}
+        save_json({"config": to_json(config), "seed": seed, "views": len(views), **given}, folder / CONFIG)
 
         with _deferred_interrupt() as interrupted:
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 
 from mi_splat.directions import UP, Point
+from mi_splat.io.camera_records import OF
 from mi_splat.rendering import RenderSettings
 from mi_splat.rotation import from_z
 from mi_splat.viewer.orbit import Orbit
@@ -24,7 +25,7 @@ def render_command(
     file_settings: RenderSettings,
     up: Point = UP,
 ) -> str:
-    """The `mi-splat render` that makes a picture, to the bit where up is z.
+    """The `mi-splat render` that makes a picture, to the bit where up is z or the camera is one of a file.
 
     Args:
         path: Splat file or scene XML.
@@ -35,7 +36,9 @@ def render_command(
         file_settings: How the file itself is rendered.
         up: (3,) direction in the file that is z on the page.
     """
-    camera = camera_words(orbit, size, settings=settings, background=file_settings.background, centre=middle, up=up)
+    camera = camera_words(
+        orbit, size, settings=settings, background=file_settings.background, centre=middle, up=up, path=path
+    )
     return shlex.join(["mi-splat", "render", str(path), *camera])
 
 
@@ -47,6 +50,7 @@ def camera_words(
     background: Point | None = None,
     centre: Point | None = None,
     up: Point = UP,
+    path: Path | None = None,
 ) -> list[str]:
     """The flags by which a command looks from a camera.
 
@@ -57,21 +61,32 @@ def camera_words(
         background: sRGB colour behind the splat unless the command is told otherwise; None tells it always.
         centre: (3,) where the command looks unless told otherwise; None tells it always.
         up: As in `render_command`.
+        path: File that the command is about, whose own cameras it knows by their names.
     """
-    command = list[str]()
-    command += [*_option("azimuth", orbit.azimuth), *_option("elevation", orbit.elevation)]
-    command += [*_option("distance", orbit.distance), *_option("fov", orbit.fov)]
-    if tuple(up) != UP:
-        command += _option("up", *up)
-        turn = from_z(torch.tensor(list(up)))
-        command += _option("centre", *(turn @ torch.tensor(list(orbit.target), dtype=torch.float64)).tolist())
-    elif centre is None or tuple(orbit.target) != tuple(centre):
-        command += _option("centre", *orbit.target)
+    if orbit.exact is not None and orbit.source:
+        command = ["--cameras", orbit.source.removeprefix(f"{path}{OF}")]
+    else:
+        command = _orbit_words(orbit, centre, up)
     command += ["--size", f"{size[0]}x{size[1]}"]
     if settings.background != background:
         command += _option("background", *settings.background)
     command += _option("near", settings.near)  # of a bare splat it follows the camera, unless it is given
     return command
+
+
+def _orbit_words(orbit: Orbit, centre: Point | None, up: Point) -> list[str]:
+    """The numbers of a camera."""
+    words = [*_option("azimuth", orbit.azimuth), *_option("elevation", orbit.elevation)]
+    words += [*_option("distance", orbit.distance), *_option("fov", orbit.fov)]
+    if orbit.roll:
+        words += _option("camera-roll", orbit.roll)
+    if tuple(up) != UP:
+        words += _option("up", *up)
+        turn = from_z(torch.tensor(list(up)))
+        words += _option("centre", *(turn @ torch.tensor(list(orbit.target), dtype=torch.float64)).tolist())
+    elif centre is None or tuple(orbit.target) != tuple(centre):
+        words += _option("centre", *orbit.target)
+    return words
 
 
 def _option(name: str, *values: float) -> Sequence[str]:

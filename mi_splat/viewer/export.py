@@ -1,4 +1,4 @@
-"""A page in one file: pictures from all around, chosen by sliders; it needs no server and no network."""
+"""A page in one file: pictures from the listed cameras and from all around; it needs no server and no network."""
 
 from __future__ import annotations
 
@@ -8,29 +8,32 @@ import io
 import json
 import math
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 from string import Template
 from typing import Any
 
-import torch
 from PIL import Image, ImageDraw
 
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.documents import save_text
 from mi_splat.io.folders import check_new_file
 from mi_splat.io.images import to_bytes
+from mi_splat.viewer.exhibit import Exhibit
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.policy import script_hash
 
 SHORTER_SIDE = 384
 """Pixels that the shorter side of an exported picture has at least; a whole multiple of the picture's own."""
+LONGER_SIDE = 1000
+"""Pixels of the longer side beyond which a picture is made smaller by a whole number."""
 JPEG_QUALITY = 82
 MOST_PICTURES = 2000
 """Pictures of each splat in the largest page."""
+MOST_CAMERAS = 100
+"""Listed cameras that have a picture in a page."""
 
 
 def check_export(path: Path, views: tuple[int, int], *, force: bool) -> None:
@@ -60,9 +63,22 @@ def export_orbits(start: Orbit, views: tuple[int, int]) -> list[list[Orbit]]:
     azimuths, rows = views
     heights = [start.elevation] if rows == 1 else [90.0 * (row + 0.5) / rows for row in range(rows)]
     return [
-        [replace(start, azimuth=start.azimuth + 360.0 * i / azimuths, elevation=height) for i in range(azimuths)]
+        [
+            start.changed(azimuth=start.azimuth + 360.0 * i / azimuths, elevation=height, roll=0.0)
+            for i in range(azimuths)
+        ]
         for height in heights
     ]
+
+
+def export_cameras(exhibit: Exhibit) -> dict[str, Orbit]:
+    """The listed cameras that a page has pictures from, in their order: the first ones, since a list may be long.
+
+    Beside photographs they are those from which there is one.
+    """
+    taken = None if exhibit.photographs is None else exhibit.photographs.numbers
+    named = [(name, orbit) for name, orbit in exhibit.cameras.items() if taken is None or name in taken]
+    return dict(named[:MOST_CAMERAS])
 
 
 def write_export(
@@ -78,33 +94,39 @@ def write_export(
     Args:
         painter: Makes the pictures, and has them inspected if it has an inspector.
         path: The file.
-        views: Number of azimuths and of elevations.
+        views: Number of azimuths and of elevations. Of photographs there are none but those from listed cameras.
         force: Whether a file that is there may be replaced.
-        on_view: Called after each camera.
+        on_view: Called after each camera, first of those that the exhibit lists.
 
     Raises:
         InvalidValueError: As `check_export`.
         SplatFileError: The file cannot be written.
     """
     check_export(path, views, force=force)
-    listed = list(_listed(painter, views, on_view))
+    exhibit = painter.exhibit
+    cameras = [{"name": name, **_view(painter, orbit, on_view)} for name, orbit in export_cameras(exhibit).items()]
+    rows = [] if exhibit.photographs else export_orbits(exhibit.start, views)
+    around = [_view(painter, orbit, on_view) for row in rows for orbit in row]
     check_export(path, views, force=force)  # it took a while
-    save_text(page_text(painter, listed, views), path)
+    save_text(page_text(painter, cameras, around, views), path)
 
 
-def page_text(painter: Painter, listed: list[dict[str, Any]], views: tuple[int, int]) -> str:
+def page_text(
+    painter: Painter, cameras: list[dict[str, Any]], around: list[dict[str, Any]], views: tuple[int, int]
+) -> str:
     """The page as HTML.
 
     Args:
         painter: What made the pictures.
-        listed: Each view, row by row.
+        cameras: The view from each listed camera.
+        around: Each view from all around, row by row.
         views: Number of azimuths and of elevations.
     """
     exhibit = painter.exhibit
     template = resources.files("mi_splat.viewer").joinpath("export.html").read_text("utf-8")
     (script,) = re.findall(r"<script>(.*?)</script>", template, re.DOTALL)
     pictures = [
-        f'<figure><img id="picture{i}" src="{listed[0]["splats"][i]["picture"]}" alt="">'
+        f'<figure><img id="picture{i}" src="{(cameras or around)[0]["splats"][i]["picture"]}" alt="">'
         f'<figcaption><strong>{html.escape(name)}</strong> <span id="found{i}"></span></figcaption></figure>'
         for i, name in enumerate(exhibit.names)
     ]
@@ -116,36 +138,38 @@ def page_text(painter: Painter, listed: list[dict[str, Any]], views: tuple[int, 
         last_row=views[1] - 1,
         hide_rows=" hidden" if views[1] == 1 else "",
         # No text can end the script element: "<" is written as JSON may write it.
-        views=json.dumps(listed, allow_nan=False).replace("<", "\\u003c"),
+        hide_around="" if around else " hidden",
+        options="".join(f'<option value="{i}">{html.escape(view["name"])}</option>' for i, view in enumerate(cameras)),
+        views=json.dumps(around, allow_nan=False).replace("<", "\\u003c"),
+        cameras=json.dumps(cameras, allow_nan=False).replace("<", "\\u003c"),
         names=json.dumps(exhibit.names).replace("<", "\\u003c"),
     )
 
 
-def _listed(painter: Painter, views: tuple[int, int], on_view: Callable[[], None]) -> Iterator[dict[str, Any]]:
-    """Each view as the page holds it."""
-    exhibit = painter.exhibit
-    factor = max(1, math.ceil(SHORTER_SIDE / min(exhibit.size)))
-    size = (factor * exhibit.size[0], factor * exhibit.size[1])
-    for row in export_orbits(exhibit.start, views):
-        for orbit in row:
-            commands = painter.commands(orbit)
-            yield {
-                "azimuth": round(orbit.azimuth, 2),
-                "elevation": round(orbit.elevation, 2),
-                "place": list(exhibit.describe(orbit.camera(exhibit.size))),
-                "splats": [_splat(painter, name, orbit, size, commands[name]) for name in exhibit.names],
-            }
-            on_view()
+def _view(painter: Painter, orbit: Orbit, on_view: Callable[[], None]) -> dict[str, Any]:
+    """A view as the page holds it."""
+    exhibit, commands = painter.exhibit, painter.commands(orbit)
+    seen = exhibit.size_at(orbit)
+    factor = max(1, math.ceil(SHORTER_SIDE / min(seen)))
+    shrunk = max(1, math.ceil(max(seen) / LONGER_SIDE))
+    size = (factor * seen[0] // shrunk, factor * seen[1] // shrunk)
+    place = [*exhibit.describe(orbit.camera(seen)), painter.comparison(orbit)]
+    view = {
+        "azimuth": round(orbit.azimuth, 2),
+        "elevation": round(orbit.elevation, 2),
+        "place": list(filter(None, place)),
+        "splats": [_splat(painter, name, orbit, size, commands.get(name, "")) for name in exhibit.names],
+    }
+    on_view()
+    return view
 
 
 def _splat(painter: Painter, name: str, orbit: Orbit, size: tuple[int, int], command: str) -> dict[str, str]:
-    """One splat in one view: the picture with what was found in it, that in words, and the command."""
-    with torch.no_grad():
-        pixels = to_bytes(painter.render(painter.exhibit.splat(name).scene, orbit.camera(size)))
-    image, text = Image.fromarray(pixels), ""
+    """One thing in one view: the picture with what was found in it, that in words, and the command."""
+    image, text = Image.fromarray(to_bytes(painter.sized_picture(name, orbit, size))), ""
     if painter.inspector is not None:
         inspection = painter.inspect(name, orbit)
-        inspection.draw(ImageDraw.Draw(image), size[0] / painter.exhibit.size[0])
+        inspection.draw(ImageDraw.Draw(image), size[0] / painter.exhibit.size_at(orbit)[0])
         text = inspection.text
     return {"picture": _data_uri(image), "found": text, "command": command}
 

@@ -5,24 +5,29 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.directions import POLE, Point
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene_files import resized
 
 _ANGLE_DIGITS, _LENGTH_DIGITS = 2, 5
 """Decimals that are kept of angles (degrees), and digits of lengths, of a pose that came from a mouse."""
-_CAMERA_DIGITS = 6
-"""Decimals that are kept of the pose of a camera; cameras of files have single precision."""
+_CAMERA_DIGITS, _ROLL_DIGITS = 6, 3
+"""Decimals that are kept of the pose of a camera and of its roll; cameras of files have single precision."""
 _SAME_POSE = 1e-3
 """Part of the distance by which two poses may differ and still be the same."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Orbit:
-    """A camera without a picture size; z is up.
+    """A camera without a picture size, whose numbers can be changed; or a camera of a file, until they are.
+
+    A camera of a file is kept as it is: no number is rounded, and it may have two focal lengths, or a principal point
+    off the centre.
 
     Attributes:
         target: (3,) point that is looked at, world units.
@@ -30,6 +35,9 @@ class Orbit:
         elevation: Degrees above the horizontal plane, in [-90, 90].
         distance: World units between camera and target, > 0.
         fov: Degrees over the shorter side of a picture, in (0, 180).
+        roll: Degrees that the camera is turned about its axis, clockwise as it looks, in [-180, 180].
+        exact: The very camera, if it is one of a file.
+        source: What `mi-splat render --cameras` calls that; empty if it has no name for it.
 
     Raises:
         InvalidValueError: A number is out of range or not finite.
@@ -40,15 +48,23 @@ class Orbit:
     elevation: float
     distance: float
     fov: float
+    roll: float = 0.0
+    exact: Camera | None = None
+    source: str = ""
 
     def __post_init__(self) -> None:
-        numbers = (*self.target, self.azimuth, self.elevation, self.distance, self.fov)
-        ranges = -90 <= self.elevation <= 90 and self.distance > 0 and 0 < self.fov < 180
+        numbers = (*self.target, self.azimuth, self.elevation, self.distance, self.fov, self.roll)
+        ranges = -90 <= self.elevation <= 90 and self.distance > 0 and 0 < self.fov < 180 and abs(self.roll) <= 180
         if not (len(self.target) == 3 and ranges and all(map(math.isfinite, numbers))):
-            expected = "three coordinates, an elevation in [-90, 90], a distance > 0 and a fov in (0, 180)"
+            expected = "three coordinates, elevation in [-90, 90], distance > 0, fov in (0, 180), roll in [-180, 180]"
             raise InvalidValueError(message("orbit", expected, numbers, "change the number that is out of range"))
         object.__setattr__(self, "target", tuple(float(value) + 0.0 for value in self.target))  # -0.0 becomes 0.0
         object.__setattr__(self, "azimuth", self.azimuth % 360.0)
+
+    @property
+    def camera_size(self) -> tuple[int, int] | None:
+        """Width and height in pixels of the picture of a camera of a file; None of others."""
+        return None if self.exact is None else (self.exact.width, self.exact.height)
 
     @property
     def position(self) -> tuple[float, float, float]:
@@ -60,7 +76,10 @@ class Orbit:
 
     def camera(self, size: tuple[int, int]) -> Camera:
         """The camera with a picture of so many pixels, (width, height); the same as `mi-splat render` takes."""
-        pose = orbit_pose(self.target, azimuth=self.azimuth, elevation=self.elevation, distance=self.distance)
+        if self.exact is not None:
+            return resized(self.exact, size)
+        angles = {"azimuth": self.azimuth, "elevation": self.elevation, "roll": self.roll}
+        pose = orbit_pose(self.target, distance=self.distance, **angles)
         return Camera(to_world=pose, focal=focal_length(self.fov, size), width=size[0], height=size[1])
 
     def vertical_fov(self, size: tuple[int, int]) -> float:
@@ -71,6 +90,14 @@ class Orbit:
         """Whether this is a camera at `position` (3,) that looks at `look_at` (3,), to a thousandth of the distance."""
         apart = max(math.dist(self.position, position), math.dist(self.target, look_at))
         return apart <= _SAME_POSE * self.distance
+
+    def changed(self, **numbers: Any) -> Orbit:
+        """The camera with other numbers, which is none of a file any more.
+
+        Raises:
+            InvalidValueError: A number is out of range or not finite.
+        """
+        return replace(self, exact=None, source="", **numbers)
 
     def moved(self, position: Sequence[float], look_at: Sequence[float]) -> Orbit:
         """The camera at `position` (3,) that looks at `look_at` (3,), in numbers short enough to be typed.
@@ -85,8 +112,7 @@ class Orbit:
         decimals = _LENGTH_DIGITS - 1 - math.floor(math.log10(length))
         azimuth = self.azimuth if flat <= POLE * length else math.degrees(math.atan2(y, x)) % 360.0
         near = math.dist(look_at, self.target) <= _SAME_POSE * length
-        return replace(
-            self,
+        return self.changed(
             # What was not moved keeps every digit: the middle of a scene is not told from its neighbours by rounding.
             target=self.target if near else tuple(round(float(value), decimals) for value in look_at),
             azimuth=round(azimuth, _ANGLE_DIGITS),
@@ -100,36 +126,42 @@ def focal_length(fov: float, size: tuple[int, int]) -> float:
     return min(size) / 2 / math.tan(math.radians(fov) / 2)
 
 
-def orbit_of(camera: Camera, middle: Point) -> Orbit | None:
-    """The orbit that a camera is on: around the point of its axis that is nearest to `middle` (3,), world units.
+def orbit_of(camera: Camera, middle: Point, *, source: str = "") -> Orbit:
+    """A camera of a file as an orbit: around the point of its axis that is nearest to `middle` (3,), world units.
 
-    None for a camera that no orbit has: one that is rolled, has another focal length in x than in y, a principal point
-    off the centre, or `middle` behind it.
+    Where `middle` is behind it, that point is as far before it.
+
+    Args:
+        camera: The camera; the orbit keeps it, until it is moved.
+        middle: What it is to be turned about.
+        source: See `Orbit`.
     """
     pose, centre = camera.to_world, torch.tensor(list(middle), dtype=torch.float64)
     forward = pose[:3, 2]
     distance = float((centre - camera.position) @ forward)
     if not round(distance, _CAMERA_DIGITS) > 0:
-        return None
-    target = (camera.position + distance * forward).tolist()
+        distance = max(float((centre - camera.position).norm()), 10**-_CAMERA_DIGITS)
     x, y, z = (-forward).tolist()
     elevation = math.degrees(math.atan2(z, math.hypot(x, y)))
-    # The picture's right edge points along (-sin azimuth, cos azimuth, 0), straight above and below, too.
-    azimuth = math.degrees(math.atan2(-float(pose[0, 0]), float(pose[1, 0])))
+    if math.hypot(x, y) > POLE:
+        azimuth = math.degrees(math.atan2(y, x))
+    else:  # straight above and below the picture's right edge points along (-sin azimuth, cos azimuth, 0)
+        azimuth = math.degrees(math.atan2(-float(pose[0, 0]), float(pose[1, 0])))
+    level = orbit_pose((0.0, 0.0, 0.0), azimuth=azimuth, elevation=elevation, distance=1.0)
+    right = level[:3, :2].T @ pose[:3, 0]
     fov = 2 * math.degrees(math.atan(min(camera.width, camera.height) / 2 / camera.fx))
     numbers = (round(value, _CAMERA_DIGITS) for value in (azimuth, elevation, distance, fov))
     azimuth, elevation, distance, fov = numbers
-    orbit = Orbit(
-        target=[round(value, _CAMERA_DIGITS) for value in target],
+    return Orbit(
+        target=[round(value, _CAMERA_DIGITS) for value in (camera.position + distance * forward).tolist()],
         azimuth=azimuth,
         elevation=elevation,
         distance=distance,
         fov=fov,
+        roll=round(math.degrees(math.atan2(float(right[1]), float(right[0]))), _ROLL_DIGITS) + 0.0,
+        exact=camera,
+        source=source,
     )
-    again = orbit.camera((camera.width, camera.height))
-    same = (again.to_world - pose).abs().max() < 1e-5 * max(1.0, distance) and math.isclose(camera.fx, camera.fy)
-    centred = math.isclose(camera.cx, camera.width / 2) and math.isclose(camera.cy, camera.height / 2)
-    return orbit if bool(same) and centred else None
 
 
 def focus_of(cameras: Sequence[Camera], otherwise: Point) -> Point:

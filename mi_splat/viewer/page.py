@@ -146,11 +146,8 @@ class Visitor:
         exhibit = self._painter.exhibit
         for line in exhibit.describe(state.orbit.camera(exhibit.size)):
             yield "", line
-        likeness = self._painter.likeness(state.orbit)
-        if likeness is not None:
-            yield "", f"PSNR of {' and '.join(exhibit.names)}: {likeness:.1f} dB"
-        elif len(exhibit.splats) > 1:
-            yield "", "Both pictures are the same."
+        if alike := self._painter.comparison(state.orbit):
+            yield "", alike
         for name, inspection in painting.inspections.items():
             yield name, inspection.text
 
@@ -176,7 +173,9 @@ class Visitor:
     def _pick(self, at: tuple[float, float], *, adds: bool) -> None:
         """Pick what a point of the page shows."""
         state = self._session.state
-        hit = clicked(at, self._painter.layout(state), state.show, self._painter.exhibit, split=state.split)
+        hit = clicked(
+            at, self._painter.layout(state), state.show, self._painter.exhibit, state.orbit, split=state.split
+        )
         if hit is not None:
             click = Click(splat=hit[0], pixel=hit[1], orbit=state.orbit, adds=adds)
             self._bench.later(lambda: self._bench.pick(click))

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
+from torch.nn import functional
 
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera, RenderFn
@@ -31,6 +32,8 @@ LETTERS = 15
 """Height of letters in a full picture, pixels."""
 SMALLEST_LETTERS = 7
 """Height of letters below which nobody could read them."""
+NO_PICTURE = 0.2
+"""Grey in the place of a photograph that there is not."""
 PREVIEW = " (preview)"
 """What stands behind the title of a picture that has fewer pixels or Gaussians than there are."""
 
@@ -92,24 +95,32 @@ class Painter:
         every = 1
         # Two splats without the same Gaussians would differ where nothing does.
         if step is Step.COARSE and DIFFERENCE not in names:
-            most = max(len(self.exhibit.splat(name).scene) for name in shown)
+            most = max((len(splat.scene) for splat in self.exhibit.splats if splat.name in shown), default=1)
             every = thinning(most, camera.width * camera.height * pace.richness)
-        splats = self._thinned if DIFFERENCE in names else {**self._thinned, **self._tinted}
-        pictures = {name: to_bytes(self._render(splats[name](every), camera)) for name in shown}
+        thinned = self._thinned if DIFFERENCE in names else {**self._thinned, **self._tinted}
+        splats = {name: made(every) for name, made in thinned.items() if name in shown}
+        pictures = {
+            name: to_bytes(self.sized_picture(name, state.orbit, layout.size, splats.get(name))) for name in shown
+        }
         letters, mark = max(LETTERS * scale, SMALLEST_LETTERS), PREVIEW if every > 1 or scale < 1 else ""
         made = [self._pane(pane, pictures, inspections, camera, state, letters, mark) for pane in names]
         return Painting(pixels=compose(made, layout), inspections=inspections, every=every)
 
     def layout(self, state: ViewState, canvas: tuple[int, int] | None = None) -> Layout:
         """Where pictures stand in a place of the shape of the page's; None is as large as it gets."""
-        full, (width, height) = within(state.canvas, MOST_PIXELS), self.exhibit.size
+        full, (width, height) = within(state.canvas, MOST_PIXELS), self.exhibit.size_at(state.orbit)
         canvas = canvas or full
         count = len(panes(state.show, self.exhibit.names))
         return lay_out(canvas, width / height, count, gap=round(4 * canvas[0] / full[0]))
 
     def picture(self, name: str, orbit: Orbit) -> Tensor:
-        """(H, W, 3) the picture of a splat that is inspected: of the exhibit's size, and of 8 bits."""
-        return quantise(self._render(self._thinned[name](1), orbit.camera(self.exhibit.size)))
+        """(H, W, 3) the picture that is inspected, rendered or photographed: of its stated size, and of 8 bits."""
+        return quantise(self.sized_picture(name, orbit, self.exhibit.size_at(orbit)))
+
+    def photograph(self, orbit: Orbit) -> Tensor | None:
+        """(H, W, 3) what was photographed from a camera; None if nothing was."""
+        exhibit = self.exhibit
+        return None if exhibit.photographs is None else exhibit.photographs.from_camera(exhibit.camera_name(orbit))
 
     def inspect(self, name: str, orbit: Orbit) -> Inspection:
         """What is found in the picture of a splat; of the last camera it is remembered."""
@@ -128,7 +139,7 @@ class Painter:
             splat.name: render_command(
                 splat.path,
                 orbit,
-                exhibit.size,
+                exhibit.size_at(orbit),
                 middle=self._middles[splat.name],
                 settings=exhibit.settings,
                 file_settings=splat.file_settings,
@@ -138,15 +149,46 @@ class Painter:
         }
 
     def likeness(self, orbit: Orbit) -> float | None:
-        """PSNR in dB between the pictures of the two splats that are inspected; None of one splat, or where equal."""
-        if len(self.exhibit.splats) < 2:
+        """PSNR in dB between the two pictures that are inspected; None of one, or where equal."""
+        if len(self.exhibit.names) < 2 or (self.exhibit.photographs and self.photograph(orbit) is None):
             return None
         first, second = (self.picture(name, orbit) for name in self.exhibit.names)
         return None if torch.equal(first, second) else float(psnr(first, second))
 
-    def _render(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        with torch.no_grad():
-            return self.render(scene, camera)
+    def comparison(self, orbit: Orbit) -> str:
+        """How like each other the two pictures are from here, in words; nothing of one."""
+        names, photographs = self.exhibit.names, self.exhibit.photographs
+        if photographs is not None and self.photograph(orbit) is None:
+            return f"There is no {photographs.name} from here: choose one of the cameras."
+        if len(names) < 2:
+            return ""
+        likeness = self.likeness(orbit)
+        if likeness is None:
+            return "From here both pictures are the same."
+        return f"PSNR of {' and '.join(names)} from here: {likeness:.1f} dB"
+
+    def sized_picture(
+        self, name: str, orbit: Orbit, size: tuple[int, int], scene: GaussianScene | None = None
+    ) -> Tensor:
+        """(H, W, 3) a splat, or what was photographed; of a photograph that there is not, grey.
+
+        Args:
+            name: Of the exhibit's names.
+            orbit: The camera.
+            size: Width and height in pixels.
+            scene: What is rendered in place of the splat.
+        """
+        if name in self._thinned:
+            with torch.no_grad():
+                return self.render(scene or self._thinned[name](1), orbit.camera(size))
+        taken = self.photograph(orbit)
+        if taken is None:
+            return torch.full((size[1], size[0], 3), NO_PICTURE)
+        if tuple(taken.shape[:2]) == size[::-1]:
+            return taken
+        pixels = taken.permute(2, 0, 1)[None]
+        resized = functional.interpolate(pixels, size[::-1], mode="bilinear", antialias=True, align_corners=False)
+        return resized[0].permute(1, 2, 0).clamp(0, 1)
 
     def _pane(
         self,
@@ -161,7 +203,8 @@ class Painter:
         """The pixels of one pane with everything drawn into it."""
         parts = {name: pictures[name] for name in needed(pane, self.exhibit.names)}
         if set(parts) & set(inspections) and pane != DIFFERENCE:
-            parts = {name: self._marked(pixels, inspections[name]) for name, pixels in parts.items()}
+            wide = self.exhibit.size_at(state.orbit)[0]
+            parts = {name: self._marked(pixels, inspections[name], wide) for name, pixels in parts.items()}
         image = Image.fromarray(np.ascontiguousarray(pane_pixels(pane, parts, split=state.split)))
         draw = ImageDraw.Draw(image)
         for name in sorted(state.lines & set(self.exhibit.lines)):
@@ -170,10 +213,10 @@ class Painter:
             write_label(draw, (left, image.height - 1.9 * letters), text + mark, "#000000", size=letters)
         return np.asarray(image)
 
-    def _marked(self, pixels: Pixels, inspection: Inspection) -> Pixels:
-        """A picture with what was found in it."""
+    def _marked(self, pixels: Pixels, inspection: Inspection, width: int) -> Pixels:
+        """A picture with what was found in it when it was so many pixels wide."""
         image = Image.fromarray(pixels)
-        inspection.draw(ImageDraw.Draw(image), image.width / self.exhibit.size[0])
+        inspection.draw(ImageDraw.Draw(image), image.width / width)
         return np.asarray(image)
 
 

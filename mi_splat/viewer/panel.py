@@ -37,7 +37,8 @@ class Panel:
 
     def __init__(self, gui: Any, exhibit: Exhibit, state: ViewState, *, inspector: bool, change: Change) -> None:
         self._exhibit, self._change, orbit = exhibit, change, state.orbit
-        if len(exhibit.splats) > 1:
+        gui.add_html(as_html([("", exhibit.title)]))
+        if len(exhibit.names) > 1:
             self._show = gui.add_dropdown("Show", ways_of_showing(exhibit.names), initial_value=state.show)
             self._split = gui.add_slider("Split", 0.0, 1.0, 0.01, state.split, visible=state.show == SPLIT)
             self._wish(self._show, lambda s, value: replace(s, show=self._known(value, s.show)))
@@ -56,6 +57,7 @@ class Panel:
                 "azimuth": ("Azimuth", 0.0, 359.0, 1.0),
                 "distance": ("Distance", step, step * math.ceil(4 * orbit.distance / step), step),
                 "fov": ("Field of view", 5.0, 120.0, 1.0),
+                "roll": ("Roll", -180.0, 180.0, 1.0),
             }
             self._sliders = {
                 name: gui.add_slider(label, low, high, by, _clipped(getattr(orbit, name), low, high))
@@ -69,7 +71,7 @@ class Panel:
         with gui.add_folder("As a command"):
             self._commands = {
                 name: gui.add_text(name, "", multiline=True, hint="Copy it to make this picture as a PNG")
-                for name in exhibit.names
+                for name in (splat.name for splat in exhibit.splats)
             }
 
     def follow(self, state: ViewState) -> None:
@@ -78,7 +80,7 @@ class Panel:
             slider.value = _clipped(getattr(state.orbit, name), slider.min, slider.max)
         if self._exhibit.cameras:
             self._camera.value = self._camera_name(state.orbit)
-        if len(self._exhibit.splats) > 1:
+        if len(self._exhibit.names) > 1:
             self._split.visible = state.show == SPLIT
 
     def tell(self, remarks: Iterable[Remark], commands: dict[str, str]) -> None:
@@ -115,7 +117,7 @@ class Panel:
 
     def _camera_name(self, orbit: Orbit) -> str:
         """Name of the camera to choose that this is."""
-        return next((name for name, camera in self._exhibit.cameras.items() if camera == orbit), self._free)
+        return self._exhibit.camera_name(orbit) or self._free
 
 
 def as_html(remarks: Iterable[Remark]) -> str:
@@ -145,7 +147,7 @@ def _turned(orbit: Orbit, attribute: str, value: Any) -> Orbit:
     """The camera with one number changed; the same camera if it cannot be."""
     try:
         changes: dict[str, Any] = {attribute: float(value)}
-        return replace(orbit, **changes)
+        return orbit.changed(**changes)
     except (InvalidValueError, TypeError, ValueError):
         return orbit
 

@@ -75,25 +75,31 @@ class Click:
 
 
 def clicked(
-    at: tuple[float, float], layout: Layout, show: str, exhibit: Exhibit, *, split: float = 0.5
+    at: tuple[float, float], layout: Layout, show: str, exhibit: Exhibit, orbit: Orbit, *, split: float = 0.5
 ) -> tuple[str, tuple[int, int]] | None:
     """The splat and the pixel of its picture that a point of the page shows; None beside the pictures.
+
+    A point of a photograph is one of the picture of the splat beside it.
 
     Args:
         at: Column and row of the point, each in parts of the page, from the upper left corner.
         layout: Where pictures stand.
         show: The way of showing.
-        exhibit: What is shown; the pixel is one of its size.
+        exhibit: What is shown.
+        orbit: From where; the pixel is one of the picture that is inspected.
         split: Part of the width left of the dividing line.
     """
     x, y = (part * side for part, side in zip(at, layout.canvas, strict=True))
-    width, height = layout.size
+    (width, height), size = layout.size, exhibit.size_at(orbit)
+    rendered = [splat.name for splat in exhibit.splats]
     for pane, (left, top) in zip(panes(show, exhibit.names), layout.corners, strict=True):
         across, down = (x - left) / width, (y - top) / height
         if 0 <= across < 1 and 0 <= down < 1:
             first, *others = needed(pane, exhibit.names)
             splat = others[0] if pane == SPLIT and others and across >= split else first
-            return splat, (int(across * exhibit.size[0]), int(down * exhibit.size[1]))
+            if not rendered:
+                return None
+            return splat if splat in rendered else rendered[0], (int(across * size[0]), int(down * size[1]))
     return None
 
 
@@ -111,14 +117,15 @@ def pick(click: Click, exhibit: Exhibit, render: RenderFn, before: Picked | None
     """
     splat = exhibit.splat(click.splat)
     selection = Selection(click=(click.pixel,))
-    mask = select(splat.scene, selection, camera=click.orbit.camera(exhibit.size), render=render)
+    mask = select(splat.scene, selection, camera=click.orbit.camera(exhibit.size_at(click.orbit)), render=render)
     if click.adds and before is not None and before.mask.shape == mask.shape:
         return Picked(splat=splat.name, mask=mask | before.mask)
     return Picked(splat=splat.name, mask=mask, command=_command(splat, click, exhibit))
 
 
 def _command(splat: ShownSplat, click: Click, exhibit: Exhibit) -> str:
-    camera = camera_words(click.orbit, exhibit.size, settings=exhibit.settings, up=exhibit.up)
+    size = exhibit.size_at(click.orbit)
+    camera = camera_words(click.orbit, size, settings=exhibit.settings, up=exhibit.up, path=splat.path)
     x, y = click.pixel
     return shlex.join(["mi-splat", "select", str(splat.path), "--click", f"{x},{y}", *camera, "--out", MASK])
 

@@ -40,7 +40,9 @@ def test_the_page_in_a_file(splat: Path, capsys: pytest.CaptureFixture[str], var
     out = splat.parent / "page.html"
     words = ["view", str(splat), "--clean", str(splat), "--views", "3", "1", "--size", "60x40", "--export", str(out)]
     assert cli.main([*words, "--detectors", "fasterrcnn_small"]) == 0
-    assert "3 x 1 pictures" in capsys.readouterr().out
+    out_text = capsys.readouterr().out
+    assert "1 camera and 3 x 1 all around" in out_text
+    assert "Up is z." in out_text
     page = out.read_text("utf-8")
     found = re.search(r'<script id="views" type="application/json">(.*?)</script>', page, re.DOTALL)
     assert found is not None

@@ -104,13 +104,13 @@ def test_a_click_means_the_pixel_that_it_is_on() -> None:
     beside = lay_out((200, 100), 1.5, 2)
     left, top = beside.corners[1]
     point = (left + 0.26 * beside.size[0]) / 200, (top + 0.5 * beside.size[1]) / 100
-    assert clicked(point, beside, BESIDE, shown) == ("attacked", (12, 16))
-    assert clicked((0.5, 0.0), beside, BESIDE, shown) is None
+    assert clicked(point, beside, BESIDE, shown, START) == ("attacked", (12, 16))
+    assert clicked((0.5, 0.0), beside, BESIDE, shown, START) is None
     one = lay_out((150, 100), 1.5, 1)
-    assert clicked((0.2, 0.9), one, SPLIT, shown, split=0.5) == ("clean", (9, 28))
-    assert clicked((0.8, 0.9), one, SPLIT, shown, split=0.5) == ("attacked", (38, 28))
-    assert clicked((0.8, 0.9), one, DIFFERENCE, shown) == ("clean", (38, 28))
-    assert clicked((float("nan"), 0.5), one, "clean", shown) is None
+    assert clicked((0.2, 0.9), one, SPLIT, shown, START, split=0.5) == ("clean", (9, 28))
+    assert clicked((0.8, 0.9), one, SPLIT, shown, START, split=0.5) == ("attacked", (38, 28))
+    assert clicked((0.8, 0.9), one, DIFFERENCE, shown, START) == ("clean", (38, 28))
+    assert clicked((float("nan"), 0.5), one, "clean", shown, START) is None
 
 
 def test_what_is_picked_has_another_colour_and_can_be_undone() -> None:

@@ -122,6 +122,9 @@ def test_the_page_in_a_file(
     red, green = colours(first)
     assert min(red, green) > 1000
     assert page.get_by_label("Azimuth").input_value() == "0"
+    assert page.get_by_label("Camera").input_value() == "0"
+    opened.says(work.inspect("attacked", START).text)
+    page.keyboard.press("Tab")
     page.keyboard.press("Tab")
     assert page.evaluate("document.activeElement.id") == "azimuth"
     page.keyboard.press("ArrowRight")
@@ -130,6 +133,7 @@ def test_the_page_in_a_file(
     there = replace(START, azimuth=START.azimuth + 60, elevation=67.5)
     for name in ("clean", "attacked"):
         opened.says(work.inspect(name, there).text)
+    assert page.get_by_label("Camera").input_value() == ""
     assert page.get_by_label("Azimuth").get_attribute("aria-valuetext") == "90°"
     assert not np.array_equal(opened.shot(), first)
     assert page.evaluate("document.documentElement.scrollWidth") <= size[0]

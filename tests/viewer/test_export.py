@@ -21,8 +21,8 @@ from mi_splat.viewer.policy import script_hash
 from tests.viewer.exhibits import START, Looker, exhibit, painter
 
 
-def views_of(page: str) -> list[dict[str, Any]]:
-    found = re.search(r'<script id="views" type="application/json">(.*?)</script>', page, re.DOTALL)
+def views_of(page: str, of: str = "views") -> list[dict[str, Any]]:
+    found = re.search(rf'<script id="{of}" type="application/json">(.*?)</script>', page, re.DOTALL)
     assert found is not None
     views: list[dict[str, Any]] = json.loads(found[1])
     return views
@@ -61,11 +61,20 @@ def test_every_view_has_its_pictures_and_findings(page: str) -> None:
             work.inspect(name, orbit).text for name in ("clean", "attacked")
         ]
         assert [splat["command"] for splat in view["splats"]] == list(work.commands(orbit).values())
-        assert view["place"] == list(work.exhibit.describe(orbit.camera((48, 32))))
+        assert view["place"] == [*work.exhibit.describe(orbit.camera((48, 32))), work.comparison(orbit)]
     content = base64.b64decode(views[0]["splats"][0]["picture"].removeprefix("data:image/jpeg;base64,"))
     with Image.open(io.BytesIO(content)) as picture:
         assert picture.size == (2 * 48, 2 * 32)
     assert len({splat["picture"] for view in views for splat in view["splats"]}) == 12
+
+
+def test_the_listed_cameras_come_first(page: str) -> None:
+    work, listed = painter(looker=Looker()), views_of(page, "cameras")
+    assert [view["name"] for view in listed] == list(work.exhibit.cameras) == ["front", "above"]
+    assert [[s["found"] for s in v["splats"]] for v in listed] == [
+        [work.inspect(name, orbit).text for name in ("clean", "attacked")] for orbit in work.exhibit.cameras.values()
+    ]
+    assert f'src="{listed[0]["splats"][0]["picture"]}"' in page  # before any script has run
 
 
 def test_it_asks_nothing_of_any_network(page: str) -> None:
@@ -90,7 +99,7 @@ def test_sliders_have_names_and_a_keyboard(page: str) -> None:
     elements = Elements(page).found
     sliders = {str(found["id"]) for tag, found in elements if tag == "input" and found["type"] == "range"}
     labels = {str(found["for"]) for tag, found in elements if tag == "label"}
-    assert sliders == labels == {"azimuth", "elevation"}
+    assert sliders | {"camera"} == labels == {"azimuth", "elevation", "camera"}
     assert any(found.get("aria-live") == "polite" for _, found in elements)
 
 

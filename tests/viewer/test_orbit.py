@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mi_splat.camera_sets import hemisphere
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras import Camera, look_at, orbit_pose
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene_files import orbit_camera
 from mi_splat.viewer.orbit import Orbit, focus_of, orbit_of
@@ -44,8 +45,7 @@ def test_the_camera_is_that_of_render(azimuth: float, elevation: float, distance
 def test_a_camera_s_orbit_gives_the_camera_back(azimuth: float, elevation: float, distance: float) -> None:
     camera = orbit(azimuth, elevation, distance).camera((64, 48))
     found = orbit_of(camera, (1.0, 2.0, 0.5))
-    assert found is not None
-    assert torch.allclose(found.camera((64, 48)).to_world, camera.to_world, atol=1e-6 * distance)
+    assert torch.allclose(found.changed().camera((64, 48)).to_world, camera.to_world, atol=1e-6 * distance)
     assert found.fov == pytest.approx(50.0)
 
 
@@ -87,23 +87,36 @@ def test_a_pan_moves_the_target() -> None:
     assert not orbit().is_at((5.0, 5.0, 5.0), (4.0, 1.0, 1.0))
 
 
-@pytest.mark.parametrize("wrong", [{"elevation": 91.0}, {"distance": 0.0}, {"fov": 180.0}, {"azimuth": math.nan}])
+@pytest.mark.parametrize(
+    "wrong", [{"elevation": 91.0}, {"distance": 0.0}, {"fov": 180.0}, {"azimuth": math.nan}, {"roll": 181.0}]
+)
 def test_wrong_numbers_are_refused(wrong: dict[str, float]) -> None:
-    numbers = {"azimuth": 0.0, "elevation": 0.0, "distance": 1.0, "fov": 45.0, **wrong}
+    numbers: dict[str, Any] = {"azimuth": 0.0, "elevation": 0.0, "distance": 1.0, "fov": 45.0, **wrong}
     with pytest.raises(InvalidValueError, match="orbit: expected"):
         Orbit(target=(0, 0, 0), **numbers)
 
 
-def test_cameras_that_no_orbit_has() -> None:
-    pose = look_at((5, 0, 1), (0, 0, 0), up=(0, 1, 1))
-    upright = look_at((5, 0, 1), (0, 0, 0))
-    cameras = [
-        Camera(to_world=pose, focal=50, width=64, height=64),
-        Camera(to_world=upright, focal=(50, 60), width=64, height=64),
-        Camera(to_world=upright, focal=50, width=64, height=64, principal=(20, 32)),
-    ]
-    assert [orbit_of(camera, (0, 0, 0)) for camera in cameras] == [None] * 3
-    assert orbit_of(Camera(to_world=upright, focal=50, width=64, height=64), (9, 0, 2)) is None  # behind it
+@given(ANGLE, ELEVATION, st.floats(-180, 180))
+def test_a_camera_of_a_file_is_kept_to_the_bit_and_its_roll_when_it_moves(
+    azimuth: float, elevation: float, roll: float
+) -> None:
+    pose = orbit_pose((1.0, 2.0, 0.5), azimuth=azimuth, elevation=elevation, distance=5.0, roll=roll)
+    camera = Camera(to_world=pose, focal=(50, 60), width=64, height=48, principal=(20, 30))
+    found = orbit_of(camera, (1.0, 2.0, 0.5))
+    assert found.camera((64, 48)) is camera
+    assert found.camera((128, 96)).principal == (40, 60)
+    plain = found.changed().camera((64, 48))
+    assert torch.allclose(plain.to_world, pose, atol=2e-4)
+    assert plain.fx == pytest.approx(50)
+    assert plain.principal is None
+    moved = found.moved((9.0, 2.0, 0.5), (1.0, 2.0, 0.5))
+    assert (moved.exact, moved.roll, moved.distance) == (None, found.roll, 8.0)
+
+
+def test_a_camera_that_looks_away_keeps_its_place_and_direction() -> None:
+    camera = Camera(to_world=look_at((5, 0, 1), (0, 0, 0)), focal=50, width=64, height=64)
+    found = orbit_of(camera, (9, 0, 2))
+    assert torch.allclose(found.changed().camera((64, 64)).to_world, camera.to_world, atol=1e-5)
 
 
 def test_the_focus_is_what_all_cameras_look_at() -> None:

@@ -172,7 +172,7 @@ def test_a_splat_with_another_up_stands_upright(monkeypatch: pytest.MonkeyPatch,
     save_splat(scene.transform(Similarity(rotation=turn, translation=torch.zeros(3), scale=1.0)), "y.ply")
     wishes, orbit = Wishes(size=(48, 40)), Orbit(target=(0.1, 0.2, 0.0), azimuth=70, elevation=30, distance=4, fov=45)
     files = {"z.ply": UP, "y.ply": down}
-    works = [Painter(wishes.applied(exhibit_of_file(Path(file), up=up)), Renderer()) for file, up in files.items()]
+    works = [Painter(wishes.applied(exhibit_of_file(Path(file)).turned(up)), Renderer()) for file, up in files.items()]
     upright, turned = (work.picture(work.exhibit.names[0], orbit) for work in works)
     torch.testing.assert_close(turned, upright, rtol=0, atol=1.1 / 255)
     command = shlex.split(works[1].commands(orbit)["y"])

@@ -1,0 +1,141 @@
+"""Data sets on a page: their cameras as they are, rolled ones too, and photographs beside what a splat shows there."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from attacks import cli
+from attacks.report.exhibits import open_exhibit
+from mi_splat.cameras import Camera, View, orbit_pose
+from mi_splat.datasets import write_colmap, write_transforms
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import save_splat
+from mi_splat.io.camera_records import describe
+from mi_splat.io.images import to_bytes
+from mi_splat.rendering import Renderer
+from mi_splat.viewer.exhibit import own_up
+from mi_splat.viewer.export import write_export
+from mi_splat.viewer.painter import Painter
+from mi_splat.viewer.session import Pace, Step, ViewState
+from tests import oracle
+from tests.fakes import blobs
+
+ROLLS = (0.0, 35.0, -120.0, 180.0, 90.0, 10.0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, variant: str) -> Path:
+    """A splat and what was taken of it by rolled cameras, as transforms and as a model of COLMAP."""
+    made, scene, render = tmp_path_factory.mktemp("made"), oracle.random_scene(60, degree=1, seed=4), Renderer()
+    views = []
+    for number, roll in enumerate(ROLLS):
+        pose = orbit_pose((0, 0, 0), azimuth=60.0 * number, elevation=20.0, distance=4.0, roll=roll)
+        camera = Camera(to_world=pose, focal=(60, 66), width=48, height=64 if number == 1 else 40, principal=(22, 18))
+        views.append(View(camera, render(scene, camera).clamp(0, 1)))
+    write_transforms(made / "set", views[1:], test=views[:1])
+    write_colmap(made / "colmap", views)
+    save_splat(scene, made / "splat.ply")
+    return made
+
+
+@pytest.mark.parametrize("kind", ["set", "colmap"])
+def test_a_set_alone_shows_what_its_cameras_took(folder: Path, kind: str) -> None:
+    found = open_exhibit(folder / kind)
+    assert found.names == ("photograph",)
+    assert len(found.cameras) == len(ROLLS)
+    assert sum("held out" in name for name in found.cameras) == 1
+    assert {round(orbit.roll) % 360 for orbit in found.cameras.values()} == {round(roll) % 360 for roll in ROLLS}
+    work = Painter(found, blobs)
+    with Image.open(next((folder / kind).rglob("*.png"))) as picture:
+        some = np.asarray(picture.convert("RGB"))
+    taken = [to_bytes(work.picture("photograph", orbit)) for orbit in found.cameras.values()]
+    assert any(np.array_equal(pixels, some) for pixels in taken)
+    assert {pixels.shape for pixels in taken} == {(40, 48, 3), (64, 48, 3)}
+    assert "no photograph from here" in work.comparison(found.start.changed(azimuth=1.0))
+    assert len(found.lines["Cameras"].segments) == 8 * len(ROLLS)
+
+
+@pytest.mark.parametrize("kind", ["set", "colmap"])
+def test_a_splat_is_rendered_where_each_photograph_was_taken(folder: Path, kind: str) -> None:
+    found = open_exhibit(folder / "splat.ply", cameras=folder / kind)
+    assert found.names == ("photograph", "splat")
+    work = Painter(found, Renderer(found.settings))
+    for orbit in list(found.cameras.values())[: len(ROLLS)]:
+        assert (work.likeness(orbit) or 99.0) > 45  # the file of a picture has 8 bits
+    state = ViewState(orbit=found.start, show="side by side", canvas=(96, 80))
+    assert work.paint(state, Step.FULL, Pace()).pixels.std() > 10
+
+
+def test_the_command_makes_the_picture_of_a_rolled_camera(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = open_exhibit(folder / "splat.ply", cameras=folder / "set")
+    work = Painter(found, Renderer(found.settings))
+    name = next(name for name, orbit in found.cameras.items() if round(orbit.roll) == 35)
+    for orbit in (found.cameras[name], found.cameras[name].changed(azimuth=50.0)):
+        command = shlex.split(work.commands(orbit)["splat"])
+        assert ("--camera-roll" in command) == (orbit.exact is None)
+        assert cli.main([*command[1:], "--out", "again.png"]) == 0
+        with Image.open("again.png") as picture:
+            assert np.array_equal(np.asarray(picture), to_bytes(work.picture("splat", orbit)))
+
+
+def test_a_training_finds_its_set_and_how_it_was_rendered(folder: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    shutil.copy(folder / "splat.ply", run)
+    recorded = {"settings": {"near": 0.3, "background": [1, 1, 1]}, "dataset": str(folder / "set")}
+    (run / "config.json").write_text(json.dumps(recorded))
+    found = open_exhibit(run)
+    assert found.names == ("photograph", "run")
+    assert (found.settings.near, found.settings.background) == (0.3, (1.0, 1.0, 1.0))
+    (run / "config.json").write_text(json.dumps({**recorded, "dataset": "gone"}))
+    assert open_exhibit(run).names == ("run",)
+
+
+def test_a_list_of_cameras_and_two_splats(folder: Path, tmp_path: Path) -> None:
+    camera = next(iter(open_exhibit(folder / "set").cameras.values())).exact
+    assert camera is not None
+    (tmp_path / "cameras.json").write_text(json.dumps([describe("here", camera)]))
+    found = open_exhibit(folder / "splat.ply", clean=folder / "splat.ply", cameras=tmp_path / "cameras.json")
+    assert list(found.cameras) == ["here", "whole scene"]
+    assert torch.equal(found.start.camera((48, 40)).to_world, camera.to_world)
+    assert Painter(found, blobs).comparison(found.start) == "From here both pictures are the same."
+    beside = open_exhibit(folder / "splat.ply", clean=folder / "splat.ply", cameras=folder / "set")
+    assert beside.names == ("clean", "attacked")
+
+
+def test_what_cannot_be_shown_together(folder: Path) -> None:
+    with pytest.raises(InvalidValueError, match="clean: expected nothing beside a set"):
+        open_exhibit(folder / "set", clean=folder / "splat.ply")
+    with pytest.raises(InvalidValueError, match="cameras: expected none beside a set"):
+        open_exhibit(folder / "set", cameras=folder / "colmap")
+    with pytest.raises(InvalidValueError, match=r"cameras: expected a set of pictures .* nothing there"):
+        open_exhibit(folder / "splat.ply", cameras=folder / "none")
+
+
+def test_the_up_of_most_cameras_is_told(folder: Path) -> None:
+    level = {
+        name: replace(o, exact=o.changed(roll=0.0).camera((8, 8)))
+        for name, o in open_exhibit(folder / "set").cameras.items()
+    }
+    found = replace(open_exhibit(folder / "set"), cameras=level)
+    assert own_up(found) is None
+    assert own_up(found.turned((0.0, -1.0, 0.0))) == (0.0, 0.0, 1.0)
+
+
+def test_the_page_in_a_file_has_the_photographs_alone(folder: Path, tmp_path: Path) -> None:
+    write_export(Painter(open_exhibit(folder / "set"), blobs), tmp_path / "page.html", views=(4, 2))
+    page = (tmp_path / "page.html").read_text()
+    assert '<script id="views" type="application/json">[]</script>' in page
+    assert page.count("<option ") == len(ROLLS) + 1
