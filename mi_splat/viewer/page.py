@@ -80,7 +80,11 @@ class Visitor:
         self._sent: deque[Orbit] = deque(maxlen=ECHOES)  # the browser says late where it was told to be
         first = self._first_state(self._painter.exhibit.start, _canvas(client.camera))
         self._session = Session(state=first, changed=time.monotonic())
-        self._add_controls()
+        tabs = client.gui.add_tab_group()
+        self._look = tabs.add_tab("Look")
+        self._add_panel()
+        with tabs.add_tab("Tools"):
+            self._bench_panel = BenchPanel(client.gui, bench, self, wake)
         # What it shows before it has read where to begin is nobody's wish.
         self._sent.append(first.orbit.moved(client.camera.position, client.camera.look_at))
         self._place_camera(first.orbit)
@@ -99,8 +103,9 @@ class Visitor:
             with self._lock:
                 self._painter, state = self._bench.painter, self._session.state
                 self._session = Session(state=self._first_state(state.orbit, state.canvas), changed=time.monotonic())
-            self.client.gui.reset()
-            self._add_controls()
+            for control in tuple(self._look._children.values()):
+                control.remove()
+            self._add_panel()
         self._change_by_control(lambda state: replace(state, tint=self._bench.tints))
         self._bench_panel.follow()
 
@@ -156,16 +161,11 @@ class Visitor:
         show = ways_of_showing(self._painter.exhibit.names)[0]
         return ViewState(orbit=orbit, show=show, canvas=canvas, tint=self._bench.tints)
 
-    def _add_controls(self) -> None:
-        """The controls, which are those of what is shown."""
-        gui, painter = self.client.gui, self._painter
-        tabs, state = gui.add_tab_group(), self._session.state
-        with tabs.add_tab("Look"):
-            self._panel = Panel(
-                gui, painter.exhibit, state, inspector=painter.inspector is not None, change=self._change_by_control
-            )
-        with tabs.add_tab("Tools"):
-            self._bench_panel = BenchPanel(gui, self._bench, self, self._wake)
+    def _add_panel(self) -> None:
+        """The controls of what is shown."""
+        inspector, exhibit, state = self._painter.inspector is not None, self._painter.exhibit, self._session.state
+        with self._look:
+            self._panel = Panel(self.client.gui, exhibit, state, inspector=inspector, change=self._change_by_control)
 
     async def _click(self, event: Any) -> None:
         self._pick(event.screen_pos, adds=event.modifier is not None)

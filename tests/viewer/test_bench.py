@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import io
-import multiprocessing.dummy
 import shlex
-import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,71 +19,13 @@ from mi_splat.scene import GaussianScene
 from mi_splat.sh import dc_to_colour
 from mi_splat.viewer.bench import Bench
 from mi_splat.viewer.composition import BESIDE, DIFFERENCE, SPLIT, lay_out
-from mi_splat.viewer.exhibit import Exhibit
-from mi_splat.viewer.jobs import Choice, Field, Job, News, Number, Outcome, Request, Tell, Values
+from mi_splat.viewer.jobs import Job
 from mi_splat.viewer.picking import TINT, Click, clicked, tinted
 from mi_splat.viewer.session import Pace, Step, ViewState
-from tests.fakes import blobs
-from tests.viewer.exhibits import ABOVE, START, ball, exhibit, painter
+from tests.viewer.exhibits import START, ball, exhibit, painter
+from tests.viewer.works import Thread, bench, perform
 
 MIDDLE = Click(splat="clean", pixel=(24, 16), orbit=START)
-
-
-class _Thread(multiprocessing.dummy.DummyProcess):
-    """A thread in the place of a process, which is ended by an event."""
-
-    exitcode = 0
-    ended = threading.Event()
-
-    def terminate(self) -> None:
-        self.ended.set()
-
-
-PROCESSES = SimpleNamespace(Pipe=multiprocessing.dummy.Pipe, Process=lambda **given: _Thread(**_plain(given)))
-
-
-def _plain(given: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in given.items() if name != "daemon"}
-
-
-def perform(words: Sequence[str], tell: Tell) -> None:
-    """Says that it begins, waits if it is to, and writes its words where its result is wanted."""
-    tell(News(text=f"beginning {words[0]}", share=0.5, picture=np.zeros((4, 4, 3), np.uint8)))
-    if words[0] == "wait":
-        assert _Thread.ended.wait(20)
-        return
-    if words[0] == "fail":
-        raise InvalidValueError("work: expected to be done, got this; look elsewhere")
-    Path(words[-1]).write_text(" ".join(words))
-
-
-class Works:
-    """A laboratory that does nothing."""
-
-    kinds = ("Work",)
-    perform = staticmethod(perform)
-
-    def form(self, kind: str, exhibit: Exhibit, values: Values) -> tuple[Field, ...]:
-        return (
-            Choice(name="verb", label="Verb", options=("do", "wait", "fail"), usual="do"),
-            Number(name="eps", label="eps", low=0.5, high=20.0, step=0.5, usual=5.0),
-        )
-
-    def words(self, request: Request, *, mask: Path, out: Path | None = None) -> list[str]:
-        if request.picked is None:
-            raise InvalidValueError("Work: expected an object, got none; click on one")
-        return [str(request.values["verb"]), f"--eps={request.values['eps']}", str(mask), str(out or "out/work")]
-
-    def opened(self, request: Request, out: Path) -> Outcome:
-        mask = np.load(out.parent / "mask.npy")
-        return Outcome(
-            lines=(f"done to {mask.sum()}",), exhibit=exhibit(2), cameras={"from above": ABOVE}, picture=None
-        )
-
-
-def bench(**others: Any) -> Bench:
-    """A bench with a laboratory that does nothing."""
-    return Bench(painter(1), Works(), renderer=lambda settings: blobs, processes=PROCESSES, **others)
 
 
 def until(true: Callable[[], bool], work: Bench) -> None:
@@ -176,7 +114,7 @@ def test_work_is_told_of_and_its_result_is_shown() -> None:
 
 
 def test_one_work_at_a_time_which_can_be_stopped_and_may_fail() -> None:
-    _Thread.ended.clear()
+    Thread.ended.clear()
     work = bench()
     work.pick(MIDDLE)
     work.choose("Work", "verb", "wait")

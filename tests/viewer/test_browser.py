@@ -21,9 +21,10 @@ from mi_splat.viewer import export
 from mi_splat.viewer.export import write_export
 from mi_splat.viewer.guard import COOKIE
 from tests.browser import CHROMIUM
-from tests.viewer.exhibits import START, Looker, painter
+from tests.viewer.exhibits import ABOVE, START, Looker, painter
 from tests.viewer.windows import Window, window
 from tests.viewer.wire import serving
+from tests.viewer.works import bench
 
 pytestmark = [
     pytest.mark.slow,
@@ -108,6 +109,30 @@ def test_a_narrow_window_has_pictures_and_controls(chromium: Any) -> None:
         opened.page.keyboard.press("ArrowRight")
         opened.says(painter(looker=Looker()).inspect("clean", replace(START, elevation=21.0)).text)
         assert opened.page.evaluate("document.documentElement.scrollWidth") <= 320
+
+
+def test_an_object_is_picked_and_worked_on(chromium: Any, tmp_path: Path) -> None:
+    with window(chromium, bench()) as opened:
+        page = opened.page
+        page.get_by_role("tab", name="Tools").press("Enter")
+        page.mouse.click(340, 320)
+        opened.says("Gaussians of clean")
+        with page.expect_download() as download:
+            page.get_by_role("button", name="Save mask.npy").press("Enter")
+        download.value.save_as(tmp_path / "mask.npy")
+        mask = np.load(tmp_path / "mask.npy")
+        assert f"{mask.sum()} of {len(mask)} Gaussians of clean" in page.inner_text("body")
+        page.get_by_text("Work", exact=True).first.click()
+        page.get_by_label("eps").last.fill("7")  # numbers have names
+        opened.until(
+            lambda: any("--eps=7" in text for text in page.locator("textarea").evaluate_all("a => a.map(x => x.value)"))
+        )
+        page.get_by_role("button", name="Work", exact=True).press("Enter")
+        opened.says(f"done to {mask.sum()}")
+        opened.until(lambda: min(colours(opened.shot(650))) > 2000)  # both splats, in their own colours
+        page.get_by_role("button", name="from above").press("Enter")
+        page.get_by_role("tab", name="Look").press("Enter")
+        opened.says(f"{ABOVE.camera((8, 8)).position[2]:.1f} above the ground")
 
 
 @pytest.mark.parametrize("size", [(1000, 700), (320, 640)])

@@ -12,6 +12,7 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -21,21 +22,23 @@ from torch import Tensor
 pytest.importorskip("viser", reason="needs the extra `view`")
 
 from mi_splat.errors import InvalidValueError
+from mi_splat.viewer.bench import Bench
 from mi_splat.viewer.exhibit import Inspection
 from mi_splat.viewer.guard import COOKIE
 from mi_splat.viewer.page import Page, check_port
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.panel import FREE, as_html
 from mi_splat.viewer.session import Pace, Step, ViewState
-from tests.viewer.exhibits import START, Looker, painter
+from tests.viewer.exhibits import ABOVE, START, Looker, painter
 from tests.viewer.wire import Browser, connection, headers_of, serving
+from tests.viewer.works import bench
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:websockets")
 FULL = (80, 160)
 
 
 @contextmanager
-def visiting(work: Painter) -> Iterator[Browser]:
+def visiting(work: Painter | Bench) -> Iterator[Browser]:
     """A browser on a page; it has the first camera and a window of 160 x 80."""
     with serving(work) as page, connection(page.address, headers_of(page.address)) as browser:
         browser.look(START)
@@ -130,15 +133,32 @@ def test_a_control_moves_the_camera() -> None:
         browser.until(lambda message: expected in str(message.get("updates", {})))
 
 
-def test_a_click_picks_an_object_and_a_button_takes_it_back() -> None:
-    with visiting(painter(1)) as browser:
+def test_a_click_picks_an_object_and_a_button_has_work_done_on_it() -> None:
+    with visiting(bench()) as browser:
         browser.picture(FULL)
         ray = {"ray_origin": (0.0, 0.0, 0.0), "ray_direction": (0.0, 0.0, 1.0)}
         for at in ((float("nan"), 7.0), (0.5, 0.5)):
             browser.say("ScenePointerMessage", event_type="click", screen_pos=(at,), modifier=None, **ray)
         browser.until(lambda message: "Gaussians of clean" in str(message.get("updates", {})))
         assert "mi-splat select clean.ply --click 24,16" in str(browser.messages)
-        browser.say("GuiUpdateMessage", uuid=browser.control("Undo")["uuid"], updates={"value": True})
+
+        def said(text: str) -> dict[str, Any]:
+            """The last message that holds a text, which came already or comes soon."""
+            before = [message for message in browser.messages if text in str(message)]
+            return before[-1] if before else browser.until(lambda message: text in str(message))
+
+        def press(label: str) -> None:
+            said(f"'label': '{label}'")
+            button = [m for m in browser.messages if m["type"] == "GuiButtonMessage" and m["props"]["label"] == label]
+            browser.say("GuiUpdateMessage", uuid=button[-1]["uuid"], updates={"value": True})
+
+        press("Work")
+        said("done to")
+        assert "attacked" in said("'label': 'Show'")["props"]["options"]
+        press("from above")
+        told = browser.until(lambda message: message["type"] == "SetCameraPositionMessage")
+        assert np.allclose(told["position"], ABOVE.position)
+        press("Undo")
         browser.until(lambda message: "Click on an object" in str(message.get("updates", {})))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from mi_splat.viewer.bench import Bench
 from mi_splat.viewer.painter import Painter
 from tests.viewer.wire import serving
 
@@ -59,7 +60,7 @@ class Window:
 
 @contextmanager
 def window(
-    chromium: Any, work: Painter, size: tuple[int, int] = (1000, 640), *, says: str = "above the ground"
+    chromium: Any, work: Painter | Bench, size: tuple[int, int] = (1000, 640), *, says: str = "above the ground"
 ) -> Iterator[Window]:
     """A window on a page that says something sooner or later."""
     with serving(work) as page:

@@ -16,6 +16,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from mi_splat.viewer.bench import Bench
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.page import Page
 from mi_splat.viewer.painter import Painter
@@ -127,7 +128,7 @@ def connection(address: str, headers: dict[str, str], *, origin: str | None = No
 
 
 @contextmanager
-def serving(work: Painter) -> Iterator[Page]:
+def serving(work: Painter | Bench) -> Iterator[Page]:
     """A page whose pictures another thread makes."""
     stop = threading.Event()
     with Page(work, port=0) as page:
