@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from mi_splat import provenance
 from mi_splat.datasets import load_dataset
 from mi_splat.datasets.writing import IMAGES
 from mi_splat.errors import message
@@ -80,7 +81,7 @@ def prepare(
         shutil.rmtree(root / "colmap", ignore_errors=True)
         parts = _parts(root)
         tiles = [
-            Tile(file=images / picture.name, text=picture.name, part=parts.get(picture.name, "none"))
+            Tile(file=images / picture.name, text=picture.source, part=parts.get(picture.name, "none"))
             for picture in pictures
         ]
         save_picture(contact_sheet(tiles), root / SHEET)
@@ -90,11 +91,13 @@ def prepare(
         record = {
             "source": str(source),
             **dataclasses.asdict(config),
+            "cameras_by": done.made_by,
             "models": list(done.models),
             "reprojection_error": done.error,
             "points": _points(root),
             "pictures": [_row(picture, done, parts) for picture in pictures],
             "broken": dict(broken),
+            **provenance.origin(),
         }
         save_json(record, root / RECORD)
     return record

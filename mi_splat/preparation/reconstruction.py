@@ -40,12 +40,14 @@ class Reconstruction:
         error: Mean distance of points from where pictures show them, pixels.
         features: Points by which each picture could be found in others, by its name.
         overlaps: How many others each picture has enough of them in common with, by its name.
+        made_by: The program, and its version.
     """
 
     models: tuple[int, ...]
     error: float = 0.0
     features: Mapping[str, int]
     overlaps: Mapping[str, int]
+    made_by: str = ""
 
 
 Reconstruct = Callable[[Path, Sequence[Picture], bool, int, Told], Reconstruction]
@@ -106,6 +108,7 @@ def by_colmap(root: Path, pictures: Sequence[Picture], in_order: bool, features:
         error=float(models[0].compute_mean_reprojection_error()) if models else 0.0,
         features=counted,
         overlaps=overlaps,
+        made_by=f"pycolmap {pycolmap.__version__}",
     )
 
 
