@@ -105,7 +105,8 @@ class Laboratory:
         if request.picked is None:
             raise InvalidValueError(message(request.kind, "an object", "none", "click on one in the picture"))
         orbit = request.orbit.changed() if request.kind == JUDGE else request.orbit  # its distance and lens
-        camera = camera_words(orbit, exhibit.size_at(request.orbit), settings=exhibit.settings, up=exhibit.up)
+        splat, size = exhibit.splat(request.picked.splat), exhibit.size_at(request.orbit)
+        camera = camera_words(orbit, size, settings=exhibit.settings, up=exhibit.up, path=splat.path)
         detector = str(values["detector"])
         weights = ["--weights", str(self._weights[detector])] if detector in self._weights else []
         shared = ["--mask", str(mask), "--detectors", detector, *weights]
@@ -118,9 +119,8 @@ class Laboratory:
             return ["evaluate", *paths, *shared, *target, *around, "--pictures", "0", "--out", str(out or "out/judged")]
         wish = ["--objective", str(values["wish"])]
         wish += ["--target", str(values["target"])] if values["wish"] == "relabel" else []
-        size = ["--norm", str(values["norm"]), "--eps", f"{values['eps']:g}", "--steps", f"{values['steps']:.0f}"]
-        path = str(exhibit.splat(request.picked.splat).path)
-        return ["dagger", path, *shared, *wish, *size, *camera, "--out", str(out or "out/dagger")]
+        ball = ["--norm", str(values["norm"]), "--eps", f"{values['eps']:g}", "--steps", f"{values['steps']:.0f}"]
+        return ["dagger", str(splat.path), *shared, *wish, *ball, *camera, "--out", str(out or "out/dagger")]
 
     def opened(self, request: Request, out: Path) -> Outcome:
         """As in `mi_splat.viewer.jobs.Laboratory`."""

@@ -112,7 +112,7 @@ class Bench:
         Raises:
             InvalidValueError: Nothing is there.
         """
-        if click.splat not in self.exhibit.names:  # shown no longer
+        if all(click.splat != splat.name for splat in self.exhibit.splats):  # shown no longer
             return
         self._picks.append(pick(click, self.exhibit, self.painter.render, self.picked))
         self.lines = ()

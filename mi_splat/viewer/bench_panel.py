@@ -14,6 +14,8 @@ from mi_splat.viewer.picking import MASK
 
 HOW_TO_PICK = "Click on an object in the picture; with Shift held, it joins those that are picked."
 
+NOTHING_TO_PICK = "Photographs have no objects to pick; a splat has."
+
 
 class Visit(Protocol):
     """What the controls ask of the visitor."""
@@ -68,7 +70,8 @@ class BenchPanel:
         """Show what there is now."""
         bench, news, outcome = self._bench, self._bench.news, self._bench.outcome
         picked = bench.picked
-        self._object.content = as_html([("", HOW_TO_PICK if picked is None else picked.words)])
+        how = HOW_TO_PICK if bench.exhibit.splats else NOTHING_TO_PICK
+        self._object.content = as_html([("", how if picked is None else picked.words)])
         self._select.value = "" if picked is None else picked.command
         self._select.visible = picked is not None and bool(picked.command)
         self._undo.disabled = self._save.disabled = picked is None

@@ -10,6 +10,8 @@ import io
 import math
 import multiprocessing
 import os
+import signal
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -213,14 +215,16 @@ class Job:
 
     def stop(self) -> None:
         """End it, if it still runs."""
-        self._process.terminate()
+        self._process.kill()
         self._process.join()
         self._pipe.close()
 
 
 def _run(perform: Perform, words: Sequence[str], pipe: Any) -> None:
     """What the process does: says what happens, and last how it ended."""
-    os.nice(5)  # pictures come first
+    if threading.current_thread() is threading.main_thread():
+        os.nice(5)  # pictures come first
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page, which ends this process
     said = io.StringIO()
     try:
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):

@@ -29,10 +29,11 @@ from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.picking import Picked
 from tests.audit.accounts import account, look
 from tests.fakes import ColourDetector, register
+from tests.project.layers import ROOT
 from tests.viewer.exhibits import ball
 
 CAMERA = Orbit(target=(0.1, -0.2, 0.05), azimuth=33.0, elevation=-12.5, distance=4.25, fov=40.0)
-MASK = Path("mask.npy")
+MASK, STREET = Path("mask.npy"), ROOT / "scenes" / "car_street.xml"
 
 
 @pytest.fixture
@@ -58,12 +59,19 @@ def read_back(wanted: Request) -> Any:
 def test_the_command_of_an_attack_is_that_attack_from_this_camera(exhibit: Exhibit) -> None:
     wanted = request(ATTACK, exhibit, wish="hide", norm="linf", eps=0.3, steps=7.0, detector="yolov8n_small")
     options = read_back(wanted)
+    assert wanted.picked is not None
     assert (options.objective, options.target, options.detectors) == ("hide", None, ("yolov8n_small",))
     assert (options.config.norm, options.config.eps, options.config.steps) == ("linf", (0.3,), 7)
     assert (options.scene, options.selection.mask, options.out) == (exhibit.splats[0].path, MASK, Path("out/dagger"))
     (camera,) = find_cameras(open_scene(options.scene), options.view).values()
     assert torch.equal(camera.to_world, CAMERA.camera(exhibit.size).to_world)
     assert (camera.fx, camera.width, camera.height) == (CAMERA.camera((40, 32)).fx, 40, 32)
+    loaded = open_scene(STREET)
+    street = exhibit_of_file(STREET)
+    rear = street.cameras["rear"]
+    named = replace(wanted, exhibit=street, orbit=rear, picked=replace(wanted.picked, splat=street.names[0]))
+    (camera,) = find_cameras(loaded, read_back(named).view).values()
+    assert torch.equal(camera.to_world, loaded.cameras["rear"].to_world)  # to the bit, as the file has it
     relabelled = read_back(request(ATTACK, exhibit, target="stop sign"))
     assert (relabelled.objective, relabelled.target) == ("relabel", "stop sign")
 

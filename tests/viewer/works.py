@@ -25,7 +25,7 @@ class Thread(multiprocessing.dummy.DummyProcess):
     exitcode = 0
     ended = threading.Event()
 
-    def terminate(self) -> None:
+    def kill(self) -> None:
         self.ended.set()
 
 
