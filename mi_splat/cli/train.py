@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -23,12 +24,14 @@ if TYPE_CHECKING:
     from mi_splat.rendering import Renderer
     from mi_splat.scene import GaussianScene
     from mi_splat.training.loop import Progress, TrainState
+    from mi_splat.viewer.live import Follower
 
 
 EXAMPLES = (
     "train out/truck --out out/truck-splat --iterations 7000",
     "train my_colmap_folder --out out/desk --downscale 2 --max-gaussians 200000",
     "train out/truck --out out/mcmc --strategy mcmc --max-gaussians 50000",
+    "train out/truck --out out/watched --live",
 )
 SEE_ALSO = ("capture", "render", "info")
 ALIASES = {
@@ -94,6 +97,11 @@ class TrainOptions(JsonOptions):
     """Steps between two checkpoints."""
     seed: Seed = 0
     """Seed of everything random."""
+    live: bool = False
+    """Serve a page on this machine that follows the training: the splat beside held-out photographs, its curves, and a
+    button to stop and go on. The result is the same to the bit."""
+    port: Annotated[int, between(0, 65535, do="0 takes a free one"), Called("PORT")] = 8080
+    """Port of the page; 0 is any free one."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -134,6 +142,11 @@ def run(options: TrainOptions) -> None:
     from mi_splat.io.folders import own_folder
     from mi_splat.training.resume import CHECKPOINT, CONFIG
 
+    if options.live:
+        from mi_splat.viewer.page import check_port, need_viser
+
+        need_viser()
+        check_port("127.0.0.1", options.port)
     with own_folder(options.out, CONFIG, CHECKPOINT):
         _train(options)
 
@@ -141,7 +154,7 @@ def run(options: TrainOptions) -> None:
 def _train(options: TrainOptions) -> None:
     """As `run`, in a folder that is this process's own."""
     from mi_splat.bounds import near_plane
-    from mi_splat.datasets import has_tests, load_dataset
+    from mi_splat.datasets import Dataset, has_tests, load_dataset
     from mi_splat.metrics import load_lpips
     from mi_splat.training.resume import METRICS, SPLAT, train
 
@@ -161,13 +174,21 @@ def _train(options: TrainOptions) -> None:
     begun = time.monotonic()
     lpips = load_lpips() if options.lpips else None
     words = _Words()
-    with progress("training", total=config.iterations) as advance:
+    sets = (views, held_out) if isinstance(held_out, Dataset) else (views,)
+    with (
+        _page(options, sets, start, near) as following,
+        progress("training", total=config.iterations) as advance,
+    ):
 
         def resumed(state: TrainState) -> None:
             whole = f"the run has all its {config.iterations:,} steps; only its results are written again"
             rest = f"going on from step {state.iteration:,} of {config.iterations:,}"
             warn(whole if state.iteration >= config.iterations else rest)
             advance("training", state.iteration)
+
+        def heard(line: Progress) -> None:
+            advance(words(line))
+            following.note(line)
 
         trained = train(
             views,
@@ -182,7 +203,9 @@ def _train(options: TrainOptions) -> None:
             settings={"near": near, "background": list(options.background), "device": options.device},
             dataset=options.dataset,
             on_resume=resumed,
-            on_step=lambda line: advance(words(line)),
+            on_start=following.begin,
+            on_step=heard,
+            hold=following.hold,
         )
     figures, seconds = read_json(options.out / METRICS), time.monotonic() - begun
     lines = [f"{options.out / SPLAT}: {len(trained.scene):,} Gaussians after {config.iterations} steps"]
@@ -192,6 +215,42 @@ def _train(options: TrainOptions) -> None:
         lines.append(f"held out ({figures['held_out_views']} pictures): {quality}")
     lines.append(f"took {seconds:.0f} s; figures are in {options.out / METRICS}")
     show_result({**figures, "out": str(options.out), "seconds": seconds}, *lines, as_json=options.json)
+
+
+class _Following:
+    """Nobody follows the training."""
+
+    def begin(self, state: TrainState) -> None:
+        """Hear of the run."""
+
+    def note(self, line: Progress) -> None:
+        """Hear of a step."""
+
+    def hold(self) -> bool:
+        """Do what is to be done between two steps; whether the training is to wait."""
+        return False
+
+
+@contextlib.contextmanager
+def _page(
+    options: TrainOptions, sets: Sequence[Dataset], start: GaussianScene, near: float
+) -> Iterator[_Following | Follower]:
+    """The page that follows the training, if there is to be one."""
+    if not options.live:
+        yield _Following()
+        return
+    from mi_splat.rendering import Renderer, RenderSettings
+    from mi_splat.training.resume import SPLAT
+    from mi_splat.viewer.live import Follower, Live, training_exhibit
+    from mi_splat.viewer.page import Page
+    from mi_splat.viewer.painter import Painter
+
+    settings = RenderSettings(background=options.background, near=near)
+    exhibit = training_exhibit(sets, start, dataset=options.dataset, out=options.out / SPLAT, settings=settings)
+    live = Live(Painter(exhibit, Renderer(settings)), options.fit.iterations)
+    with Page(live, port=options.port) as page:
+        warn(f"open {page.address}")
+        yield Follower(live, page)
 
 
 def _renderer(options: TrainOptions, near: float) -> Renderer:

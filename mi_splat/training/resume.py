@@ -45,7 +45,9 @@ def train(
     settings: Mapping[str, object] | None = None,
     dataset: Path | None = None,
     on_resume: Callable[[TrainState], None] | None = None,
+    on_start: Callable[[TrainState], None] | None = None,
     on_step: OnStep | None = None,
+    hold: Callable[[], bool] | None = None,
 ) -> Fit:
     """Train in a folder; a run that was stopped there goes on, and ends with the bits it would have had.
 
@@ -69,7 +71,9 @@ def train(
             on.
         dataset: Where the views come from, which config.json keeps.
         on_resume: Called with the run when one goes on, before its first step.
+        on_start: Called with the run before its first step, whether it goes on or not.
         on_step: Called after every step.
+        hold: Called after that, and again for as long as it says that the run is to wait.
 
     Warns:
         UserWarning: A run goes on with another number of torch's threads, which may change its last bits.
@@ -98,11 +102,15 @@ def train(
         given = {"settings": dict(settings or {}), "dataset": None if dataset is None else str(dataset)}
         save_json({"config": to_json(config), "seed": seed, "views": len(views), **given}, folder / CONFIG)
 
+        if on_start is not None:
+            on_start(state)
         with _deferred_interrupt() as interrupted:
 
             def after(line: Progress) -> None:
                 if on_step is not None:
                     on_step(line)
+                while hold is not None and hold() and not interrupted():
+                    pass
                 if interrupted() or line.iteration % every == 0 or line.iteration == config.iterations:
                     save_state(state, path)
                 if interrupted():

@@ -18,6 +18,7 @@ from mi_splat.cameras import RenderFn
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.documents import save_bytes
 from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.viewer.bench_panel import BenchPanel, Controls, Visit
 from mi_splat.viewer.exhibit import Exhibit
 from mi_splat.viewer.jobs import Field, Job, Laboratory, News, Outcome, Request, Value
 from mi_splat.viewer.orbit import Orbit
@@ -66,6 +67,19 @@ class Bench:
         self._job: tuple[Job, Request, Path] | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._called = dict[str, str]()
+
+    tab, leads = "Tools", False
+    """Name of the tab with the controls, and whether it is the first."""
+
+    def panel(self, gui: Any, visit: Visit, wake: Callable[[], None]) -> Controls:
+        """Add the controls for a visitor.
+
+        Args:
+            gui: viser's interface for this visitor.
+            visit: The visitor.
+            wake: Called when something was asked for.
+        """
+        return BenchPanel(gui, self, visit, wake)
 
     @property
     def painter(self) -> Painter:

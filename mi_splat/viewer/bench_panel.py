@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Coroutine
 from functools import partial
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from mi_splat.viewer.bench import Bench
 from mi_splat.viewer.jobs import Choice, Field
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.panel import as_html
 from mi_splat.viewer.picking import MASK
+
+if TYPE_CHECKING:
+    from mi_splat.viewer.bench import Bench
 
 HOW_TO_PICK = "Click on an object in the picture; with Shift held, it joins those that are picked."
 
@@ -35,6 +37,18 @@ class Visit(Protocol):
 
     def download(self, name: str, content: bytes) -> None:
         """Give the visitor a file."""
+        ...
+
+
+class Controls(Protocol):
+    """What the page asks of a visitor's controls."""
+
+    def follow(self) -> None:
+        """Show what there is now."""
+        ...
+
+    def tell(self) -> None:
+        """Show what belongs to the present camera."""
         ...
 
 

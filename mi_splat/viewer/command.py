@@ -20,7 +20,7 @@ def render_command(
     orbit: Orbit,
     size: tuple[int, int],
     *,
-    middle: Point,
+    middle: Point | None,
     settings: RenderSettings,
     file_settings: RenderSettings,
     up: Point = UP,
@@ -31,7 +31,8 @@ def render_command(
         path: Splat file or scene XML.
         orbit: The camera.
         size: Width and height in pixels.
-        middle: (3,) where `mi-splat render` looks unless told otherwise: the middle of the file's Gaussians.
+        middle: (3,) where `mi-splat render` looks unless told otherwise: the middle of the file's Gaussians; None if
+            that is not known.
         settings: How the picture is rendered.
         file_settings: How the file itself is rendered.
         up: (3,) direction in the file that is z on the page.

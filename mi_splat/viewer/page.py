@@ -17,7 +17,6 @@ from typing import Any
 
 from mi_splat.errors import InvalidValueError, MiSplatError, install, message
 from mi_splat.viewer.bench import Bench
-from mi_splat.viewer.bench_panel import BenchPanel
 from mi_splat.viewer.composition import ways_of_showing
 from mi_splat.viewer.guard import LOOPBACK_NAMES, Guard, guarding, is_loopback
 from mi_splat.viewer.orbit import Orbit
@@ -27,6 +26,8 @@ from mi_splat.viewer.picking import Click, clicked
 from mi_splat.viewer.policy import viser_scripts
 from mi_splat.viewer.session import Session, Step, ViewState
 
+LOOK = "Look"
+"""Name of the tab with the controls of what is shown."""
 JPEG_QUALITY = {Step.COARSE: 75, Step.FULL: 92, Step.INSPECTED: 92}
 DEAF = 1.0
 """Seconds after a control was moved in which the browser's camera, which follows it late, is not listened to."""
@@ -80,11 +81,12 @@ class Visitor:
         self._sent: deque[Orbit] = deque(maxlen=ECHOES)  # the browser says late where it was told to be
         first = self._first_state(self._painter.exhibit.start, _canvas(client.camera))
         self._session = Session(state=first, changed=time.monotonic())
-        tabs = client.gui.add_tab_group()
-        self._look = tabs.add_tab("Look")
+        tabs, names = client.gui.add_tab_group(), (LOOK, bench.tab)
+        added = {name: tabs.add_tab(name) for name in (reversed(names) if bench.leads else names)}
+        self._look = added[LOOK]
         self._add_panel()
-        with tabs.add_tab("Tools"):
-            self._bench_panel = BenchPanel(client.gui, bench, self, wake)
+        with added[bench.tab]:
+            self._bench_panel = bench.panel(client.gui, self, wake)
         # What it shows before it has read where to begin is nobody's wish.
         self._sent.append(first.orbit.moved(client.camera.position, client.camera.look_at))
         self._place_camera(first.orbit)
@@ -256,17 +258,26 @@ class Page:
     def run(self, stop: threading.Event) -> None:
         """Make pictures until `stop` is set."""
         while not stop.is_set():
-            changed = self._bench.turn()
-            with self._news:
-                visitors = list(self._visitors.values())
-                due = [(visitor, step) for visitor in visitors if (step := visitor.due()) is not None]
-                if not (due or changed):
-                    self._news.wait(0.05)
-            for visitor in visitors if changed else ():
-                visitor.follow()
-            for visitor, step in due:
-                if not stop.is_set():
-                    visitor.paint(step)
+            self.turn(stop)
+
+    def turn(self, stop: threading.Event | None = None, *, wait: float = 0.05) -> None:
+        """Do what is to be done, and make one picture for each visitor who is to have one.
+
+        Args:
+            stop: Where it is set, no picture is begun any more.
+            wait: Seconds to wait for something to do where there is nothing.
+        """
+        changed = self._bench.turn()
+        with self._news:
+            visitors = list(self._visitors.values())
+            due = [(visitor, step) for visitor in visitors if (step := visitor.due()) is not None]
+            if not (due or changed):
+                self._news.wait(wait)
+        for visitor in visitors if changed else ():
+            visitor.follow()
+        for visitor, step in due:
+            if stop is None or not stop.is_set():
+                visitor.paint(step)
 
     def close(self) -> None:
         """Close every window's connection and free the port."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ from torch.nn import functional
 
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera, RenderFn
+from mi_splat.directions import Point
 from mi_splat.io.images import quantise, to_bytes
 from mi_splat.labels import write_label
 from mi_splat.metrics import psnr
@@ -66,8 +67,16 @@ class Painter:
         self.exhibit, self.render, self.inspector = exhibit, render, inspector
         self._thinned = {splat.name: Thinned(splat.scene) for splat in exhibit.splats}
         self._tinted = dict[str, Thinned]()
-        self._middles = {splat.name: bounds(splat.scene)[0] for splat in exhibit.splats}
+        self._middles = dict[str, Point | None]()
+        self._middles |= {splat.name: bounds(splat.scene)[0] for splat in exhibit.splats}
         self._last: tuple[Orbit, dict[str, Inspection]] | None = None
+
+    def exchange(self, name: str, scene: GaussianScene) -> None:
+        """Show other Gaussians as a splat from now on, which its file does not have yet."""
+        splats = [replace(splat, scene=scene) if splat.name == name else splat for splat in self.exhibit.splats]
+        self.exhibit = replace(self.exhibit, splats=tuple(splats))
+        self._thinned[name], self._middles[name], self._last = Thinned(scene), None, None
+        self._tinted.pop(name, None)
 
     def tint(self, mask: Tensor | None) -> None:
         """Show Gaussians, (N,) bool, in another colour from now on, in each splat that has as many; None shows none.

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from mi_splat.cameras import Camera
-from mi_splat.datasets import is_dataset, load_dataset
-from mi_splat.datasets.dataset import has_tests
+from mi_splat.datasets import Dataset, has_tests, is_dataset, load_dataset
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import OF, recorded_cameras
@@ -41,7 +40,26 @@ def photographs_of(
     factor = -(-longest // LONGEST_SIDE)
     if factor > 1 and not any(factor % frame.shrunk for frame in views.frames):
         views = replace(views, downscale=factor)
-    held_out = set(load_dataset(path, split="test").paths) if has_tests(path) else set()
+    held_out = load_dataset(path, split="test").paths if has_tests(path) else ()
+    return _listed(views, path, held_out, middle)
+
+
+def photographs_in(sets: Sequence[Dataset], path: Path) -> tuple[dict[str, Orbit], Photographs]:
+    """As `photographs_of`, of views that are loaded, the held-out ones first.
+
+    Args:
+        sets: The views for training, and the held-out ones if there are any; read alike.
+        path: Where they come from.
+    """
+    views, *held_out = sets
+    frames = tuple(frame for part in (*held_out, views) for frame in part.frames)
+    return _listed(replace(views, frames=frames), path, [file for part in held_out for file in part.paths])
+
+
+def _listed(
+    views: Dataset, path: Path, held_out: Sequence[Path], middle: Point | None = None
+) -> tuple[dict[str, Orbit], Photographs]:
+    """The cameras of views by name, and the pictures."""
     stems = [file.stem for file in views.paths]
     names = [stem if stems.index(stem) == i else f"{stem}-{i}" for i, stem in enumerate(stems)]
     shown = [f"{name} (held out)" if file in held_out else name for name, file in zip(names, views.paths, strict=True)]

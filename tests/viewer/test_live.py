@@ -1,0 +1,120 @@
+"""A page that follows a training changes nothing of it, shows where it stands, stops it and lets it go on."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import signal
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from mi_splat.datasets import load_dataset, write_transforms
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+from mi_splat.training.initialization import from_points
+from mi_splat.training.loop import Fit
+from mi_splat.training.resume import train
+from mi_splat.viewer import live as module
+from mi_splat.viewer.live import MOST_POINTS, SPLAT, Curve, Follower, Live, draw_curves, training_exhibit
+from mi_splat.viewer.page import Page
+from mi_splat.viewer.painter import Painter
+from tests.training.sets import views_of, watching
+from tests.training.test_resume import CONFIG
+from tests.viewer.exhibits import START
+from tests.viewer.wire import Browser, connection, headers_of
+
+STEPS = 40
+
+
+@pytest.fixture
+def live(tmp_path: Path) -> Live:
+    """Of a small set, two of whose pictures are held out."""
+    _, views = views_of()
+    write_transforms(tmp_path / "set", views[2:], test=views[:2])
+    parts = [load_dataset(tmp_path / "set", split=split) for split in ("train", "test")]
+    shown = training_exhibit(
+        parts, beginning(), dataset=tmp_path / "set", out=tmp_path / "out" / "splat.ply", settings=RenderSettings()
+    )
+    return Live(Painter(shown, Renderer()), STEPS)
+
+
+def beginning() -> GaussianScene:
+    truth, _ = views_of()
+    return from_points(truth.means, torch.full((50, 3), 0.5))
+
+
+def trained(folder: Path, follower: Follower | None = None) -> Fit:
+    hooks: dict[str, Any] = {}
+    if follower is not None:
+        hooks = {"on_start": follower.begin, "on_step": follower.note, "hold": follower.hold}
+    _, views = views_of()
+    config = dataclasses.replace(CONFIG, iterations=STEPS)
+    return train(views, beginning(), folder, render=watching(), config=config, held_out=views[:2], **hooks)
+
+
+def says(browser: Browser, text: str) -> None:
+    browser.until(lambda message: text in str(message))
+
+
+def test_a_training_that_is_watched_stops_goes_on_and_is_the_same(
+    live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "REFRESH", 0.0)
+    made: list[Fit] = []
+    with Page(live, port=0) as page, connection(page.address, headers_of(page.address)) as browser:
+        follower = Follower(live, page)
+        live.toggle()  # it waits after its first step
+        thread = threading.Thread(target=lambda: made.append(trained(tmp_path / "watched", follower)))
+        thread.start()
+        browser.look(START)
+        says(browser, f"Step 1 of {STEPS}, stopped")
+        assert browser.picture().shape[2] == 3
+        (button,) = (message["uuid"] for message in browser.messages if message["type"] == "GuiButtonMessage")
+        browser.say("GuiUpdateMessage", uuid=button, updates={"value": True})
+        thread.join(60)
+    plain = trained(tmp_path / "plain")
+    assert all(torch.equal(a, b) for a, b in zip(made[0].scene.tensors(), plain.scene.tensors(), strict=True))
+    assert (tmp_path / "watched" / "splat.ply").read_bytes() == (tmp_path / "plain" / "splat.ply").read_bytes()
+    assert live.share == 1.0
+    assert f"All held-out pictures at step {STEPS}: PSNR" in live.remarks[-1]
+
+
+def test_a_stopped_training_can_be_ended(live: Live, tmp_path: Path) -> None:
+    """With Ctrl-C, and its checkpoint is written."""
+    live.toggle()
+
+    def hold() -> bool:
+        os.kill(os.getpid(), signal.SIGINT)
+        return live.waiting
+
+    _, views = views_of()
+    with pytest.raises(KeyboardInterrupt):
+        train(views, beginning(), tmp_path / "ended", render=watching(), config=CONFIG, hold=hold)
+    assert (tmp_path / "ended" / "checkpoint.safetensors").is_file()
+
+
+def test_the_first_picture_is_a_held_out_one_beside_its_photograph(live: Live) -> None:
+    shown = live.exhibit
+    assert shown.names == ("photograph", SPLAT)
+    assert "held out" in str(shown.camera_name(shown.start))
+    assert sum("held out" in name for name in shown.cameras) == 2
+    before = live.painter.picture(SPLAT, shown.start)
+    live.painter.exchange(SPLAT, beginning().select(torch.arange(50) < 25))
+    assert not torch.equal(live.painter.picture(SPLAT, shown.start), before)
+    assert "--centre" in live.painter.commands(shown.start.changed())[SPLAT]
+
+
+def test_curves_are_thinned_out_evenly_and_drawn() -> None:
+    curve = Curve("loss")
+    for step in range(1000):
+        curve.add(step, float(step))
+    assert len(curve.points) < MOST_POINTS
+    assert all(value == step for step, value in curve.points)
+    assert np.allclose(np.diff([step for step, _ in curve.points]), 4)
+    drawn = draw_curves((curve, Curve("PSNR"), Curve("other", [(3, 1.0)])), 1000)
+    assert drawn.shape == (2 * draw_curves((curve,), 1000).shape[0], 320, 3)
