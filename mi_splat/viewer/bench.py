@@ -98,7 +98,7 @@ class Bench:
         fits = [splat.name for splat in self.exhibit.splats if picked is not None and picked.fits(splat.scene)]
         if picked is None or not fits or picked.splat in fits:
             return picked if fits else None
-        return replace(picked, splat=fits[0], command="")
+        return replace(picked, splat=fits[0], words=())
 
     @property
     def running(self) -> str:
@@ -132,6 +132,20 @@ class Bench:
         self.lines = ()
         self.tint(True)
 
+    def trim(self, axis: int, part: object) -> None:
+        """Keep of the object a part of its box along an axis (0, 1, 2); what is no part of [0, 1] changes nothing.
+
+        Raises:
+            InvalidValueError: Nothing of it is there.
+        """
+        picked = self.picked
+        match part:
+            case (int() | float() as low, int() | float() as high) if picked and 0 <= low <= high <= 1:
+                scene = self.exhibit.splat(picked.splat).scene
+                self._picks[-1] = picked.within(scene, axis, (float(low), float(high)))
+                self.lines = ()
+                self.tint(True)
+
     def undo(self) -> None:
         """Take the last pick back."""
         if len(self._picks) > 1:
@@ -141,7 +155,7 @@ class Bench:
     def tint(self, on: bool) -> None:
         """Show the object in another colour, or no longer."""
         self.tinted, self.tints = on, self.tints + 1
-        self.painter.tint(self.picked.mask if on and self.picked is not None else None)
+        self.painter.tint(self.picked if on else None)
 
     def form(self, kind: str) -> tuple[Field, ...]:
         """The fields of a kind of work."""

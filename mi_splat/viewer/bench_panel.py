@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from mi_splat.viewer.jobs import Choice, Field
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.panel import as_html
-from mi_splat.viewer.picking import MASK
+from mi_splat.viewer.picking import MASK, WHOLE
 
 if TYPE_CHECKING:
     from mi_splat.viewer.bench import Bench
@@ -85,11 +85,16 @@ class BenchPanel:
         bench, news, outcome = self._bench, self._bench.news, self._bench.outcome
         picked = bench.picked
         how = HOW_TO_PICK if bench.exhibit.splats else NOTHING_TO_PICK
-        self._object.content = as_html([("", how if picked is None else picked.words)])
+        self._object.content = as_html([("", how if picked is None else picked.text)])
         self._select.value = "" if picked is None else picked.command
         self._select.visible = picked is not None and bool(picked.command)
         self._undo.disabled = self._save.disabled = picked is None
-        self._tint.value = bench.tinted
+        if self._tint.value != bench.tinted:
+            self._tint.value = bench.tinted
+        for handle, part in zip(self._parts, WHOLE if picked is None else picked.parts, strict=True):
+            handle.visible = picked is not None
+            if handle.value != part:
+                handle.value = part
         for kind, handles in self._fields.items():
             values = bench.values(kind)
             for field in bench.form(kind):
@@ -117,6 +122,13 @@ class BenchPanel:
             self._undo = self._button("Undo", bench.undo)
             self._tint = gui.add_checkbox("Another colour", bench.tinted)
             self._on(self._tint, lambda value: bench.tint(bool(value)))
+            hint = "Keeps what lies between two faces of the box"
+            self._parts = [
+                gui.add_multi_slider(f"Box, {axis}", 0.0, 1.0, 0.01, whole, visible=False, hint=hint)
+                for axis, whole in zip("xyz", WHOLE, strict=True)
+            ]
+            for axis, handle in enumerate(self._parts):
+                self._on(handle, partial(bench.trim, axis))
             self._save = self._button(f"Save {MASK}", self._download)
             self._select = gui.add_text("select", "", multiline=True, hint="Copy it to pick the same", visible=False)
 

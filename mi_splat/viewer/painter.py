@@ -23,7 +23,7 @@ from mi_splat.viewer.composition import DIFFERENCE, SPLIT, Layout, Pixels, compo
 from mi_splat.viewer.exhibit import Exhibit, Inspection, Inspector
 from mi_splat.viewer.lines import draw_lines
 from mi_splat.viewer.orbit import Orbit
-from mi_splat.viewer.picking import tinted
+from mi_splat.viewer.picking import Picked, edges, tinted
 from mi_splat.viewer.session import Pace, Step, ViewState
 from mi_splat.viewer.thinning import Thinned, thinning
 
@@ -67,6 +67,7 @@ class Painter:
         self.exhibit, self.render, self.inspector = exhibit, render, inspector
         self._thinned = {splat.name: Thinned(splat.scene) for splat in exhibit.splats}
         self._tinted = dict[str, Thinned]()
+        self._picked: Picked | None = None
         self._middles = dict[str, Point | None]()
         self._middles |= {splat.name: bounds(splat.scene)[0] for splat in exhibit.splats}
         self._last: tuple[Orbit, dict[str, Inspection]] | None = None
@@ -76,15 +77,22 @@ class Painter:
         splats = [replace(splat, scene=scene) if splat.name == name else splat for splat in self.exhibit.splats]
         self.exhibit = replace(self.exhibit, splats=tuple(splats))
         self._thinned[name], self._middles[name], self._last = Thinned(scene), None, None
-        self._tinted.pop(name, None)
+        self._tinted = {}
 
-    def tint(self, mask: Tensor | None) -> None:
-        """Show Gaussians, (N,) bool, in another colour from now on, in each splat that has as many; None shows none.
+    def tint(self, picked: Picked | None) -> None:
+        """Show an object in another colour, and its box, in each splat that has as many Gaussians; None shows none.
 
         A heat map, and what is inspected, never has it.
         """
-        fits = [splat for splat in self.exhibit.splats if mask is not None and len(splat.scene) == len(mask)]
-        self._tinted = {splat.name: Thinned(tinted(splat.scene, mask)) for splat in fits if mask is not None}
+        self._picked, self._tinted = picked, {}
+
+    def _made_tints(self) -> Mapping[str, Thinned]:
+        """The splats with the object in another colour, made when they are first shown."""
+        picked = self._picked
+        if picked is not None and not self._tinted:
+            fits = [splat for splat in self.exhibit.splats if picked.fits(splat.scene)]
+            self._tinted = {splat.name: Thinned(tinted(splat.scene, picked.mask)) for splat in fits}
+        return self._tinted
 
     def paint(self, state: ViewState, step: Step, pace: Pace) -> Painting:
         """The picture that a step of a session asks for.
@@ -106,7 +114,7 @@ class Painter:
         if step is Step.COARSE and DIFFERENCE not in names:
             most = max((len(splat.scene) for splat in self.exhibit.splats if splat.name in shown), default=1)
             every = thinning(most, camera.width * camera.height * pace.richness)
-        thinned = self._thinned if DIFFERENCE in names else {**self._thinned, **self._tinted}
+        thinned = self._thinned if DIFFERENCE in names else {**self._thinned, **self._made_tints()}
         splats = {name: made(every) for name, made in thinned.items() if name in shown}
         pictures = {
             name: to_bytes(self.sized_picture(name, state.orbit, layout.size, splats.get(name))) for name in shown
@@ -218,6 +226,8 @@ class Painter:
         draw = ImageDraw.Draw(image)
         for name in sorted(state.lines & set(self.exhibit.lines)):
             draw_lines(draw, self.exhibit.lines[name], camera)
+        if self._picked is not None and pane != DIFFERENCE:
+            draw_lines(draw, edges(self._picked.box), camera)
         for left, text in _titles(pane, self.exhibit.names, image.width, letters):
             write_label(draw, (left, image.height - 1.9 * letters), text + mark, "#000000", size=letters)
         return np.asarray(image)

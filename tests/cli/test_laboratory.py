@@ -46,7 +46,7 @@ def request(kind: str, exhibit: Exhibit, **values: Value) -> Request:
     """What a visitor asks for who has chosen some values."""
     mask = torch.arange(len(exhibit.splats[0].scene)) < 15
     fields = {field.name: field.taken(values.get(field.name)) for field in Laboratory().form(kind, exhibit, values)}
-    picked = Picked(splat=exhibit.names[0], mask=mask)
+    picked = Picked.of(exhibit.splats[0], mask)
     return Request(kind=kind, exhibit=exhibit, orbit=CAMERA, values=fields, picked=picked)
 
 

@@ -69,6 +69,29 @@ def test_what_is_picked_has_another_colour_and_can_be_undone() -> None:
     assert np.array_equal(again, plain)
 
 
+def test_a_box_keeps_a_part_of_what_was_picked() -> None:
+    work = bench()
+    work.trim(0, (0.0, 0.5))  # of nothing
+    work.pick(MIDDLE)
+    whole = work.picked
+    assert whole is not None
+    for nonsense in ("all", (0.5, 0.2), (float("nan"), 1.0), (0.0, 2.0), (0.1, 0.2, 0.3)):
+        work.trim(2, nonsense)
+    assert work.picked is whole
+    work.trim(2, (0.0, 0.5))
+    part = work.picked
+    assert part is not None
+    heights = work.exhibit.splats[0].scene.means[:, 2]
+    assert torch.equal(part.mask, whole.mask & (heights <= part.box[5]))
+    assert 0 < part.mask.sum() < whole.mask.sum()
+    options = cli.parse("select", shlex.split(part.command)[2:])
+    assert options.selection.box == part.box
+    assert not replace(part, level=False).command  # the page's coordinates are not the file's
+    work.trim(2, (0.0, 1.0))
+    assert work.picked is not None
+    assert work.picked.command == whole.command
+
+
 def test_tinted_gaussians_are_half_of_another_colour_from_everywhere() -> None:
     scene = ball((0.2, 0.4, 0.6)).with_degree(1)
     scene = GaussianScene(*scene.tensors()[:4], scene.sh + 0.01)
