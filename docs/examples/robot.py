@@ -47,14 +47,14 @@ VEHICLES = ("car", "bus", "truck", "train")
 """What the robot brakes for: a car that is taken for a train is in its way all the same."""
 BOX = (-2.39, -1.0, 0.0, 2.38, 1.0, 1.45)
 """x0 y0 z0 x1 y1 z1 around the shipped car, metres; that of `capture car:900004` is the same."""
-RADIUS, MASS = 0.2, 500.0
-"""Metres and kilograms of the robot."""
-TIME_STEP = 0.01
-"""Seconds of MuJoCo's step."""
-RATE = 10.0
-"""Pictures a second."""
-STANDSTILL = 0.05
-"""Metres a second."""
+RADIUS, MASS, TIME_STEP = 0.2, 500.0, 0.01
+"""Metres and kilograms of the robot; seconds of MuJoCo's step."""
+RATE, STANDSTILL = 10.0, 0.05
+"""Pictures a second; metres a second."""
+AHEAD = 0.1
+"""Of the picture's width, that the middle of a box may lie beside the picture's: what is further is not in the way."""
+FULL = 0.95
+"""Of the picture's height, from which on a box ends at its edges."""
 VIEWS = 12
 """Cameras along the path that are kept for an attack on what the robot sees."""
 
@@ -158,13 +158,16 @@ class Robot:
         return Camera(to_world=pose, focal=self.approach.focal, width=size, height=size)
 
     def wants_to_brake(self, detections: Detections) -> bool:
-        """Whether a vehicle is seen that is, by the height of its box, as near as the robot needs to stop."""
+        """Whether a vehicle is seen that is, by the height of its box, as near as the robot needs to stop.
+
+        A box that is nearly as high as the picture has no height to go by, and is near enough.
+        """
         score, pixels = in_the_way(detections, self.approach.size)
-        if score < self.approach.confidence or pixels <= 0:
+        if score < self.approach.confidence:
             return False
         speed = float(self.data.qvel[0])
         needed = speed / RATE + speed**2 / (2 * self.approach.braking) + self.approach.reserve
-        return self.approach.focal * self.height / pixels <= needed
+        return pixels > FULL * self.approach.size or self.approach.focal * self.height <= needed * pixels
 
     def move(self, speed: float) -> bool:
         """Go on to the next picture with the aim of a speed; whether the robot has hit the car."""
@@ -191,9 +194,10 @@ def _text(values: Sequence[float] | np.ndarray) -> str:
 
 
 def in_the_way(detections: Detections, size: int) -> tuple[float, float]:
-    """Confidence and height in pixels of the surest vehicle across the picture's middle; zeros if there is none."""
+    """Confidence and height in pixels of the surest vehicle ahead; zeros if there is none."""
     found = zip(detections.labels, detections.scores.tolist(), detections.boxes.tolist(), strict=True)
-    ahead = [(score, box) for label, score, box in found if label in VEHICLES and box[0] < size / 2 < box[2]]
+    vehicles = [(score, box) for label, score, box in found if label in VEHICLES]
+    ahead = [(score, box) for score, box in vehicles if abs(box[0] + box[2] - size) / 2 < AHEAD * size]
     return max(((score, box[3] - box[1]) for score, box in ahead), default=(0.0, 0.0))
 
 
