@@ -28,7 +28,7 @@ from attacks.detectors.base import Detections, Detector
 from attacks.observe.views import detect_views
 from attacks.tables import Column, Table
 from mi_splat import provenance
-from mi_splat.cameras import Camera, RenderFn, look_at
+from mi_splat.cameras import Camera, RenderFn, look_at, project_box
 from mi_splat.cli.console import progress, show, warn
 from mi_splat.errors import InvalidValueError, MiSplatError, install, message
 from mi_splat.io.camera_records import describe
@@ -51,10 +51,8 @@ RADIUS, MASS, TIME_STEP = 0.2, 500.0, 0.01
 """Metres and kilograms of the robot; seconds of MuJoCo's step."""
 RATE, STANDSTILL = 10.0, 0.05
 """Pictures a second; metres a second."""
-AHEAD = 0.1
-"""Of the picture's width, that the middle of a box may lie beside the picture's: what is further is not in the way."""
-FULL = 0.95
-"""Of the picture's height, from which on a box ends at its edges."""
+AHEAD, ENOUGH = 0.1, 0.9
+"""How far a vehicle ahead may lie beside the middle, of the picture's width; of an expected height, what is enough."""
 VIEWS = 12
 """Cameras along the path that are kept for an attack on what the robot sees."""
 
@@ -104,9 +102,6 @@ class Approach:
 class Robot:
     """The robot and the car in MuJoCo.
 
-    Attributes:
-        height: Metres across the path that the car fills from the lower to the upper edge of its box in a picture.
-
     Raises:
         InvalidValueError: The car's box is empty.
     """
@@ -116,14 +111,12 @@ class Robot:
         self.approach, self.middle, half = approach, (low + high) / 2, (high - low) / 2
         if not bool((half > 0).all()):
             raise InvalidValueError(message("box", "x0 y0 z0 x1 y1 z1 with each 0 below its 1", list(box), "change it"))
+        self.corners = torch.tensor(list(itertools.product(*zip(low, high, strict=True))), dtype=torch.float64)
         way = approach.direction
         with np.errstate(divide="ignore"):
             inside = float(np.min(half / np.abs(way)))  # of the path, from the middle to the side of the box
         self.start = inside + RADIUS + approach.start
         pose = look_at(way * self.start + self.middle, self.middle).numpy()
-        along = 2 * float(np.hypot(*(half[:2] * way[:2]))) / max(float(np.hypot(*way[:2])), 1e-9)
-        e = math.radians(approach.elevation)
-        self.height = float(2 * half[2] * math.cos(e) + along * math.sin(e))
         force = MASS * approach.braking
         self.model = mujoco.MjModel.from_xml_string(f"""
 <mujoco>
@@ -158,16 +151,14 @@ class Robot:
         return Camera(to_world=pose, focal=self.approach.focal, width=size, height=size)
 
     def wants_to_brake(self, detections: Detections) -> bool:
-        """Whether a vehicle is seen that is, by the height of its box, as near as the robot needs to stop.
-
-        A box that is nearly as high as the picture has no height to go by, and is near enough.
-        """
+        """Whether a vehicle is seen, and its box is as high as the car's would be where the robot has to brake."""
         score, pixels = in_the_way(detections, self.approach.size)
         if score < self.approach.confidence:
             return False
         speed = float(self.data.qvel[0])
         needed = speed / RATE + speed**2 / (2 * self.approach.braking) + self.approach.reserve
-        return pixels > FULL * self.approach.size or self.approach.focal * self.height <= needed * pixels
+        there = project_box(self.corners, self.camera_at(needed))
+        return there is not None and pixels >= ENOUGH * float(there[3] - there[1])
 
     def move(self, speed: float) -> bool:
         """Go on to the next picture with the aim of a speed; whether the robot has hit the car."""
@@ -181,12 +172,12 @@ class Robot:
         mujoco.mj_forward(self.model, self.data)
         return False
 
-    def views(self) -> list[Camera]:
-        """Cameras on the path, evenly from its start to a metre before the car."""
-        way = torch.from_numpy(self.approach.direction)
-        poses = self.camera.to_world.repeat(VIEWS, 1, 1)
-        poses[:, :3, 3] -= torch.linspace(0, max(self.approach.start - 1, 0), VIEWS).double()[:, None] * way
-        return [dataclasses.replace(self.camera, to_world=pose) for pose in poses]
+    def camera_at(self, distance: float) -> Camera:
+        """The robot's, if it were so many metres before the car on its path."""
+        pose = self.camera.to_world.clone()
+        along = self.start - self.approach.start + distance
+        pose[:3, 3] = torch.from_numpy(self.middle + along * self.approach.direction)
+        return dataclasses.replace(self.camera, to_world=pose)
 
 
 def _text(values: Sequence[float] | np.ndarray) -> str:
@@ -298,7 +289,8 @@ def run(options: argparse.Namespace) -> None:
         Approach(**{**options.approach, "speed": speed, "elevation": elevation})
         for speed, elevation in itertools.product(sorted(options.speeds), sorted(options.elevations))
     ]
-    cameras = [describe(str(number), camera) for number, camera in enumerate(Robot(approaches[0], options.box).views())]
+    first, far = Robot(approaches[0], options.box), approaches[0].start
+    cameras = [describe(f"{metres:.1f}m", first.camera_at(metres)) for metres in np.linspace(far, min(far, 1), VIEWS)]
     check_new_folder(options.out, force=options.force)
     scenes = {name: open_scene(Path(file)) for name, file in splats.items()}
     detectors = [load_detector(name) for name in options.detectors]

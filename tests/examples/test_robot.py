@@ -49,8 +49,8 @@ class RedBox:
 
 
 def block(red: float) -> GaussianScene:
-    """Gaussians all over `BOX`."""
-    low, high = torch.tensor(BOX).reshape(2, 3)
+    """Gaussians all over `BOX`, within it to two standard deviations."""
+    low, high = torch.tensor(BOX).reshape(2, 3) + torch.tensor([[0.16], [-0.16]])
     count = 200
     return GaussianScene(
         means=low + (high - low) * torch.rand(count, 3, generator=torch.Generator().manual_seed(0)),
