@@ -269,14 +269,14 @@ def draw(drives: Sequence[dict[str, Any]], confidence: float, path: Path) -> Non
             line[2].plot([one[across] for one in part], [one["hit_at"] for one in part], **look)
         line[0].axhline(confidence, color="black", linewidth=1, linestyle=":")
         line[0].set(ylabel=f"{detector}, first drive", xlabel="metres to the car", ylim=(-0.03, 1.03))
-        line[1].set(ylabel="m/s, last drive", xlabel="metres to the car")
-        line[2].set(ylabel="m/s when it hits; 0: stopped", xlabel=across, ylim=(-0.5, fastest + 0.5))
+        line[1].set(ylabel="m/s, last drive", xlabel="metres to the car", ylim=(-0.05 * fastest, 1.05 * fastest))
+        line[2].set(ylabel="m/s when it hits; 0: stopped", xlabel=across, ylim=(-0.05 * fastest, 1.05 * fastest))
         for axis in line[:2]:
             axis.invert_xaxis()
         for axis in line:
             axis.grid(alpha=0.3)
-    axes[0, 0].legend(fontsize=8)
-    figure.tight_layout()
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="lower center", ncols=4, fontsize=8, frameon=False)
+    figure.tight_layout(rect=(0, 0.04, 1, 1))
     figure.savefig(path, dpi=100)
 
 
