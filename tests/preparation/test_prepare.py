@@ -221,7 +221,7 @@ def test_cameras_of_pictures_that_we_rendered_are_found(tmp_path: Path) -> None:
     renders, out = tmp_path / "renders", tmp_path / "set"
     assert cli.main(["render", *(str(ROOT / words[0]), *words[1:]), "--out", str(renders)]) == 0
     truth = {camera["name"]: camera["to_world"] for camera in json.loads((renders / "cameras.json").read_text())}
-    assert cli.main(["prepare", str(renders), "--out", str(out), "--features", "2048"]) == 0
+    assert cli.main(["prepare", str(renders), "--out", str(out)]) == 0
     found = load_dataset(out, split=None)
     assert len(found) == len(truth)
     wanted = torch.tensor([truth[path.stem] for path in found.paths], dtype=torch.float64)
