@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.rotation import from_z
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -67,12 +68,22 @@ class Direction:
     pole: bool
 
 
-def direction_of(camera: Camera, centre: Point) -> Direction:
+def direction_of(camera: Camera, centre: Point, up: Point = UP) -> Direction:
     """Direction from `centre` (3,), world units, to a camera.
+
+    Args:
+        camera: The camera.
+        centre: Where from.
+        up: (3,) direction that is up; with another one than z, axes are those that `from_z` turns there.
 
     Raises:
         InvalidValueError: The camera stands at the centre.
     """
+    if tuple(up) != UP:
+        import torch
+
+        middle = torch.tensor([float(value) for value in centre], dtype=torch.float64)
+        camera = camera.turned(from_z(torch.tensor(list(up), dtype=torch.float64)).T, middle)
     x, y, z = (a - float(b) for a, b in zip(camera.position.tolist(), centre, strict=True))
     flat, length = math.hypot(x, y), math.hypot(x, y, z)
     if not length > 0:

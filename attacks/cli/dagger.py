@@ -95,6 +95,7 @@ def run(options: DaggerOptions, *, watched: Callable[[Detector], Detector] | Non
             objective,
             render=chosen.render,
             config=config,
+            up=options.view.up,
             on_step=_follow(advance, objective.label, config),
         )
         origin = {"scene": str(options.scene), "selection": selection.as_dict(), "cameras": list(chosen.cameras)}

@@ -13,7 +13,6 @@ from attacks.transformations.config import CameraRegion, PictureChanges, Transfo
 from mi_splat.cli.console import Advance, limit_threads, progress
 from mi_splat.cli.flags import Unprefixed
 from mi_splat.cli.options import CameraOptions
-from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Folder
 
 if TYPE_CHECKING:
@@ -63,8 +62,6 @@ def run(options: DaggerEotOptions) -> None:
     from mi_splat.io.folders import check_new_folder
     from mi_splat.scene_files import open_scene
 
-    if options.view.up != (0.0, 0.0, 1.0):
-        raise InvalidValueError(message("up", "0 0 1", options.view.up, "turn the splat: regions have world z upwards"))
     check_new_folder(options.out, force=options.force)
     limit_threads()
     config = options.config
@@ -76,7 +73,7 @@ def run(options: DaggerEotOptions) -> None:
         name, camera = next(iter(chosen.cameras.items()))
         detectors = load_detectors(options.detectors, options.weights)
         drawn = Transformations(cameras=options.region, pictures=options.pictures)
-        views = ViewDistribution(loaded.scene, chosen.mask, camera, drawn, render=chosen.render)
+        views = ViewDistribution(loaded.scene, chosen.mask, camera, drawn, render=chosen.render, up=options.view.up)
         advance("looking at the object", 0)
         checkpoint.path.parent.mkdir(parents=True, exist_ok=True)
         objective = aim(options.objective, options.target, options.confidence)

@@ -60,6 +60,7 @@ def run(options: EvaluateOptions) -> None:
     from attacks.observe.rows import ATTACKED
     from attacks.observe.views import CLEAN, evaluate
     from mi_splat.cli.cameras import choose, look_at_object
+    from mi_splat.directions import UP
     from mi_splat.io.camera_records import describe
     from mi_splat.io.documents import save_json, save_png
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder
@@ -98,6 +99,7 @@ def run(options: EvaluateOptions) -> None:
                 "object_gaussians": int(chosen.mask.sum()),
                 "original": options.original,
                 "min_confidence": confidence,
+                **({} if options.view.up == UP else {"up": list(options.view.up)}),
                 "cameras": [describe(name, camera) for name, camera in chosen.cameras.items()],
                 **{f"{name}_hash": scene_hash(scene) for name, scene in scenes.items()},
                 "fingerprints": {detector.name: detector.fingerprint for detector in detectors},

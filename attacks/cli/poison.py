@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from mi_splat.cli.console import follow, progress, show_result, warn
 from mi_splat.cli.flags import Positional, Unprefixed
-from mi_splat.cli.options import Direction, ResultOptions
+from mi_splat.cli.options import Direction, ResultOptions, axis_name
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Called, at_least, between
 from mi_splat.selection.config import Selection
@@ -115,6 +115,7 @@ def run(options: PoisonOptions) -> None:
         warn(f"{idle} pictures from where it is to be hidden do not show the object, and stay as they are")
     lines = (
         f"{len(shares)} of {len(views)} pictures are changed, {shares[0]:.1%} to {shares[-1]:.1%} of each",
+        f"up is {axis_name(options.up)}",
         f"{options.out}: train on it as on any set; {RECORD} says what was changed",
     )
     show_result({**record, "out": str(options.out)}, *lines, as_json=options.json)

@@ -35,6 +35,7 @@ from attacks.pgd import Outcome
 from attacks.transformations.config import Transformations
 from mi_splat import provenance
 from mi_splat.cameras import Camera, RenderFn, as_cameras
+from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import values_of
 from mi_splat.scene import GaussianScene, check_scene, scene_hash
@@ -49,6 +50,7 @@ def attack(
     *,
     render: RenderFn,
     config: DaggerConfig | None = None,
+    up: Point = UP,
     on_step: OnStep | None = None,
 ) -> Result:
     """Attack one object of a scene in one view or many.
@@ -62,6 +64,7 @@ def attack(
         objective: What the detector shall see, for instance `relabel("person")` or `hide()`.
         render: Any differentiable renderer.
         config: Budget, steps and seed; the paper's if None.
+        up: (3,) direction that is up in the scene, for the azimuth and the elevation of each view.
         on_step: Called with every line of the trace as it happens.
 
     Raises:
@@ -75,7 +78,7 @@ def attack(
     _check_views(cameras, render)
     subset = GaussianSubset.of(widened(scene, config), mask)
     check_detectors(detectors, objective)
-    problem, views, reports = fixed_problem(subset, cameras, detectors, objective, render=render)
+    problem, views, reports = fixed_problem(subset, cameras, detectors, objective, render=render, up=up)
     searched = (problem, views)
     if config.alone:
         only = GaussianSubset.of(subset.scene.select(subset.rows), slice(None))
@@ -85,6 +88,7 @@ def attack(
         "detector": " + ".join(detector.name for detector in detectors),
         "detector_fingerprint": " + ".join(detector.fingerprint for detector in detectors),
         "scene_hash": scene_hash(scene),
+        **_kept_up(up),
     }
     result = _judged(problem, config, outcome, views, (subset.scene, reports), None)
     return dataclasses.replace(result, origin=result.origin | origin, seconds=time.perf_counter() - begun)
@@ -136,7 +140,8 @@ def attack_views(
     reports = clean_reports(judged, detectors, seed=config.judge_seed, count=config.held_out)
     held_out, clean = judged.views(config.judge_seed, config.held_out), (as_saved(judged.scene), reports)
     result = _judged(problem, config, outcome, held_out, clean, judged.transformations)
-    origin = {"scene_hash": scene_hash(views.scene), "reference": values_of(views.reference)}
+    reference = values_of(views.reference)
+    origin = {"scene_hash": scene_hash(views.scene), "reference": reference, **_kept_up(views.up)}
     if checkpoint is not None:
         checkpoint.path.unlink(missing_ok=True)
     return dataclasses.replace(
@@ -146,6 +151,11 @@ def attack_views(
         transformations=views.transformations,
         seconds=seconds + time.perf_counter() - begun,
     )
+
+
+def _kept_up(up: Point) -> dict[str, list[float]]:
+    """What a result says of the direction that is up: nothing of z."""
+    return {} if tuple(up) == UP else {"up": [float(value) for value in up]}
 
 
 def _check_views(cameras: Sequence[Camera], render: object) -> None:
@@ -164,6 +174,7 @@ def fixed_problem(
     objective: Objective,
     *,
     render: RenderFn,
+    up: Point = UP,
 ) -> tuple[Problem, list[View], Reports]:
     """The problem of an attack from fixed cameras, its views, and what the detectors report on the clean scene.
 
@@ -173,11 +184,12 @@ def fixed_problem(
         detectors: Those attacked.
         objective: The aim.
         render: The renderer.
+        up: As in `fixed_views`.
 
     Raises:
         InvalidValueError: A view does not show the object.
     """
-    views = fixed_views(subset, cameras, render=render)
+    views = fixed_views(subset, cameras, render=render, up=up)
     reports = look(detectors, subset.scene, views, render)
     originals = {key: _label_on(seen.detections, views[key[0]].box) for key, seen in reports.items()}
     problem = Problem(
@@ -286,6 +298,7 @@ def _key(views: ViewDistribution, problem: Problem, config: EotConfig) -> str:
         "rows": hashlib.sha256(problem.subset.rows.cpu().numpy().tobytes()).hexdigest(),
         "reference": [*views.reference.to_world.flatten().tolist(), views.reference.fx, views.reference.fy],
         "size": [views.reference.width, views.reference.height],
+        **_kept_up(views.up),
         "render": repr(getattr(views.render, "settings", None)),
         "threads": torch.get_num_threads(),
     }

@@ -16,8 +16,9 @@ from attacks.transformations.config import Transformations
 from attacks.transformations.draws import PictureChange, change_picture, draw_camera, draw_change
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.directions import Direction, direction_of
+from mi_splat.directions import UP, Direction, Point, direction_of
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.sh import colour_to_dc
 from mi_splat.view_freezing import RecentViews
@@ -58,8 +59,14 @@ class View:
         return change_picture(picture, self.change)
 
 
-def fixed_views(subset: GaussianSubset, cameras: Sequence[Camera], *, render: RenderFn) -> list[View]:
+def fixed_views(subset: GaussianSubset, cameras: Sequence[Camera], *, render: RenderFn, up: Point = UP) -> list[View]:
     """The views of an object from cameras.
+
+    Args:
+        subset: The object in its scene.
+        cameras: Where from.
+        render: The renderer.
+        up: (3,) direction that is up, for azimuth and elevation.
 
     Raises:
         InvalidValueError: A camera does not show the object.
@@ -73,7 +80,7 @@ def fixed_views(subset: GaussianSubset, cameras: Sequence[Camera], *, render: Re
             expected = "a view in which the object is visible"
             do = "turn the camera or choose another"
             raise InvalidValueError(message("camera", expected, "none of it", do))
-        direction = direction_of(camera, centre)
+        direction = direction_of(camera, centre, up)
         views.append(View(index=index, camera=camera, box=box, weight=weight, direction=direction))
     return views
 
@@ -90,6 +97,7 @@ class ViewDistribution:
         reference: Camera that gives the size of the pictures, the field of view and the unit of distances.
         transformations: What is random.
         render: The renderer.
+        up: (3,) direction of the world that is up in the regions of cameras.
         centre: (3,) middle of the object, world units.
         radius: Of the object, world units.
         frozen: Views in which only the object's colours change, see `RecentViews`.
@@ -103,6 +111,7 @@ class ViewDistribution:
         transformations: Transformations | None = None,
         *,
         render: RenderFn,
+        up: Point = UP,
     ) -> None:
         """The distribution; see the attributes.
 
@@ -110,7 +119,7 @@ class ViewDistribution:
             InvalidValueError: The mask does not fit the scene or selects nothing.
         """
         check_scene("scene", scene)
-        self.scene, self.mask, self.reference, self.render = scene, mask, reference, render
+        self.scene, self.mask, self.reference, self.render, self.up = scene, mask, reference, render, up
         self.transformations = transformations or Transformations()
         self._subset = GaussianSubset.of(scene, mask)
         self.centre, self.radius = bounds(scene.select(self._subset.rows))
@@ -179,6 +188,9 @@ class ViewDistribution:
                 radius=self.radius,
                 reference=self.reference,
             )
+            if tuple(self.up) != UP:
+                turn, middle = from_z(torch.tensor(list(self.up))), torch.tensor(list(self.centre), dtype=torch.float64)
+                camera = camera.turned(turn, middle)
             weight = self._weight(camera)
             box = visible_box(weight)
             if box is not None and float((weight >= 0.5).to(torch.float32).mean()) >= least:
@@ -188,7 +200,7 @@ class ViewDistribution:
                     change=change,
                     box=box,
                     weight=weight,
-                    direction=direction_of(camera, self.centre),
+                    direction=direction_of(camera, self.centre, self.up),
                     redraws=attempt,
                 )
         expected = f"one of {_ATTEMPTS} cameras that shows the object on {least:.1%} of the picture"

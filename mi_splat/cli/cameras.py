@@ -14,11 +14,12 @@ from mi_splat.bounds import bounds, culled_in_view, near_plane
 from mi_splat.camera_sets import FORMS, camera_set, framing
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.cli.console import warn
-from mi_splat.cli.options import CameraOptions
+from mi_splat.cli.options import CameraOptions, axis_name
 from mi_splat.datasets import load_dataset
 from mi_splat.datasets.colmap import find_model, read_model_cameras
 from mi_splat.datasets.frames import Split
 from mi_splat.datasets.transforms import find_transforms
+from mi_splat.directions import UP
 from mi_splat.errors import InvalidValueError, message, nearest
 from mi_splat.io.camera_records import OF, recorded_cameras
 from mi_splat.rendering import Renderer, RenderSettings
@@ -68,6 +69,8 @@ def find_cameras(
         DatasetError: A file with cameras cannot be read.
     """
     target = loaded.scene if focus is None else focus
+    if options.up != UP:
+        warn(f"up is {axis_name(options.up)}")
     if options.cameras:
         _check_meaning(loaded, options)
         return _unique(pair for text in options.cameras for pair in _meant(text, loaded, options, target, split))

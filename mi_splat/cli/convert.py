@@ -106,6 +106,7 @@ def run(options: ConvertOptions) -> None:
         f"file            {options.out}, {sizes[1]:,} bytes",
         f"gaussians       {len(again):,}",
         f"sh degree       {scene.degree} before, {again.degree} after",
+        *([f"up              {options.placement.up} of the file is z now"] if options.placement.up else []),
         f"order           {'changed' if encoded.order is not None else 'kept'}",
         *(f"largest change  {name}: {value:.3g}" for name, value in changes.items()),
         *(f"lost: {loss}" for loss in losses),

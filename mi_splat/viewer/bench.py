@@ -68,8 +68,8 @@ class Bench:
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._called = dict[str, str]()
 
-    tab, leads = "Tools", False
-    """Name of the tab with the controls, and whether it is the first."""
+    label, tab, leads = "mi-splat view", "Tools", False
+    """What the page is called, the name of the tab with the controls, and whether that is the first."""
 
     def panel(self, gui: Any, visit: Visit, wake: Callable[[], None]) -> Controls:
         """Add the controls for a visitor.

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera, View
-from mi_splat.directions import UP, Point
+from mi_splat.directions import UP, Point, up_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import OF
 from mi_splat.rendering import RenderSettings
@@ -212,17 +212,17 @@ class Wishes:
 def own_up(exhibit: Exhibit) -> Point | None:
     """(3,) axis of the files that is up in the pictures of most cameras of files; None if the page has it up already.
 
-    It is told where the cameras' mean is within a quarter of a right angle of an axis, and away from up on the page.
+    It is told where `up_of` the cameras is within a quarter of a right angle of an axis, and away from up on the page.
     """
     cameras = [orbit.exact for orbit in exhibit.cameras.values() if orbit.exact is not None]
     if not cameras:
         return None
     back = from_z(torch.tensor(list(exhibit.up), dtype=torch.float64))
-    mean = -(back @ torch.stack([camera.to_world[:3, 1] for camera in cameras]).mean(0))
-    axis = int(mean.abs().argmax())
-    if not float(mean.abs()[axis]) > math.cos(math.pi / 8) * float(mean.norm()):
+    found = back @ up_of(torch.stack([camera.to_world[:3, :3] for camera in cameras]))
+    axis = int(found.abs().argmax())
+    if not float(found.abs()[axis]) > math.cos(math.pi / 8):
         return None
-    seen = tuple(float(mean.sign()[axis]) if column == axis else 0.0 for column in range(3))
+    seen = tuple(float(found.sign()[axis]) if column == axis else 0.0 for column in range(3))
     return None if seen == tuple(exhibit.up) else seen
 
 

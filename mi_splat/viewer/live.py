@@ -69,12 +69,11 @@ def _mean(points: Sequence[tuple[float, float]]) -> tuple[float, float]:
     return sum(steps) / len(points), sum(values) / len(points)
 
 
-def draw_curves(curves: Sequence[Curve], steps: int) -> Pixels:
-    """(H, W, 3) curves below one another, from step 0 to the last, each with its largest and its least number.
+def draw_curves(curves: Sequence[Curve]) -> Pixels:
+    """(H, W, 3) curves below one another, from step 0 to now, each with its largest and its least number.
 
     Args:
         curves: Those without a point are left out.
-        steps: Of the whole training.
     """
     shown = [curve for curve in curves if curve.points]
     width, height = _CHART
@@ -82,11 +81,11 @@ def draw_curves(curves: Sequence[Curve], steps: int) -> Pixels:
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(size=12)
     for number, curve in enumerate(shown):
         top, values = height * number, [value for _, value in curve.points]
-        low, high = min(values), max(values)
+        low, high, last = min(values), max(values), max(curve.points[-1][0], 1.0)
         frame = (6, top + 20, width - 50, top + height - 8)
         across, down = frame[2] - frame[0], frame[3] - frame[1]
         line = [
-            (frame[0] + across * step / steps, frame[3] - down * ((value - low) / (high - low) if high > low else 0.5))
+            (frame[0] + across * step / last, frame[3] - down * ((value - low) / (high - low) if high > low else 0.5))
             for step, value in curve.points
         ]
         draw.text((frame[0], top + 2), f"{curve.title}: {values[-1]:.4g}", fill="#000000", font=font)
@@ -109,7 +108,7 @@ class Live(Bench):
         waiting: Whether the training is to wait.
     """
 
-    tab, leads = "Training", True
+    label, tab, leads = "mi-splat train", "Training", True
 
     def __init__(self, painter: Painter, steps: int) -> None:
         super().__init__(painter)
@@ -171,7 +170,7 @@ class Live(Bench):
     @property
     def curves(self) -> Pixels:
         """(H, W, 3) loss, and how like its photograph the first picture is."""
-        return draw_curves((self._loss, self._psnr), self._steps)
+        return draw_curves((self._loss, self._psnr))
 
     def pick(self, click: Click) -> None:
         """Nothing is picked, since Gaussians come and go."""

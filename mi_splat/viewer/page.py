@@ -234,7 +234,7 @@ class Page:
         self._bench = painter if isinstance(painter, Bench) else Bench(painter)
         self._news, self._visitors = threading.Condition(), dict[int, Visitor]()
         self._guard = Guard(names=LOOPBACK_NAMES | {host} if is_loopback(host) else None, scripts=_scripts())
-        self._host, self._server = host, _serve(self._guard, host, port)
+        self._host, self._server = host, _serve(self._guard, host, port, self._bench.label)
         self._closed = False
         exhibit = self._bench.exhibit
         start = exhibit.start
@@ -315,7 +315,7 @@ def _scripts() -> tuple[str, ...]:
     return viser_scripts((Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8"))
 
 
-def _serve(guard: Guard, host: str, port: int) -> Any:
+def _serve(guard: Guard, host: str, port: int, label: str) -> Any:
     """A viser server that asks nothing of the network and answers only whom the guard lets pass."""
     import viser
     from viser import _messages
@@ -325,7 +325,7 @@ def _serve(guard: Guard, host: str, port: int) -> Any:
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection", category=UserWarning)
     # On stdout viser says its address, without the token that is needed.
     with guarding(guard, _infra.websockets.asyncio.server), contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host=host, port=port, label="mi-splat view", verbose=False)
+        server = viser.ViserServer(host=host, port=port, label=label, verbose=False)
     try:
         # Any visitor could ask for it, and it would lead the whole world here.
         server._websock_server.unregister_handler(_messages.ShareUrlRequest)

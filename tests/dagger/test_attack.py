@@ -181,8 +181,10 @@ def test_the_trace_is_heard_and_early_stop_saves_steps() -> None:
         relabel("person"),
         render=blobs,
         config=DaggerConfig(eps=(20.0,)),
+        up=(0.0, -1.0, 0.0),
         on_step=heard.append,
     )
+    assert found.origin["up"] == [0.0, -1.0, 0.0]
     assert tuple(heard) == found.trace
     assert found.best == found.trace[-1]
     assert found.best.index < 11

@@ -7,11 +7,15 @@ from collections import Counter
 import pytest
 import torch
 
-from attacks.dagger.views import batch_indices
+from attacks.dagger.views import ViewDistribution, batch_indices, fixed_views
+from attacks.gaussian_subset import GaussianSubset
 from attacks.observe.views import visible_box
-from attacks.transformations.config import CameraRegion, PictureChanges
+from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from mi_splat.errors import InvalidValueError
+from mi_splat.rotation import from_z
+from mi_splat.scene import Similarity
 from tests.dagger.toy import REGION, toy_views
+from tests.fakes import blobs, camera, toy_scene
 
 
 def test_a_view_depends_on_seed_and_number_alone() -> None:
@@ -39,6 +43,25 @@ def test_the_object_shows_in_every_view() -> None:
         assert found is not None
         assert torch.equal(found, view.box)
         assert REGION.elevations[0] <= view.direction.elevation <= REGION.elevations[1]
+
+
+def test_regions_have_the_up_that_is_said() -> None:
+    """With y down, elevations are above the ground across y; a world that is turned alike has the same views."""
+    scene, mask = toy_scene()
+    turn = from_z(torch.tensor([0.0, -1.0, 0.0]))
+    turned = scene.transform(Similarity(rotation=turn, translation=torch.zeros(3), scale=1.0))
+    around = Transformations(cameras=REGION)
+    level = ViewDistribution(scene, mask, camera(), around, render=blobs).views(0, 3)
+    other = ViewDistribution(turned, mask, camera().turned(turn), around, render=blobs, up=(0.0, -1.0, 0.0))
+    assert torch.allclose(other.views(0, 3)[2].camera.to_world, level[2].camera.turned(turn).to_world, atol=1e-4)
+    fixed = fixed_views(GaussianSubset.of(turned, mask), [camera().turned(turn)], render=blobs, up=(0.0, -1.0, 0.0))
+    for view, expected in zip(
+        [*other.views(0, 3), *fixed],
+        [*level, *fixed_views(GaussianSubset.of(scene, mask), [camera()], render=blobs)],
+        strict=True,
+    ):
+        assert view.direction.azimuth == pytest.approx(expected.direction.azimuth, abs=1e-3)
+        assert view.direction.elevation == pytest.approx(expected.direction.elevation, abs=1e-3)
 
 
 def test_views_in_which_little_shows_are_drawn_again_and_counted() -> None:

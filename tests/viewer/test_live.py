@@ -116,5 +116,5 @@ def test_curves_are_thinned_out_evenly_and_drawn() -> None:
     assert len(curve.points) < MOST_POINTS
     assert all(value == step for step, value in curve.points)
     assert np.allclose(np.diff([step for step, _ in curve.points]), 4)
-    drawn = draw_curves((curve, Curve("PSNR"), Curve("other", [(3, 1.0)])), 1000)
-    assert drawn.shape == (2 * draw_curves((curve,), 1000).shape[0], 320, 3)
+    drawn = draw_curves((curve, Curve("PSNR"), Curve("other", [(3, 1.0)])))
+    assert drawn.shape == (2 * draw_curves((curve,)).shape[0], 320, 3)

@@ -37,7 +37,7 @@ _RATES = {
     "found_clean": "clean object found",
     "found_attacked": "attacked object found",
 }
-_CONDITIONS = ("scene", "selection", "cameras", "reference", "background", "near", "scene_hash", "redraws")
+_CONDITIONS = ("scene", "selection", "cameras", "up", "reference", "background", "near", "scene_hash", "redraws")
 _PICTURES = (
     ("detections.png", "What the detector reports: before the attack on the left, after it on the right.", True),
     ("difference.png", "What has changed, enlarged; grey is no change.", False),
