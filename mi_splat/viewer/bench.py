@@ -98,7 +98,7 @@ class Bench:
         fits = [splat.name for splat in self.exhibit.splats if picked is not None and picked.fits(splat.scene)]
         if picked is None or not fits or picked.splat in fits:
             return picked if fits else None
-        return replace(picked, splat=fits[0], words=())
+        return replace(picked, splat=fits[0])
 
     @property
     def running(self) -> str:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 HOW_TO_PICK = "Click on an object in the picture; with Shift held, it joins those that are picked."
 
+LAST = 1e9
+"""Place of what stands below all that is added later."""
 NOTHING_TO_PICK = "Photographs have no objects to pick; a splat has."
 
 
@@ -70,7 +72,8 @@ class BenchPanel:
         self._seen: object = None
         self._work = gui.add_folder("Result", visible=False)
         with self._work:
-            self._lines = gui.add_html("")
+            self._headline = gui.add_html("")
+            self._details = gui.add_html("", order=LAST)
             self._bar = gui.add_progress_bar(0.0, animated=True, visible=False)
             self._stop = self._button("Stop", bench.stop)
             self._picture: Any = None
@@ -101,7 +104,8 @@ class BenchPanel:
                 _show(handles[field.name], field, values[field.name])
         self.tell()
         lines = bench.lines if news is None else (news.text, *bench.lines)
-        self._lines.content = as_html([("", line) for line in lines])
+        self._headline.content = as_html([("", line) for line in lines[:1]])
+        self._details.content = as_html([("", f"{line}\n") for line in lines[1:]])
         self._bar.visible = self._stop.visible = news is not None
         self._bar.value = 0.0 if news is None or news.share is None else 100 * min(max(news.share, 0.0), 1.0)
         self._back.visible = len(bench.painters) > 1

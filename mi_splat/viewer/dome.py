@@ -13,6 +13,8 @@ from mi_splat.viewer.composition import Pixels
 
 YES, NO, UNKNOWN = "#d03020", "#2060c0", "#a0a0a0"
 """Colours of success, of failure, and of cameras that do not see the object; the shapes differ, too."""
+_RIM = {"0": (1.08, 0.0), "90": (0.0, -1.08), "180": (-1.1, 0.0), "270": (0.0, 1.08)}
+"""Where azimuths are written, in radii from the middle."""
 SIDE = 280
 """Pixels of each side of a dome."""
 
@@ -32,9 +34,11 @@ def draw_domes(domes: Mapping[str, Iterable[Seen]]) -> Pixels:
     image = Image.new("RGB", (SIDE, SIDE * len(domes)), "#ffffff")
     draw = ImageDraw.Draw(image)
     for number, (title, seen) in enumerate(domes.items()):
-        middle, radius = (SIDE / 2, SIDE * (number + 0.5)), 0.46 * SIDE
+        middle, radius = (SIDE / 2, SIDE * (number + 0.53)), 0.41 * SIDE
         for height in (0, 30, 60):
             _circle(draw, middle, radius * (90 - height) / 90, outline="#c0c0c0")
+        for text, (x, y) in _RIM.items():
+            draw.text((middle[0] + x * radius, middle[1] + y * radius), text, fill="#606060", anchor="mm")
         for azimuth, elevation, success in seen:
             away, angle = radius * (90 - max(elevation, 0.0)) / 90, math.radians(azimuth)
             at = middle[0] + away * math.cos(angle), middle[1] - away * math.sin(angle)

@@ -19,6 +19,7 @@ from mi_splat.scene import GaussianScene
 from mi_splat.sh import dc_to_colour
 from mi_splat.viewer.bench import Bench
 from mi_splat.viewer.composition import BESIDE, DIFFERENCE, SPLIT, lay_out
+from mi_splat.viewer.dome import SIDE, draw_domes
 from mi_splat.viewer.jobs import Job
 from mi_splat.viewer.picking import TINT, Click, clicked, tinted
 from mi_splat.viewer.session import Pace, Step, ViewState
@@ -174,3 +175,14 @@ def test_a_process_that_is_killed_is_told_of() -> None:
         time.sleep(0.01)
     assert "ended with status -9" in heard
     job.stop()
+
+
+def test_a_dome_has_a_disc_where_there_was_a_success() -> None:
+    seen = [(0.0, 60.0, True), (90.0, 30.0, False), (180.0, 90.0, None)]
+    pixels = draw_domes({"one": seen, "two": []})
+    assert pixels.shape == (2 * SIDE, SIDE, 3)
+    red = np.argwhere((pixels == (0xD0, 0x30, 0x20)).all(-1)).mean(0)
+    blue = np.argwhere((pixels == (0x20, 0x60, 0xC0)).all(-1)).mean(0)
+    middle, radius = np.array([0.53 * SIDE, SIDE / 2]), 0.41 * SIDE
+    assert np.allclose(red, middle + np.array([0, radius / 3]), atol=1.5)  # azimuth 0 is on the right
+    assert np.allclose(blue, middle - np.array([2 * radius / 3, 0]), atol=1.5)  # and 90 at the top
