@@ -30,9 +30,9 @@ from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.viewer.composition import ways_of_showing
 from mi_splat.viewer.exhibit import Exhibit, ShownSplat, whole
-from mi_splat.viewer.page import JPEG_QUALITY
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.session import Pace, Step, ViewState
+from mi_splat.viewer.visitor import JPEG_QUALITY
 
 
 def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures: int) -> dict[str, float]:
