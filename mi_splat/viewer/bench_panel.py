@@ -68,7 +68,7 @@ class BenchPanel:
         self._gui, self._bench, self._visit, self._wake = gui, bench, visit, wake
         self._cameras: list[Any] = []
         self._fields = dict[str, dict[str, Any]]()
-        self._commands = dict[str, Any]()
+        self._commands, self._starts = dict[str, Any](), dict[str, Any]()
         self._seen: object = None
         self._work = gui.add_folder("Result", visible=False)
         with self._work:
@@ -102,6 +102,9 @@ class BenchPanel:
             values = bench.values(kind)
             for field in bench.form(kind):
                 _show(handles[field.name], field, values[field.name])
+        for kind, start in self._starts.items():
+            start.label = news.text if news is not None and bench.running == kind else kind
+            start.disabled = news is not None
         self.tell()
         lines = bench.lines if news is None else (news.text, *bench.lines)
         self._headline.content = as_html([("", line) for line in lines[:1]])
@@ -149,7 +152,7 @@ class BenchPanel:
                     handle = gui.add_number(field.label, value, min=field.low, max=field.high, step=field.step)
                 handles[field.name] = handle
                 self._on(handle, partial(bench.choose, kind, field.name))
-            self._button(kind, lambda: bench.start(kind, self._visit.orbit))
+            self._starts[kind] = self._button(kind, lambda: bench.start(kind, self._visit.orbit))
             self._commands[kind] = gui.add_text("command", "", multiline=True, hint="Copy it to do the same")
 
     def _show_picture(self, pixels: Any) -> None:
