@@ -190,7 +190,9 @@ def _audited(request: Request, out: Path) -> Outcome:
     for number, picture in enumerate(record["pictures"], 1):
         name = "inside" if number == 1 else f"inside {number}"
         if name in opened.cameras:
-            cameras[f"Object {picture['object'] + 1}, look {picture['look'] + 1}"] = opened.cameras[name]
+            cameras[f"Object {picture['object'] + 1}, look {picture['look'] + 1}"] = opened.cameras[name].changed(
+                roll=0.0
+            )
     for number, item in enumerate(record["objects"], 1):
         found = item["occluder"] and item["occluder"]["axis"], (item["edited"] or {}).get("camera")
         for what, direction in zip(("what covers it", "where its colours aim"), found, strict=True):
