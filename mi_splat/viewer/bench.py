@@ -116,7 +116,7 @@ class Bench:
             task = self._tasks.popleft()
             try:
                 task()
-            except MiSplatError as error:
+            except (MiSplatError, OSError) as error:
                 self.lines = (str(error),)
         return self._listen() or changed
 
@@ -249,7 +249,7 @@ class Bench:
             return
         try:
             self.outcome = self.laboratory.opened(request, out)
-        except MiSplatError as error:
+        except (MiSplatError, OSError) as error:
             self.lines = (f"{request.kind}: {error}",)
             return
         self.lines = self.outcome.lines
