@@ -58,6 +58,8 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
             "cloak_design_object",
             "cloak_design_paint",
             "cloak_design_cameras",
+            "cloak_design_recipe",
+            "cloak_design_size",
         ),
     ),
     "dagger": ("DAGGER", "[DAGGER](../dagger.md)", ("dagger",)),

@@ -63,7 +63,9 @@ def test_a_shipped_study_changes_one_thing_and_keeps_all_seeds(monkeypatch: pyte
     assert 2 < objects["train"].cameras.height < 3  # half of 5.1 m, as the car's is half of 1.5 m
     design = {part: list(values.values()) for part, values in configs("cloak_design").items()}
     assert {part: len(values) for part, values in design.items()} == dict(
-        zip(("recipe", "paint", "cameras", "sector", "object", "appearance"), (1, 3, 3, 1, 4, 4), strict=True)
+        zip(
+            ("recipe", "size", "paint", "cameras", "sector", "object", "appearance"), (1, 1, 3, 3, 1, 4, 4), strict=True
+        )
     )
     (published,) = (one.training for one in design.pop("recipe"))
     assert (published.iterations, published.max_gaussians) == (30_000, 10_000_000)
