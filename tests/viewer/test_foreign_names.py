@@ -59,9 +59,9 @@ def of_file(folder: Path) -> Painter:
 
 
 VECTORS: dict[Callable[[Path], Painter], tuple[str, int]] = {
-    of_study: (f"Trigger {HOSTILE}: ", 2),
+    of_study: (f"Trigger {HOSTILE}: ", 3),
     of_weights: (f"clean: {HOSTILE} ", 1),
-    of_file: (f"{HOSTILE}: mean colour", 2),
+    of_file: (f"{HOSTILE}: mean colour", 3),
 }
 """What a page says of each, and how often the name is in its text."""
 
