@@ -28,6 +28,7 @@ from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.session import Pace, Step, ViewState
 from tests import oracle
 from tests.fakes import blobs
+from tests.viewer.wire import connection, headers_of, serving
 
 ROLLS = (0.0, 35.0, -120.0, 180.0, 90.0, 10.0)
 
@@ -132,6 +133,13 @@ def test_the_up_of_most_cameras_is_told(folder: Path) -> None:
     found = replace(open_exhibit(folder / "set"), cameras=level)
     assert own_up(found) is None
     assert own_up(found.turned((0.0, -1.0, 0.0))) == (0.0, 0.0, 1.0)
+
+
+def test_a_set_alone_is_served(folder: Path) -> None:
+    found = open_exhibit(folder / "set")
+    with serving(Painter(found, blobs)) as page, connection(page.address, headers_of(page.address)) as browser:
+        browser.look(found.start, (96, 80))
+        assert browser.picture((80, 96)).std() > 10
 
 
 def test_the_page_in_a_file_has_the_photographs_alone(folder: Path, tmp_path: Path) -> None:
