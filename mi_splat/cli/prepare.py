@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,7 +18,9 @@ EXAMPLES = (
 )
 SEE_ALSO = ("train", "render", "poison")
 LISTED = 6
-"""Pictures that are named which could not be placed."""
+"""Pictures that are named which could not be placed, or not well."""
+FEW_POINTS = 100
+"""Of the model: a picture that shows fewer may be in a wrong place."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +51,9 @@ def run(options: PrepareOptions) -> None:
     pictures, missing = record["pictures"], not_placed(record)
     counts = {part: sum(row["part"] == part for row in pictures) for part in ("train", "test")}
     if missing:
-        more = f", and {len(missing) - LISTED} more" if len(missing) > LISTED else ""
-        warn(f"not placed: {', '.join(missing[:LISTED])}{more}")
+        warn(f"not placed: {_named(missing)}")
+    if weak := [row["source"] for row in pictures if row["part"] != "none" and row["points"] < FEW_POINTS]:
+        warn(f"perhaps in a wrong place, since they show fewer than {FEW_POINTS} points: {_named(weak)}")
     if len(record["models"]) > 1:
         sizes = ", ".join(map(str, record["models"]))
         warn(f"the pictures fall into {len(record['models'])} models, of {sizes} pictures: the largest is taken")
@@ -60,3 +64,9 @@ def run(options: PrepareOptions) -> None:
         f"{options.out}: train on it as on any set; {SHEET} shows the pictures, {RECORD} lists them",
     )
     show_result({**record, "out": str(options.out)}, *lines, as_json=options.json)
+
+
+def _named(pictures: Sequence[str]) -> str:
+    """The first of some pictures, and how many more there are."""
+    more = f", and {len(pictures) - LISTED} more" if len(pictures) > LISTED else ""
+    return f"{', '.join(pictures[:LISTED])}{more}"

@@ -213,6 +213,8 @@ def _train(options: TrainOptions) -> None:
         perceptual = "" if figures["lpips"] is None else f", LPIPS {figures['lpips']:.4f}"
         quality = f"PSNR {figures['psnr']:.2f} dB, SSIM {figures['ssim']:.4f}{perceptual}"
         lines.append(f"held out ({figures['held_out_views']} pictures): {quality}")
+        if figures["corrected_psnr"] is not None:
+            lines.append(f"with the exposure of each of these pictures: PSNR {figures['corrected_psnr']:.2f} dB")
     lines.append(f"took {seconds:.0f} s; figures are in {options.out / METRICS}")
     show_result({**figures, "out": str(options.out), "seconds": seconds}, *lines, as_json=options.json)
 

@@ -134,6 +134,7 @@ def _row(picture: Picture, done: Reconstruction, parts: Mapping[str, Part]) -> d
         "part": parts.get(picture.name, "none"),
         "features": done.features.get(picture.name, 0),
         "overlaps": done.overlaps.get(picture.name, 0),
+        "points": done.points.get(picture.name, 0),
     }
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,8 @@ NEIGHBOURS = 10
 ANCHORS = 40
 """And so many of them, evenly spread, with each other: they find where the way comes back to."""
 
+FEWEST_POINTS = 30
+"""Of the model that a picture has to show. COLMAP places none with fewer, but may take some away again later."""
 _FOCAL = 1.2
 """Focal length in longest sides, where the camera has not written it; COLMAP's default."""
 _CHUNK = 8
@@ -40,6 +42,7 @@ class Reconstruction:
         error: Mean distance of points from where pictures show them, pixels.
         features: Points by which each picture could be found in others, by its name.
         overlaps: How many others each picture has enough of them in common with, by its name.
+        points: How many points of the model each of its pictures shows, by its name.
         made_by: The program, and its version.
     """
 
@@ -47,6 +50,7 @@ class Reconstruction:
     error: float = 0.0
     features: Mapping[str, int]
     overlaps: Mapping[str, int]
+    points: Mapping[str, int] = field(default_factory=dict)
     made_by: str = ""
 
 
@@ -98,7 +102,9 @@ def by_colmap(root: Path, pictures: Sequence[Picture], in_order: bool, features:
     _match(pycolmap, database, pictures, pairs_of(len(pictures), in_order=in_order), told)
     counted, overlaps = _statistics(pycolmap, database)
     models = _map(pycolmap, database, root / "images", len(pictures), told)
+    points: dict[str, int] = {}
     if models:
+        points = _points(models[0])
         _turn_up(pycolmap, models[0])
         target = root / "sparse" / "0"
         target.mkdir(parents=True)
@@ -108,6 +114,7 @@ def by_colmap(root: Path, pictures: Sequence[Picture], in_order: bool, features:
         error=float(models[0].compute_mean_reprojection_error()) if models else 0.0,
         features=counted,
         overlaps=overlaps,
+        points=points,
         made_by=f"pycolmap {pycolmap.__version__}",
     )
 
@@ -203,6 +210,16 @@ def _map(pycolmap: Any, database: Path, images: Path, count: int, told: Told) ->
         next_image_callback=one_more,
     )
     return sorted(models.values(), key=lambda model: -model.num_reg_images())
+
+
+def _points(model: Any) -> dict[str, int]:
+    """How many points each picture shows; those that show too few are taken out of the model."""
+    images = [image for image in model.images.values() if image.has_pose]
+    points = {image.name: image.num_points3D for image in images}
+    for image in images:
+        if points[image.name] < FEWEST_POINTS:
+            model.deregister_frame(image.frame_id)
+    return {name: count for name, count in points.items() if count >= FEWEST_POINTS}
 
 
 def _turn_up(pycolmap: Any, model: Any) -> None:

@@ -26,11 +26,14 @@ class Scores:
         psnr: dB; that of a view counts at most `MOST_PSNR`, since equal pictures have none.
         ssim: At most 1.
         lpips: At least 0, less is better; None if it was not asked for.
+        corrected_psnr: dB, as `psnr`, after the affine map of colours by which each picture comes nearest to its view,
+            as where exposures differ (code of Mip-NeRF 360); None if it was not asked for.
     """
 
     psnr: float
     ssim: float
     lpips: float | None = None
+    corrected_psnr: float | None = None
 
 
 @runtime_checkable
@@ -45,7 +48,12 @@ class HasMasks(Protocol):
 
 
 def score(
-    scene: GaussianScene, views: Sequence[View], render: RenderFn, *, lpips: Perceptual | None = None
+    scene: GaussianScene,
+    views: Sequence[View],
+    render: RenderFn,
+    *,
+    lpips: Perceptual | None = None,
+    corrected: bool = False,
 ) -> Scores | None:
     """Compare a splat with views; None if there are none. What a photograph does not show at its border is no error.
 
@@ -54,18 +62,36 @@ def score(
         views: Cameras and true pictures.
         render: The renderer.
         lpips: See `mi_splat.metrics.load_lpips`.
+        corrected: Whether to compare with the exposure and white balance of each view, too.
     """
-    rows = []
+    rows: list[dict[str, float]] = []
     with torch.no_grad():
         for index, view in enumerate(views):
             image = render(scene, view.camera)[..., :3].clamp(0, 1)  # a fourth channel is alpha
             image = image.to(view.image.device)
-            if isinstance(views, HasMasks):
-                image = masked(image, view.image, views.loss_mask(index, files=False))
-            row = [psnr(image, view.image).clamp(max=MOST_PSNR), ssim(image, view.image)]
-            rows.append([float(value) for value in (*row, *([lpips(image, view.image)] if lpips else []))])
+            mask = views.loss_mask(index, files=False) if isinstance(views, HasMasks) else None
+            image = masked(image, view.image, mask)
+            row = {"psnr": _psnr(image, view.image), "ssim": float(ssim(image, view.image))}
+            if lpips is not None:
+                row["lpips"] = float(lpips(image, view.image))
+            if corrected:
+                row["corrected_psnr"] = _psnr(_with_colours_of(view.image, image, mask), view.image)
+            rows.append(row)
     if not rows:
         return None
-    return Scores(
-        **dict(zip(("psnr", "ssim", "lpips"), [sum(c) / len(c) for c in zip(*rows, strict=True)], strict=False))
-    )
+    return Scores(**{name: sum(row[name] for row in rows) / len(rows) for name in rows[0]})
+
+
+def _psnr(image: Tensor, truth: Tensor) -> float:
+    return float(psnr(image, truth).clamp(max=MOST_PSNR))
+
+
+def _with_colours_of(truth: Tensor, image: Tensor, mask: Tensor | None) -> Tensor:
+    """(H, W, 3) the picture after the affine map by which it comes nearest to another, where that counts."""
+    colours = torch.nn.functional.pad(image.double(), (0, 1), value=1.0)
+    counts = torch.ones_like(colours[..., :1]) if mask is None else mask[..., None].to(colours)
+    root = counts.sqrt().flatten(0, 1)
+    found = torch.linalg.lstsq(
+        root * colours.flatten(0, 1), root * truth.double().flatten(0, 1), driver="gelsd"
+    ).solution
+    return masked((colours @ found).clamp(0, 1).to(image), truth, mask)

@@ -133,7 +133,7 @@ def advance(
         scored = None
         every = config.eval_interval
         if state.iteration == config.iterations or (every and state.iteration % every == 0):
-            scored = score(state.result(), held_out, render, lpips=lpips)
+            scored = score(state.result(), held_out, render, lpips=lpips, corrected=config.exposure)
         line = Progress(iteration=state.iteration, loss=loss, count=len(state.parameters["means"]), held_out=scored)
         if state.iteration == config.iterations or scored is not None:
             state.history.append(line)

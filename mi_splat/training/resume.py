@@ -200,7 +200,7 @@ def _figures(fit: Fit, held_out: int) -> dict[str, object]:
     """How true the held-out views are, and how it came about."""
     scores = fit.history[-1].held_out
     return {
-        **dict.fromkeys(("psnr", "ssim", "lpips")),
+        **dict.fromkeys(("psnr", "ssim", "lpips", "corrected_psnr")),
         **({} if scores is None else asdict(scores)),
         "held_out_views": held_out,
         "gaussians": len(fit.scene),

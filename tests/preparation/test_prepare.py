@@ -56,7 +56,10 @@ def all_but_the_last(
     list_colmap(root, {"train": entries}, PointCloud(torch.zeros(5, 3), torch.zeros(5, 3)))
     names = [picture.name for picture in pictures]
     return Reconstruction(
-        models=(len(entries), 3), features=dict.fromkeys(names, 7), overlaps=dict.fromkeys(names[:-1], 2)
+        models=(len(entries), 3),
+        features=dict.fromkeys(names, 7),
+        overlaps=dict.fromkeys(names[:-1], 2),
+        points=dict.fromkeys(names[:-1], 40),
     )
 
 
@@ -79,6 +82,7 @@ def test_what_is_placed_is_a_set_and_the_rest_is_listed(tmp_path: Path) -> None:
     np.testing.assert_array_equal(train[0].image.numpy(), original)
 
     assert record == json.loads((out / "prepare.json").read_text())
+    assert [row["points"] for row in record["pictures"]] == [40] * 9 + [0]
     assert not_placed(record) == ["IMG 9.png (7 features, overlaps with 0 pictures)", "IMG 4.png (cannot be read)"]
     names = {path.name for path in (out / "images").iterdir()}
     assert names == {row["name"] for row in record["pictures"] if row["part"] != "none"}

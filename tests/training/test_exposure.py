@@ -14,6 +14,7 @@ from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.checkpoints import CheckpointError, load_state
 from mi_splat.training.config import FitConfig
+from mi_splat.training.evaluation import score
 from mi_splat.training.initialization import from_points
 from mi_splat.training.loop import Progress, advance, fit
 from mi_splat.training.resume import train
@@ -90,3 +91,14 @@ def test_a_run_goes_on_to_the_bit(tmp_path: Path) -> None:
     changed(file, lambda notes, tensors: tensors.update({"exposures/maps": tensors["exposures/maps"][:4]}))
     with pytest.raises(CheckpointError, match="exp_avg"):
         load_state(file)
+
+
+def test_held_out_views_are_compared_with_their_exposure_too() -> None:
+    truth, views, *_ = scene_and_views()
+    shown = [View(view.camera, 0.6 * view.image + torch.tensor([0.1, 0.0, 0.2])) for view in views]
+    found = score(truth, shown, Renderer(), corrected=True)
+    assert found is not None
+    assert (found.corrected_psnr or 0) > 60 > 25 > found.psnr
+    moved = score(truth, [View(view.camera, view.image.roll(3, 0)) for view in views], Renderer(), corrected=True)
+    assert moved is not None
+    assert moved.psnr <= (moved.corrected_psnr or 0) < moved.psnr + 6  # colours do not mend what lies elsewhere

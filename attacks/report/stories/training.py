@@ -23,6 +23,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
     run, history = read_json(folder / CONFIG), record["history"]
     scored = [line for line in history if line["held_out"] is not None]
     pictures, steps = int(record["held_out_views"]), history[-1]["iteration"]
+    exposed = record.get("corrected_psnr")
     return Section(
         kind="training",
         title=folder.name,
@@ -41,6 +42,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         attacked=False,
         figures=(
             *([Figure(label="SSIM", words=f"{record['ssim']:.4f}")] if record["ssim"] is not None else []),
+            *([Figure(label="PSNR with each picture's exposure", words=f"{exposed:.2f} dB")] if exposed else []),
             Figure(label="Gaussians", words=f"{record['gaussians']:,}"),
         ),
         charts=(
