@@ -152,8 +152,9 @@ def available() -> Iterator[tuple[str, tuple[str, ...]]]:
 
 
 def splats_of(exhibit: Exhibit) -> tuple[str, ...]:
-    """Names of the splats that are shown, without the heat of an audit, which is a picture."""
-    return tuple(splat.name for splat in exhibit.splats if splat.name != HEAT.partition(".")[0])
+    """Names of the splats that are shown, without the heat of an audit beside one, which is a picture."""
+    names = tuple(splat.name for splat in exhibit.splats)
+    return tuple(name for name in names if name != HEAT.partition(".")[0]) or names
 
 
 def without(words: Sequence[str], *flags: str) -> list[str]:

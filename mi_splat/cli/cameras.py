@@ -21,7 +21,7 @@ from mi_splat.datasets.frames import Split
 from mi_splat.datasets.transforms import find_transforms
 from mi_splat.directions import UP
 from mi_splat.errors import InvalidValueError, message, nearest
-from mi_splat.io.camera_records import OF, recorded_cameras
+from mi_splat.io.camera_records import OF, recorded_cameras, unique_names
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene
@@ -141,11 +141,9 @@ def renderer_of(loaded: SplatScene, options: CameraOptions, cameras: dict[str, C
 
 
 def _unique(named: Iterable[tuple[str, Camera]]) -> dict[str, Camera]:
-    """Cameras by name; of two with one name the second gets a number."""
-    cameras: dict[str, Camera] = {}
-    for name, camera in named:
-        cameras[name if name not in cameras else f"{name}-{len(cameras)}"] = camera
-    return cameras
+    """Cameras by name, as `unique_names` has it."""
+    pairs = list(named)
+    return dict(zip(unique_names(name for name, _ in pairs), (camera for _, camera in pairs), strict=True))
 
 
 def _meant(

@@ -6,7 +6,7 @@ of objects with img_name, width, height, fx, fy, position (3,) and rotation (3, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +87,17 @@ def _named(entry: Fields, usual: object) -> tuple[str, Fields]:
     if not isinstance(name, str | int):
         raise entry.bad("name", "a text", name)
     return str(name), entry
+
+
+def unique_names(names: Iterable[str]) -> list[str]:
+    """As many names, all different: of those that are alike, the later ones get a number."""
+    taken = dict[str, None]()
+    for name in names:
+        number, free = len(taken), name
+        while free in taken:
+            free, number = f"{name}-{number}", number + 1
+        taken[free] = None
+    return list(taken)
 
 
 def camera_of(entry: Mapping[str, object], where: str = "camera") -> Camera:

@@ -178,7 +178,7 @@ class Bench:
             words = self.laboratory.words(self._request(kind, orbit), mask=Path(MASK))
         except MiSplatError as error:
             return f"# {error}"
-        for folder, called in self._called.items():  # of this page, which the user would have made elsewhere
+        for folder, called in tuple(self._called.items()):  # of this page, which the user would have made elsewhere
             words = [word.replace(folder, called) for word in words]
         return shlex.join(["mi-splat", *words])
 

@@ -92,7 +92,7 @@ class Guard:
             return "this is no address"
         cookies = _cookies(headers.get("Cookie", ""), f"{COOKIE}-{port}")
         if not (_any_is(tokens, self.token) or _any_is(cookies, self.cookie)):
-            return "open the address that mi-splat view has printed, with its token"
+            return "open the address that mi-splat has printed, with its token"
         return None
 
     def door(self, path: str) -> str | None:
@@ -110,7 +110,7 @@ class Guard:
             return None
         target = html.escape(f"/{self.secret_path}/" + (f"?{urlencode(kept)}" if kept else ""))
         return (
-            '<!doctype html><html lang="en"><meta charset="utf-8"><title>mi-splat view</title>'
+            '<!doctype html><html lang="en"><meta charset="utf-8"><title>mi-splat</title>'
             f'<meta http-equiv="refresh" content="0; url={target}"><a href="{target}">Open the page</a></html>\n'
         )
 

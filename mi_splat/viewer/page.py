@@ -128,7 +128,8 @@ class Page:
         visitor = Visitor(client, self._bench, self._wake)
         with self._news:
             self._visitors[client.client_id] = visitor
-            self._news.notify()
+        self._bench.later(lambda: None)  # so that it follows what has changed while its controls were made
+        self._wake()
 
     async def _leave(self, client: Any) -> None:
         with self._news:

@@ -41,7 +41,7 @@ class Panel:
         if len(exhibit.names) > 1:
             self._show = gui.add_dropdown("Show", ways_of_showing(exhibit.names), initial_value=state.show)
             self._split = gui.add_slider("Split", 0.0, 1.0, 0.01, state.split, visible=state.show == SPLIT)
-            self._wish(self._show, lambda s, value: replace(s, show=self._known(value, s.show)))
+            self._wish(self._show, lambda s, value: replace(s, show=value))
             self._wish(self._split, lambda s, value: replace(s, split=_fraction(value, s.split)))
         self._free = FREE
         while self._free in exhibit.cameras:
@@ -110,10 +110,6 @@ class Panel:
             if event.client is not None:  # else it was `follow`
                 value = event.target.value
                 self._change(lambda state: wished(state, value))
-
-    def _known(self, value: str, otherwise: str) -> str:
-        """A way of showing, if it is one: what comes from a browser may be anything."""
-        return value if value in ways_of_showing(self._exhibit.names) else otherwise
 
     def _camera_name(self, orbit: Orbit) -> str:
         """Name of the camera to choose that this is."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from mi_splat.cameras import Camera
 from mi_splat.datasets import Dataset, has_tests, is_dataset, load_dataset
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.camera_records import OF, recorded_cameras
+from mi_splat.io.camera_records import OF, recorded_cameras, unique_names
 from mi_splat.rendering import RenderSettings
 from mi_splat.viewer.exhibit import Exhibit, Photographs
 from mi_splat.viewer.lines import Lines, frustums
@@ -41,7 +41,7 @@ def photographs_of(
     if factor > 1 and not any(factor % frame.shrunk for frame in views.frames):
         views = replace(views, downscale=factor)
     held_out = load_dataset(path, split="test").paths if has_tests(path) else ()
-    return _listed(views, path, held_out, middle)
+    return _listed(views, path, frozenset(held_out), middle)
 
 
 def photographs_in(sets: Sequence[Dataset], path: Path) -> tuple[dict[str, Orbit], Photographs]:
@@ -53,15 +53,14 @@ def photographs_in(sets: Sequence[Dataset], path: Path) -> tuple[dict[str, Orbit
     """
     views, *held_out = sets
     frames = tuple(frame for part in (*held_out, views) for frame in part.frames)
-    return _listed(replace(views, frames=frames), path, [file for part in held_out for file in part.paths])
+    return _listed(replace(views, frames=frames), path, {file for part in held_out for file in part.paths})
 
 
 def _listed(
-    views: Dataset, path: Path, held_out: Sequence[Path], middle: Point | None = None
+    views: Dataset, path: Path, held_out: Collection[Path], middle: Point | None = None
 ) -> tuple[dict[str, Orbit], Photographs]:
     """The cameras of views by name, and the pictures."""
-    stems = [file.stem for file in views.paths]
-    names = [stem if stems.index(stem) == i else f"{stem}-{i}" for i, stem in enumerate(stems)]
+    names = unique_names(file.stem for file in views.paths)
     shown = [f"{name} (held out)" if file in held_out else name for name, file in zip(names, views.paths, strict=True)]
     centre = focus_of(views.cameras, _before(views.cameras[0])) if middle is None else middle
     orbits = {

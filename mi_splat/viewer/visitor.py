@@ -67,12 +67,12 @@ class Visitor:
     def follow(self) -> None:
         """Show what has become of the work, and what is shown now."""
         if self._painter is not self._bench.painter:
-            with self._lock:
+            with self._lock:  # what the browser says meanwhile is for the new controls
                 self._painter, state = self._bench.painter, self._session.state
                 self._session = Session(state=self._first_state(state.orbit, state.canvas), changed=time.monotonic())
-            for control in tuple(self._look._children.values()):
-                control.remove()
-            self._add_panel()
+                for control in tuple(self._look._children.values()):
+                    control.remove()
+                self._add_panel()
         self._change_by_control(lambda state: replace(state, tint=self._bench.tints))
         self._bench_panel.follow()
 
@@ -152,11 +152,13 @@ class Visitor:
         with self._lock:
             before = self._session.state
             after = wished(before)
+            # What comes from a browser may be anything, and of controls that are gone.
+            if after.show not in ways_of_showing(self._painter.exhibit.names):
+                after = replace(after, show=before.show)
             self._session = self._session.change(after, time.monotonic())
-            moved = after.orbit != before.orbit
-        if moved:
+            self._panel.follow(after)
+        if after.orbit != before.orbit:
             self._place_camera(after.orbit)
-        self._panel.follow(after)
         self._wake()
 
     def _place_camera(self, orbit: Orbit) -> None:
@@ -176,8 +178,8 @@ class Visitor:
                 after = replace(after, orbit=state.orbit.moved(*pose))
                 self._sent.clear()
             self._session = self._session.change(after, now)
-        if after.orbit != state.orbit:
-            self._panel.follow(after)
+            if after.orbit != state.orbit:
+                self._panel.follow(after)
         self._wake()
 
 

@@ -16,7 +16,7 @@ from mi_splat.cli.options import CameraOptions
 from mi_splat.datasets import write_colmap
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.camera_records import describe, recorded_cameras
+from mi_splat.io.camera_records import describe, recorded_cameras, unique_names
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene_files import SplatScene
 from tests.datasets.sets import CLOUD, VIEWS, colmap_binary, view
@@ -80,6 +80,7 @@ def test_pictures_of_one_name_in_two_folders_are_two_cameras(tmp_path: Path) -> 
 
 def test_two_of_one_name_are_kept_apart() -> None:
     assert len(find_cameras(loaded(a=camera()), CameraOptions(cameras=("orbit:2@0", "orbit:2@10", "a", "a")))) == 6
+    assert unique_names(["x", "x", "x-1", "x", "y"]) == ["x", "x-1", "x-1-2", "x-3", "y"]
 
 
 def test_an_object_is_looked_at_from_where_it_shows() -> None:

@@ -107,6 +107,8 @@ def test_an_audit_leads_to_the_cameras_that_prove_a_look(exhibit: Exhibit, tmp_p
     assert outcome.cameras["Object 1, look 1"] == outcome.exhibit.cameras["inside"].changed(roll=0.0)
     again = read_back(replace(request(AUDIT, outcome.exhibit), picked=None))  # not of its heat
     assert again.files == (exhibit.splats[0].path,)
+    alone = replace(exhibit, splats=(replace(exhibit.splats[0], name="heat"),))  # a file of that name
+    assert read_back(request(AUDIT, alone)).files == again.files
 
 
 def test_a_judgement_colours_directions(exhibit: Exhibit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

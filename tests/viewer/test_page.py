@@ -23,6 +23,7 @@ pytest.importorskip("viser", reason="needs the extra `view`")
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.viewer.bench import Bench
+from mi_splat.viewer.composition import DIFFERENCE
 from mi_splat.viewer.exhibit import Inspection
 from mi_splat.viewer.guard import COOKIE
 from mi_splat.viewer.page import Page, check_port
@@ -171,6 +172,31 @@ def test_nonsense_from_a_browser_changes_nothing(value: object) -> None:
         other = browser.control("Azimuth")["uuid"]
         browser.say("GuiUpdateMessage", uuid=other, updates={"value": START.azimuth + 1})
         assert np.abs(browser.picture(FULL).astype(int) - before).mean() < 5
+
+
+def test_a_wish_of_controls_that_are_gone_changes_nothing() -> None:
+    """A result that has two splats was shown when it was made, and now there is one."""
+    with serving(painter(1)) as page, connection(page.address, headers_of(page.address)) as browser:
+        browser.look(START)
+        browser.picture(FULL)
+        (visitor,) = page._visitors.values()
+        visitor._change_by_control(lambda state: replace(state, show=DIFFERENCE, orbit=ABOVE))
+        browser.picture(FULL)
+
+
+def test_a_visitor_is_shown_what_has_changed_while_the_page_was_made_for_it() -> None:
+    work = bench()
+    with serving(work) as page, connection(page.address, headers_of(page.address)) as browser:
+        panel = work.panel
+
+        def late(*arguments: Any) -> Any:
+            made = panel(*arguments)
+            work.lines = ("said meanwhile",)
+            return made
+
+        work.panel = late  # type: ignore[method-assign]
+        browser.look(START)
+        browser.until(lambda message: "said meanwhile" in str(message.get("updates", {})))
 
 
 def test_an_error_in_a_picture_is_told_and_the_page_lives_on() -> None:
