@@ -21,6 +21,7 @@ from mi_splat.rendering import RenderSettings
 from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.scene_files import open_scene, orbit_camera, resized
+from mi_splat.training.evaluation import HasMasks
 from mi_splat.viewer.composition import BESIDE, DIFFERENCE, SPLIT
 from mi_splat.viewer.lines import Lines
 from mi_splat.viewer.orbit import Orbit, focus_of, orbit_of
@@ -81,6 +82,16 @@ class Photographs:
             DatasetError: Its file cannot be read.
         """
         return None if camera is None or camera not in self.numbers else self.views[self.numbers[camera]].image
+
+    def shown_from(self, camera: str | None) -> Tensor | None:
+        """(H, W) 0 where the picture from a camera shows nothing, as at a border that a lens has left; None if nowhere.
+
+        Raises:
+            DatasetError: Its file cannot be read.
+        """
+        if camera is None or camera not in self.numbers or not isinstance(self.views, HasMasks):
+            return None
+        return self.views.loss_mask(self.numbers[camera], files=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

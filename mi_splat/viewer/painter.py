@@ -18,6 +18,7 @@ from mi_splat.io.images import quantise, to_bytes
 from mi_splat.labels import write_label
 from mi_splat.metrics import psnr
 from mi_splat.scene import GaussianScene
+from mi_splat.training.losses import masked
 from mi_splat.viewer.command import render_command
 from mi_splat.viewer.composition import DIFFERENCE, SPLIT, Layout, Pixels, compose, lay_out, needed, pane_pixels, panes
 from mi_splat.viewer.exhibit import Exhibit, Inspection, Inspector
@@ -166,10 +167,18 @@ class Painter:
         }
 
     def likeness(self, orbit: Orbit) -> float | None:
-        """PSNR in dB between the two pictures that are inspected; None of one, or where equal."""
-        if len(self.exhibit.names) < 2 or (self.exhibit.photographs and self.photograph(orbit) is None):
+        """PSNR in dB between the two pictures that are inspected; None of one, or where equal.
+
+        What a photograph does not show at its border is no error, as in the scores of a training.
+        """
+        photographs = self.exhibit.photographs
+        if len(self.exhibit.names) < 2 or (photographs and self.photograph(orbit) is None):
             return None
         first, second = (self.picture(name, orbit) for name in self.exhibit.names)
+        if photographs is not None:
+            shown = photographs.shown_from(self.exhibit.camera_name(orbit))
+            if shown is not None:
+                second = masked(second, first, _resized(shown[..., None], self.exhibit.size_at(orbit))[..., 0])
         return None if torch.equal(first, second) else float(psnr(first, second))
 
     def comparison(self, orbit: Orbit) -> str:
@@ -201,11 +210,7 @@ class Painter:
         taken = self.photograph(orbit)
         if taken is None:
             return torch.full((size[1], size[0], 3), NO_PICTURE)
-        if tuple(taken.shape[:2]) == size[::-1]:
-            return taken
-        pixels = taken.permute(2, 0, 1)[None]
-        resized = functional.interpolate(pixels, size[::-1], mode="bilinear", antialias=True, align_corners=False)
-        return resized[0].permute(1, 2, 0).clamp(0, 1)
+        return _resized(taken, size)
 
     def _pane(
         self,
@@ -237,6 +242,15 @@ class Painter:
         image = Image.fromarray(pixels)
         inspection.draw(ImageDraw.Draw(image), image.width / width)
         return np.asarray(image)
+
+
+def _resized(picture: Tensor, size: tuple[int, int]) -> Tensor:
+    """(H, W, C) a picture of another width and height; the same if it has them."""
+    if tuple(picture.shape[:2]) == size[::-1]:
+        return picture
+    pixels = picture.permute(2, 0, 1)[None]
+    resized = functional.interpolate(pixels, size[::-1], mode="bilinear", antialias=True, align_corners=False)
+    return resized[0].permute(1, 2, 0).clamp(0, 1)
 
 
 def _titles(pane: str, names: Sequence[str], width: int, letters: float) -> list[tuple[float, str]]:

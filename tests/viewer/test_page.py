@@ -184,7 +184,9 @@ def test_a_wish_of_controls_that_are_gone_changes_nothing() -> None:
         browser.picture(FULL)
 
 
-def test_a_visitor_is_shown_what_has_changed_while_the_page_was_made_for_it() -> None:
+def test_a_visitor_is_shown_what_has_changed_while_the_page_was_made_for_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     work = bench()
     with serving(work) as page, connection(page.address, headers_of(page.address)) as browser:
         panel = work.panel
@@ -194,7 +196,7 @@ def test_a_visitor_is_shown_what_has_changed_while_the_page_was_made_for_it() ->
             work.lines = ("said meanwhile",)
             return made
 
-        work.panel = late  # type: ignore[method-assign]
+        monkeypatch.setattr(work, "panel", late)
         browser.look(START)
         browser.until(lambda message: "said meanwhile" in str(message.get("updates", {})))
 
