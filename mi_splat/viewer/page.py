@@ -125,6 +125,7 @@ class Page:
         self.close()
 
     async def _enter(self, client: Any) -> None:
+        _hear_values_only(client)
         visitor = Visitor(client, self._bench, self._wake)
         with self._news:
             self._visitors[client.client_id] = visitor
@@ -167,6 +168,24 @@ def _serve(guard: Guard, host: str, port: int, label: str) -> Any:
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     server.gui.main_panel.dock_right()
     return server
+
+
+def _hear_values_only(client: Any) -> None:
+    """Let a browser say what a control is set to, and no more.
+
+    viser would let it change whatever is kept of a control, its being there included, and send files without an end.
+    """
+    from viser import _messages
+
+    gui, heard = client.gui, client.gui._websock_interface
+    for kind in (_messages.GuiUpdateMessage, _messages.FileTransferStartUpload, _messages.FileTransferPart):
+        heard.unregister_handler(kind)
+
+    async def update(number: int, message: Any) -> None:
+        if set(message.updates) == {"value"}:
+            await gui._handle_gui_updates(number, message)
+
+    heard.register_handler(_messages.GuiUpdateMessage, update)
 
 
 @contextlib.contextmanager

@@ -174,6 +174,19 @@ def test_nonsense_from_a_browser_changes_nothing(value: object) -> None:
         assert np.abs(browser.picture(FULL).astype(int) - before).mean() < 5
 
 
+def test_a_browser_changes_nothing_of_a_control_but_its_value() -> None:
+    with visiting(painter(1)) as browser:
+        browser.picture(FULL)
+        text = browser.control("clean")["uuid"]  # the command
+        file = {"transfer_uuid": "a", "filename": "b", "mime_type": "c", "part_count": 0, "size_bytes": 0}
+        browser.say("FileTransferStartUpload", source_component_uuid=text, **file)
+        browser.say("GuiUpdateMessage", uuid=text, updates={"removed": True})
+        browser.say("GuiUpdateMessage", uuid=browser.control("Elevation")["uuid"], updates={"value": 70.0})
+        told = browser.until(lambda message: "--elevation 70" in str(message.get("updates", {})))
+        assert told["uuid"] == text
+        assert "FileTransferPartAck" not in [message["type"] for message in browser.messages]
+
+
 def test_a_wish_of_controls_that_are_gone_changes_nothing() -> None:
     """A result that has two splats was shown when it was made, and now there is one."""
     with serving(painter(1)) as page, connection(page.address, headers_of(page.address)) as browser:
