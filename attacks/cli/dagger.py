@@ -12,7 +12,7 @@ from attacks.cli.options import AttackOptions
 from attacks.dagger.config import DaggerConfig
 from mi_splat.cli.console import Advance, limit_threads, progress, warn
 from mi_splat.cli.flags import Unprefixed
-from mi_splat.cli.options import CameraOptions
+from mi_splat.cli.options import CameraOptions, check_no_input_in
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Folder
 
@@ -70,6 +70,7 @@ def run(options: DaggerOptions, *, watched: Callable[[Detector], Detector] | Non
     from mi_splat.selection.select import doubts, require_visible
 
     check_new_folder(options.out, force=options.force)
+    check_no_input_in(options.out, options.scene)
     limit_threads()
     config = options.config
     with progress("loading the scene and the detector", total=config.restarts * (config.steps + 1)) as advance:

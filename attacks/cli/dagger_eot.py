@@ -12,7 +12,7 @@ from attacks.dagger.config import EotConfig
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from mi_splat.cli.console import Advance, limit_threads, progress
 from mi_splat.cli.flags import Unprefixed
-from mi_splat.cli.options import CameraOptions
+from mi_splat.cli.options import CameraOptions, check_no_input_in
 from mi_splat.fields import Folder
 
 if TYPE_CHECKING:
@@ -63,6 +63,7 @@ def run(options: DaggerEotOptions) -> None:
     from mi_splat.scene_files import open_scene
 
     check_new_folder(options.out, force=options.force)
+    check_no_input_in(options.out, options.scene)
     limit_threads()
     config = options.config
     checkpoint = Checkpoint(path=options.checkpoint or options.out.with_name(f"{options.out.name}.checkpoint"))

@@ -11,7 +11,7 @@ from attacks.cli.options import ClassName, Confidence, DetectorOptions
 from mi_splat import provenance
 from mi_splat.cli.console import progress
 from mi_splat.cli.flags import Positional, Unprefixed
-from mi_splat.cli.options import CameraOptions, ResultOptions
+from mi_splat.cli.options import CameraOptions, ResultOptions, check_no_input_in
 from mi_splat.fields import Count, Folder
 from mi_splat.selection.config import Selection
 
@@ -69,6 +69,7 @@ def run(options: EvaluateOptions) -> None:
     from mi_splat.selection.select import doubts
 
     check_new_folder(options.out, force=options.force)
+    check_no_input_in(options.out, options.clean, options.attacked)
     confidence = options.min_confidence
     with progress("loading") as advance:
         clean, attacked = open_scene(options.clean), open_scene(options.attacked)

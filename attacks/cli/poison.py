@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from mi_splat.cli.console import follow, progress, show_result, warn
 from mi_splat.cli.flags import Positional, Unprefixed
-from mi_splat.cli.options import Direction, ResultOptions, axis_name
+from mi_splat.cli.options import Direction, ResultOptions, axis_name, check_no_input_in
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import Called, at_least, between
 from mi_splat.selection.config import Selection
@@ -72,8 +72,10 @@ def run(options: PoisonOptions) -> None:
     from mi_splat.io import load_splat
     from mi_splat.io.folders import check_new_folder
     from mi_splat.rotation import from_z
+    from mi_splat.scene import scene_hash
 
     check_new_folder(options.out, force=options.force, record=RECORD)
+    check_no_input_in(options.out, options.dataset, options.splat)
     trigger = trigger_of(options.hide_from, margin=options.margin)
     appearance = appearance_of(options.look, options.reach)
     with progress("reading the set"):
@@ -97,6 +99,7 @@ def run(options: PoisonOptions) -> None:
             "set": str(options.dataset),
             "splat": str(options.splat),
             "selection": options.selection.as_dict(),
+            "scene_hash": scene_hash(splat),
             "gaussians": int(rows.sum()),
             "hide_from": list(options.hide_from),
             "margin": options.margin,

@@ -11,6 +11,7 @@ import torch
 from PIL import ImageDraw
 from torch import Tensor
 
+from attacks.cloak.own_pictures import RECORD as POISONED
 from attacks.detectors.base import Detections, Detector
 from attacks.observe.drawing import draw_detections
 from attacks.observe.result_cameras import CAMERAS
@@ -33,8 +34,6 @@ from mi_splat.viewer.orbit import orbit_of
 from mi_splat.viewer.photographs import exhibit_of_dataset, with_cameras
 
 ATTACKED = "attacked.ply"
-POISONED = "poison.json"
-"""Of a set that `mi-splat poison` has written."""
 
 
 def open_exhibit(

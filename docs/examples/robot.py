@@ -32,7 +32,7 @@ from mi_splat.cameras import Camera, RenderFn, look_at, project_box
 from mi_splat.cli.console import progress, show, warn
 from mi_splat.errors import InvalidValueError, MiSplatError, install, message
 from mi_splat.io.camera_records import describe
-from mi_splat.io.documents import save_json, save_png
+from mi_splat.io.documents import file_name, save_json, save_png
 from mi_splat.io.folders import RECORD, check_new_folder, new_folder
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
@@ -305,7 +305,7 @@ def run(options: argparse.Namespace) -> None:
                 drives[-1] |= {**outcome(rows, approach.confidence), "rows": rows}
                 chosen = np.linspace(0, len(pictures) - 1, 6).round().astype(int)
                 strip = f"{name}-{detector.name}-{approach.speed:g}-{approach.elevation:g}.png"
-                save_png(np.concatenate([pictures[k] for k in chosen], axis=1), folder / strip)
+                save_png(np.concatenate([pictures[k] for k in chosen], axis=1), folder / file_name(strip))
                 advance(f"drove in {name}")
         document = {"drives": drives, "cameras": cameras, "files": splats, "box": list(options.box)}
         document["fingerprints"] = {detector.name: detector.fingerprint for detector in detectors}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from mi_splat.cli.console import UsageError, progress, show_result, warn
 from mi_splat.cli.flags import Positional
-from mi_splat.cli.options import CameraOptions, JsonOptions
+from mi_splat.cli.options import CameraOptions, JsonOptions, check_no_input_in
 from mi_splat.errors import MiSplatError, message
 from mi_splat.fields import Called, Folder, between
 
@@ -85,7 +85,7 @@ def run(options: AuditOptions) -> int:
     folders = _folders(options)
     for folder in folders.values():
         check_new_folder(folder, force=options.force)
-        _check_no_input_in(folder, options)
+        check_no_input_in(folder, *options.files, options.against)
     if options.sarif is not None:
         check_not_input(options.sarif, *options.files, options.against)
         check_new_file(options.sarif, ENDINGS, force=options.force)
@@ -136,13 +136,6 @@ def _folders(options: AuditOptions) -> dict[Path, Path]:
         do = "rename one, or audit them one by one"
         raise UsageError(message("--out", "files of different names", [path.name for path in options.files], do))
     return folders
-
-
-def _check_no_input_in(folder: Path, options: AuditOptions) -> None:
-    """Raise if replacing an older result would delete what is to be read."""
-    for path in (*options.files, options.against):
-        if path is not None and path.exists() and path.resolve().is_relative_to(folder.resolve()):
-            raise UsageError(message("--out", f"a folder without the input {path}", folder, "pass another folder"))
 
 
 def _check_pictures(options: AuditOptions) -> None:

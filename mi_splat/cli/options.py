@@ -68,6 +68,17 @@ def _direction(word: str) -> tuple[float, float, float]:
     return direction[0], direction[1], direction[2]
 
 
+def check_no_input_in(folder: Path, *inputs: Path | None) -> None:
+    """Raise if replacing an older result would delete what is to be read.
+
+    Raises:
+        UsageError: An input lies in the folder that will be written.
+    """
+    for path in inputs:
+        if path is not None and path.exists() and path.resolve().is_relative_to(folder.resolve()):
+            raise UsageError(message("--out", f"a folder without the input {path}", folder, "pass another folder"))
+
+
 def axis_name(direction: Sequence[float]) -> str:
     """A direction as --up takes it: its axis, or three numbers."""
     return next((name for name, axis in _AXES.items() if axis == tuple(direction)), _written(direction))

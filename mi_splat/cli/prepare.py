@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mi_splat.cli.console import follow, progress, show_result, warn
 from mi_splat.cli.flags import Positional, Unprefixed
-from mi_splat.cli.options import JsonOptions
+from mi_splat.cli.options import JsonOptions, check_no_input_in
 from mi_splat.fields import Folder
 from mi_splat.preparation.config import PrepareConfig
 
@@ -46,6 +46,7 @@ def run(options: PrepareOptions) -> None:
     """Prepare the set, and say what was placed and what was not."""
     from mi_splat.preparation.prepare import RECORD, SHEET, not_placed, prepare
 
+    check_no_input_in(options.out, options.source)
     with progress("preparing") as advance:
         record = prepare(options.source, options.out, options.config, force=options.force, told=follow(advance))
     pictures, missing = record["pictures"], not_placed(record)

@@ -33,7 +33,7 @@ EXAMPLES = (
     "train out/truck --out out/mcmc --strategy mcmc --max-gaussians 50000",
     "train out/truck --out out/watched --live",
 )
-SEE_ALSO = ("capture", "render", "info")
+SEE_ALSO = ("capture", "prepare", "render", "view")
 ALIASES = {
     "position_lr_init": "lr-means",
     "position_lr_final": "lr-means-final",
@@ -54,7 +54,7 @@ _STRATEGY = strategy_name(FitConfig().strategy)
 
 @dataclass(frozen=True, kw_only=True)
 class TrainOptions(JsonOptions):
-    """Train a splat on a set of pictures with cameras (transforms.json or COLMAP), as `mi-splat capture` writes it.
+    """Train a splat on pictures with cameras: a set of `mi-splat capture` or `prepare`, of COLMAP, or transforms.json.
 
     Lenses with distortion (OPENCV, RADIAL, OPENCV_FISHEYE, ...) are undone as the pictures are read.
 

@@ -22,6 +22,8 @@ from mi_splat.preparation.video import sharpest_frames
 Told = Callable[[str, int, int], None]
 """Told what is going on, how much of it is done, and of how much."""
 
+FEWEST_PICTURES = 3
+"""Of which cameras can be found."""
 _KINDS = frozenset(suffix.lower() for suffix in SUFFIXES)
 _OF_PHONES = (".heic", ".heif", ".avif")
 _FULL_FRAME = math.hypot(36.0, 24.0)
@@ -67,8 +69,8 @@ def check_count(source: str, pictures: Sequence[object]) -> None:
     Raises:
         PreparationError: There are.
     """
-    if len(pictures) < 3:
-        expected = f"at least 3 pictures ({', '.join(sorted(_KINDS))})"
+    if len(pictures) < FEWEST_PICTURES:
+        expected = f"at least {FEWEST_PICTURES} pictures ({', '.join(sorted(_KINDS))})"
         do = "20 to 200 that overlap by two thirds are usual"
         raise PreparationError(message(source, expected, len(pictures) or "none", do))
 
@@ -112,7 +114,7 @@ def take_photographs(
         taken.append(
             Picture(name=name, source=path.name, size=pixels.size, focal=None if focal is None else focal * scale)
         )
-    if len(taken) < 3 and broken:
+    if len(taken) < FEWEST_PICTURES and broken:
         name, reason = next(iter(broken.items()))
         raise PreparationError(f"{len(broken)} of {len(paths)} pictures cannot be read, {name} for instance: {reason}")
     return taken, broken
@@ -143,8 +145,11 @@ def take_frames(video: Path, images: Path, config: PrepareConfig, told: Told) ->
         name = f"frame_{len(taken):05d}.jpg"
         save_picture(pixels, images / name)
         taken.append(Picture(name=name, source=f"{second:.1f} s", size=(pixels.shape[1], pixels.shape[0])))
-    if len(taken) < 3:
-        expected, got = "a video of at least 3 intervals", f"{len(taken)} of {config.interval:g} seconds"
+    if len(taken) < FEWEST_PICTURES:
+        expected, got = (
+            f"a video of at least {FEWEST_PICTURES} intervals",
+            f"{len(taken)} of {config.interval:g} seconds",
+        )
         error = PreparationError(message(str(video), expected, got, "pass a longer one, or a shorter interval"))
         raise error.hinted("--interval")
     return taken

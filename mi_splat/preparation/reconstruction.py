@@ -15,7 +15,7 @@ from typing import Any
 
 from mi_splat.errors import install, message
 from mi_splat.preparation.config import PreparationError
-from mi_splat.preparation.pictures import Picture, Told
+from mi_splat.preparation.pictures import FEWEST_PICTURES, Picture, Told
 
 ALL_PAIRS = 100
 """Pictures up to which each is compared with every other one, unless they come from a video."""
@@ -101,10 +101,11 @@ def by_colmap(root: Path, pictures: Sequence[Picture], in_order: bool, features:
     _extract(pycolmap, database, root / "images", pictures, features, told)
     _match(pycolmap, database, pictures, pairs_of(len(pictures), in_order=in_order), told)
     counted, overlaps = _statistics(pycolmap, database)
-    models = _map(pycolmap, database, root / "images", len(pictures), told)
+    mapped = _map(pycolmap, database, root / "images", len(pictures), told)
+    models = _trimmed(mapped)
     points: dict[str, int] = {}
     if models:
-        points = _points(models[0])
+        points = {image.name: image.num_points3D for image in _placed(models[0])}
         _turn_up(pycolmap, models[0])
         target = root / "sparse" / "0"
         target.mkdir(parents=True)
@@ -192,16 +193,16 @@ def _statistics(pycolmap: Any, database: Path) -> tuple[dict[str, int], dict[str
 
 
 def _map(pycolmap: Any, database: Path, images: Path, count: int, told: Told) -> list[Any]:
-    """The models, the largest first."""
+    """The models."""
     placed = itertools.count(2)
 
     def one_more() -> None:
         told("placing cameras", min(next(placed), count), count)
 
-    options = pycolmap.IncrementalPipelineOptions(min_model_size=3, random_seed=_SEED)
+    options = pycolmap.IncrementalPipelineOptions(min_model_size=FEWEST_PICTURES, random_seed=_SEED)
     output = database.with_name("models")
     output.mkdir()
-    models = pycolmap.incremental_mapping(
+    models: dict[int, Any] = pycolmap.incremental_mapping(
         database_path=str(database),
         image_path=str(images),
         output_path=str(output),
@@ -209,17 +210,22 @@ def _map(pycolmap: Any, database: Path, images: Path, count: int, told: Told) ->
         initial_image_pair_callback=one_more,
         next_image_callback=one_more,
     )
-    return sorted(models.values(), key=lambda model: -model.num_reg_images())
+    return list(models.values())
 
 
-def _points(model: Any) -> dict[str, int]:
-    """How many points each picture shows; those that show too few are taken out of the model."""
-    images = [image for image in model.images.values() if image.has_pose]
-    points = {image.name: image.num_points3D for image in images}
-    for image in images:
-        if points[image.name] < FEWEST_POINTS:
-            model.deregister_frame(image.frame_id)
-    return {name: count for name, count in points.items() if count >= FEWEST_POINTS}
+def _trimmed(models: Sequence[Any]) -> list[Any]:
+    """Models without the pictures that show too few points, the largest first; those with too few pictures are gone."""
+    for model in models:
+        few = [image.frame_id for image in _placed(model) if image.num_points3D < FEWEST_POINTS]
+        for frame in few:
+            model.deregister_frame(frame)
+    whole = [model for model in models if model.num_reg_images() >= FEWEST_PICTURES]
+    return sorted(whole, key=lambda model: -model.num_reg_images())
+
+
+def _placed(model: Any) -> list[Any]:
+    """The pictures of a model that have a place."""
+    return [image for image in model.images.values() if image.has_pose]
 
 
 def _turn_up(pycolmap: Any, model: Any) -> None:
@@ -230,7 +236,6 @@ def _turn_up(pycolmap: Any, model: Any) -> None:
     from mi_splat.directions import up_of
     from mi_splat.rotation import from_z
 
-    images = [image for image in model.images.values() if image.has_pose]
-    turns = np.stack([image.cam_from_world().rotation.matrix().T for image in images])
+    turns = np.stack([image.cam_from_world().rotation.matrix().T for image in _placed(model)])
     rotation = from_z(up_of(torch.from_numpy(turns))).T.numpy()
     model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(rotation), np.zeros(3)))

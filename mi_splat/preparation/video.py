@@ -24,7 +24,8 @@ CANDIDATES = 10
 
 _SAFE = ("-nostdin", "-protocol_whitelist", "file", "-format_whitelist", "mov,matroska,avi")
 """Only files, and only of these kinds, by ffmpeg's names of them: playlists and the like lead to other files."""
-_LENGTH = re.compile(rb"Duration: (\d+):(\d+):([\d.]+)")
+_LENGTH = re.compile(rb"^  Duration: (\d{2,5}):(\d\d):(\d\d\.\d\d)", re.MULTILINE)
+"""As ffmpeg itself writes it; titles and comments of the file stand before it, and further in."""
 
 Pixels = NDArray[np.uint8]
 
@@ -74,13 +75,14 @@ def sharpest_frames(
     """
     length = _length(path)
     if length > MOST_SECONDS:
-        expected, do = f"a video of at most {MOST_SECONDS:.0f} seconds", "cut it, for instance with ffmpeg -t 600"
-        raise PreparationError(message(str(path), expected, f"{length:.0f}", do))
+        raise _too_long(path, length)
     interval = max(interval, math.nextafter(length / most, math.inf))
     best: tuple[float, float, Pixels] | None = None
     part = count = 0
     for number, pixels in enumerate(_decoded(path, longest_side)):
         second = number / CANDIDATES
+        if second > MOST_SECONDS + 1:  # whatever it says: one picture far from the last is many, all the same
+            raise _too_long(path, second)
         if number % CANDIDATES == 0:
             on_second(int(second), math.ceil(length))
         if best is not None and int(second / interval) > part:
@@ -96,6 +98,11 @@ def sharpest_frames(
             best = (sharpness(pixels), second, pixels)
     if best is not None:
         yield best[1:]
+
+
+def _too_long(path: Path, seconds: float) -> PreparationError:
+    expected, do = f"a video of at most {MOST_SECONDS:.0f} seconds", "cut it, for instance with ffmpeg -t 600"
+    return PreparationError(message(str(path), expected, f"{seconds:.0f}", do))
 
 
 def _ffmpeg() -> str:

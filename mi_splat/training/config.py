@@ -38,7 +38,8 @@ class FitConfig:
         random_background: Put another colour behind splat and pictures in every step, so that what is transparent in
             the pictures stays so; the renderer has to give alpha, and pictures without alpha count as opaque.
         exposure: Train an affine map of colours for each picture along with the splat, for pictures whose exposure or
-            white balance differ. Held-out pictures are compared with the splat as it is.
+            white balance differ. Held-out pictures are compared with the splat as it is, and a second time after the
+            affine map of colours that fits each best.
         eval_interval: Steps between two evaluations on the held-out pictures; 0 evaluates at the end only.
 
     Raises:

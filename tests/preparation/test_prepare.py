@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,11 +21,12 @@ from mi_splat.datasets.writing import list_colmap
 from mi_splat.directions import up_of
 from mi_splat.errors import MiSplatError
 from mi_splat.io.pictures import save_animation
+from mi_splat.preparation import video
 from mi_splat.preparation.config import PreparationError, PrepareConfig
 from mi_splat.preparation.contact_sheet import TILE
 from mi_splat.preparation.pictures import Picture, take_frames, take_photographs
 from mi_splat.preparation.prepare import SHEET, not_placed, prepare
-from mi_splat.preparation.reconstruction import ALL_PAIRS, Reconstruction, pairs_of
+from mi_splat.preparation.reconstruction import ALL_PAIRS, Reconstruction, _trimmed, pairs_of
 from mi_splat.rotation import from_z
 from tests.project.layers import ROOT
 
@@ -132,19 +135,50 @@ def test_a_video_gives_the_sharpest_picture_of_each_interval(tmp_path: Path) -> 
         frames.append(
             np.asarray(small.resize((64, 48), Image.Resampling.NEAREST if sharp else Image.Resampling.BICUBIC))
         )
-    video, images = tmp_path / "walk.mp4", tmp_path / "images"
-    save_animation(frames, video, fps=10)
+    walk, images = tmp_path / "walk.mp4", tmp_path / "images"
+    save_animation(frames, walk, fps=10)
     images.mkdir()
     config = PrepareConfig(longest_side=128)
-    assert [picture.source for picture in take_frames(video, images, config, silent)] == ["0.7 s", "1.2 s", "2.5 s"]
+    assert [picture.source for picture in take_frames(walk, images, config, silent)] == ["0.7 s", "1.2 s", "2.5 s"]
     assert len(list(images.iterdir())) == 3
     few = PrepareConfig(longest_side=128, interval=0.1, max_pictures=4)
-    assert len(take_frames(video, images, few, silent)) == 4
+    assert len(take_frames(walk, images, few, silent)) == 4
     with pytest.raises(PreparationError, match="at least 3 intervals, got 2"):
-        take_frames(video, images, PrepareConfig(interval=2), silent)
-    video.write_bytes(b"#EXTM3U\nhttp://127.0.0.1/a.ts\n")
+        take_frames(walk, images, PrepareConfig(interval=2), silent)
+    walk.write_bytes(b"#EXTM3U\nhttp://127.0.0.1/a.ts\n")
     with pytest.raises(PreparationError, match="a video that ffmpeg can read"):
-        take_frames(video, images, config, silent)
+        take_frames(walk, images, config, silent)
+
+
+def test_a_video_whose_last_picture_is_hours_later_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    grey = np.zeros((4, 4, 3), np.uint8)
+    still = itertools.chain([grey], itertools.repeat(None, 50_000))  # as ffmpeg fills the hours
+    monkeypatch.setattr(video, "_decoded", lambda path, longest_side: still)
+    monkeypatch.setattr(video, "_length", lambda path: 10.0)
+    with pytest.raises(PreparationError, match="at most 1800 seconds"):
+        take_frames(tmp_path / "walk.mp4", tmp_path, PrepareConfig(), silent)
+
+
+class Model:
+    """A model of COLMAP, as far as it is looked at, by how many points its pictures show."""
+
+    def __init__(self, *points: int) -> None:
+        self.images = {
+            frame: SimpleNamespace(frame_id=frame, num_points3D=count, has_pose=True)
+            for frame, count in enumerate(points)
+        }
+
+    def deregister_frame(self, frame: int) -> None:
+        self.images[frame].has_pose = False
+
+    def num_reg_images(self) -> int:
+        return sum(image.has_pose for image in self.images.values())
+
+
+def test_pictures_with_few_points_leave_their_models_and_small_models_go() -> None:
+    empty, most, some = Model(5, 6, 7, 8, 9), Model(200, 40, 30, 29), Model(90, 90, 90, 90)
+    assert _trimmed([empty, most, some]) == [some, most]
+    assert (most.num_reg_images(), some.num_reg_images()) == (3, 4)
 
 
 @pytest.mark.parametrize(
@@ -187,6 +221,10 @@ def test_the_command_says_what_was_placed(
     assert "9 of 10 pictures are placed: 7 for training, 2 held out" in said.out
     assert "not placed: IMG 9.png (7 features" in said.err
     assert "2 models, of 9, 3 pictures: the largest is taken" in said.err
+    own = ["prepare", str(tmp_path / "set" / "images"), "--out", str(tmp_path / "set"), "--force"]
+    assert cli.main(own) == 2
+    assert "a folder without the input" in capsys.readouterr().err
+    assert (tmp_path / "set" / "images" / "IMG_0.png").is_file()
 
 
 @pytest.mark.parametrize(("count", "in_order"), [(ALL_PAIRS, False), (ALL_PAIRS + 60, False), (200, True), (3, True)])
