@@ -88,15 +88,18 @@ def read_model_cameras(cameras_file: Path, split: Split | None = None) -> dict[s
 
     Args:
         cameras_file: Found by `find_model`.
-        split: Which part; None for all.
+        split: Which part, as `read_colmap` finds it: of the pictures that are there, unless none is; None for all.
 
     Raises:
         DatasetError: A file is missing or broken, or a lens is not known.
     """
     model = _read_model(cameras_file)
     lenses, source = _lenses(model, cameras_file), _images_file(cameras_file)
+    poses, images = _poses(model, cameras_file), _images_folder(cameras_file.parent, cameras_file.parent)
+    if split is not None:
+        poses = [pose for pose in poses if (images / pose.name).is_file()] or poses
     cameras = {}
-    for pose in _split(_poses(model, cameras_file), cameras_file.with_name(TEST_LIST), split, HELD_OUT):
+    for pose in _split(poses, cameras_file.with_name(TEST_LIST), split, HELD_OUT):
         where = f"{source}, {pose.name}"
         cameras[pose.name] = pinhole_camera(_to_world(pose, where), lenses[pose.lens], where)
     return cameras
