@@ -37,11 +37,12 @@ SEE_ALSO = ("render", "report", "dagger")
 class ViewOptions:
     """Look at a splat, a data set or the result of an attack on a page in the browser, or write such a page to a file.
 
-    Pictures are those of the renderer, spherical harmonics and all. Of a folder that `mi-splat dagger` or `mi-splat
-    cloak` has written, the clean and the attacked splat are shown from one camera; of one of `mi-splat audit` the splat
-    and its heat, from the cameras that prove a look; of one of `mi-splat train` the splat beside the photographs. On
-    the page a click picks an object, which can be attacked from there; the splat can be audited, and the attack judged
-    from all around. The page is served to this machine alone until Ctrl-C; open it by the address that is printed.
+    Pictures are those of the renderer, spherical harmonics and all. Of a folder that `mi-splat dagger`, `evaluate` or
+    `cloak` has written, the clean and the attacked splat are shown from one camera; of one of `mi-splat audit` the
+    splat and its heat, from the cameras that prove a look; of one of `mi-splat train` the splat beside the photographs.
+    On the page a click picks an object, which can be attacked from there; the splat can be audited, and the attack
+    judged from all around. The page is served to this machine alone until Ctrl-C; open it by the address that is
+    printed.
     """
 
     path: Positional[Annotated[Path, Called("RESULT")]]

@@ -24,7 +24,6 @@ from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.camera_records import OF, camera_of
 from mi_splat.io.folders import RECORD, splat_in
 from mi_splat.io.parsing import read_json
-from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.scene_files import open_scene
 from mi_splat.training.resume import CONFIG
@@ -44,7 +43,7 @@ def open_exhibit(
     cameras: Path | None = None,
     background: tuple[float, float, float] | None = None,
 ) -> Exhibit:
-    """A splat, a scene XML, a data set, or a folder of `mi-splat train`, `dagger`, `dagger-eot`, `cloak` or `audit`.
+    """A splat, a scene XML, a data set, or a folder of `train`, `dagger`, `dagger-eot`, `evaluate`, `cloak` or `audit`.
 
     Args:
         path: The file or the folder.
@@ -118,7 +117,9 @@ def _opened(path: Path, clean: Path | None, background: tuple[float, float, floa
         return exhibit
     if not (path / RECORD).is_file():
         do = "pass a finished result, a set of pictures, or a .ply or .xml file"
-        raise InvalidValueError(message(str(path), f"{RECORD} of mi-splat dagger, cloak or audit in it", "none", do))
+        raise InvalidValueError(
+            message(str(path), f"{RECORD} of mi-splat dagger, evaluate, cloak or audit in it", "none", do)
+        )
     record = read_json(path / RECORD)
     if record.get("story") == "audit":
         return _exhibit_of_audit(path, record, clean)
@@ -130,37 +131,49 @@ def _opened(path: Path, clean: Path | None, background: tuple[float, float, floa
 
 
 def _exhibit_of_attack(folder: Path, record: Mapping[str, Any], clean: Path | None) -> Exhibit:
-    """The clean and the attacked splat of a DAGGER result, from the cameras that were attacked or that judged it."""
-    rendered = dict[str, Any]()
+    """The clean and the attacked splat of a DAGGER result or of an evaluation, from the cameras that looked at both."""
+    rendered, evaluated = dict[str, Any](), record.get("story") == "evaluate"
     try:
-        first = record["views"][0]["detector"]  # every detector looked from the same cameras
-        views = [camera_of(view["camera"]) for view in record["views"] if view["detector"] == first]
-        expected, kind = str(record["scene_hash"]), "held-out" if "reference" in record else "attacked"
+        if evaluated:
+            entries, kind, path = record["cameras"], "judging", Path(record["attacked"])
+            names = labels = [str(entry["name"]) for entry in entries]
+            expected, recorded = str(record["clean_hash"]), record["clean"]
+        else:
+            first = record["views"][0]["detector"]  # every detector looked from the same cameras
+            entries = [view["camera"] for view in record["views"] if view["detector"] == first]
+            kind, path = "held-out" if "reference" in record else "attacked", folder / ATTACKED
+            names = [str(number) for number in range(len(entries))]
+            labels = [f"{kind} view {name}" for name in names]
+            expected, recorded = str(record["scene_hash"]), record.get("scene")
+        views = [camera_of(entry) for entry in entries]
+        size = views[0].width, views[0].height
         if "near" in record:  # not known of a result from Python whose pictures a function made
             red, green, blue = map(float, record["background"])
             rendered = {"near": float(record["near"]), "background": (red, green, blue)}
     except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        do = "make the result again with mi-splat dagger"
-        raise InvalidValueError(message(str(folder / RECORD), "a result of DAGGER", repr(error), do)) from error
-    splat = _clean_splat(folder, expected, clean, recorded=record.get("scene"))
-    attacked = open_scene(folder / ATTACKED).scene
-    middle, of_scene = middle_of_change(splat.scene, attacked), exhibit_of_file(splat.path)
+        made, do = ("an evaluation", "evaluate") if evaluated else ("a result of DAGGER", "dagger")
+        text = message(str(folder / RECORD), made, repr(error), f"make the result again with mi-splat {do}")
+        raise InvalidValueError(text) from error
+    splat, loaded = _clean_splat(folder, expected, clean, recorded=recorded), open_scene(path)
+    if evaluated and scene_hash(loaded.scene) != record.get("attacked_hash"):
+        raise InvalidValueError(message(str(path), "the splat that was evaluated", "another", "evaluate it again"))
+    middle, of_scene = middle_of_change(splat.scene, loaded.scene), exhibit_of_file(splat.path)
     source = f"{folder / (CAMERAS if (folder / CAMERAS).is_file() else RECORD)}{OF}"
     cameras = {
-        f"{kind} view {number}": orbit_of(camera, middle, source=f"{source}{number}")
-        for number, camera in enumerate(views)
+        label: orbit_of(camera, middle, source=f"{source}{name}")
+        for label, name, camera in zip(labels, names, views, strict=True)
     }
     cones = Lines(segments=frustums(views, 0.1 * bounds(splat.scene)[1]), colour="#ffa500")
     return Exhibit(
-        title=f"{_purpose(record)} ({folder})",
+        title=f"{f'Evaluation of {path.name}' if evaluated else _purpose(record)} ({folder})",
         splats=(
             splat,
-            ShownSplat(name="attacked", scene=attacked, path=folder / ATTACKED, file_settings=RenderSettings()),
+            ShownSplat(name="attacked", scene=loaded.scene, path=path, file_settings=loaded.settings),
         ),
         settings=replace(splat.file_settings, **rendered),
         start=next(iter(cameras.values()), of_scene.start),
-        size=(views[0].width, views[0].height),
-        cameras={**cameras, **of_scene.cameras},
+        size=size,
+        cameras={**cameras, **of_scene.cameras, **cameras},
         lines={f"{kind.capitalize()} cameras": cones},
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,7 +27,7 @@ from mi_splat.rendering import Renderer
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter
 from tests.audit.accounts import account, look
-from tests.fakes import ColourDetector
+from tests.fakes import ColourDetector, register
 from tests.project.layers import ROOT
 from tests.viewer.exhibits import ball, save_study
 
@@ -82,6 +83,27 @@ def test_a_result_s_cameras_come_first_and_go_around_the_attacked_object(result:
     assert set(found.lines) == {"Attacked cameras"}
 
 
+def test_an_evaluation_shows_both_splats_from_its_cameras(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str
+) -> None:
+    register(monkeypatch, {"fake_colour": ColourDetector()})
+    save_splat(ball((0.8, 0.1, 0.1)), tmp_path / "a.ply")
+    attacked = tmp_path / "b.ply"
+    save_splat(ball((0.1, 0.1, 0.8)), attacked)
+    words = ["evaluate", str(tmp_path / "a.ply"), str(attacked), "--detectors", "fake_colour", "--out"]
+    assert cli.main([*words, str(tmp_path / "judged"), "--cameras", "orbit:2@10", "--size", "40x32"]) == 0
+    found = open_exhibit(tmp_path / "judged")
+    assert found.names == ("clean", "attacked")
+    assert list(found.cameras) == ["orbit-0", "orbit-1", "whole scene"]
+    assert (found.size, found.title[:20]) == ((40, 32), "Evaluation of b.ply ")
+    command = shlex.split(Painter(found, Renderer(found.settings)).commands(found.start)["attacked"])
+    assert command[3:5] == ["--cameras", f"{tmp_path / 'judged' / 'result.json'}#orbit-0"]
+    assert cli.main([*command[1:], "--out", str(tmp_path / "again.png")]) == 0
+    save_splat(ball((0.1, 0.8, 0.8)), attacked)
+    with pytest.raises(InvalidValueError, match="expected the splat that was evaluated, got another"):
+        open_exhibit(tmp_path / "judged")
+
+
 def test_the_clean_scene_is_found_by_its_hash(result: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     assert open_exhibit(result).splat("clean").path == STREET  # as the result names it
@@ -129,7 +151,10 @@ def test_up_turns_results_and_their_cameras_keep_their_pictures(result: Path, st
         assert there == flat.describe(orbit.camera((8, 8)))
 
 
-@pytest.mark.parametrize("content", ["{", "[]", "{}", '{"views": [{}], "scene_hash": "x"}', '{"views": 3}'])
+@pytest.mark.parametrize(
+    "content",
+    ["{", "[]", "{}", '{"views": [{}], "scene_hash": "x"}', '{"views": 3}', '{"story": "evaluate", "cameras": []}'],
+)
 def test_a_broken_result_is_told(content: str, tmp_path: Path) -> None:
     (tmp_path / "result.json").write_text(content)
     with pytest.raises(InvalidValueError, match=r"result\.json: expected"):
@@ -137,7 +162,7 @@ def test_a_broken_result_is_told(content: str, tmp_path: Path) -> None:
 
 
 def test_a_folder_of_something_else_is_told(tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError, match=r"expected result\.json of mi-splat dagger, cloak or audit"):
+    with pytest.raises(InvalidValueError, match=r"expected result\.json of mi-splat dagger, evaluate, cloak or audit"):
         open_exhibit(tmp_path)
     with pytest.raises(MiSplatError, match="expected"):
         open_exhibit(tmp_path / "none.ply")
