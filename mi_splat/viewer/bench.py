@@ -27,6 +27,8 @@ from mi_splat.viewer.picking import MASK, Click, Picked, pick
 
 MOST_TASKS = 100
 """Wishes that wait; more are dropped."""
+MOST_SHOWN = 4
+"""Last results that are kept beside what was shown first, each with its Gaussians in memory."""
 MOST_UNDONE = 50
 """Picks that can be undone."""
 
@@ -41,7 +43,7 @@ class Bench:
         processes: Starts processes, as `multiprocessing` does.
 
     Attributes:
-        painters: What was shown; the last one is shown now.
+        painters: What was shown, as far as it is kept; the last one is shown now.
         tints: Counts the changes of the tint.
         lines: What there is to say.
         news: Of running work.
@@ -256,4 +258,5 @@ class Bench:
         exhibit, inspector = self.outcome.exhibit, self.outcome.inspector or self.painter.inspector
         if exhibit is not None:
             self.painters.append(Painter(exhibit, self._renderer(exhibit.settings), inspector))
+            del self.painters[1:-MOST_SHOWN]
             self.tint(False)

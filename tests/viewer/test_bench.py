@@ -17,7 +17,7 @@ from attacks import cli
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import dc_to_colour
-from mi_splat.viewer.bench import Bench
+from mi_splat.viewer.bench import MOST_SHOWN, Bench
 from mi_splat.viewer.composition import BESIDE, DIFFERENCE, SPLIT, lay_out
 from mi_splat.viewer.dome import SIDE, draw_domes
 from mi_splat.viewer.jobs import Job
@@ -134,6 +134,19 @@ def test_work_is_told_of_and_its_result_is_shown() -> None:
     assert not work.tinted
     work.back()
     assert len(work.exhibit.splats) == 1
+    work.close()
+
+
+def test_old_results_are_not_kept_for_ever() -> None:
+    work = bench()
+    first = work.painter
+    work.pick(MIDDLE)
+    for _ in range(MOST_SHOWN + 2):
+        work.start("Work", START)
+        until(lambda: not work.running, work)
+    last = work.painter
+    assert len(work.painters) == MOST_SHOWN + 1
+    assert (work.painters[0], work.painters[-1]) == (first, last)
     work.close()
 
 
