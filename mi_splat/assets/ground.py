@@ -8,19 +8,25 @@ from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import sheet
 from mi_splat.assets.textures import grass, road
 
+Kind = Literal["road", "grass", "asphalt"]
+
 
 def square_of_ground(
-    kind: Literal["road", "grass"], *, side: float, tile: float, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    kind: Kind, *, side: float, tile: float, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> Asset:
-    """A flat square with a texture that repeats.
+    """A flat square with a texture.
 
     Args:
-        kind: The texture. A road has no lines here: one that crosses a car is no camouflage.
+        kind: The texture. A road has no lines here: one that crosses a car is no camouflage. Road and grass repeat, so
+            that who finds cameras by pictures takes one place for another; asphalt does not.
         side: Metres.
-        tile: Metres that the texture covers.
+        tile: Metres that 256 pixels of the texture cover, and after which it repeats.
         centre: Middle of the square, metres.
     """
     (x, y, z), half, repeat = centre, side / 2, side / tile
     corners = [[[x - half, y - half, z], [x + half, y - half, z]], [[x - half, y + half, z], [x + half, y + half, z]]]
-    texture = road(256, 0, markings=False) if kind == "road" else grass(256, 0)
+    if kind == "asphalt":
+        texture, repeat = road(round(256 * repeat), 0, markings=False), 1.0
+    else:
+        texture = road(256, 0, markings=False) if kind == "road" else grass(256, 0)
     return Asset("ground", (sheet(corners, texture, repeat=(repeat, repeat), smooth=False),))

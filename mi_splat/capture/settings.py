@@ -12,7 +12,7 @@ from mi_splat.fields import Called, Checked, Length, above, between, check
 from mi_splat.placement import Turn, Up
 
 Front = Literal["+x", "-x", "+y", "-y"]
-Ground = Literal["road", "grass", "none"]
+Ground = Literal["road", "grass", "asphalt", "none"]
 MissingTextures = Literal["refuse", "warn"]
 
 
@@ -68,7 +68,8 @@ class SurroundingsSettings:
     """What is around a mesh file, or around an object of the project.
 
     Attributes:
-        ground: Texture of a square of ground that it stands on, as in the studies of CLOAK; none is no ground.
+        ground: Texture of a square of ground that it stands on, as in the studies of CLOAK. Asphalt repeats
+            nowhere, which pictures need whose cameras are to be found; none is no ground.
         sun: Where the sun stands, as AZIMUTH,ELEVATION in degrees, for instance -50,52; azimuth from +x towards +y,
             elevation 0 to 90. None is 40,45, and no sun where there is an environment.
         environment: Picture of the sky all around (latitude and longitude, straight up first), .exr or .hdr; None is

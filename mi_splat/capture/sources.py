@@ -8,13 +8,13 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.assets import ASSETS, build
-from mi_splat.assets.ground import square_of_ground
+from mi_splat.assets.ground import Kind, square_of_ground
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.recipes import RECIPES
 from mi_splat.capture.mesh_files import SUFFIXES, LoadedMesh, load_mesh
@@ -171,7 +171,7 @@ def _light(surroundings: SurroundingsSettings) -> Light:
     return Light() if surroundings.environment is None else Light(sun_strength=0.0)
 
 
-def _ground(target: Asset, kind: Literal["road", "grass"]) -> Asset:
+def _ground(target: Asset, kind: Kind) -> Asset:
     """The ground under an object."""
     (x, y, _), radius = _extent(target)
     centre = (x, y, float(target.bounds[0, 2]))

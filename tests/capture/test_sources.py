@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -144,10 +146,14 @@ def test_an_asset_by_name_and_seed_is_a_source() -> None:
         open_source("car:")
 
 
-def test_an_object_of_the_project_can_stand_on_the_ground() -> None:
+@pytest.mark.parametrize(("kind", "tiles"), [("road", 3.94), ("asphalt", 1)])
+def test_an_object_of_the_project_can_stand_on_the_ground(kind: Literal["road", "asphalt"], tiles: float) -> None:
     alone = open_source("car:3")
-    (car, ground) = open_source("car:3", surroundings=SurroundingsSettings(ground="road")).assets
+    (car, ground) = open_source("car:3", surroundings=SurroundingsSettings(ground=kind)).assets
     assert ground.bounds[:, 2].tolist() == [car.bounds[0, 2]] * 2
+    (sheet,) = ground.meshes
+    assert float(np.ptp(sheet.uvs)) == pytest.approx(tiles, abs=0.01)  # so often it repeats
+    assert sheet.texture.shape[0] * np.ptp(sheet.uvs) == pytest.approx(3.94 * 256, abs=1)  # and is as fine
     side = float(ground.bounds[1, 0] - ground.bounds[0, 0])
     assert side == pytest.approx(6.5 * alone.radius, rel=1e-5)
     assert (ground.bounds.mean(0)[:2]).tolist() == pytest.approx(alone.centre[:2], abs=1e-5)
