@@ -29,7 +29,7 @@ from attacks.detectors.weights import apply_weights, read_weights
 from attacks.observe.rows import frame_of, packed, read_rows, rows_bytes
 from attacks.pgd import START, SearchState, Step
 from attacks.report.checking import check_result, read_result
-from attacks.report.results import read_section, story_of
+from attacks.report.results import STORIES, read_section, story_of
 from attacks.studies import study_file
 from mi_splat.capture.gltf import gltf_notes
 from mi_splat.capture.record import claim_folder
@@ -203,7 +203,8 @@ def _result(name: str) -> Kind:
     """A result that a page can show."""
 
     def make(folder: Path) -> Path:
-        return MAKERS[name](folder / "result") / "result.json"
+        record = next(story.file for story in STORIES if story.name == name)
+        return MAKERS[name](folder / "result") / record
 
     return Kind(make=make, read=lambda path: read_section(path.parent), document=PLAIN_JSON)
 
