@@ -161,6 +161,9 @@ def test_the_page_in_a_file(
     assert page.get_by_label("Camera").input_value() == ""
     assert page.get_by_label("Azimuth").get_attribute("aria-valuetext") == "90°"
     assert not np.array_equal(opened.shot(), first)
+    page.get_by_label("Camera").select_option("0")
+    assert page.get_by_label("Azimuth").input_value() == "0"  # where that camera is
+    assert page.get_by_label("Azimuth").get_attribute("aria-valuetext") == f"{START.azimuth:g}°"
     assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
     assert not opened.errors
     assert all(url.startswith(("file:", "data:")) for url in opened.asked)
