@@ -27,7 +27,7 @@ class Scores:
         ssim: At most 1.
         lpips: At least 0, less is better; None if it was not asked for.
         corrected_psnr: dB, as `psnr`, after the affine map of colours by which each picture comes nearest to its view,
-            as where exposures differ (code of Mip-NeRF 360); None if it was not asked for.
+            for views whose exposures differ; None if it was not asked for.
     """
 
     psnr: float
@@ -90,8 +90,7 @@ def _with_colours_of(truth: Tensor, image: Tensor, mask: Tensor | None) -> Tenso
     """(H, W, 3) the picture after the affine map by which it comes nearest to another, where that counts."""
     colours = torch.nn.functional.pad(image.double(), (0, 1), value=1.0)
     counts = torch.ones_like(colours[..., :1]) if mask is None else mask[..., None].to(colours)
-    root = counts.sqrt().flatten(0, 1)
-    found = torch.linalg.lstsq(
-        root * colours.flatten(0, 1), root * truth.double().flatten(0, 1), driver="gelsd"
-    ).solution
+    weighted = (counts * colours).flatten(0, 1)
+    squares, products = weighted.T @ colours.flatten(0, 1), weighted.T @ truth.double().flatten(0, 1)
+    found = torch.linalg.pinv(squares, hermitian=True) @ products  # on any device, and for a picture of one colour
     return masked((colours @ found).clamp(0, 1).to(image), truth, mask)
