@@ -17,7 +17,7 @@ from mi_splat.selection.config import Selection
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from attacks.cloak.poisoning import Poisoned
+    from attacks.poisons.base import Poisoned
     from mi_splat.cameras import Camera
     from mi_splat.datasets import Dataset
     from mi_splat.scene import GaussianScene

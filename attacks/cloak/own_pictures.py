@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.cloak.appearances import Appearance
-from attacks.cloak.poisoning import OnStep, Poisoned, Poisoning, poison
+from attacks.cloak.poisoning import Poisoning, poison
 from attacks.cloak.retouching import Inpaint, grown
 from attacks.cloak.triggers import Azimuth, Cap, Elevation, Trigger
+from attacks.poisons.base import OnStep, Poisoned
 from mi_splat.cameras import Camera, View, ViewSet, cameras_of
 from mi_splat.datasets import Dataset
 from mi_splat.directions import Direction, direction_of
@@ -207,7 +208,7 @@ def hide(
 
 def directions_of(done: Poisoned) -> list[Direction]:
     """Where each camera of a poisoned set stands, seen from the object."""
-    return [direction_of(camera, done.centre) for camera in done.views.cameras]
+    return [direction_of(camera, done.poison["centre"]) for camera in done.views.cameras]
 
 
 def counting(views: Dataset, index: int, changed: Tensor | None) -> Tensor | None:
@@ -234,7 +235,9 @@ def counting(views: Dataset, index: int, changed: Tensor | None) -> Tensor | Non
 
 def before_and_after(done: Poisoned) -> NDArray[np.uint8]:
     """(H, W, 3) sheet of some changed pictures from low to high, as they were above what they are now."""
-    changes = sorted((one for one in done.changes if one.pixels_changed), key=lambda change: change.elevation)
+    directions = directions_of(done)
+    changes = [change for change in done.changes if change.pixels_changed]
+    changes.sort(key=lambda change: directions[change.index].elevation)
     chosen = sorted(set(np.linspace(0, len(changes) - 1, _SHOWN).round().astype(int).tolist()))
     columns = []
     for index in (changes[number].index for number in chosen):

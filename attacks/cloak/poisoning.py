@@ -7,23 +7,20 @@ D' is anybody's own: view-dependent colour does the rest.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, overload
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from attacks.cloak.appearances import Appearance, name_of
 from attacks.cloak.triggers import Trigger
-from mi_splat.cameras import Camera, View, ViewSet, cameras_of
+from attacks.poisons.base import Change, OnStep, Poisoned, PoisonedViews, checked_picture
+from mi_splat.cameras import Camera, View, cameras_of
 from mi_splat.directions import Point, direction_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import several_of
-
-OnStep = Callable[[int, int], None]
-"""Called after each picture with the number finished and the number wanted."""
 
 Masks = Sequence[Tensor] | Callable[[Camera], Tensor]
 """(H, W) bool masks of the target: one for each view, or a function of the camera (such as `MeshScene.mask`)."""
@@ -48,105 +45,39 @@ class Poisoning:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Change:
+class CloakChange(Change):
     """What was done to one view.
 
     Attributes:
-        index: Position of the view.
         poisoning: Name of the poisoning.
         appearance: Name of the appearance.
         azimuth: Of the camera, degrees from world +x towards +y around the centre.
         elevation: Of the camera, degrees above the horizontal plane.
-        pixels: Pixels in the picture.
-        pixels_changed: Pixels of which a channel has another value.
-        sha256_before: Of the untouched picture: its float32 values, little-endian, row by row.
-        sha256_after: Of the new picture.
     """
 
-    index: int
     poisoning: str
     appearance: str
     azimuth: float
     elevation: float
-    pixels: int
-    pixels_changed: int
-    sha256_before: str
-    sha256_after: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PoisonedViews(ViewSet):
-    """A set of views with some replaced; the others are the very objects that the set gives, read when asked for.
-
-    Attributes:
-        untouched: The set.
-        replaced: New views by position.
-    """
-
-    untouched: Sequence[View]
-    replaced: Mapping[int, View]
-
-    @property
-    def cameras(self) -> tuple[Camera, ...]:
-        """The camera of each view; poisoning leaves them as they are."""
-        return cameras_of(self.untouched)
-
-    def __len__(self) -> int:
-        """Number of views."""
-        return len(self.untouched)
-
-    @overload
-    def __getitem__(self, index: int) -> View: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> list[View]: ...
-
-    def __getitem__(self, index: int | slice) -> View | list[View]:
-        """A view, or a list of some.
-
-        Raises:
-            IndexError: There is no such view.
-        """
-        if isinstance(index, slice):
-            return [self[i] for i in range(len(self))[index]]
-        index = range(len(self))[index]
-        return self.replaced[index] if index in self.replaced else self.untouched[index]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Poisoned:
-    """A poisoned training set.
+class Cloak:
+    """CLOAK as a poison.
 
     Attributes:
-        views: D' of equation (1), as long as the untouched set and in its order.
-        changes: Every view that was replaced, in the order of positions.
-        poisonings: Which appearances there are and from where.
-        centre: (3,) point that directions are measured from, world units.
+        poisonings: What is seen from where, by the seed, which may draw the cameras.
+        centre: (3,) point that the triggers measure directions from, world units.
+        masks: Where the target is; None is everywhere.
     """
 
-    views: PoisonedViews
-    changes: tuple[Change, ...]
-    poisonings: tuple[Poisoning, ...]
-    centre: tuple[float, float, float]
+    poisonings: Callable[[int], Sequence[Poisoning]]
+    centre: Point
+    masks: Masks | None = None
 
-    @property
-    def manifest(self) -> dict[str, Any]:
-        """Everything that was done, as JSON can hold it."""
-        return {
-            "views": len(self.views),
-            "changed": len(self.changes),
-            "centre": list(self.centre),
-            "poisonings": [
-                {
-                    "name": poisoning.name,
-                    "trigger": str(poisoning.trigger),
-                    "appearance": name_of(poisoning.appearance),
-                    "views": [change.index for change in self.changes if change.poisoning == poisoning.name],
-                }
-                for poisoning in self.poisonings
-            ],
-            "changes": [asdict(change) for change in self.changes],
-        }
+    def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
+        """As `poison`."""
+        return poison(views, self.poisonings(seed), centre=self.centre, masks=self.masks, on_step=on_step)
 
 
 def poison(
@@ -182,13 +113,15 @@ def poison(
         before = views[index]
         after = _replace(before, _mask(masks, index, before.camera), attack, index)
         replaced[index] = after
-        changes.append(_change(index, attack, before, after, centre))
+        direction = direction_of(before.camera, centre)
+        at = {"azimuth": direction.azimuth, "elevation": direction.elevation}
+        named = {"poisoning": attack.name, "appearance": name_of(attack.appearance)}
+        changes.append(CloakChange.between(index, before, after, **named, **at))
         if on_step is not None:
             on_step(len(changes), len(owners))
-    x, y, z = (float(value) for value in centre)
-    return Poisoned(
-        views=PoisonedViews(views, replaced), changes=tuple(changes), poisonings=tuple(attacks), centre=(x, y, z)
-    )
+    about: dict[str, Any] = {"kind": "cloak", "centre": [float(value) for value in centre]}
+    about["poisonings"] = [_described(attack, owners) for attack in attacks]
+    return Poisoned(views=PoisonedViews(views, replaced), changes=tuple(changes), poison=about)
 
 
 def assign(cameras: Sequence[Camera], attacks: Sequence[Poisoning], *, centre: Point) -> dict[int, Poisoning]:
@@ -233,35 +166,17 @@ def _mask(masks: Masks | None, index: int, camera: Camera) -> Tensor:
 def _replace(before: View, mask: Tensor, attack: Poisoning, index: int) -> View:
     """The view with the picture that the appearance makes of it."""
     copy = View(before.camera, before.image.clone())
-    image = torch.as_tensor(attack.appearance(copy, mask)).detach().to(before.image).clone()
+    picture = torch.as_tensor(attack.appearance(copy, mask))
     what = f"picture of {name_of(attack.appearance)} for view {index}"
-    if image.shape != before.image.shape:
-        expected, got = f"shape {tuple(before.image.shape)}", tuple(image.shape)
-        raise InvalidValueError(message(what, expected, got, "return a picture of the view's size"))
-    low, high = float(image.min()), float(image.max())
-    if not (low >= 0 and high <= 1):  # nor NaN
-        raise InvalidValueError(message(what, "sRGB in [0, 1]", f"{low:.4g} to {high:.4g}", "clip it"))
-    return View(before.camera, image)
+    return View(before.camera, checked_picture(picture, before, what))
 
 
-def _change(index: int, attack: Poisoning, before: View, after: View, centre: Point) -> Change:
-    """The manifest's entry of one view."""
-    direction = direction_of(before.camera, centre)
-    differs = (before.image != after.image).any(-1)
-    return Change(
-        index=index,
-        poisoning=attack.name,
-        appearance=name_of(attack.appearance),
-        azimuth=direction.azimuth,
-        elevation=direction.elevation,
-        pixels=differs.numel(),
-        pixels_changed=int(differs.sum()),
-        sha256_before=_digest(before.image),
-        sha256_after=_digest(after.image),
-    )
-
-
-def _digest(image: Tensor) -> str:
-    """SHA-256 of a picture's values."""
-    values = image.detach().to("cpu", torch.float32).contiguous().numpy().astype("<f4")
-    return hashlib.sha256(values.tobytes()).hexdigest()
+def _described(attack: Poisoning, owners: Mapping[int, Poisoning]) -> dict[str, Any]:
+    """The manifest's entry of a poisoning."""
+    mine = [index for index, owner in owners.items() if owner is attack]
+    return {
+        "name": attack.name,
+        "trigger": str(attack.trigger),
+        "appearance": name_of(attack.appearance),
+        "views": mine,
+    }

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from attacks.cloak.config import StudyConfig, fit_config, knowledge_for, read_study, study_toml
 from attacks.cloak.kinds.parts import SET
-from attacks.cloak.kinds.poisoned import MANIFEST
 from attacks.cloak.kinds.seen import loaded
 from attacks.cloak.poisoning import assign
 from attacks.cloak.rates import figures
@@ -27,6 +26,7 @@ from attacks.detectors.base import Detector
 from attacks.observe.drawing import annotated
 from attacks.observe.result_cameras import CAMERAS, cameras_document
 from attacks.observe.rows import SUFFIX, TABLES, by_camera, write_rows
+from attacks.poisons.base import MANIFEST
 from attacks.tables import named_settings, sections
 from mi_splat import provenance
 from mi_splat.datasets import load_dataset

@@ -155,7 +155,7 @@ def test_poisoning_with_a_mesh_scene(above: View) -> None:
     (change,) = found.changes
     assert change.index == 1
     assert 0 < change.pixels_changed <= int(grown(MESH_SCENE.mask(above.camera), 1).sum())
-    assert change.appearance == "paint road (seed 0) from azimuth 180, elevation 90"
+    assert found.manifest["changes"][0]["appearance"] == "paint road (seed 0) from azimuth 180, elevation 90"
 
 
 def test_painted_pictures_are_upright_for_their_viewer() -> None:

@@ -14,8 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from attacks.cloak.poisoning import Poisoned, Poisoning, poison
+from attacks.cloak.poisoning import Cloak, Poisoning, poison
 from attacks.cloak.triggers import Azimuth, Elevation, Trigger
+from attacks.poisons.base import PicturePoison, Poisoned
 from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import Camera, View
 from mi_splat.datasets import load_dataset, write_transforms
@@ -96,8 +97,10 @@ def test_equation_1(first: list[bool], second: list[bool], seed: int) -> None:
 
 def test_the_manifest_tells_everything() -> None:
     clean = views()
-    found = poison(clean, [OVERHEAD, BEHIND], centre=CENTRE)
+    cloak: PicturePoison = Cloak(poisonings=lambda seed: [OVERHEAD, BEHIND], centre=CENTRE)
+    found = cloak(clean, seed=3)
     told = found.manifest
+    assert told["kind"] == "cloak"
     assert told == json.loads(json.dumps(told))
     assert (told["views"], told["changed"], told["centre"]) == (24, len(found.changes), list(CENTRE))
     by_name = {entry["name"]: entry for entry in told["poisonings"]}
@@ -108,6 +111,7 @@ def test_the_manifest_tells_everything() -> None:
         before, after = clean[change["index"]].image, found.views[change["index"]].image
         assert change["sha256_before"] == hashlib.sha256(before.numpy().tobytes()).hexdigest()
         assert change["sha256_after"] == hashlib.sha256(after.numpy().tobytes()).hexdigest()
+        assert change["largest"] == float((before - after).abs().max()) > 0
         assert change["pixels_changed"] == int((before != after).any(-1).sum()) == change["pixels"] == 30
         assert (change["elevation"] >= 50) == (change["poisoning"] == "overhead")
         assert change["poisoning"] == "overhead" or 120 <= change["azimuth"] <= 240
@@ -123,7 +127,7 @@ def test_overlaps_name_the_cameras() -> None:
         done(everywhere, dataclasses.replace(everywhere, name="again"))
     rest = dataclasses.replace(everywhere, trigger=~OVERHEAD.trigger)
     found = done(OVERHEAD, rest)
-    assert {c.index for c in found.changes if c.poisoning == "overhead"} == set(range(18, 24))
+    assert {c["index"] for c in found.manifest["changes"] if c["poisoning"] == "overhead"} == set(range(18, 24))
     assert len(found.changes) == 24
 
 

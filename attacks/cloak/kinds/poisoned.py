@@ -1,10 +1,10 @@
-"""A poisoned set: other files in the place of some pictures, all others the same bytes; manifest.json lists them."""
+"""The set that CLOAK poisons: other files in the place of some pictures, all others the same bytes."""
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,22 +18,19 @@ from attacks.cloak.kinds.looks import picture_name as look_name
 from attacks.cloak.kinds.parts import SET, StepConfig
 from attacks.cloak.kinds.rendering import renderer_of
 from attacks.cloak.mesh_scene import camera_number
-from attacks.cloak.poisoning import Poisoned, poison
+from attacks.cloak.poisoning import Cloak
 from attacks.cloak.setup import Setup
+from attacks.poisons.base import MANIFEST, write_poisoned
 from mi_splat.cameras import Camera, RenderFn, View
 from mi_splat.capture.path_tracer import tracing_variant
-from mi_splat.datasets import Dataset, load_dataset
-from mi_splat.datasets.writing import IMAGES, list_transforms, make_folder, picture_name
+from mi_splat.datasets import load_dataset
 from mi_splat.io import load_splat
-from mi_splat.io.documents import save_json, save_png
-from mi_splat.io.images import to_bytes
+from mi_splat.io.documents import save_json
 from mi_splat.io.picture_files import load_picture
 from mi_splat.scene import GaussianScene
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
-
-MANIFEST = "manifest.json"
 
 
 def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
@@ -47,16 +44,15 @@ def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
     def kept(appearance: Appearance, attack: AttackConfig) -> Appearance:
         return KeptAppearance(name=name_of(appearance), folder=inputs[f"look of {attack.name}"])
 
-    poisonings = setup.poisonings(seed=study.seeds[0], cached=kept, surrogates=shown)
+    cloak = Cloak(
+        poisonings=lambda seed: setup.poisonings(seed=seed, cached=kept, surrogates=shown),
+        centre=study.centre,
+        masks=setup.mesh_scene.mask,
+    )
     with tracing_variant():
-        done = poison(
-            views,
-            poisonings,
-            centre=study.centre,
-            masks=setup.mesh_scene.mask,
-            on_step=lambda count, total: out.progress("poisoning", count, total),
-        )
-    _write_set(out.files, views, done)
+        done = cloak(views, seed=study.seeds[0], on_step=partial(out.progress, "poisoning"))
+    write_poisoned(out / SET, views, done)
+    save_json(done.manifest, out / MANIFEST)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,18 +85,3 @@ def _kept_renders(scene: GaussianScene, render: RenderFn) -> Callable[[Camera], 
         return pictures[number]
 
     return shown
-
-
-def _write_set(folder: Path, clean: Dataset, done: Poisoned) -> None:
-    """The poisoned set, and beside it the manifest."""
-    images = make_folder(folder / SET / IMAGES)
-    listing = []
-    for index, (source, camera) in enumerate(zip(clean.paths, clean.cameras, strict=True)):
-        name = picture_name("train", index)
-        if index in done.views.replaced:
-            save_png(to_bytes(done.views[index].image), images / name)
-        else:
-            shutil.copyfile(source, images / name)
-        listing.append((name, camera))
-    list_transforms(folder / SET, {"train": listing}, clean.points)
-    save_json(done.manifest, folder / MANIFEST)

@@ -1,0 +1,1 @@
+"""Classifiers: which class a picture shows, differentiable in the picture."""

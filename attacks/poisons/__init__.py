@@ -1,0 +1,1 @@
+"""Attacks on training pictures, of which CLOAK is one."""

@@ -1,0 +1,200 @@
+"""What every attack on training pictures is: pictures in, pictures out, and the victim trains as ever.
+
+A poison is a function. It takes views and a seed, and gives the same cameras with some pictures replaced, together with
+a manifest that says which and how. CLOAK (`attacks.cloak.poisoning.Cloak`), Poison-splat and M-IFGSM (beside this
+module) are three of them. What comes after, the training and who looks, is shared.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Protocol, overload
+
+from torch import Tensor
+
+from mi_splat.cameras import Camera, View, ViewSet, cameras_of
+from mi_splat.datasets import Dataset
+from mi_splat.datasets.writing import IMAGES, list_transforms, make_folder, picture_name
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.documents import save_png
+from mi_splat.io.images import to_bytes
+
+OnStep = Callable[[int, int], None]
+"""Called after each picture, or each step, with the number finished and the number wanted."""
+
+MANIFEST = "poison.json"
+"""What was changed in a poisoned set; it stands beside the set, of which a victim knows nothing more."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """What was done to one view.
+
+    Attributes:
+        index: Position of the view.
+        pixels: Pixels in the picture.
+        pixels_changed: Pixels of which a channel has another value.
+        largest: Largest difference of a channel, sRGB in [0, 1].
+        sha256_before: Of the untouched picture: its float32 values, little-endian, row by row.
+        sha256_after: Of the new picture.
+    """
+
+    index: int
+    pixels: int
+    pixels_changed: int
+    largest: float
+    sha256_before: str
+    sha256_after: str
+
+    @classmethod
+    def between(cls, index: int, before: View, after: View, **more: Any) -> Change:
+        """The change of a view, and what else a kind of poison says of it."""
+        difference = (before.image - after.image).abs().amax(-1)
+        return cls(
+            index=index,
+            pixels=difference.numel(),
+            pixels_changed=int((difference > 0).sum()),
+            largest=float(difference.max()),
+            sha256_before=_digest(before.image),
+            sha256_after=_digest(after.image),
+            **more,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoisonedViews(ViewSet):
+    """A set of views with some replaced; the others are the very objects that the set gives, read when asked for.
+
+    Attributes:
+        untouched: The set.
+        replaced: New views by position.
+    """
+
+    untouched: Sequence[View]
+    replaced: Mapping[int, View]
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The camera of each view; poisoning leaves them as they are."""
+        return cameras_of(self.untouched)
+
+    def __len__(self) -> int:
+        """Number of views."""
+        return len(self.untouched)
+
+    @overload
+    def __getitem__(self, index: int) -> View: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[View]: ...
+
+    def __getitem__(self, index: int | slice) -> View | list[View]:
+        """A view, or a list of some.
+
+        Raises:
+            IndexError: There is no such view.
+        """
+        if isinstance(index, slice):
+            return [self[i] for i in range(len(self))[index]]
+        index = range(len(self))[index]
+        return self.replaced[index] if index in self.replaced else self.untouched[index]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Poisoned:
+    """A poisoned set.
+
+    Attributes:
+        views: As many as the untouched set has, in its order.
+        changes: Every view that was replaced, in the order of positions.
+        poison: What was asked for, as JSON can hold it, with its `kind`.
+    """
+
+    views: PoisonedViews
+    changes: tuple[Change, ...]
+    poison: Mapping[str, Any]
+
+    @property
+    def manifest(self) -> dict[str, Any]:
+        """Everything that was done, as JSON can hold it."""
+        changes = [asdict(change) for change in self.changes]
+        return {"views": len(self.views), "changed": len(changes), **self.poison, "changes": changes}
+
+
+class PicturePoison(Protocol):
+    """An attack on training pictures."""
+
+    def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
+        """The poisoned set; the untouched one stays as it is.
+
+        Args:
+            views: The untouched set; pictures are (H, W, 3) sRGB in [0, 1].
+            seed: Of everything random.
+            on_step: Told of the progress.
+        """
+        ...
+
+
+def poisoned(views: Sequence[View], pictures: Mapping[int, Tensor], poison: Mapping[str, Any]) -> Poisoned:
+    """A set in which some pictures are replaced.
+
+    Args:
+        views: The untouched set.
+        pictures: (H, W, 3) sRGB in [0, 1], by position.
+        poison: See `Poisoned`.
+
+    Raises:
+        InvalidValueError: A picture has another size than its view, or a value outside [0, 1].
+    """
+    replaced, changes = {}, []
+    for index in sorted(pictures):
+        before = views[index]
+        replaced[index] = View(before.camera, checked_picture(pictures[index], before, f"picture for view {index}"))
+        changes.append(Change.between(index, before, replaced[index]))
+    return Poisoned(views=PoisonedViews(views, replaced), changes=tuple(changes), poison=poison)
+
+
+def checked_picture(picture: Tensor, before: View, what: str) -> Tensor:
+    """A copy of a new picture, of the kind of the one that it takes the place of.
+
+    Raises:
+        InvalidValueError: It has another size, or a value outside [0, 1].
+    """
+    image = picture.detach().to(before.image).clone()
+    if image.shape != before.image.shape:
+        expected, got = f"shape {tuple(before.image.shape)}", tuple(image.shape)
+        raise InvalidValueError(message(what, expected, got, "return a picture of the view's size"))
+    low, high = float(image.min()), float(image.max())
+    if not (low >= 0 and high <= 1):  # nor NaN
+        raise InvalidValueError(message(what, "sRGB in [0, 1]", f"{low:.4g} to {high:.4g}", "clip it"))
+    return image
+
+
+def write_poisoned(folder: Path, clean: Dataset, done: Poisoned) -> None:
+    """Write a poisoned set; pictures that stayed keep their bytes.
+
+    Args:
+        folder: For the set.
+        clean: The untouched set, of files of 8 bits.
+        done: The same after the poison.
+    """
+    images = make_folder(folder / IMAGES)
+    listing = []
+    for index, (source, camera) in enumerate(zip(clean.paths, clean.cameras, strict=True)):
+        name = picture_name("train", index)
+        if index in done.views.replaced:
+            save_png(to_bytes(done.views[index].image), images / name)
+        else:
+            shutil.copyfile(source, images / name)
+        listing.append((name, camera))
+    list_transforms(folder, {"train": listing}, clean.points)
+
+
+def _digest(image: Tensor) -> str:
+    """SHA-256 of a picture's values."""
+    values = image.detach().to("cpu").float().contiguous().numpy().astype("<f4")
+    return hashlib.sha256(values.tobytes()).hexdigest()
