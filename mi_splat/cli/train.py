@@ -100,8 +100,8 @@ class TrainOptions(JsonOptions):
     live: bool = False
     """Serve a page on this machine that follows the training: the splat beside held-out photographs, its curves, and a
     button to stop and go on. The result is the same to the bit."""
-    port: Annotated[int, between(0, 65535, do="0 takes a free one"), Called("PORT")] = 8080
-    """Port of the page; 0 is any free one."""
+    port: Annotated[int, between(0, 65535, do="0 takes a free one"), Called("PORT")] | None = None
+    """Port of the page of --live; 0 is any free one, None is 8080."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -109,6 +109,8 @@ class TrainOptions(JsonOptions):
         if self.strategy != name:
             do = "pass both alike"
             raise InvalidValueError(message("strategy", f"{name}, as in fit", self.strategy, do))
+        if self.port is not None and not self.live:
+            raise InvalidValueError(message("--port", "--live beside it", "no page", "add --live, or leave it out"))
 
 
 def defaults(words: Sequence[str]) -> dict[str, Any]:
@@ -131,6 +133,8 @@ def defaults(words: Sequence[str]) -> dict[str, Any]:
     return {"strategy": name, "fit": FitConfig(strategy=strategy_config(name))}
 
 
+_PORT = 8080
+"""Port of the page unless another is asked for."""
 _RANDOM = 10_000
 """Gaussians of a start without points."""
 _WORTH_A_WORD = 0.001
@@ -146,7 +150,7 @@ def run(options: TrainOptions) -> None:
         from mi_splat.viewer.page import check_port, need_viser
 
         need_viser()
-        check_port("127.0.0.1", options.port)
+        check_port("127.0.0.1", _port(options))
     with own_folder(options.out, CONFIG, CHECKPOINT):
         _train(options)
 
@@ -250,9 +254,14 @@ def _page(
     settings = RenderSettings(background=options.background, near=near)
     exhibit = training_exhibit(sets, start, dataset=options.dataset, out=options.out / SPLAT, settings=settings)
     live = Live(Painter(exhibit, Renderer(settings)), options.fit.iterations)
-    with Page(live, port=options.port) as page:
+    with Page(live, port=_port(options)) as page:
         warn(f"open {page.address}")
         yield Follower(live, page)
+
+
+def _port(options: TrainOptions) -> int:
+    """Port of the page."""
+    return _PORT if options.port is None else options.port
 
 
 def _renderer(options: TrainOptions, near: float) -> Renderer:

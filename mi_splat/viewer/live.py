@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
-from mi_splat.datasets import Dataset
+from mi_splat.datasets import Dataset, DatasetError
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.training.loop import Progress, TrainState
@@ -115,7 +115,7 @@ class Live(Bench):
         self.waiting, self._steps = False, steps
         self._state: TrainState | None = None
         self._line: Progress | None = None
-        self._scores = ""
+        self._scores = self._unreadable = ""
         self._seen = (-1, 0.0)
         first = next(name for name, orbit in self.exhibit.cameras.items() if orbit == self.exhibit.start)
         self._loss, self._psnr = Curve("loss"), Curve(f"PSNR of {first}, dB")
@@ -146,7 +146,10 @@ class Live(Bench):
             scene = self._state.scene()
         tensors = (tensor.detach().cpu().clone() for tensor in scene.tensors())
         self.painter.exchange(SPLAT, GaussianScene.unchecked(*tensors))
-        likeness = self.painter.likeness(self.exhibit.start)
+        try:
+            likeness, self._unreadable = self.painter.likeness(self.exhibit.start), ""
+        except DatasetError as error:  # which ends the training where it needs that photograph itself
+            likeness, self._unreadable = None, str(error)
         if likeness is not None:
             self._psnr.add(line.iteration, likeness)
         self.tints += 1
@@ -160,7 +163,7 @@ class Live(Bench):
             return ["The training begins."]
         step = f"Step {self._line.iteration:,} of {self._steps:,}{', stopped' if self.waiting else ''}"
         now = f"loss {self._line.loss:.4f}, {self._line.count:,} Gaussians"
-        return [step, now, *([self._scores] if self._scores else [])]
+        return [step, now, *filter(None, (self._scores, self._unreadable))]
 
     @property
     def share(self) -> float:

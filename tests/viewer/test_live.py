@@ -7,17 +7,18 @@ import os
 import signal
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from mi_splat.datasets import load_dataset, write_transforms
+from mi_splat.datasets import Dataset, load_dataset, write_transforms
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.training.initialization import from_points
-from mi_splat.training.loop import Fit
+from mi_splat.training.loop import Fit, Progress
 from mi_splat.training.resume import train
 from mi_splat.viewer import live as module
 from mi_splat.viewer.live import MOST_POINTS, SPLAT, Curve, Follower, Live, draw_curves, training_exhibit
@@ -107,6 +108,19 @@ def test_the_first_picture_is_a_held_out_one_beside_its_photograph(live: Live) -
     live.painter.exchange(SPLAT, beginning().select(torch.arange(50) < 25))
     assert not torch.equal(live.painter.picture(SPLAT, shown.start), before)
     assert "--centre" in live.painter.commands(shown.start.changed())[SPLAT]
+
+
+def test_a_photograph_that_cannot_be_read_is_told_of_and_ends_nothing(live: Live) -> None:
+    shown = live.exhibit.photographs
+    assert shown is not None
+    assert isinstance(shown.views, Dataset)
+    shown.views.paths[0].write_bytes(b"no picture")
+    state = SimpleNamespace(scene=beginning)
+    live.begin(state)  # type: ignore[arg-type]
+    live.note(Progress(iteration=1, loss=0.5, count=50))
+    assert live.turn()
+    assert live.remarks[0] == f"Step 1 of {STEPS}"
+    assert str(shown.views.paths[0]) in live.remarks[-1]
 
 
 def test_curves_are_thinned_out_evenly_and_drawn() -> None:
