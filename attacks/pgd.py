@@ -101,11 +101,13 @@ class Outcome:
         parameters: The best point: success first, then unambiguous success, then the score, then the loss.
         best: Its line of the trace.
         trace: Every point in order, the starts included.
+        stopped: Whether it was ended before its time by `Hooks.on_step`.
     """
 
     parameters: Parameters
     best: Step
     trace: tuple[Step, ...]
+    stopped: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -165,13 +167,14 @@ class Hooks:
         judge: Judges the point of every `every`-th step and of the last one, and gives back the point that may become
             the outcome: this one or what it made of it. None leaves the judgement to each evaluation.
         every: Steps between two judgements.
-        on_step: Called with every line of the trace as it happens.
+        on_step: Called with every line of the trace as it happens. Once it says so, the search ends where something
+            was judged, with the best point so far.
         on_state: Called with the search as it stands before every step but the first.
     """
 
     judge: Callable[[Parameters], tuple[Parameters, Verdict]] | None = None
     every: int = 1
-    on_step: Callable[[Step], None] | None = None
+    on_step: Callable[[Step], bool | None] | None = None
     on_state: Callable[[SearchState], None] | None = None
 
 
@@ -209,7 +212,7 @@ def pgd(
     begun = SearchState.at(reference)
     if isinstance(starts, SearchState):
         begun, starts = starts, None
-    best, best_line, trace = begun.best, begun.best_line, list(begun.trace)
+    best, best_line, trace, stopped = begun.best, begun.best_line, list(begun.trace), False
     for restart, start in enumerate([begun.point] if starts is None else starts):
         memory = begun.optimiser
         point = ball.project({name: value.detach().clone() for name, value in start.items()}, reference)
@@ -224,20 +227,19 @@ def pgd(
                 judged, verdict = hooks.judge(point)
             line = _line(here, verdict, index, restart)
             trace.append(line)
-            if hooks.on_step is not None:
-                hooks.on_step(line)
+            stopped = bool(hooks.on_step is not None and hooks.on_step(line)) or stopped
             if verdict is not None and (best_line is None or rank(line) > rank(best_line)):
                 best_line, best = line, judged
-            if index == steps or (early_stop and _ended(line)):
+            if index == steps or (early_stop and _ended(line)) or (stopped and best_line is not None):
                 break
             change, memory = optimiser(here.gradients, memory)
             point = ball.project({name: value + change[name] for name, value in point.items()}, reference)
-        if early_stop and best_line is not None and _ended(best_line):
+        if best_line is not None and (stopped or (early_stop and _ended(best_line))):
             break
     if best_line is None:
         raise InvalidValueError(message("starts", "at least one point", "none", "pass the reference, or nothing"))
     ball.check(best, reference)
-    return Outcome(parameters=best, best=best_line, trace=tuple(trace))
+    return Outcome(parameters=best, best=best_line, trace=tuple(trace), stopped=stopped)
 
 
 def rank(line: Step) -> tuple[bool, bool, float, float]:

@@ -53,12 +53,18 @@ class DaggerOptions(AttackOptions):
     out: Folder = Path("out/dagger")
 
 
-def run(options: DaggerOptions, *, watched: Callable[[Detector], Detector] | None = None) -> None:
+def run(
+    options: DaggerOptions,
+    *,
+    watched: Callable[[Detector], Detector] | None = None,
+    enough: Callable[[], bool] = lambda: False,
+) -> None:
     """Attack, write what came of it, and say it.
 
     Args:
         options: What was asked for.
         watched: Makes of each detector the one that is attacked, for instance one that shows its pictures.
+        enough: Asked after each step but the start whether the best so far is to be the result.
     """
     from attacks.cli.aims import aim, chosen_object, write_result
     from attacks.cli.names import load_detectors
@@ -97,7 +103,7 @@ def run(options: DaggerOptions, *, watched: Callable[[Detector], Detector] | Non
             render=chosen.render,
             config=config,
             up=options.view.up,
-            on_step=_follow(advance, objective.label, config),
+            on_step=_follow(advance, objective.label, config, enough),
         )
         origin = {"scene": str(options.scene), "selection": selection.as_dict(), "cameras": list(chosen.cameras)}
         doubtful = tuple(doubts(chosen.mask, weights))
@@ -133,13 +139,16 @@ def _forecast(scene: GaussianScene, chosen: Chosen, detectors: Sequence[Detector
     warn(f"{len(chosen.cameras)} views at once, {config.steps} steps: at most about {duration(seconds)}")
 
 
-def _follow(advance: Advance, label: str | None, config: DaggerConfig) -> Callable[[Step], None]:
+def _follow(
+    advance: Advance, label: str | None, config: DaggerConfig, enough: Callable[[], bool]
+) -> Callable[[Step], bool]:
     """A callback that shows each step of the attack, and ends it if the clean object is taken for the class wanted."""
 
-    def note(step: Step) -> None:
+    def note(step: Step) -> bool:
         if label is not None and step.index == step.restart == 0 and step.unambiguous and not config.random_start:
             do = "name another class with --target"
             raise InvalidValueError(message("--target", "another class than is seen before the attack", label, do))
         advance(f"attacking: loss {step.loss:.3f}, score {step.score:.0%}")
+        return step.index + step.restart > 0 and enough()
 
     return note

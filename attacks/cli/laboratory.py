@@ -43,6 +43,7 @@ from mi_splat.viewer.jobs import Choice, Field, News, Number, Outcome, Request, 
 from mi_splat.viewer.orbit import Orbit
 
 AUDIT, ATTACK, JUDGE = "Audit", "Attack", "Judge"
+_FOLDERS = {AUDIT: Path("out/audit"), ATTACK: Path("out/dagger"), JUDGE: Path("out/judged")}
 MISSED = "(missed)"
 """What stands for no class in the form of a judgement."""
 WISHES = ("relabel", "hide", "untargeted")
@@ -58,7 +59,7 @@ class Laboratory:
         weights: File with its weights; None takes the shipped ones.
     """
 
-    kinds = (AUDIT, ATTACK, JUDGE)
+    kinds, lasting = (AUDIT, ATTACK, JUDGE), frozenset({ATTACK})
 
     def __init__(self, detector: str | None = None, *, weights: Path | None = None) -> None:
         self._weights = {detector: weights} if detector is not None and weights is not None else {}
@@ -97,11 +98,15 @@ class Laboratory:
             Number(name="steps", label="Steps", low=1, high=500, step=1, usual=11),
         )
 
-    def words(self, request: Request, *, mask: Path, out: Path | None = None) -> list[str]:
+    def folder(self, kind: str) -> Path:
+        """As in `mi_splat.viewer.jobs.Laboratory`."""
+        return _FOLDERS[kind]
+
+    def words(self, request: Request, *, mask: Path, out: Path) -> list[str]:
         """As in `mi_splat.viewer.jobs.Laboratory`."""
         exhibit, values = request.exhibit, request.values
         if request.kind == AUDIT:
-            return ["audit", str(exhibit.splat(str(values["splat"])).path), "--out", str(out or "out/audit")]
+            return ["audit", str(exhibit.splat(str(values["splat"])).path), "--out", str(out)]
         if request.picked is None:
             raise InvalidValueError(message(request.kind, "an object", "none", "click on one in the picture"))
         orbit = request.orbit.changed() if request.kind == JUDGE else request.orbit  # its distance and lens
@@ -116,11 +121,11 @@ class Laboratory:
             target = [] if values["success"] == MISSED else ["--target", str(values["success"])]
             around = ["--cameras", f"hemisphere:{values['cameras']:.0f}"]
             around += without(camera, "--azimuth", "--elevation", "--camera-roll", "--centre")
-            return ["evaluate", *paths, *shared, *target, *around, "--pictures", "0", "--out", str(out or "out/judged")]
+            return ["evaluate", *paths, *shared, *target, *around, "--pictures", "0", "--out", str(out)]
         wish = ["--objective", str(values["wish"])]
         wish += ["--target", str(values["target"])] if values["wish"] == "relabel" else []
         ball = ["--norm", str(values["norm"]), "--eps", f"{values['eps']:g}", "--steps", f"{values['steps']:.0f}"]
-        return ["dagger", str(splat.path), *shared, *wish, *ball, *camera, "--out", str(out or "out/dagger")]
+        return ["dagger", str(splat.path), *shared, *wish, *ball, *camera, "--out", str(out)]
 
     def opened(self, request: Request, out: Path) -> Outcome:
         """As in `mi_splat.viewer.jobs.Laboratory`."""
@@ -254,7 +259,7 @@ def perform(words: Sequence[str], tell: Tell) -> None:
 
     Args:
         words: After the program's name.
-        tell: Told what happens.
+        tell: Told what happens; where it says so, an attack ends with the best that it has.
 
     Raises:
         MiSplatError: As the command.
@@ -268,14 +273,15 @@ def perform(words: Sequence[str], tell: Tell) -> None:
 
     options = parse(words[0], words[1:])
     check_names(options)
-    seen: list[Pixels] = []
+    seen, ended = list[Pixels](), False
 
     def listen(text: str, share: float | None) -> None:
-        tell(News(text=text, share=share, picture=seen[-1] if seen else None))
+        nonlocal ended
+        ended = bool(tell(News(text=text, share=share, picture=seen[-1] if seen else None)))
 
     with running_command([PROGRAM, *words]), telling(listen):
         if isinstance(options, DaggerOptions):
-            run_dagger(options, watched=lambda detector: Watched(detector, seen))
+            run_dagger(options, watched=lambda detector: Watched(detector, seen), enough=lambda: ended)
         else:
             module_of(words[0]).run(options)
 

@@ -65,7 +65,8 @@ def attack(
         render: Any differentiable renderer.
         config: Budget, steps and seed; the paper's if None.
         up: (3,) direction that is up in the scene, for the azimuth and the elevation of each view.
-        on_step: Called with every line of the trace as it happens.
+        on_step: Called with every line of the trace as it happens; once it says so, the search ends with the best
+            point so far.
 
     Raises:
         InvalidValueError: An argument is of another kind, the mask selects nothing, a view does not show the object,
@@ -114,7 +115,8 @@ def attack_views(
         config: Budget, steps, views and seeds.
         judged: Where the held-out views are drawn from, for instance with pictures that change; None is `views`.
         checkpoint: Where to keep the search while it runs; one that is there is taken up again.
-        on_step: Called with every line of the trace as it happens.
+        on_step: Called with every line of the trace as it happens; once it says so, the search ends with the best
+            point so far.
 
     Raises:
         InvalidValueError: An argument is of another kind, a detector does not know the target class, no view shows the
@@ -245,6 +247,7 @@ def _judged(
         fingerprints={detector.name: detector.fingerprint for detector in problem.detectors},
         trace=outcome.trace,
         best=outcome.best,
+        stopped=outcome.stopped,
         used=budget.measure(outcome.parameters, reference),
         used_in_file=budget.measure(in_file, reference),
         object_gaussians=len(subset.rows),

@@ -52,6 +52,7 @@ class Result:
         judged: The distribution that judged it.
         redraws: Cameras drawn in vain, as they did not show the object: held-out, validation and attacked views.
         doubts: Of the choice of the object; the first of the warnings.
+        stopped: Whether the search was ended before its time.
     """
 
     scene: GaussianScene
@@ -74,6 +75,7 @@ class Result:
     judged: Transformations | None = None
     redraws: dict[str, int] = field(default_factory=dict)
     doubts: tuple[str, ...] = ()
+    stopped: bool = False
 
     @property
     def views(self) -> tuple[JudgedView, ...]:
@@ -141,7 +143,9 @@ class Result:
     def warnings(self) -> tuple[str, ...]:
         """Flags in the spirit of AutoAttack: signs that success or failure is not what it looks like."""
         drawn = isinstance(self.config, EotConfig)
-        return (*self.doubts, *(_warnings_of_drawn(self) if drawn else _warnings_of_fixed(self)))
+        steps = f"step {self.trace[-1].index} of {self.config.steps}"
+        ended = (f"the search was stopped after {steps}, before its end",) if self.stopped else ()
+        return (*self.doubts, *ended, *(_warnings_of_drawn(self) if drawn else _warnings_of_fixed(self)))
 
 
 def _warnings_of_fixed(result: Result) -> list[str]:

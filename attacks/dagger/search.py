@@ -24,8 +24,8 @@ from mi_splat.view_freezing import freeze_views
 VALIDATION_SEED_OFFSET = 500_000_000
 """Added to the attack's seed for its validation views."""
 
-OnStep = Callable[[Step], None]
-"""Called with every line of the trace as it happens."""
+OnStep = Callable[[Step], bool | None]
+"""Called with every line of the trace as it happens; once it says so, the search ends with the best point so far."""
 
 
 def search_fixed(problem: Problem, views: Sequence[View], config: DaggerConfig, on_step: OnStep | None) -> Outcome:
@@ -35,7 +35,7 @@ def search_fixed(problem: Problem, views: Sequence[View], config: DaggerConfig, 
         problem: The object, the detectors and the aim.
         views: All that are attacked.
         config: How to attack.
-        on_step: Called with every line of the trace as it happens.
+        on_step: See `OnStep`.
 
     Raises:
         BudgetError: The best point is outside the ball.
@@ -101,7 +101,7 @@ def search_drawn(
         config: How to attack.
         key: What tells this attack from others, for the checkpoint.
         checkpoint: Where to keep the search; None for nowhere.
-        on_step: Called with every line of the trace as it happens.
+        on_step: See `OnStep`.
 
     Returns:
         The best point, and the seconds of all runs.

@@ -47,6 +47,7 @@ class Bench:
         tints: Counts the changes of the tint.
         lines: What there is to say.
         news: Of running work.
+        ending: Whether that was asked to end with what it has.
         outcome: Of the last work.
     """
 
@@ -62,13 +63,14 @@ class Bench:
         self.tints, self.tinted = 0, True
         self.lines: tuple[str, ...] = ()
         self.news: News | None = None
+        self.ending = False
         self.outcome: Outcome | None = None
         self._values = dict[str, Value]()
         self._picks: deque[Picked | None] = deque([None], maxlen=MOST_UNDONE)
         self._tasks: deque[Callable[[], None]] = deque(maxlen=MOST_TASKS)
         self._job: tuple[Job, Request, Path] | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
-        self._called = dict[str, str]()
+        self._begun, self._called = 0, dict[str, str]()
 
     label, tab, leads = "mi-splat view", "Tools", False
     """What the page is called, the name of the tab with the controls, and whether that is the first."""
@@ -177,7 +179,7 @@ class Bench:
         """The command that does the work, or why there is none."""
         assert self.laboratory is not None
         try:
-            words = self.laboratory.words(self._request(kind, orbit), mask=Path(MASK))
+            words = self.laboratory.words(self._request(kind, orbit), mask=Path(MASK), out=self._free(kind))
         except MiSplatError as error:
             return f"# {error}"
         for folder, called in tuple(self._called.items()):  # of this page, which the user would have made elsewhere
@@ -196,22 +198,31 @@ class Bench:
             raise InvalidValueError(message(kind, "one work at a time", f"{self.running} that runs", "stop it first"))
         if self._folder is None:
             self._folder = tempfile.TemporaryDirectory(prefix="mi-splat-view-")
-        place, request = Path(self._folder.name) / str(len(self._called)), self._request(kind, orbit)
+        place, request = Path(self._folder.name) / str(self._begun), self._request(kind, orbit)
         out = place / "result"
         words = self.laboratory.words(request, mask=place / MASK, out=out)
-        self._called[str(out)] = self.laboratory.words(request, mask=place / MASK)[words.index(str(out))]
         place.mkdir()
+        self._begun, self._called[str(out)] = self._begun + 1, str(self._free(kind))
         if request.picked is not None:
             save_bytes(request.picked.file, place / MASK)
         self._values |= request.values
         self._job = (Job(self.laboratory.perform, words, processes=self._processes), request, out)
-        self.lines, self.outcome, self.news = (), None, News(text="starting")
+        self.lines, self.outcome, self.news, self.ending = (), None, News(text="starting"), False
 
     def stop(self) -> None:
-        """End the work that is being done; nothing of it is kept."""
-        if self._job is not None:
-            self._job[0].stop()
-            self.lines, self._job, self.news = (f"{self.running} was stopped; nothing of it is kept.",), None, None
+        """Have the work that is being done end with what it has; at once where it cannot, or is asked again."""
+        if self._job is None or self.laboratory is None:
+            return
+        job, request, out = self._job
+        if request.kind in self.laboratory.lasting and not self.ending:
+            self.ending = True
+            job.end()
+            self.lines = ("It ends after this step with the best so far. Stop again ends it now, and keeps nothing.",)
+            return
+        job.stop()
+        del self._called[str(out)]
+        said = f"{self.running} was stopped; nothing of it is kept. Its command begins from the start."
+        self.lines, self._job, self.news = (said,), None, None
 
     def back(self) -> None:
         """Show what was shown before."""
@@ -222,10 +233,22 @@ class Bench:
 
     def close(self) -> None:
         """End work and delete what it left."""
-        self.stop()
+        if self._job is not None:
+            self._job[0].stop()
+            self._job, self.news = None, None
         if self._folder is not None:
             self._folder.cleanup()
             self._folder = None
+
+    def _free(self, kind: str) -> Path:
+        """What a user would call the next result of a kind of work: no folder that is there, or of another result."""
+        assert self.laboratory is not None
+        folder, number = self.laboratory.folder(kind), 1
+        path = folder
+        while str(path) in self._called.values() or path.exists():
+            number += 1
+            path = folder.with_name(f"{folder.name}-{number}")
+        return path
 
     def _request(self, kind: str, orbit: Orbit) -> Request:
         return Request(kind=kind, exhibit=self.exhibit, orbit=orbit, values=self.values(kind), picked=self.picked)
@@ -248,6 +271,7 @@ class Bench:
         """Show what work has led to."""
         if failure or self.laboratory is None:
             self.lines = (f"{request.kind} failed: {failure}",)
+            del self._called[str(out)]
             return
         try:
             self.outcome = self.laboratory.opened(request, out)

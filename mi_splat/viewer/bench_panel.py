@@ -110,6 +110,7 @@ class BenchPanel:
         self._headline.content = as_html([("", line) for line in lines[:1]])
         self._details.content = as_html([("", f"{line}\n") for line in lines[1:]])
         self._bar.visible = self._stop.visible = news is not None
+        self._stop.label = "Stop now" if bench.ending else "Stop"
         self._bar.value = 0.0 if news is None or news.share is None else 100 * min(max(news.share, 0.0), 1.0)
         self._back.visible = len(bench.painters) > 1
         self._show_picture(news.picture if news is not None else outcome and outcome.picture)

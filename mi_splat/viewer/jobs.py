@@ -131,7 +131,8 @@ class News:
     picture: Pixels | None = None
 
 
-Tell = Callable[[News], None]
+Tell = Callable[[News], bool | None]
+"""Told what work does; says whether it is to end with what it has."""
 Perform = Callable[[Sequence[str], Tell], None]
 """Runs the words of a command; a function of a module, as another process imports it. Raises what ends it."""
 
@@ -141,12 +142,18 @@ class Laboratory(Protocol):
 
     Attributes:
         kinds: Kinds of work, in the order of the page.
+        lasting: Those that can end before their time, with what they have.
         perform: Runs a command.
     """
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """Kinds of work, in the order of the page."""
+        ...
+
+    @property
+    def lasting(self) -> frozenset[str]:
+        """Kinds of work that can end before their time, with what they have."""
         ...
 
     @property
@@ -164,13 +171,17 @@ class Laboratory(Protocol):
         """
         ...
 
-    def words(self, request: Request, *, mask: Path, out: Path | None = None) -> list[str]:
+    def folder(self, kind: str) -> Path:
+        """What a user would call the folder of a result."""
+        ...
+
+    def words(self, request: Request, *, mask: Path, out: Path) -> list[str]:
         """The words of the command that does the work, after the program's name.
 
         Args:
             request: What was asked for.
             mask: File with the picked Gaussians.
-            out: Folder for the result; None is what a user would call it.
+            out: Folder for the result.
 
         Raises:
             MiSplatError: It cannot be done so.
@@ -197,7 +208,7 @@ class Job:
 
     def __init__(self, perform: Perform, words: Sequence[str], *, processes: Any = None) -> None:
         processes = processes or multiprocessing.get_context("spawn")
-        self._pipe, end = processes.Pipe(duplex=False)
+        self._pipe, end = processes.Pipe()
         self._process = processes.Process(target=_run, args=(perform, list(words), end), daemon=True)
         self._process.start()
         end.close()
@@ -213,6 +224,11 @@ class Job:
             last = f"it ended with status {self._process.exitcode}"
         return last
 
+    def end(self) -> None:
+        """Have it end with what it has, as far as its kind of work can."""
+        with contextlib.suppress(OSError):  # it has ended itself meanwhile
+            self._pipe.send(True)
+
     def stop(self) -> None:
         """End it, if it still runs."""
         self._process.kill()
@@ -225,10 +241,17 @@ def _run(perform: Perform, words: Sequence[str], pipe: Any) -> None:
     if threading.current_thread() is threading.main_thread():
         os.nice(5)  # pictures come first
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page, which ends this process
-    said = io.StringIO()
+    said, ending = io.StringIO(), False
+
+    def tell(news: News) -> bool:
+        nonlocal ending
+        pipe.send(news)
+        ending = ending or bool(pipe.poll())
+        return ending
+
     try:
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-            perform(words, pipe.send)
+            perform(words, tell)
     except (MiSplatError, OSError) as error:
         pipe.send(" ".join(str(error).split()) or type(error).__name__)
     else:

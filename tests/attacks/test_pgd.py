@@ -84,6 +84,16 @@ def test_the_trace_and_the_callback_tell_the_same_story() -> None:
     assert [line.index for line in heard] == [0, 1, 2, 3, 4, 5]
     assert heard[0].loss == pytest.approx(13.25)
     assert heard[0].zero_gradient_fraction == pytest.approx(9 / 12)
+    short = pgd(
+        bowl(),
+        REFERENCE,
+        Budget(radius={"sh": 1.0}),
+        step={"sh": 0.1},
+        steps=5,
+        hooks=Hooks(on_step=lambda line: line.index == 2),
+    )
+    assert (short.trace, short.stopped, found.stopped) == (found.trace[:3], True, False)
+    assert short.best == max(short.trace, key=rank)
 
 
 def test_early_stop_ends_at_the_first_success_and_the_full_budget_goes_on() -> None:

@@ -52,7 +52,7 @@ def request(kind: str, exhibit: Exhibit, **values: Value) -> Request:
 
 def read_back(wanted: Request) -> Any:
     """The options of the command for a request."""
-    name, *words = Laboratory().words(wanted, mask=MASK)
+    name, *words = Laboratory().words(wanted, mask=MASK, out=Laboratory().folder(wanted.kind))
     return cli.parse(name, words)
 
 
@@ -89,11 +89,11 @@ def test_a_judgement_is_from_all_around_by_what_the_attack_wanted(exhibit: Exhib
 
 def test_no_object_and_no_other_detector(exhibit: Exhibit) -> None:
     with pytest.raises(InvalidValueError, match="click on one"):
-        Laboratory().words(replace(request(ATTACK, exhibit), picked=None), mask=MASK)
+        Laboratory().words(replace(request(ATTACK, exhibit), picked=None), mask=MASK, out=Path("out"))
     usual = Laboratory("yolov8n_small", weights=Path("w.pth"))
     assert usual.form(ATTACK, exhibit, {})[0].usual == "yolov8n_small"
     wanted = replace(request(ATTACK, exhibit), values={**request(ATTACK, exhibit).values, "detector": "yolov8n_small"})
-    assert "--weights w.pth" in " ".join(usual.words(wanted, mask=MASK))
+    assert "--weights w.pth" in " ".join(usual.words(wanted, mask=MASK, out=Path("out")))
     assert without(["--a", "-1", "2", "--b", "3", "--c"], "--a", "--c") == ["--b", "3"]
 
 
@@ -152,22 +152,31 @@ def test_a_watched_detector_answers_as_the_detector_and_shows_its_boxes() -> Non
     assert watched.fingerprint == detector.fingerprint
 
 
-def test_an_attack_tells_how_it_goes_on(
+def test_an_attack_tells_how_it_goes_on_and_ends_with_its_best_when_it_is_told_to(
     exhibit: Exhibit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str
 ) -> None:
     register(monkeypatch, {"fake_colour": ColourDetector()})
-    wanted = request(ATTACK, exhibit, detector="fake_colour", wish="hide", steps=1.0)
+    wanted = request(ATTACK, exhibit, detector="fake_colour", wish="hide", steps=9.0)
     assert wanted.picked is not None
     (tmp_path / "mask.npy").write_bytes(wanted.picked.file)
     told: list[News] = []
     words = Laboratory().words(wanted, mask=tmp_path / "mask.npy", out=tmp_path / "result")
-    perform(words, told.append)
-    steps = [news for news in told if news.text.startswith("attacking: loss")]
-    assert [news.share for news in steps] == [0.5, 1.0]
+
+    def is_step(news: News) -> bool:
+        return news.text.startswith("attacking: loss")
+
+    def tell(news: News) -> bool:
+        told.append(news)
+        return is_step(news)
+
+    perform(words, tell)
+    steps = list(filter(is_step, told))
+    assert [news.share for news in steps] == [0.1, 0.2]
     assert all(news.picture is not None and news.picture.shape == (32, 40, 3) for news in steps)
     outcome = Laboratory().opened(wanted, tmp_path / "result")
     assert outcome.exhibit is not None
     assert outcome.exhibit.names == ("clean", "attacked")
     assert (tmp_path / "result" / RECORD).is_file()
     assert "Random noise" in outcome.lines[0]
+    assert "Warning: The search was stopped after step 1 of 9, before its end." in outcome.lines
     assert "fake_colour" in DETECTORS

@@ -132,6 +132,7 @@ def test_work_is_told_of_and_its_result_is_shown() -> None:
     assert work.exhibit.names == ("clean", "attacked")
     assert work.outcome is not None
     assert not work.tinted
+    assert work.command("Work", START).endswith("out/work-2")
     work.back()
     assert len(work.exhibit.splats) == 1
     work.close()
@@ -160,7 +161,16 @@ def test_one_work_at_a_time_which_can_be_stopped_and_may_fail() -> None:
     with pytest.raises(InvalidValueError, match="one work at a time"):
         work.start("Work", START)
     work.stop()
+    assert (work.running, work.ending) == ("Work", True)  # it is asked to end with what it has
+    until(lambda: not work.running, work)
+    assert len(work.painters) == 2
+    work.back()
+    work.pick(MIDDLE)
+    work.start("Work", START)
+    work.ending = True
+    work.stop()
     assert not work.running
+    assert "nothing of it is kept" in work.lines[0]
     work.choose("Work", "verb", "fail")
     work.start("Work", START)
     until(lambda: not work.running, work)

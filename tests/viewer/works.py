@@ -37,11 +37,12 @@ def _plain(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def perform(words: Sequence[str], tell: Tell) -> None:
-    """Says that it begins, waits if it is to, and writes its words where its result is wanted."""
-    tell(News(text=f"beginning {words[0]}", share=0.5, picture=np.zeros((4, 4, 3), np.uint8)))
-    if words[0] == "wait":
-        assert Thread.ended.wait(20)
-        return
+    """Says that it begins, waits until it is ended if it is to, and writes its words where its result is wanted."""
+    ended = tell(News(text=f"beginning {words[0]}", share=0.5, picture=np.zeros((4, 4, 3), np.uint8)))
+    while words[0] == "wait" and not ended:
+        if Thread.ended.wait(0.01):
+            return
+        ended = tell(News(text="waiting", share=0.5))
     if words[0] == "fail":
         raise InvalidValueError("work: expected to be done, got this; look elsewhere")
     Path(words[-1]).write_text(" ".join(words))
@@ -50,7 +51,7 @@ def perform(words: Sequence[str], tell: Tell) -> None:
 class Works:
     """A laboratory that does nothing."""
 
-    kinds = ("Work",)
+    kinds, lasting = ("Work",), frozenset({"Work"})
     perform = staticmethod(perform)
 
     def form(self, kind: str, exhibit: Exhibit, values: Values) -> tuple[Field, ...]:
@@ -59,10 +60,13 @@ class Works:
             Number(name="eps", label="eps", low=0.5, high=20.0, step=0.5, usual=5.0),
         )
 
-    def words(self, request: Request, *, mask: Path, out: Path | None = None) -> list[str]:
+    def folder(self, kind: str) -> Path:
+        return Path("out/work")
+
+    def words(self, request: Request, *, mask: Path, out: Path) -> list[str]:
         if request.picked is None:
             raise InvalidValueError("Work: expected an object, got none; click on one")
-        return [str(request.values["verb"]), f"--eps={request.values['eps']}", str(mask), str(out or "out/work")]
+        return [str(request.values["verb"]), f"--eps={request.values['eps']}", str(mask), str(out)]
 
     def opened(self, request: Request, out: Path) -> Outcome:
         mask = np.load(out.parent / "mask.npy")
