@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from attacks.observe.result_cameras import CAMERAS
 from attacks.report.study_exhibit import exhibit_of_study
 from mi_splat.audit.files import HEAT
 from mi_splat.bounds import bounds
-from mi_splat.datasets import is_dataset
+from mi_splat.datasets import is_dataset, load_dataset
 from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.camera_records import OF, camera_of
@@ -26,7 +27,7 @@ from mi_splat.io.folders import RECORD, splat_in
 from mi_splat.io.parsing import read_json
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.scene_files import open_scene
-from mi_splat.training.resume import CONFIG
+from mi_splat.training.resume import CONFIG, poses_digest
 from mi_splat.viewer.exhibit import Exhibit, Inspector, ShownSplat, exhibit_of_file
 from mi_splat.viewer.lines import Lines, frustums
 from mi_splat.viewer.orbit import orbit_of
@@ -52,7 +53,8 @@ def open_exhibit(
             audited, if it is not any more where it was.
         up: (3,) direction that is up in the files; None is what a result was made with, z if it says nothing.
         cameras: Data set or JSON file whose cameras stand before those that there are; with a data set one splat is
-            shown beside what was photographed. That of a training is found if it is where it was.
+            shown beside what was photographed. That of a training is found if it is where it was, with the
+            poses that it had.
         background: sRGB colour behind splats and transparent pixels of a data set; None is what the files say.
 
     Raises:
@@ -96,9 +98,28 @@ def _rendered_as_trained(exhibit: Exhibit, run: Mapping[str, Any]) -> tuple[Exhi
         raise InvalidValueError(
             message(f"settings in {CONFIG}", "near and background", repr(error), "train again")
         ) from error
+    found = _set_of_training(run)
+    without = f"{exhibit.title}; the set of its training is not where it was: --cameras names it"
+    title = without if run.get("dataset") is not None and found is None else exhibit.title
+    return replace(exhibit, settings=settings, title=title), found
+
+
+def _set_of_training(run: Mapping[str, Any]) -> Path | None:
+    """The data set that a training names, if that has the poses of its pictures.
+
+    A folder of others may name any path of this machine or of the network. Nothing is said of what lies there, and
+    nothing is shown of it, unless whoever made the folder knew its poses.
+    """
     recorded = run.get("dataset")
-    found = Path(recorded) if isinstance(recorded, str) and is_dataset(recorded) else None
-    return replace(exhibit, settings=settings), found
+    if not isinstance(recorded, str) or recorded.startswith(("//", "\\\\")):
+        return None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            same = is_dataset(recorded) and poses_digest(load_dataset(recorded).cameras) == run.get("poses")
+    except (MiSplatError, OSError):
+        return None
+    return Path(recorded) if same else None
 
 
 def _opened(path: Path, clean: Path | None, background: tuple[float, float, float]) -> Exhibit:

@@ -16,7 +16,7 @@ from types import FrameType
 import torch
 
 from mi_splat import provenance
-from mi_splat.cameras import RenderFn, View, cameras_of, fingerprint_of
+from mi_splat.cameras import Camera, RenderFn, View, cameras_of, fingerprint_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io import save_splat
 from mi_splat.io.atomic import sweep_temporary
@@ -69,7 +69,7 @@ def train(
         lpips: A further score, see `mi_splat.metrics.load_lpips`.
         settings: What else the pictures depend on, the near plane for instance; plain values, the same when a run goes
             on.
-        dataset: Where the views come from, which config.json keeps.
+        dataset: Where the views come from, which config.json keeps, with what tells their poses from others.
         on_resume: Called with the run when one goes on, before its first step.
         on_start: Called with the run before its first step, whether it goes on or not.
         on_step: Called after every step.
@@ -99,7 +99,11 @@ def train(
         else:
             state = TrainState(start, config, scene_extent=scene_extent(views), seed=seed)
             state.data_digest, state.settings = digest, dict(settings or {})
-        given = {"settings": dict(settings or {}), "dataset": None if dataset is None else str(dataset)}
+        given = {
+            "settings": dict(settings or {}),
+            "dataset": None if dataset is None else str(dataset),
+            "poses": poses_digest(cameras_of(views)),
+        }
         save_json({"config": to_json(config), "seed": seed, "views": len(views), **given}, folder / CONFIG)
 
         if on_start is not None:
@@ -144,6 +148,11 @@ def _resumed(folder: Path, config: FitConfig, *, seed: int, digest: str, setting
         text = f"the run began with {threads} threads of torch and goes on with {now}: its last bits may differ"
         warnings.warn(text, stacklevel=3)
     return state
+
+
+def poses_digest(cameras: Sequence[Camera]) -> str:
+    """What tells the poses of a set's cameras from others: nobody can guess it who does not have the set."""
+    return hashlib.sha256(repr([camera.to_world.tolist() for camera in cameras]).encode()).hexdigest()
 
 
 def _digest(start: GaussianScene, *sets: Sequence[View]) -> str:

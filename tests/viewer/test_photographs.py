@@ -16,12 +16,13 @@ from PIL import Image
 from attacks import cli
 from attacks.report.exhibits import open_exhibit
 from mi_splat.cameras import Camera, View, orbit_pose
-from mi_splat.datasets import Dataset, write_colmap, write_transforms
+from mi_splat.datasets import Dataset, load_dataset, write_colmap, write_transforms
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
 from mi_splat.io.images import to_bytes
 from mi_splat.rendering import Renderer
+from mi_splat.training.resume import poses_digest
 from mi_splat.viewer.exhibit import Photographs, own_up
 from mi_splat.viewer.export import write_export
 from mi_splat.viewer.painter import Painter
@@ -108,13 +109,25 @@ def test_a_training_finds_its_set_and_how_it_was_rendered(folder: Path, tmp_path
     run = tmp_path / "run"
     run.mkdir()
     shutil.copy(folder / "splat.ply", run)
-    recorded = {"settings": {"near": 0.3, "background": [1, 1, 1]}, "dataset": str(folder / "set")}
+    poses = poses_digest(load_dataset(folder / "set").cameras)
+    recorded = {
+        "settings": {"near": 0.3, "background": [1, 1, 1]},
+        "dataset": str(folder / "set"),
+        "poses": poses,
+    }
     (run / "config.json").write_text(json.dumps(recorded))
     found = open_exhibit(run)
     assert found.names == ("photograph", "run")
     assert (found.settings.near, found.settings.background) == (0.3, (1.0, 1.0, 1.0))
-    (run / "config.json").write_text(json.dumps({**recorded, "dataset": "gone"}))
-    assert open_exhibit(run).names == ("run",)
+    (tmp_path / "transforms.json").write_text("nobody's business")
+    for change in (
+        {"poses": "guessed"},
+        *({"dataset": path} for path in ("gone", 300 * "a", str(tmp_path), "//host/set")),
+    ):
+        (run / "config.json").write_text(json.dumps({**recorded, **change}))
+        found = open_exhibit(run)
+        assert found.names == ("run",)
+        assert found.title.endswith("the set of its training is not where it was: --cameras names it")
 
 
 def test_a_list_of_cameras_and_two_splats(folder: Path, tmp_path: Path) -> None:
