@@ -109,8 +109,6 @@ class TrainOptions(JsonOptions):
         if self.strategy != name:
             do = "pass both alike"
             raise InvalidValueError(message("strategy", f"{name}, as in fit", self.strategy, do))
-        if self.port is not None and not self.live:
-            raise InvalidValueError(message("--port", "--live beside it", "no page", "add --live, or leave it out"))
 
 
 def defaults(words: Sequence[str]) -> dict[str, Any]:
@@ -146,6 +144,8 @@ def run(options: TrainOptions) -> None:
     from mi_splat.io.folders import own_folder
     from mi_splat.training.resume import CHECKPOINT, CONFIG
 
+    if options.port is not None and not options.live:
+        raise UsageError(message("--port", "--live beside it", "no page", "add --live, or leave it out"))
     if options.live:
         from mi_splat.viewer.page import check_port, need_viser
 
