@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import torch
+from torch import Tensor
 
 from mi_splat.cameras import RenderFn, View, cameras_of
 from mi_splat.errors import InvalidValueError, message
@@ -129,7 +130,7 @@ def advance(
     while state.iteration < config.iterations:
         loss = _step(state, views, state.next_view(len(views)), render)
         if state.iteration < config.iterations:  # what is changed last is trained no more
-            _densify(state, screen_gradients)
+            densify(state, screen_gradients)
         scored = None
         every = config.eval_interval
         if state.iteration == config.iterations or (every and state.iteration % every == 0):
@@ -166,24 +167,44 @@ def _step(state: TrainState, views: Sequence[View], index: int, render: RenderFn
     if isinstance(views, HasMasks):
         image = masked(image, target, views.loss_mask(index, files=state.config.masks))
     loss = photometric_loss(image, target, lambda_dssim=state.config.lambda_dssim)
-    loss = state.strategy.before_backward(loss, scene)
     state.optimiser.zero_grad(set_to_none=True)
-    loss.backward()  # type: ignore[no-untyped-call]
-    value = float(loss.detach())
-    if not math.isfinite(value):
-        raise TrainingError(_not_finite(state, value))
-    rates = state.learning_rates()
-    for group in state.optimiser.param_groups:
-        group["lr"] = rates[group["name"]]
-    state.optimiser.step()
+    value = differentiate(state, loss, scene)
+    state.descend()
     if state.exposures is not None:
         state.exposures.step(state.iteration / state.config.iterations)
     state.iteration += 1
     return value
 
 
-def _densify(state: TrainState, screen_gradients: ScreenGradients | None) -> None:
-    """Ask the strategy, and do what it says."""
+def differentiate(state: TrainState, loss: Tensor, scene: GaussianScene) -> float:
+    """Add the gradient of a loss of a splat, and of what the strategy adds to it, to that of the trained tensors.
+
+    Args:
+        state: The run.
+        loss: The photometric loss, a scalar.
+        scene: The splat of this step, `state.scene()`.
+
+    Returns:
+        The whole loss.
+
+    Raises:
+        TrainingError: It is not finite.
+    """
+    loss = state.strategy.before_backward(loss, scene)
+    loss.backward()  # type: ignore[no-untyped-call]
+    value = float(loss.detach())
+    if not math.isfinite(value):
+        raise TrainingError(_not_finite(state, value))
+    return value
+
+
+def densify(state: TrainState, screen_gradients: ScreenGradients | None) -> None:
+    """Ask the strategy, and do what it says.
+
+    Args:
+        state: The run, after a step.
+        screen_gradients: What the renderer kept of its backward pass, if it does.
+    """
     step = Step(
         parameters=state.parameters,
         iteration=state.iteration,

@@ -154,6 +154,13 @@ class TrainState:
             "shN": sh / 20,
         }
 
+    def descend(self) -> None:
+        """A step of Adam along the gradients that the trained tensors have, with the rates of now."""
+        rates = self.learning_rates()
+        for group in self.optimiser.param_groups:
+            group["lr"] = rates[group["name"]]
+        self.optimiser.step()
+
     def exposed(self, image: Tensor, index: int, count: int) -> Tensor:
         """A picture of the splat with the exposure of one of `count` views, if exposures are trained."""
         if not self.config.exposure:

@@ -1,0 +1,132 @@
+"""Options of Poison-splat, of its controls and of defences against it; light, for studies and command lines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import Checked, Fraction, Range, Steps, above, at_least, between, check
+
+Variation = Literal["both", "vertical"]
+"""Total variation along both axes of a picture, or along its columns alone as the public implementation has it."""
+PictureFilter = Literal["blur", "fourier", "wavelet"]
+
+Eps = Annotated[int, between(0, 255, "steps of 1/255", "8, 16 and 24 are the paper's")]
+StepSize = Annotated[float, above(0, "steps of 1/255", "2 is the paper's")]
+
+_STRENGTHS: dict[PictureFilter, tuple[float, Range]] = {
+    "blur": (1.5, Range(low=0, high=10, open_low=True, unit="pixels", do="1.5 is usual")),
+    "fourier": (0.5, Range(low=0, high=1, open_low=True, unit="share of the frequencies", do="0.5 is usual")),
+    "wavelet": (16.0, Range(low=0, high=255, open_low=True, unit="steps of 1/255", do="16 is usual")),
+}
+"""Usual strength of each filter, and what else it may be."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilterConfig:
+    """A filter of pictures, see `attacks.poisons.defences.filtered`.
+
+    Attributes:
+        name: Which.
+        strength: Of "blur" the standard deviation, pixels; of "fourier" the share of the frequencies along each axis
+            that stay; of "wavelet" the size of the detail that goes, steps of 1/255. None is 1.5, 0.5 and 16.
+
+    Raises:
+        InvalidValueError: The filter has no such strength.
+    """
+
+    name: PictureFilter = "blur"
+    strength: float | None = None
+
+    def __post_init__(self) -> None:
+        check(self)
+        allowed = _STRENGTHS[self.name][1]
+        if self.strength is not None and not allowed.holds(self.strength):
+            raise InvalidValueError(message(f"strength of {self.name}", str(allowed), self.strength, allowed.do))
+
+    @property
+    def amount(self) -> float:
+        """The strength, the usual one if none is named."""
+        return _STRENGTHS[self.name][0] if self.strength is None else self.strength
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UniformNoiseConfig(Checked):
+    """Noise that raises nothing on purpose.
+
+    Attributes:
+        eps: Largest change of a channel, in steps of 1/255.
+        share: Part of the pictures that is changed, drawn by the seed.
+    """
+
+    eps: Eps = 16
+    share: Fraction = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RaisedVariationConfig(Checked):
+    """Total variation that is raised picture by picture, with nothing that holds the pictures together.
+
+    Attributes:
+        eps: Largest change of a channel, in steps of 1/255.
+        share: Part of the pictures that is changed, drawn by the seed.
+        variation: What is raised.
+        variation_steps: Steps along the sign of its gradient.
+        step_size: Length of each, in steps of 1/255.
+        through: A filter through which the variation is looked at; None looks at the picture itself.
+    """
+
+    eps: Eps = 16
+    share: Fraction = 1.0
+    variation: Variation = "both"
+    variation_steps: Steps = 15
+    step_size: StepSize = 2.0
+    through: FilterConfig | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoisonSplatConfig(Checked):
+    """Poison-splat (arXiv 2410.08190); published with 36,000 steps for objects.
+
+    Without a ball it was published with 6,000 steps, of which every tenth moves the decoy, and 25 `variation_steps`.
+
+    Attributes:
+        eps: Largest change of a channel, in steps of 1/255; None sets no ball: the pictures are the decoy's.
+        steps: Of the decoy; each looks at one camera.
+        share: Part of the pictures that is changed, drawn by the seed. The decoy looks at all cameras anyway, and what
+            a small share changes is among what a larger one does.
+        variation: What is raised.
+        variation_steps: Steps along the sign of its gradient, at each camera anew.
+        step_size: Length of each, in steps of 1/255.
+        decoy_every: Cameras whose gradients are summed in one step of the decoy's optimiser.
+        densify_every: Steps between two rounds in which the decoy is cloned, split and pruned; 0 never does it.
+        prune_large: Whether these rounds also remove what is large, as the victim's do once opacities were reset.
+        max_gaussians: The decoy is not made larger than this; None sets no limit.
+        through: A filter of pictures that the victim is known to use: variation and the decoy's loss are those of what
+            it leaves. None knows of no filter.
+    """
+
+    eps: Eps | None = 16
+    steps: Steps = 2000
+    share: Fraction = 1.0
+    variation: Variation = "both"
+    variation_steps: Steps = 15
+    step_size: StepSize = 2.0
+    decoy_every: Steps = 1
+    densify_every: Annotated[int, at_least(0, "steps", "0 never does it")] = 100
+    prune_large: bool = True
+    max_gaussians: Annotated[int, at_least(1, "Gaussians", "leave it out for no limit")] | None = None
+    through: FilterConfig | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrequencyPruningConfig(Checked):
+    """Pruning of a splat by the frequencies that its cameras can see.
+
+    Attributes:
+        samples: Gaussians whose middle axis is shorter than this many samples of the camera that sees them finest are
+            removed; one sample is the size of a pixel there.
+    """
+
+    samples: Annotated[float, above(0, "samples", "0.2 is the smallest that Mip-Splatting keeps")] = 0.2

@@ -1,0 +1,147 @@
+"""What a victim may do against pictures that make its splat large: filters of pictures, and pruning of the splat.
+
+Filters are differentiable, so that an attacker may look through them. None changes a picture of one colour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+import torch.nn.functional as F  # noqa: N812
+from torch import Tensor
+
+from attacks.poisons.config import FilterConfig, FrequencyPruningConfig, PictureFilter
+from mi_splat.cameras import Camera, View, cameras_of, project_points
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.scene import GaussianScene
+
+_BLUR_RADIUS = 2
+"""Of the blur's window of 5 x 5."""
+_LEVELS = 2
+"""Of the wavelet transform."""
+
+
+def filtered(image: Tensor, config: FilterConfig) -> Tensor:
+    """A picture after a filter.
+
+    Args:
+        image: (H, W, 3) sRGB.
+        config: Which filter, and how strong.
+
+    Returns:
+        (H, W, 3) sRGB in [0, 1], differentiable.
+    """
+    return _FILTERS[config.name](image, config.amount).clamp(0, 1)
+
+
+def blurred(image: Tensor, sigma: float = 1.5) -> Tensor:
+    """A Gaussian window of 5 x 5 over a picture (H, W, 3), whose rim goes on outside.
+
+    Args:
+        image: The picture.
+        sigma: Standard deviation, pixels.
+    """
+    offsets = torch.arange(-_BLUR_RADIUS, _BLUR_RADIUS + 1, dtype=image.dtype, device=image.device)
+    window = torch.softmax(-0.5 * (offsets / sigma) ** 2, 0)
+    planes = F.pad(image.permute(2, 0, 1)[:, None], (_BLUR_RADIUS,) * 4, mode="replicate")
+    return _separable(planes, window)[:, 0].permute(1, 2, 0)
+
+
+def low_frequencies(image: Tensor, share: float = 0.5) -> Tensor:
+    """A picture (H, W, 3) of its lowest spatial frequencies alone, by FFT of the picture and its mirror images.
+
+    Args:
+        image: The picture.
+        share: Of the frequencies up to half a wave a pixel along each axis, how many stay.
+    """
+    height, width, _ = image.shape
+    mirrored = torch.cat([image, image.flip(0)])
+    mirrored = torch.cat([mirrored, mirrored.flip(1)], dim=1)  # without it, opposite rims would bleed into each other
+    spectrum = torch.fft.rfft2(mirrored, dim=(0, 1))
+    low_rows = torch.fft.fftfreq(2 * height, device=image.device).abs() <= share / 2
+    low_columns = torch.fft.rfftfreq(2 * width, device=image.device) <= share / 2
+    kept = spectrum * (low_rows[:, None] & low_columns)[..., None]
+    low: Tensor = torch.fft.irfft2(kept, s=(2 * height, 2 * width), dim=(0, 1))
+    return low[:height, :width]
+
+
+def shrunk_detail(image: Tensor, steps: float = 16.0) -> Tensor:
+    """A picture (H, W, 3) whose fine detail is shrunk by soft thresholds, as wavelet denoising does.
+
+    DefenseSplat (arXiv 2602.19323) takes detail bands of a wavelet transform out of training pictures. Here the
+    transform is the undecimated one "a trous" of the kernel (1, 2, 1)/4, of two levels, which leaves no blocks, and
+    strong edges stay.
+
+    Args:
+        image: The picture.
+        steps: Up to this size detail goes, and what is larger shrinks by as much; steps of 1/255. 255 takes all of it.
+    """
+    window = image.new_tensor([0.25, 0.5, 0.25])
+    coarse = image.permute(2, 0, 1)[:, None]
+    detail = torch.zeros_like(coarse)
+    for level in range(_LEVELS):
+        apart = 2**level
+        smoother = _separable(F.pad(coarse, (apart,) * 4, mode="replicate"), window, dilation=apart)
+        detail = detail + F.softshrink(coarse - smoother, steps / 255)
+        coarse = smoother
+    return (coarse + detail)[:, 0].permute(1, 2, 0)
+
+
+def finest_samples(scene: GaussianScene, cameras: Sequence[Camera], *, near: float) -> Tensor:
+    """Size of a pixel at each Gaussian, in the camera that sees it finest (Mip-Splatting, Yu et al. 2024, equation 7).
+
+    Args:
+        scene: N Gaussians.
+        cameras: Those of the training.
+        near: Near plane, world units; what is nearer is not seen.
+
+    Returns:
+        (N,) depth over focal length, world units; infinite for what no camera sees.
+    """
+    finest = torch.full_like(scene.opacities.detach(), torch.inf)
+    for camera in cameras:
+        pixels, depths = project_points(scene.means.detach(), camera)
+        inside = ((pixels >= 0) & (pixels <= pixels.new_tensor([camera.width, camera.height]))).all(1) & (depths > near)
+        finest = torch.where(inside, torch.minimum(finest, depths / max(camera.fx, camera.fy)), finest)
+    return finest
+
+
+def frequency_pruned(
+    scene: GaussianScene, views: Sequence[View], config: FrequencyPruningConfig, *, near: float
+) -> GaussianScene:
+    """A splat without what is finer than its cameras can sample.
+
+    Spectral Defense (arXiv 2603.12796) prunes Gaussians of high frequency. What is high is taken from the sampling of
+    the training cameras here. A surface needs Gaussians that are thin along its normal, so that the middle axis counts
+    and not the shortest. What no camera sees stays.
+
+    Args:
+        scene: The splat.
+        views: Those that it was trained on.
+        config: From which frequency on.
+        near: Near plane of the training, world units.
+
+    Raises:
+        InvalidValueError: Nothing would be left.
+    """
+    finest = finest_samples(scene, cameras_of(views), near=near)
+    middle = scene.scales.detach().sort(dim=1).values[:, 1]
+    kept = ~(middle < config.samples * finest) | finest.isinf()
+    if not bool(kept.any()):
+        do = "lower samples"
+        raise InvalidValueError(message("pruning by frequency", "Gaussians that are left", "none", do))
+    return scene.select(kept)
+
+
+def _separable(planes: Tensor, window: Tensor, *, dilation: int = 1) -> Tensor:
+    """Planes (C, 1, H, W), padded, under one window along columns and rows."""
+    columns = F.conv2d(planes, window.view(1, 1, -1, 1), dilation=dilation)
+    return F.conv2d(columns, window.view(1, 1, 1, -1), dilation=dilation)
+
+
+_FILTERS: dict[PictureFilter, Callable[[Tensor, float], Tensor]] = {
+    "blur": blurred,
+    "fourier": low_frequencies,
+    "wavelet": shrunk_detail,
+}

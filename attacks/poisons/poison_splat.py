@@ -1,0 +1,300 @@
+"""Poison-splat: training pictures that make a splat cost more ("Poison-splat", Lu et al. 2024, arXiv 2410.08190).
+
+A trainer adds Gaussians where pictures vary. So the attacker raises the total variation of the pictures, within a ball
+around the clean ones, and in such a way that all cameras agree: a decoy, a splat that starts as the victim's own,
+learns the pictures of raised variation, and its renders, clipped to the ball, are what the victim gets.
+
+The controls do without the decoy: noise, and pictures of which each is raised by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import torch
+from torch import Generator, Tensor
+
+from attacks.poisons.base import OnStep, Poisoned, poisoned
+from attacks.poisons.config import FilterConfig, PoisonSplatConfig, RaisedVariationConfig, UniformNoiseConfig, Variation
+from attacks.poisons.defences import filtered
+from mi_splat import variant
+from mi_splat.cameras import Camera, View, cameras_of, project_points
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
+from mi_splat.scene import GaussianScene, check_scene, scene_hash
+from mi_splat.training.config import FitConfig
+from mi_splat.training.loop import densify, differentiate, scene_extent
+from mi_splat.training.losses import photometric_loss
+from mi_splat.training.state import TrainState, check_start
+from mi_splat.training.strategies import ClassicConfig, FixedConfig, StrategyConfig
+
+_ROUNDING = 1e-3
+"""By how much of a step of 1/255 a picture of 8 bits may differ from whole steps in float32."""
+
+
+def total_variation(image: Tensor, variation: Variation = "both") -> Tensor:
+    """Sum of the absolute differences between neighbours of a picture (H, W, 3), differentiable.
+
+    Args:
+        image: The picture.
+        variation: "both" sums over the neighbours along columns and along rows. "vertical" sums over those along
+            columns twice, as `image_total_variation` of the public implementation does for a picture (3, H, W).
+    """
+    along_columns = (image[1:] - image[:-1]).abs().sum()
+    return 2 * along_columns if variation == "vertical" else along_columns + (image[:, 1:] - image[:, :-1]).abs().sum()
+
+
+def raised(image: Tensor, clean: Tensor, config: PoisonSplatConfig | RaisedVariationConfig) -> Tensor:
+    """A picture of more total variation, reached by steps along the sign of its gradient.
+
+    Args:
+        image: (H, W, 3) sRGB to begin with.
+        clean: (H, W, 3) sRGB, the middle of the ball.
+        config: The ball, the steps, what is raised, and through which filter it is looked at.
+
+    Returns:
+        (H, W, 3) sRGB in the ball and in [0, 1].
+    """
+    eps, look = _radius(config.eps) / 255, _through(config.through)
+    lowest, highest = (clean - eps).clamp(min=0), (clean + eps).clamp(max=1)
+    image = image.detach().clamp(0, 1)
+    for _ in range(config.variation_steps):
+        image.requires_grad_(True)
+        (gradient,) = torch.autograd.grad(total_variation(look(image), config.variation), image)
+        image = (image.detach() + config.step_size / 255 * gradient.sign()).clamp(lowest, highest)
+    return image
+
+
+def within_ball(image: Tensor, clean: Tensor, eps: int | None) -> Tensor:
+    """A picture of 8 bits that is nowhere further from the clean one than the ball allows.
+
+    It is clipped in whole steps of 1/255: a file of 8 bits holds it exactly, and it stays in the ball there, too, even
+    where the clean picture lies between two steps.
+
+    Args:
+        image: (H, W, 3) sRGB.
+        clean: (H, W, 3) sRGB in [0, 1].
+        eps: Radius of the ball in steps of 1/255; None is none.
+    """
+    steps, middle, eps = (image.detach().clamp(0, 1) * 255).round(), clean.to(image) * 255, _radius(eps)
+    steps = steps.clamp((middle - eps - _ROUNDING).ceil(), (middle + eps + _ROUNDING).floor())
+    return steps.clamp(0, 255) / 255
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoisonSplat:
+    """Poison-splat as a poison.
+
+    Attributes:
+        config: How.
+        start: The victim's splat of the clean pictures, or the attacker's own; the decoy is where its tensors are.
+        near: Near plane of the victim's renderer, world units.
+        background: sRGB behind the splat.
+        victim: How the victim trains: learning rates of the decoy are the victim's first ones, and thresholds of
+            densification those of its classic strategy, or the published ones if it has another.
+    """
+
+    config: PoisonSplatConfig
+    start: GaussianScene
+    near: float
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    victim: FitConfig = field(default_factory=FitConfig)
+
+    def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
+        """The poisoned set; with eps or a share of 0 it is the untouched one, picture for picture.
+
+        Args:
+            views: The untouched set; pictures are (H, W, 3) sRGB in [0, 1].
+            seed: Of the order of the cameras, of the decoy's splits, and of the pictures that are changed.
+            on_step: Called after each step of the decoy.
+
+        Raises:
+            InvalidValueError: There are no views, or no Gaussian of the start is in any of them.
+            TrainingError: The decoy is no longer finite, or all of it was pruned.
+        """
+        config = self.config
+        chosen = _chosen(views, config.share, seed)
+        about = _about("poison-splat", config, seed)
+        if config.eps == 0 or not chosen:
+            return poisoned(views, {}, about)
+        decoy = self.decoy(views, seed=seed, on_step=on_step)
+        about |= {"start": scene_hash(self.start), "start_gaussians": len(self.start), "decoy_gaussians": len(decoy)}
+        render, pictures = self._renderer(), {}
+        with torch.no_grad():
+            for index in chosen:
+                view = views[index]
+                pictures[index] = within_ball(render(decoy, view.camera), view.image, config.eps)
+        return poisoned(views, pictures, about)
+
+    def decoy(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> GaussianScene:
+        """The splat whose pictures the victim gets; arguments and errors are those of a call."""
+        config, state = self.config, self._begun(views, seed)
+        look = _through(config.through)
+        screen_gradients = ScreenGradients() if config.densify_every else None
+        render = self._renderer(screen_gradients)
+        while state.iteration < config.steps:
+            view = views[state.next_view(len(views))]
+            scene = state.scene()
+            image = render(scene, view.camera)
+            target = raised(image, view.image.to(image.device), config)
+            loss = photometric_loss(look(image), look(target), lambda_dssim=state.config.lambda_dssim)
+            differentiate(state, loss, scene)
+            state.iteration += 1
+            if state.iteration % config.decoy_every == 0:
+                state.descend()
+                state.optimiser.zero_grad(set_to_none=True)
+            if state.iteration < config.steps:
+                densify(state, screen_gradients)
+            if on_step is not None:
+                on_step(state.iteration, config.steps)
+        return state.result()
+
+    def _begun(self, views: Sequence[View], seed: int) -> TrainState:
+        """The decoy before its first step."""
+        check_scene("start", self.start)
+        fit = replace(
+            self.victim,
+            iterations=self.config.steps,
+            strategy=self._strategy(),
+            sh_degree=self.start.degree,
+            sh_degree_interval=0,
+            lr_means_final=self.victim.lr_means,  # the public implementation lowers none
+            lr_sh_final=None,
+        )
+        check_start(self.start, fit)
+        if not any(_is_seen(self.start, camera, self.near) for camera in cameras_of(views)):
+            expected, do = "Gaussians before some camera of the views", "pass a splat that was trained on these views"
+            raise InvalidValueError(message("start", expected, "none", do))
+        state = TrainState(self.start, fit, scene_extent=scene_extent(views), seed=seed)
+        if self.config.densify_every and self.config.prune_large:
+            state.strategy_state["opacities_were_reset"][:] = True
+        return state
+
+    def _strategy(self) -> StrategyConfig:
+        config, victims = self.config, self.victim.strategy
+        if not config.densify_every:
+            return FixedConfig()
+        return replace(
+            victims if isinstance(victims, ClassicConfig) else ClassicConfig(),
+            densify_from=0,
+            densify_until=config.steps,
+            densify_interval=config.densify_every,
+            opacity_reset_interval=0,
+            max_gaussians=config.max_gaussians,
+        )
+
+    def _renderer(self, screen_gradients: ScreenGradients | None = None) -> Renderer:
+        name = "cuda_ad_rgb" if self.start.means.is_cuda else variant.DEFAULT_VARIANT
+        settings = RenderSettings(background=self.background, near=self.near, variant=name)
+        return Renderer(settings, screen_gradients=screen_gradients)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UniformNoise:
+    """A control: whole steps of 1/255 that are drawn evenly from the ball, channel by channel.
+
+    Attributes:
+        config: How much of it, and where.
+    """
+
+    config: UniformNoiseConfig = field(default_factory=UniformNoiseConfig)
+
+    def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
+        """The set with noise; each picture's is its own, whatever share is changed.
+
+        Args:
+            views: The untouched set.
+            seed: Of the noise, and of the pictures that are changed.
+            on_step: Called after each picture.
+
+        Raises:
+            InvalidValueError: There are no views.
+        """
+        eps = self.config.eps
+
+        def noisy(view: View, index: int) -> Tensor:
+            generator = Generator().manual_seed(seed * 1_000_003 + index)
+            noise = torch.randint(-eps, eps + 1, view.image.shape, generator=generator) / 255
+            return within_ball(view.image + noise.to(view.image), view.image, eps)
+
+        return _one_by_one("uniform-noise", views, self.config, noisy, seed, on_step)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RaisedVariation:
+    """A control: total variation raised picture by picture, so that cameras do not agree.
+
+    Attributes:
+        config: How.
+    """
+
+    config: RaisedVariationConfig = field(default_factory=RaisedVariationConfig)
+
+    def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
+        """The set of raised variation.
+
+        Args:
+            views: The untouched set.
+            seed: Of the pictures that are changed.
+            on_step: Called after each picture.
+
+        Raises:
+            InvalidValueError: There are no views.
+        """
+        config = self.config
+
+        def changed(view: View, index: int) -> Tensor:
+            return within_ball(raised(view.image, view.image, config), view.image, config.eps)
+
+        return _one_by_one("raised-variation", views, config, changed, seed, on_step)
+
+
+def _one_by_one(
+    kind: str,
+    views: Sequence[View],
+    config: UniformNoiseConfig | RaisedVariationConfig,
+    change: Callable[[View, int], Tensor],
+    seed: int,
+    on_step: OnStep | None,
+) -> Poisoned:
+    """A set of which each chosen picture is changed by itself."""
+    chosen = _chosen(views, config.share, seed) if config.eps else []
+    pictures = {}
+    for number, index in enumerate(chosen, start=1):
+        pictures[index] = change(views[index], index)
+        if on_step is not None:
+            on_step(number, len(chosen))
+    return poisoned(views, pictures, _about(kind, config, seed))
+
+
+def _chosen(views: Sequence[View], share: float, seed: int) -> list[int]:
+    """Positions of the pictures to change, rising; those of a smaller share are among those of a larger."""
+    if not len(views):
+        raise InvalidValueError(message("views", "at least one", "none", "capture views first"))
+    order = torch.randperm(len(views), generator=Generator().manual_seed(seed)).tolist()
+    return sorted(order[: round(share * len(views))])
+
+
+def _about(
+    kind: str, config: PoisonSplatConfig | UniformNoiseConfig | RaisedVariationConfig, seed: int
+) -> dict[str, Any]:
+    return {"kind": kind, **asdict(config), "seed": seed}
+
+
+def _radius(eps: int | None) -> int:
+    """That of the ball, in steps of 1/255; the largest there is where none is set."""
+    return 255 if eps is None else eps
+
+
+def _through(config: FilterConfig | None) -> Callable[[Tensor], Tensor]:
+    """What a victim sees of a picture."""
+    return (lambda image: image) if config is None else (lambda image: filtered(image, config))
+
+
+def _is_seen(scene: GaussianScene, camera: Camera, near: float) -> bool:
+    """Whether a mean lies inside a camera's picture."""
+    pixels, depths = project_points(scene.means.detach().cpu(), camera)
+    inside = ((pixels >= 0) & (pixels <= pixels.new_tensor([camera.width, camera.height]))).all(1)
+    return bool((inside & (depths > near)).any())
