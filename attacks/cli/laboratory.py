@@ -35,7 +35,7 @@ from mi_splat.io.folders import RECORD
 from mi_splat.io.images import quantise, to_bytes
 from mi_splat.io.parsing import read_json
 from mi_splat.rotation import from_z
-from mi_splat.viewer.command import camera_words
+from mi_splat.viewer.command import camera_words, up_words
 from mi_splat.viewer.composition import Pixels
 from mi_splat.viewer.dome import Seen, draw_domes
 from mi_splat.viewer.exhibit import Exhibit, Inspector
@@ -106,7 +106,8 @@ class Laboratory:
         """As in `mi_splat.viewer.jobs.Laboratory`."""
         exhibit, values = request.exhibit, request.values
         if request.kind == AUDIT:
-            return ["audit", str(exhibit.splat(str(values["splat"])).path), "--out", str(out)]
+            path = exhibit.splat(str(values["splat"])).path
+            return ["audit", str(path), *up_words(exhibit.up), "--out", str(out)]
         if request.picked is None:
             raise InvalidValueError(message(request.kind, "an object", "none", "click on one in the picture"))
         orbit = request.orbit.changed() if request.kind == JUDGE else request.orbit  # its distance and lens

@@ -30,6 +30,7 @@ from mi_splat.audit.surfaces import (
 )
 from mi_splat.audit.switches import look_amounts, piece_scores, reachable
 from mi_splat.cameras import Camera, as_cameras, project_points
+from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.scene_files import resized
@@ -52,7 +53,13 @@ OnObject = Callable[[int, int], None]
 """Called after each object with the number done and the number of all."""
 
 
-def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, on_object: OnObject | None = None) -> Audit:
+def audit(
+    scene: GaussianScene,
+    *,
+    cameras: Sequence[Camera] | None = None,
+    up: Point | None = None,
+    on_object: OnObject | None = None,
+) -> Audit:
     """Say whether a splat shows something from some directions only, from where, and which Gaussians carry it.
 
     Nothing but the splat is used. The verdict is the same when the splat is turned, moved, resized or shuffled, but for
@@ -63,6 +70,8 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, on_o
         cameras: From where it is looked at, for instance those of its training pictures; what they see around its
             middle is one object then. None is a sphere around each object, or what of it is above the ground; in a
             room, free places of it.
+        up: (3,) direction in the file that is up for what stands on a ground; None is away from the ground that is
+            found.
         on_object: Called after each object.
 
     Raises:
@@ -72,7 +81,7 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, on_o
     frame = frame_of(scene)
     jobs, in_room = [(whole(frame.scene), given(frame, cameras))] if cameras is not None else [], False
     if cameras is None:
-        jobs, in_room = _looks_at(frame)
+        jobs, in_room = _looks_at(frame, up)
     objects, heats = [], []
     for number, (target, around) in enumerate(jobs):
         judged = judged_object(frame, target, around)
@@ -92,16 +101,17 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, on_o
         mask[frame.order] = heat > split_of(heat[heat > 0])
     unsorted = torch.zeros(len(scene))
     unsorted[frame.order] = heat
-    return Audit(objects=tuple(objects), heat=unsorted, mask=mask, near=looked_at(frame, jobs))
+    return Audit(objects=tuple(objects), heat=unsorted, mask=mask, near=looked_at(frame, jobs), up=up)
 
 
-def _looks_at(frame: Frame) -> tuple[list[Job], bool]:
+def _looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
     """The objects of a scene with cameras around them, and whether it is a room: then they stand at free places of it.
 
     Raises:
         InvalidValueError: It is a room, and in it is nothing that can be seen from all around.
     """
-    objects, places = targets(frame.scene), free_places(frame.scene)
+    objects = targets(frame.scene, None if up is None else frame.own(up))
+    places = free_places(frame.scene)
     if places is None:
         return [(target, cameras_around(target)) for target in objects], False
     jobs = [(target, cameras) for target in objects if (cameras := cameras_within(target, places))]

@@ -76,6 +76,7 @@ def _judged(audit: Audit) -> dict[str, Any]:
         "thresholds": _THRESHOLDS,
         "objects": [_of_object(item) for item in audit.objects],
         **({"against": audit.against.as_dict()} if audit.against else {}),
+        **({"up": list(audit.up)} if audit.up else {}),
     }
 
 

@@ -14,7 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.selection.clusters import clusters
 from mi_splat.selection.neighbours import nearest_neighbours, nearest_of
@@ -62,6 +64,10 @@ class Frame:
     def direction(self, values: Tensor) -> Tensor:
         """(..., 3) directions of the frame as directions of the world."""
         return values.double() @ self.to_world.rotation.double().T
+
+    def own(self, direction: Point) -> Tensor:
+        """(3,) float64 unit vector of the frame along a direction of the world."""
+        return from_z(torch.tensor(list(direction), dtype=torch.float64))[:, 2] @ self.to_world.rotation.double()
 
     def point(self, values: Tensor) -> Tensor:
         """(..., 3) points of the frame as points of the world."""
@@ -121,11 +127,12 @@ def frame_of(scene: GaussianScene) -> Frame:
     return Frame(scene=scene.transform(to_frame), order=order, to_world=back)
 
 
-def targets(scene: GaussianScene) -> list[Target]:
+def targets(scene: GaussianScene, said: Tensor | None = None) -> list[Target]:
     """The objects of a splat: at most `MOST_OBJECTS` connected components that are no ground; else where most of it is.
 
     Args:
         scene: In its own frame.
+        said: (3,) float64 unit vector, which is up for all that stand on a ground; None is away from that ground.
     """
     rows = (scene.opacities > SOLID).nonzero()[:, 0]
     points = scene.means[rows].double()
@@ -149,6 +156,8 @@ def targets(scene: GaussianScene) -> list[Target]:
         chosen.append(Target(rows=rows[label == number], centre=centre, radius=radius, up=up))
     chosen = chosen[:MOST_OBJECTS] or [_crowd(rows, points)]
     ground = next((target.up for target in chosen if target.up is not None), None)
+    if said is not None and ground is not None:
+        return [dataclasses.replace(target, up=said) for target in chosen]
     return [target if _agree(target.up, ground) else dataclasses.replace(target, up=ground) for target in chosen]
 
 

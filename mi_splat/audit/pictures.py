@@ -15,6 +15,7 @@ from mi_splat.audit.results import SUSPICION, Audit, ObjectAudit
 from mi_splat.bounds import near_plane
 from mi_splat.cameras import Camera, View, cameras_of
 from mi_splat.datasets import Dataset
+from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
@@ -58,7 +59,7 @@ class PictureAudit:
         return numbers
 
 
-def audit_pictures(views: Dataset, *, on_step: OnStep | None = None) -> PictureAudit:
+def audit_pictures(views: Dataset, *, up: Point | None = None, on_step: OnStep | None = None) -> PictureAudit:
     """Say which pictures of a set contradict what the others show of the same surface.
 
     A small splat is trained for the surface alone; colours are those of the pictures, as they are. What is compared,
@@ -66,6 +67,7 @@ def audit_pictures(views: Dataset, *, on_step: OnStep | None = None) -> PictureA
 
     Args:
         views: The set.
+        up: As in `audit`.
         on_step: Called after each step of the training.
 
     Raises:
@@ -76,7 +78,7 @@ def audit_pictures(views: Dataset, *, on_step: OnStep | None = None) -> PictureA
     views = dataclasses.replace(views, downscale=views.downscale * max(1, longer // LONGER_SIDE))
     numbers = torch.linspace(0, len(views) - 1, min(len(views), MOST_CAMERAS)).round().long()
     views = dataclasses.replace(views, frames=tuple(views.frames[number] for number in numbers.tolist()))
-    return compare_pictures(views, quick_surface(views, on_step=on_step), numbers=numbers)
+    return compare_pictures(views, quick_surface(views, on_step=on_step), numbers=numbers, up=up)
 
 
 def quick_surface(views: Dataset, *, steps: int = STEPS, on_step: OnStep | None = None) -> GaussianScene:
@@ -94,20 +96,24 @@ def quick_surface(views: Dataset, *, steps: int = STEPS, on_step: OnStep | None 
     return fit(views, start, render=render, config=config, on_step=told).scene
 
 
-def compare_pictures(views: Sequence[View], surface: GaussianScene, *, numbers: Tensor) -> PictureAudit:
+def compare_pictures(
+    views: Sequence[View], surface: GaussianScene, *, numbers: Tensor, up: Point | None = None
+) -> PictureAudit:
     """Compare pictures on a surface that is known.
 
     Args:
         views: K pictures.
         surface: A splat of what they show, of which only the place of the surface counts.
         numbers: (K,) what the pictures are called.
+        up: As in `audit`.
 
     Raises:
         InvalidValueError: There are too few pictures, or too little surface is seen by several.
     """
     frame = frame_of(surface)
     cameras, pictures = given(frame, cameras_of(views), longer_side=None), [view.image for view in views]
-    objects = [dataclasses.replace(target, cells=_cells(target, cameras)) for target in targets(frame.scene)]
+    standing = targets(frame.scene, None if up is None else frame.own(up))
+    objects = [dataclasses.replace(target, cells=_cells(target, cameras)) for target in standing]
     found = [judged_object(frame, target, cameras, pictures) for target in objects]
     judged = [one[0] for one in found if one is not None]
     seen = sum(item.pieces for item in judged)
@@ -121,6 +127,7 @@ def compare_pictures(views: Sequence[View], surface: GaussianScene, *, numbers: 
         heat=nothing,
         mask=nothing > 0,
         near=looked_at(frame, [(target, cameras) for target in objects]),
+        up=up,
     )
     amounts = torch.stack([_amounts(item, len(views)) for item in judged]).amax(0)
     return PictureAudit(audit=audit, numbers=numbers, amounts=amounts)

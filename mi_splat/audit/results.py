@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera
+from mi_splat.directions import Point
 
 if TYPE_CHECKING:
     from mi_splat.audit.against import Changes
@@ -258,6 +259,7 @@ class Audit:
         near: Share of the Gaussians with an opacity above 0.1 that lie near one of the objects; nothing is known of the
             others.
         against: How it differs from the clean splat, if one was given.
+        up: (3,) direction that was said to be up; None where nobody said it.
     """
 
     objects: tuple[ObjectAudit, ...]
@@ -265,6 +267,7 @@ class Audit:
     mask: Tensor
     near: float
     against: Changes | None = None
+    up: Point | None = None
 
     @property
     def strongest(self) -> ObjectAudit:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from mi_splat.cli.console import UsageError, progress, show_result, warn
 from mi_splat.cli.flags import Positional
-from mi_splat.cli.options import CameraOptions, JsonOptions, check_no_input_in
+from mi_splat.cli.options import CameraOptions, Direction, JsonOptions, axis_name, check_no_input_in
 from mi_splat.errors import MiSplatError, message
 from mi_splat.fields import Called, Folder, between
 
@@ -51,6 +51,9 @@ class AuditOptions(JsonOptions):
     cameras: Annotated[tuple[str, ...], Called("CAMERAS")] = ()
     """Look from these, in the forms that `mi-splat render` takes: the cameras.json beside a splat, for instance, or
     of a room those that stand in it. Without, from a sphere around each object."""
+    up: Direction | None = None
+    """Direction that is up for objects that stand on a ground, and for orbits of --cameras: an axis, or three numbers.
+    Without, each object is looked at from above the ground that is found."""
     downscale: Annotated[int, between(1, 64, "times smaller"), Called("FACTOR")] = 1
     """Read the pictures of a set so many times smaller, from its folder images_2 and so on if it is there. They are
     compared at 96 pixels anyway, so that this saves time and memory alone."""
@@ -181,7 +184,7 @@ def _repair(
     if again is scene:
         return None
     try:
-        after = audit(again, cameras=cameras)
+        after = audit(again, cameras=cameras, up=options.up)
     except MiSplatError as error:
         do = "keep the other side by --keep, or leave --repair out"
         expected = "something left that can be audited again"
@@ -231,7 +234,7 @@ def _audited_pictures(path: Path, folder: Path | None, options: AuditOptions) ->
 
     views, rest = (load_dataset(path, split=split, downscale=options.downscale) for split in ("train", None))
     with progress(f"finding the surface in {path.name}", total=STEPS) as advance:
-        judged = audit_pictures(views, on_step=lambda done, of: advance())
+        judged = audit_pictures(views, up=options.up, on_step=lambda done, of: advance())
     account, files = document_of_pictures(judged, views, len(rest)), list[Path]()
     if folder:
         files = write_pictures(judged, views, folder, account=account, source=str(path), force=options.force)
@@ -257,13 +260,15 @@ def _looked_at(path: Path, options: AuditOptions) -> tuple[GaussianScene, Audit,
     loaded = open_scene(path)
     cameras = None
     if options.cameras:
-        cameras = tuple(find_cameras(loaded, CameraOptions(cameras=options.cameras)).values())
+        wanted = CameraOptions(cameras=options.cameras, up=options.up or CameraOptions().up)
+        cameras = tuple(find_cameras(loaded, wanted).values())
     against = None
     if options.against:
         if options.against.suffix.lower() != ".xml":
             check_capacity(options.against)
         against = changes(loaded.scene, open_scene(options.against).scene)
-    return loaded.scene, replace(audit(loaded.scene, cameras=cameras), against=against), cameras
+    judged = audit(loaded.scene, cameras=cameras, up=options.up)
+    return loaded.scene, replace(judged, against=against), cameras
 
 
 def _severities(document: dict[str, Any]) -> set[str]:
@@ -273,6 +278,8 @@ def _severities(document: dict[str, Any]) -> set[str]:
 def _lines(document: dict[str, Any]) -> list[str]:
     """A result for a human."""
     first, *rest = document["summary"]
+    if "up" in document:
+        rest.append(f"up is {axis_name(document['up'])}")
     if "repair" in document:
         rest.append(_repair_line(document["repair"]))
     rest += [_finding(finding) for finding in document.get("lint", ())]

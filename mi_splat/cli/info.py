@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,7 +12,8 @@ from typing import TYPE_CHECKING
 from mi_splat.attributes import ATTRIBUTES, values_hash
 from mi_splat.cli.console import import_at_once, progress, show_json, show_table
 from mi_splat.cli.flags import Positional
-from mi_splat.cli.options import JsonOptions
+from mi_splat.cli.options import Direction, JsonOptions, axis_name
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.errors import SplatFileWarning
 
 if TYPE_CHECKING:
@@ -34,22 +36,30 @@ class InfoOptions(JsonOptions):
 
     file: Positional[Path]
     """Splat file of any format that is read, or scene XML made of splats."""
+    up: Direction | None = None
+    """Say as well how far it reaches along the direction that is up: an axis, or three numbers. All coordinates stay
+    those of the file."""
 
 
+Up = tuple[float, float, float] | None
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 
 
 def run(options: InfoOptions) -> None:
     """Print the facts about a file."""
     with progress(f"reading {options.file}"):
-        facts = _scene_file_facts(options.file) if options.file.suffix.lower() == ".xml" else _file_facts(options.file)
+        read = _scene_file_facts if options.file.suffix.lower() == ".xml" else _file_facts
+        facts = read(options.file, options.up)
     if options.json:
         show_json({"file": str(options.file), **facts})
     else:
-        show_table([("file", str(options.file)), *((name, _text(value)) for name, value in facts.items())])
+        said = {name: _text(value) for name, value in facts.items()}
+        if options.up is not None:
+            said["up"] = axis_name(options.up)
+        show_table([("file", str(options.file)), *said.items()])
 
 
-def _file_facts(path: Path) -> dict[str, object]:
+def _file_facts(path: Path, up: Up) -> dict[str, object]:
     """Facts about a splat file, which has no parts; Gaussians that are not valid are described and left out."""
     from mi_splat.io.reading import load_arrays
 
@@ -57,10 +67,10 @@ def _file_facts(path: Path) -> dict[str, object]:
         warnings.simplefilter("always", SplatFileWarning)
         splat = load_arrays(path, on_invalid="drop")
     dropped = [str(item.message) for item in caught if issubclass(item.category, SplatFileWarning)]
-    return {"parts": None, **splat_facts(splat), "invalid": " ".join(dropped) or None}
+    return {"parts": None, **splat_facts(splat, up), "invalid": " ".join(dropped) or None}
 
 
-def _scene_file_facts(path: Path) -> dict[str, object]:
+def _scene_file_facts(path: Path, up: Up) -> dict[str, object]:
     """Facts about a scene XML: its parts, its cameras, and all its Gaussians together."""
     import_at_once("torch")
     from mi_splat.scene_files import read_scene
@@ -70,17 +80,17 @@ def _scene_file_facts(path: Path) -> dict[str, object]:
     cameras = {name: f"{camera.width} x {camera.height}" for name, camera in loaded.cameras.items()}
     splat: Arrays = {name: value.numpy() for name, value in zip(ATTRIBUTES, loaded.scene.tensors(), strict=True)}
     boxes = {name: _bounds(splat["means"][rows]) for name, rows in loaded.objects.items() if parts[name]}
-    return {"parts": parts, "part_bounds": boxes, "cameras": cameras, **splat_facts(splat)}
+    return {"parts": parts, "part_bounds": boxes, "cameras": cameras, **splat_facts(splat, up)}
 
 
-def splat_facts(splat: Arrays) -> dict[str, object]:
+def splat_facts(splat: Arrays, up: Up = None) -> dict[str, object]:
     """Numbers that describe a splat, as JSON can hold them; bounds and scales in world units.
 
     Of a captured scene `bounds` are those of the farthest floaters; `box`, of the middle 98 % along each axis, tells
     where the scene is, and `middle`, the median, where most of it is: often the object. Half of the Gaussians are
     within `reach` of it. `colour` is the mean colour of the Gaussians (1 is white) in the directions in which it is
     least and most, and the largest of any Gaussian in any direction: where these are far apart, the splat was not made
-    of what cameras saw alone.
+    of what cameras saw alone. `height` is where the middle 98 % are along `up`, if that is given.
     """
     from mi_splat.sh import degree_of
 
@@ -89,6 +99,9 @@ def splat_facts(splat: Arrays) -> dict[str, object]:
     if len(means):
         facts["bounds"] = _bounds(means)
         facts["box"] = _bounds(means, outside=0.01)
+        if up is not None:
+            (lowest,), (highest,) = _bounds(means @ _unit(up), outside=0.01)
+            facts |= {"up": list(up), "height": [lowest, highest]}
         middle = _median(means)
         facts["middle"] = middle.tolist()
         facts["reach"] = float(_median(_lengths(means - middle)))
@@ -116,8 +129,18 @@ def _lengths(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.sqrt(squares)
 
 
+def _unit(direction: tuple[float, float, float]) -> NDArray[np.float32]:
+    """(3, 1) the direction, of length one."""
+    import numpy as np
+
+    length = math.hypot(*direction)
+    if not (math.isfinite(length) and length > 0):
+        raise InvalidValueError(message("--up", "a direction", direction, "for instance -y"))
+    return np.array(direction, np.float32)[:, None] / np.float32(length)
+
+
 def _bounds(means: NDArray[np.float32], *, outside: float = 0.0) -> list[list[float]]:
-    """Lower and upper corner of the box around the means, without so large a share at either end of each axis."""
+    """Lower and upper corner of the box around points, without so large a share at either end of each axis."""
     import numpy as np
 
     ordered = np.sort(means, axis=0)

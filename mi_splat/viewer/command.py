@@ -82,12 +82,17 @@ def _orbit_words(orbit: Orbit, centre: Point | None, up: Point) -> list[str]:
     if orbit.roll:
         words += _option("camera-roll", orbit.roll)
     if tuple(up) != UP:
-        words += _option("up", *up)
+        words += up_words(up)
         turn = from_z(torch.tensor(list(up)))
         words += _option("centre", *(turn @ torch.tensor(list(orbit.target), dtype=torch.float64)).tolist())
     elif centre is None or tuple(orbit.target) != tuple(centre):
         words += _option("centre", *orbit.target)
     return words
+
+
+def up_words(up: Point) -> list[str]:
+    """The flag by which a command knows what is up; none where that is z."""
+    return [] if tuple(up) == UP else [*_option("up", *up)]
 
 
 def _option(name: str, *values: float) -> Sequence[str]:

@@ -123,6 +123,9 @@ def test_a_thin_sign_is_an_object_and_not_the_ground_of_its_pole() -> None:
     for item in objects:
         assert item.up is not None
         assert frame.direction(item.up).tolist() == pytest.approx([0, 0, 1], abs=0.02)
+    for item in targets(frame.scene, frame.own((0.0, -3.0, 0.0))):
+        assert item.up is not None
+        assert frame.direction(item.up).tolist() == pytest.approx([0, -1, 0], abs=1e-6)
 
 
 def test_a_look_is_common_to_faces_that_look_different_ways_and_gloss_is_not() -> None:
@@ -288,13 +291,16 @@ def test_the_command_writes_what_it_found(
     save_splat(from_above.scene, tmp_path / "bad.ply")
     save_splat(suitcase.scene.replace(opacities=torch.full((len(suitcase.scene),), 0.02)), tmp_path / "clear.ply")
     out = tmp_path / "out"
-    assert cli.main(["audit", str(tmp_path / "bad.ply"), "--out", str(out)]) == 3
+    assert cli.main(["audit", str(tmp_path / "bad.ply"), "--out", str(out), "--up", "z"]) == 3
     text = capsys.readouterr().out
     assert "bad.ply: hidden look: an object has other colours within" in text
     assert ", from above" in text
     record = json.loads((out / "result.json").read_text())
     assert record["story"] == "audit"
     assert record["verdict"] == "hidden look"
+    assert "up is z" in text
+    assert record["up"] == [0, 0, 1]
+    assert record["objects"][0]["up"] == pytest.approx([0, 0, 1], abs=1e-6)
     assert record["summary"][0].startswith("hidden look")
     assert {camera["name"] for camera in record["cameras"]} == {"inside", "outside"}
     with Image.open(out / "pair.png") as picture:

@@ -213,8 +213,16 @@ def test_info_describes_a_splat(splat: Path, capsys: pytest.CaptureFixture[str])
     assert facts["parts"] is None
     assert facts["colour"]["least mean"] < facts["colour"]["most mean"] < facts["colour"]["largest"]
     assert len(facts["hash"]) == 64
-    assert cli.main(["info", str(splat)]) == 0
-    assert "gaussians  200" in capsys.readouterr().out
+    assert "up" not in facts
+    assert cli.main(["info", str(splat), "--up", "0", "0", "-2", "--json"]) == 0
+    turned = json.loads(capsys.readouterr().out)
+    assert turned["height"] == pytest.approx([-facts["box"][1][2], -facts["box"][0][2]])
+    assert turned["up"] == [0.0, 0.0, -2.0]
+    assert cli.main(["info", str(splat), "--up", "-y"]) == 0
+    said = capsys.readouterr().out
+    assert "gaussians  200" in said
+    assert "up         -y" in said
+    assert cli.main(["info", str(splat), "--up", "0", "0", "0"]) == 1
 
 
 def test_info_counts_invalid_rows(splat: Path, capsys: pytest.CaptureFixture[str]) -> None:

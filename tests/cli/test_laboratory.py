@@ -85,6 +85,7 @@ def test_a_judgement_is_from_all_around_by_what_the_attack_wanted(exhibit: Exhib
     assert (options.view.cameras, options.view.distance, options.view.centre) == (("hemisphere:9",), 4.25, None)
     assert len(find_cameras(open_scene(options.clean), options.view)) == 9
     assert read_back(request(AUDIT, exhibit)).files == (exhibit.splats[0].path,)
+    assert read_back(request(AUDIT, exhibit.turned((0.0, -1.0, 0.0)))).up == (0.0, -1.0, 0.0)
 
 
 def test_no_object_and_no_other_detector(exhibit: Exhibit) -> None:

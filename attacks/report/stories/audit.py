@@ -69,7 +69,9 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         ),
         warnings=tuple(_doubts(record)),
         pictures=tuple(_pictures(folder, record)),
-        charts=tuple(chart for place in enumerate(objects, 1) for chart in _domes(*place, len(objects), least)),
+        charts=tuple(
+            chart for place in enumerate(objects, 1) for chart in _domes(*place, len(objects), least, record.get("up"))
+        ),
         tables=(
             _scores(looks),
             Table.of(
@@ -227,11 +229,17 @@ def _pictures(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
         )
 
 
-def _domes(number: int, item: Mapping[str, Any], objects: int, least: float) -> Iterator[Chart]:
+def _domes(number: int, item: Mapping[str, Any], objects: int, least: float, said: Vector | None) -> Iterator[Chart]:
     """Which cameras see which look, and which are covered, on the dome of directions above an object's ground."""
-    up = item["up"] or (0.0, 0.0, 1.0)
+    up = item["up"] or said or (0.0, 0.0, 1.0)
     of = "" if objects == 1 else f" of object {number}"
-    where = "straight above the ground of the object" if item["up"] else "the z axis of the file"
+    where = (
+        "straight above the ground of the object"
+        if item["up"]
+        else "up, as it was said"
+        if said
+        else "the z axis of the file"
+    )
     seen = item["seen_from"]
 
     def chart(title: str, groups: Mapping[str, tuple[Role, Sequence[Any]]]) -> Chart:
