@@ -91,6 +91,10 @@ def _work(study: Study) -> Work:
         from attacks.studies.audit import AuditWork
 
         return AuditWork(study)
+    if study.kind == "poison":
+        from attacks.studies.poison import PoisonWork
+
+        return PoisonWork(study)
     from attacks.studies.dagger import DaggerWork
 
     return DaggerWork(study)

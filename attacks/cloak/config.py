@@ -189,7 +189,7 @@ class SceneConfig:
         seed: Which asset of that name.
         colour: sRGB of its paint; None is that of its seed, whose shape stays. Of what is painted alone
             (`mi_splat.assets.PAINTED`).
-        ground: Texture of the ground.
+        ground: Texture of the ground; "nothing" is an object in the air.
         ground_size: Side of the ground, metres.
         sun_azimuth: Degrees from +x towards +y.
         sun_elevation: Degrees.
@@ -204,7 +204,7 @@ class SceneConfig:
     label: str | None = None
     seed: Seed = 900004
     colour: Annotated[tuple[float, float, float], between(0, 1, "sRGB", "white is 1, 1, 1")] | None = None
-    ground: Literal["road", "grass"] = "road"
+    ground: Literal["road", "grass", "asphalt", "nothing"] = "road"
     ground_size: Annotated[float, above(0, "metres")] = 16.0
     sun_azimuth: Annotated[float, between(-360, 360, "degrees")] = -50.0
     sun_elevation: Annotated[float, between(-90, 90, "degrees")] = 52.0
@@ -280,7 +280,7 @@ class TrainingConfig:
     Attributes:
         iterations: Steps.
         strategy: As in `mi-splat train`.
-        max_gaussians: Largest number of Gaussians.
+        max_gaussians: Largest number of Gaussians; None sets no limit.
         sh_degree: SH degree.
         sh_degree_interval: Steps between two raises of the degree that is trained; 0 trains all of it from the start.
         outliers: Points in the air that the cloud has besides those on surfaces; see
@@ -292,7 +292,7 @@ class TrainingConfig:
 
     iterations: Steps = _PUBLISHED.iterations
     strategy: str = "classic"
-    max_gaussians: Annotated[int, at_least(1)] = 40_000
+    max_gaussians: Annotated[int, at_least(1)] | None = 40_000
     sh_degree: Degree = _PUBLISHED.sh_degree
     sh_degree_interval: Annotated[int, at_least(0, "steps")] = _PUBLISHED.sh_degree_interval
     outliers: Count = 0

@@ -70,7 +70,11 @@ class Setup:
         scene = self.study.scene
         return MeshScene(
             target=self.target,
-            surroundings=square_of_ground(scene.ground, side=scene.ground_size, tile=TILE),
+            surroundings=(
+                Asset("nothing", ())
+                if scene.ground == "nothing"
+                else square_of_ground(scene.ground, side=scene.ground_size, tile=TILE)
+            ),
             light=Light(sun_azimuth=scene.sun_azimuth, sun_elevation=scene.sun_elevation),
             samples=self.study.cameras.samples,
             background=scene.background,

@@ -425,7 +425,7 @@ class StudySteps:
 
     def _parts(self, *attacks: AttackConfig, **parts: Any) -> dict[str, Any]:
         """Scene, cameras, and the parts of the study that a job depends on besides; all else is as by default."""
-        values = {"scene": self._scene, "cameras": self.study.cameras, "attack": attacks or _NONE, **parts}
+        values = {"scene": self._scene, "cameras": self.study.cameras, "attack": attacks or NO_ATTACK, **parts}
         return {"asked": StudyConfig(name="step", **values), "content": self.setup.digest}
 
     def _step(self, *attacks: AttackConfig, **parts: Any) -> StepConfig:
@@ -434,7 +434,7 @@ class StudySteps:
     def _trained(self, study: StudyConfig, pictures: Job, seed: int) -> Job:
         """A training, which knows nothing of the scene but its pictures."""
         scene, training = SceneConfig(background=study.scene.background), replace(study.training, near=self.setup.near)
-        asked = StudyConfig(name="step", scene=scene, training=training, seeds=(seed,), attack=_NONE)
+        asked = StudyConfig(name="step", scene=scene, training=training, seeds=(seed,), attack=NO_ATTACK)
         inputs = {"pictures": pictures.part(_PICTURES)}
         return Job(kind=f"{_KINDS}.trained", config=StepConfig(asked=asked), inputs=inputs)
 
@@ -444,7 +444,7 @@ class StudySteps:
         return Job(kind=f"{_KINDS}.{kind}", config=config, inputs={**inputs, **mesh})
 
 
-_NONE = (AttackConfig(name="none", elevation=(1.0, 90.0)),)
+NO_ATTACK = (AttackConfig(name="none", elevation=(1.0, 90.0)),)
 """The attacks of a job in which none has a part."""
 
 

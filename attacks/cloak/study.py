@@ -175,6 +175,7 @@ def _cameras(setup: Setup) -> dict[str, Any]:
 
 # Measured on two cores with little else to do; only for the forecast.
 _PATH, _STEP, _PIXEL, _GAUSSIAN = 6e-8, 8e-3, 2.5e-7, 4e-7  # seconds
+_UNLIMITED = 250_000  # Gaussians of a splat without a limit
 _PNG, _ROW = 2.5, 1200  # bytes a pixel, and a Gaussian in a splat and its checkpoint
 
 
@@ -212,12 +213,13 @@ def forecast(study: StudyConfig) -> Forecast:
     pictures = cameras.train + sets * poisoned + evaluation.reference_views * 2 + 2 * arcs
     pictures += evaluation.cameras if evaluation.true_pictures else 0
     trainings = 2 * len(study.seeds)
-    step = _STEP + cameras.size**2 * _PIXEL + training.max_gaussians * _GAUSSIAN
+    most = training.max_gaussians or _UNLIMITED
+    step = _STEP + cameras.size**2 * _PIXEL + most * _GAUSSIAN
     steps, surrogate = trainings * training.iterations, study.surrogate
     if surrogate is not None:
         trainings, steps = trainings + surrogate.rounds, steps + surrogate.rounds * surrogate.iterations
     seconds = pictures * cameras.size**2 * cameras.samples * _PATH + steps * step
-    size = (pictures + sets * cameras.train) * cameras.size**2 * _PNG + trainings * training.max_gaussians * _ROW
+    size = (pictures + sets * cameras.train) * cameras.size**2 * _PNG + trainings * most * _ROW
     return Forecast(pictures=pictures, trainings=trainings, minutes=1 + seconds / 60, megabytes=size / 1e6)
 
 
@@ -251,7 +253,7 @@ def check_study(study: StudyConfig, detectors: Sequence[Detector]) -> None:
         assign(setup.training_cameras, setup.poisonings(seed=seed), centre=study.centre)
     _ = setup.held_out_cameras
     points, most = study.cameras.points + study.training.outliers, study.training.max_gaussians
-    if fit_config(study.training).strategy.adds_gaussians and points > most:
+    if most is not None and fit_config(study.training).strategy.adds_gaussians and points > most:
         expected = f"at least {points:,}, for cameras.points and training.outliers"
         raise InvalidValueError(message("training.max_gaussians", expected, f"{most:,}", "raise it, or ask for fewer"))
     wide = [attack for attack in study.attack if attack.poison_margin > 0]

@@ -19,6 +19,7 @@ from attacks.report.stories import (
     audit_study,
     cloak,
     evaluation,
+    poison_study,
     poisoned,
     renderers,
     sanity,
@@ -28,6 +29,7 @@ from attacks.report.stories import (
 )
 from attacks.report.stories.detectors import held_out, pictures
 from attacks.report.wording import sentence, versions_of
+from attacks.studies.poison import figures as poison_figures
 from attacks.studies.result import figures as study_figures
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.folders import RECORD
@@ -65,6 +67,7 @@ STORIES = (
     Story(name="cloak-study", read=variations.read, figures=variations.figures),
     Story(name="audit", read=audit.read),
     Story(name="audit-study", read=audit_study.read),
+    Story(name="poison-study", read=poison_study.read, figures=poison_figures),
     Story(name="evaluate", read=evaluation.read, figures=evaluation.figures),
     Story(name="compare", read=renderers.read),
     Story(name="detect", read=pictures.read),

@@ -45,6 +45,7 @@ KINDS: dict[str, str] = {
     "dagger-eot": "attacks.studies.dagger",
     "cloak": "attacks.studies.cloak",
     "audit": "attacks.studies.audit",
+    "poison": "attacks.studies.poison",
 }
 """Kinds of studies, and the modules that know their settings and jobs."""
 

@@ -114,7 +114,7 @@ def source_of(target: Asset, surroundings: Asset, light: Light, *, centre: tuple
 
     Args:
         target: The object, placed in the world.
-        surroundings: Everything else.
+        surroundings: Everything else; it may have no meshes.
         light: Sun and sky.
         centre: Point that cameras look at, metres.
     """
@@ -122,7 +122,7 @@ def source_of(target: Asset, surroundings: Asset, light: Light, *, centre: tuple
         scene=scene_dict([target], light=light, backdrop=surroundings),
         centre=centre,
         radius=_extent(target)[1],
-        assets=(target, surroundings),
+        assets=(target, surroundings) if surroundings.meshes else (target,),
         digest=digest_of((target, surroundings), light),
     )
 

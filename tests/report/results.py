@@ -18,8 +18,10 @@ from attacks.dagger.report import write_report
 from attacks.dagger.sanity.checks import Finding, write_findings
 from attacks.dagger.sanity.runs import Runs
 from attacks.objectives import relabel
+from attacks.observe.rows import frame_of, write_rows
 from attacks.rate import Rate
 from attacks.studies.audit import figures as audit_figures
+from attacks.studies.poison import figures as poison_figures
 from mi_splat import provenance
 from mi_splat.audit.files import write as write_files
 from mi_splat.io import save_splat
@@ -190,6 +192,24 @@ def write_audit_study(folder: Path) -> Path:
     return folder
 
 
+def write_poison_study(folder: Path) -> Path:
+    """A study of poisoned pictures: a clean and a poisoned splat of two seeds, and one that ended early."""
+    folder.mkdir()
+    victims, rows = list[dict[str, Any]](), list[dict[str, Any]]()
+    for seed, splat, many in ((0, "clean", 100), (0, "attacked", 300), (1, "clean", 110), (1, "attacked", 250)):
+        named = {"seed": seed, "splat": splat}
+        cost = {"gaussians": many, "steps": 9, "stopped": "after 9 steps" * (many == 250), "seconds": many / 10}
+        speed = {"cpu_seconds": many / 20, "peak_megabytes": 500.0, "milliseconds": 2.0, "device": "cpu"}
+        victims.append({"part": "by eps", "value": "16", **named, "defended": False, **cost, **speed})
+        rows += [{"attack": "by eps: 16", **named, "view": view, "psnr": 30.0 + view, "ssim": 0.9} for view in (0, 1)]
+    table = frame_of([{**row, "condition": None} for row in rows])
+    record = {"story": "poison-study", "study": "poison", "name": "toy", "question": "", "victims": victims}
+    write_rows(table, folder / "rows.csv.gz")
+    save_json({**record, **poison_figures(record, {"rows": table}), **provenance.origin()}, folder / "result.json")
+    write_manifest(folder)
+    return folder
+
+
 def write_training(folder: Path) -> Path:
     """A training of two looks at pictures that were held out."""
     folder.mkdir()
@@ -216,6 +236,7 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "dagger-sanity": write_sanity,
     "audit": write_audit,
     "audit-study": write_audit_study,
+    "poison-study": write_poison_study,
     "evaluate": write_evaluation,
     "compare": write_comparison,
     "detect": write_detections,

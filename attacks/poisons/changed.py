@@ -1,0 +1,65 @@
+"""A kind of job: the set that a poison makes of another, with its manifest and a sheet of some changed pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from attacks.cloak.config import fit_config
+from attacks.cloak.kinds.parts import SET, StepConfig
+from attacks.poisons.base import MANIFEST, Poisoned, write_poisoned
+from attacks.poisons.registry import PoisonConfig, poison_of
+from mi_splat.datasets import load_dataset
+from mi_splat.io import load_splat
+from mi_splat.io.documents import save_json, save_png
+from mi_splat.io.images import quantise, to_bytes
+
+if TYPE_CHECKING:
+    from mi_splat.ledger import Out
+
+SHEET = "poisoned.png"
+_SHOWN, _TIMES = 5, 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChangedConfig(StepConfig):
+    """Which poison.
+
+    Attributes:
+        poison: Its kind and settings.
+        device: Where it is made, "cpu" or "cuda".
+    """
+
+    poison: PoisonConfig
+    device: str = "cpu"
+
+
+def run(config: ChangedConfig, inputs: Mapping[str, Path], out: Out) -> None:
+    """Poison the `pictures`; the decoy of Poison-splat starts as the `splat`."""
+    study, background = config.asked, config.asked.scene.background
+    views = load_dataset(inputs["pictures"] / SET, split="train", background=background)
+    start, near = load_splat(inputs["splat"]).to(config.device), study.training.near
+    assert near is not None
+    poison = poison_of(config.poison, start=start, near=near, background=background, victim=fit_config(study.training))
+    done = poison(views, seed=study.seeds[0], on_step=partial(out.progress, "poisoning"))
+    write_poisoned(out / SET, views, done)
+    save_json(done.manifest, out / MANIFEST)
+    save_png(difference_sheet(done), out / SHEET)
+
+
+def difference_sheet(done: Poisoned) -> NDArray[np.uint8]:
+    """(H, W, 3) sheet of some pictures: as they were, as they are now, and ten times the difference on grey."""
+    changes = [change.index for change in done.changes if change.pixels_changed] or [0]
+    chosen = sorted({changes[i] for i in np.linspace(0, len(changes) - 1, _SHOWN).round().astype(int)})
+    columns = []
+    for index in chosen:
+        before, after = (quantise(views[index].image) for views in (done.views.untouched, done.views))
+        columns.append(torch.cat([before, after, (0.5 + _TIMES * (after - before)).clamp(0, 1)]))
+    return to_bytes(torch.cat(columns, 1))

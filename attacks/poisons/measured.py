@@ -1,0 +1,84 @@
+"""A kind of job: a splat is compared with true pictures from cameras of no training, and its pictures are timed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from attacks.cloak.kinds.parts import Pose, StepConfig
+from attacks.cloak.kinds.rendering import settings_of
+from attacks.cloak.kinds.true_pictures import read_pictures
+from mi_splat.cameras import Camera, project_points
+from mi_splat.io import load_splat
+from mi_splat.io.documents import save_json, save_png
+from mi_splat.io.images import through_png, to_bytes
+from mi_splat.metrics import psnr, ssim
+from mi_splat.rendering import Renderer
+from mi_splat.scene import GaussianScene
+from mi_splat.sh import dc_to_colour
+
+if TYPE_CHECKING:
+    from mi_splat.ledger import Out
+
+COUNT, SPEED, CENTRES = "count.json", "speed.json", "centres.png"
+VARIES = (SPEED,)
+_WARM = 2
+_SIZE = 384
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasuredConfig(StepConfig):
+    """From where, and what renders.
+
+    Attributes:
+        poses: The cameras of the true pictures.
+        device: "cpu" or "cuda".
+    """
+
+    poses: tuple[Pose, ...]
+    device: str = "cpu"
+
+
+def run(config: MeasuredConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
+    """A row for each camera of how true the `splat` is to the `pictures`; how long one takes; where its Gaussians are.
+
+    The time is CPU time of one thread's worth of work, and on a GPU the wall time of a picture that was waited for.
+    """
+    cuda = config.device == "cuda"
+    scene = load_splat(inputs["splat"]).to(config.device)
+    settings = settings_of(config.asked)
+    render = Renderer(replace(settings, variant="cuda_ad_rgb") if cuda else settings)
+    cameras, true = [pose.camera for pose in config.poses], read_pictures(inputs["pictures"]).images
+    clock, spent, rows = time.perf_counter if cuda else time.process_time, list[float](), list[dict[str, Any]]()
+    for view, (camera, wanted) in enumerate(zip(cameras, true, strict=True)):
+        begun = clock()
+        with torch.no_grad():
+            picture = render(scene, camera).cpu()  # waits for a GPU
+        spent.append(clock() - begun)
+        picture = through_png(picture)
+        rows.append({"view": view, "psnr": float(psnr(picture, wanted)), "ssim": float(ssim(picture, wanted))})
+        out.progress("measuring", view + 1, len(cameras))
+    milliseconds = 1000 * float(np.median(spent[_WARM:] or spent))
+    save_json({"milliseconds": round(milliseconds, 3), "device": config.device}, out / SPEED)
+    save_json({"gaussians": len(scene)}, out / COUNT)
+    save_png(centres(scene.to("cpu"), cameras[len(cameras) // 3]), out / CENTRES)
+    return rows
+
+
+def centres(scene: GaussianScene, camera: Camera) -> NDArray[np.uint8]:
+    """(S, S, 3) picture of where the Gaussians of a splat are: a dot for each in its own colour, on black."""
+    pixels, depth = project_points(scene.means, camera)
+    scale = _SIZE / camera.width
+    columns, rows = (pixels * scale).floor().long().unbind(1)
+    height = round(camera.height * scale)
+    keep = (depth > 0) & (columns >= 0) & (columns < _SIZE) & (rows >= 0) & (rows < height)
+    picture = torch.zeros(height, _SIZE, 3)
+    picture[rows[keep], columns[keep]] = dc_to_colour(scene.sh[keep, 0]).clamp(0.15, 1).float()
+    return to_bytes(picture)

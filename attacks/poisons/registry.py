@@ -1,0 +1,84 @@
+"""Poisons by their names, for studies and commands: settings from a table, and the poison of settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from attacks.cloak.config import AttackConfig
+from attacks.poisons.config import PoisonSplatConfig, RaisedVariationConfig, UniformNoiseConfig
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import check_choice, decode
+
+if TYPE_CHECKING:
+    from attacks.poisons.base import PicturePoison
+    from mi_splat.scene import GaussianScene
+    from mi_splat.training.config import FitConfig
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CloakConfig:
+    """CLOAK of a study's own scene.
+
+    Attributes:
+        attack: The hidden appearances; no camera may belong to two.
+    """
+
+    attack: tuple[AttackConfig, ...]
+
+
+PoisonConfig = PoisonSplatConfig | UniformNoiseConfig | RaisedVariationConfig | CloakConfig
+
+POISONS: dict[str, type[PoisonConfig]] = {
+    "poison-splat": PoisonSplatConfig,
+    "uniform-noise": UniformNoiseConfig,
+    "raised-variation": RaisedVariationConfig,
+    "cloak": CloakConfig,
+}
+"""Settings of each kind of poison."""
+
+
+def poison_config(table: Mapping[str, Any], where: str) -> PoisonConfig:
+    """The settings of a poison.
+
+    Args:
+        table: With its `kind`.
+        where: Name of the table, for errors.
+
+    Raises:
+        InvalidValueError: There is no such kind, or a setting is unknown or cannot be.
+    """
+    if not isinstance(table, Mapping):
+        raise InvalidValueError(message(where, "a table", repr(table), 'write { kind = "poison-splat" }'))
+    check_choice(f"kind of {where}", table.get("kind"), tuple(POISONS))
+    return decode(POISONS[table["kind"]], {key: value for key, value in table.items() if key != "kind"}, where)
+
+
+def poison_of(
+    config: PoisonConfig,
+    *,
+    start: GaussianScene,
+    near: float,
+    background: tuple[float, float, float],
+    victim: FitConfig,
+) -> PicturePoison:
+    """The poison of settings, CLOAK's apart, which needs the meshes.
+
+    Args:
+        config: The settings.
+        start: Splat of the clean pictures.
+        near: Near plane of the victim's renderer, world units.
+        background: sRGB behind the splat.
+        victim: How the victim trains.
+    """
+    from attacks.poisons.poison_splat import PoisonSplat, RaisedVariation, UniformNoise
+
+    match config:
+        case UniformNoiseConfig():
+            return UniformNoise(config=config)
+        case RaisedVariationConfig():
+            return RaisedVariation(config=config)
+        case PoisonSplatConfig():
+            return PoisonSplat(config=config, start=start, near=near, background=background, victim=victim)
+    raise InvalidValueError(message("poison", "one of pictures alone", type(config).__name__, "run it as a study"))

@@ -1,0 +1,453 @@
+"""Studies of attacks on training pictures: what a victim pays, sees, and can do about it.
+
+Every point takes pictures of a scene, poisons them, and trains a victim on both sets: the clean one is the control.
+With a defence both are trained once more: what a defence costs on clean pictures may be more than it saves.
+
+    study = "poison"
+    cameras = { size = 128 }
+    training = { iterations = 30000, max_gaussians = "none" }
+    poison = { kind = "poison-splat", steps = 12000 }
+
+    [matrix]
+    seed = [0, 1, 2]
+    "poison.eps" = [8, 16, 24]
+
+    [[case]]
+    name = "blur"
+    defence = { filter = "blur" }
+
+What is not the scene's, the cameras' or the training's stands in `PoisonPoint`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import shutil
+import statistics
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import polars as pl
+from scipy.special import stdtrit
+
+from attacks.cloak.config import CameraConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig
+from attacks.cloak.kinds.parts import SET, Pose
+from attacks.cloak.steps import NO_ATTACK, StudySteps
+from attacks.observe.rows import ATTACKED, CLEAN, ROWS, SUFFIX, by_camera, frame_of, write_rows
+from attacks.poisons.changed import SHEET, ChangedConfig
+from attacks.poisons.config import FilterConfig, FrequencyPruningConfig
+from attacks.poisons.filtered import FilteredConfig
+from attacks.poisons.measured import CENTRES, COUNT, SPEED, MeasuredConfig
+from attacks.poisons.pruned import PrunedConfig
+from attacks.poisons.registry import CloakConfig, PoisonConfig, poison_config
+from attacks.poisons.victim import COST, VictimConfig
+from attacks.studies.plan import Work
+from attacks.studies.study_file import Point, Settings, Study, with_none
+from attacks.tables import Column, Table, sections
+from mi_splat import provenance
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.fields import Checked, Seed, above, check, decode
+from mi_splat.io.documents import save_json, save_text
+from mi_splat.io.folders import RECORD
+from mi_splat.io.parsing import read_json
+from mi_splat.ledger import Done, Job
+from mi_splat.ledger.plans import Result
+from mi_splat.training.resume import SPLAT
+
+STORY, STUDY_FILE, TABLE, PICTURES = "poison-study", "study.toml", "table.md", "pictures"
+_KINDS = "attacks.poisons"
+_SEED = "seed"
+DEFENDED = "defended"
+"""Condition of rows of a splat whose victim defends itself."""
+_OWN_NAME = "the study"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Victim(Checked):
+    """What the victim trains on, and can afford; see `attacks.poisons.victim.VictimConfig`."""
+
+    device: Literal["cpu", "cuda"] = "cpu"
+    seconds: Annotated[float, above(0, "seconds")] | None = None
+    megabytes: Annotated[float, above(0, "MB")] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Defence(Checked):
+    """What a victim does who fears poison; one of these.
+
+    Attributes:
+        filter: All pictures are filtered before the training, and those that it is compared with are not.
+        limit: No more Gaussians than so many times those of the clean splat.
+        prune: Gaussians that are too fine for the cameras are taken out of the finished splat.
+    """
+
+    filter: FilterConfig | None = None
+    limit: Annotated[float, above(0, "times the clean splat's Gaussians")] | None = None
+    prune: FrequencyPruningConfig | None = None
+
+    def __post_init__(self) -> None:
+        check(self)
+        given = [name for name in ("filter", "limit", "prune") if getattr(self, name) is not None]
+        if len(given) != 1:
+            do = "make each a case of its own"
+            raise InvalidValueError(message("defence", "one of filter, limit and prune", given or "none", do))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoisonPoint:
+    """What a point asks for.
+
+    Attributes:
+        seed: Of the poison, and of both trainings.
+        scene: What is photographed.
+        cameras: Where from.
+        training: How the victim trains.
+        attacker: How the splat is trained that the attacker starts from; None is as the victim does.
+        victim: What it trains on, and can afford.
+        evaluation: Its `cameras` are those that no training used.
+        poison: The attack; None leaves the set as it is.
+        defence: What the victim does against it; None is nothing.
+    """
+
+    seed: Seed = 0
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    cameras: CameraConfig = field(default_factory=CameraConfig)
+    training: TrainingConfig = field(default_factory=TrainingConfig)
+    attacker: TrainingConfig | None = None
+    victim: Victim = field(default_factory=Victim)
+    evaluation: EvaluationConfig = field(default_factory=lambda: EvaluationConfig(cameras=60))
+    poison: PoisonConfig | None = None
+    defence: Defence | None = None
+
+    def study(self, training: TrainingConfig) -> StudyConfig:
+        """Scene, cameras and a training, in which no look is hidden."""
+        return StudyConfig(
+            name="poison",
+            seeds=(self.seed,),
+            scene=self.scene,
+            cameras=self.cameras,
+            training=training,
+            evaluation=self.evaluation,
+            attack=NO_ATTACK,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrainedVictim:
+    """A splat of a point, and who measures it.
+
+    Attributes:
+        splat: "clean" or "attacked".
+        defended: Whether the victim defends itself.
+        trained: The training.
+        measured: What looks at the result.
+    """
+
+    splat: str
+    defended: bool
+    trained: Job
+    measured: Job
+
+
+class Attempt:
+    """A point as jobs.
+
+    Args:
+        point: The point.
+        name: Of the study.
+    """
+
+    def __init__(self, point: Point, name: str) -> None:
+        labels = {axis: label for axis, label in point.labels.items() if axis != _SEED}
+        self.value = ", ".join(map(str, labels.values())) or point.part or _OWN_NAME
+        self.part = point.part or " and ".join(labels) or name
+        self.asked = point_of(point.settings, name)
+        self._steps = StudySteps(study=self.asked.study(self.asked.training), folder=Path("."))
+        self._labelled: dict[str, Job] = {}
+        self.poisoned: Job | None = None
+        self.pictures = self._made("taking pictures", self._steps.pictures())
+        self.victims = list(self._victims())
+
+    @property
+    def title(self) -> str:
+        """What rows call it, whatever its seed."""
+        return f"{self.part}: {self.value}"
+
+    def jobs(self) -> dict[str, Job]:
+        """Every job by its label."""
+        return self._labelled
+
+    def _made(self, label: str, job: Job) -> Job:
+        return self._labelled.setdefault(f"{self.title}, seed {self.asked.seed} / {label}", job)
+
+    def _victims(self) -> Iterator[TrainedVictim]:
+        asked = self.asked
+        clean = self._trained(f"{CLEAN} pictures", self.pictures)
+        yield self._measured(CLEAN, clean, trained=clean)
+        sets = {CLEAN: self.pictures}
+        if asked.poison is not None:
+            sets[ATTACKED] = self.poisoned = self._made("poisoning", self._changed(asked.poison, clean))
+            attacked = self._trained(f"{ATTACKED} pictures", self.poisoned)
+            yield self._measured(ATTACKED, attacked, trained=attacked)
+        if asked.defence is not None:
+            for splat, pictures in sets.items():
+                trained, finished = self._defended(asked.defence, splat, pictures, clean)
+                yield self._measured(splat, finished, trained=trained, defended=True)
+
+    def _changed(self, poison: PoisonConfig, clean: Job) -> Job:
+        """The poisoned set; an attacker who trains otherwise than the victim starts from a splat of their own."""
+        asked, study = self.asked, self._steps.study
+        if isinstance(poison, CloakConfig):
+            return replace(self._steps, study=replace(study, attack=poison.attack)).poisoned(asked.seed)
+        start = (
+            clean
+            if asked.attacker is None
+            else self._trained("clean pictures, by the attacker", self.pictures, asked.attacker)
+        )
+        step = self._step(asked.attacker or asked.training)
+        config = ChangedConfig(**step, poison=poison, device=asked.victim.device)
+        inputs = {"pictures": self.pictures.part(f"{SET}/*"), "splat": start.part(SPLAT)}
+        return Job(kind=f"{_KINDS}.changed", config=config, inputs=inputs)
+
+    def _step(self, training: TrainingConfig) -> dict[str, Any]:
+        """The part of a configuration that a training, or what renders its splat, depends on."""
+        scene, training = SceneConfig(background=self.asked.scene.background), replace(training, near=self._near)
+        seeds, attack = (self.asked.seed,), NO_ATTACK
+        return {"asked": StudyConfig(name="step", scene=scene, training=training, seeds=seeds, attack=attack)}
+
+    @cached_property
+    def _near(self) -> float:
+        return self._steps.setup.near
+
+    def _trained(
+        self, on: str, pictures: Job, training: TrainingConfig | None = None, *, limited_by: Job | None = None
+    ) -> Job:
+        asked, step = self.asked, self._step(training or self.asked.training)
+        limit = asked.defence.limit if limited_by is not None and asked.defence is not None else None
+        config = VictimConfig(**step, **asdict(asked.victim), limit=limit)
+        inputs = {"pictures": pictures.part(f"{SET}/*")}
+        if limited_by is not None:
+            inputs["clean"] = limited_by.part(SPLAT)
+        return self._made(f"training on {on}", Job(kind=f"{_KINDS}.victim", config=config, inputs=inputs))
+
+    def _defended(self, defence: Defence, splat: str, pictures: Job, clean: Job) -> tuple[Job, Job]:
+        """The training of a victim that defends itself, and the job that has what is left in the end."""
+        step, inputs = self._step(TrainingConfig()), {"pictures": pictures.part(f"{SET}/*")}
+        if defence.filter is not None:
+            config = FilteredConfig(**step, filter=defence.filter)
+            filtering = Job(kind=f"{_KINDS}.filtered", config=config, inputs=inputs)
+            shown = self._made(f"filtering {splat} pictures", filtering)
+            trained = self._trained(f"filtered {splat} pictures", shown)
+            return trained, trained
+        limited_by, how = (None, "") if defence.limit is None else (clean, ", limited")
+        trained = self._trained(f"{splat} pictures{how}", pictures, limited_by=limited_by)
+        if defence.prune is None:
+            return trained, trained
+        inputs["splat"] = trained.part(SPLAT)
+        pruning = Job(kind=f"{_KINDS}.pruned", config=PrunedConfig(**step, prune=defence.prune), inputs=inputs)
+        return trained, self._made(f"pruning the {splat} splat", pruning)
+
+    def _measured(self, splat: str, finished: Job, *, trained: Job, defended: bool = False) -> TrainedVictim:
+        cameras = self._steps.setup.held_out_cameras
+        true = self._made("taking pictures to compare with", self._steps.true_pictures(cameras))
+        step, poses = self._step(TrainingConfig()), tuple(map(Pose.of, cameras))
+        config = MeasuredConfig(**step, poses=poses, device=self.asked.victim.device)
+        inputs = {"splat": finished.part(SPLAT), "pictures": true.part("*.png")}
+        label = f"measuring the {splat} splat{', defended' * defended}"
+        job = self._made(label, Job(kind=f"{_KINDS}.measured", config=config, inputs=inputs))
+        return TrainedVictim(splat=splat, defended=defended, trained=trained, measured=job)
+
+
+class PoisonWork(Work):
+    """The jobs of a study of attacks on training pictures.
+
+    Raises:
+        MiSplatError: A setting cannot be; before any job is done.
+    """
+
+    def __init__(self, study: Study) -> None:
+        self.study = study
+        if study.judges or any(point.bisected for point in study.points):
+            raise InvalidValueError(message(study.name, "no judge and no bisect", "one", "leave it out"))
+        self.attempts: list[Attempt] = [Attempt(point, study.name) for point in study.points]
+
+    def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
+        """As in `Work`."""
+        labelled = {job.identity: results.get(label) for label, job in self.jobs().items()}
+        done = {identity: result for identity, result in labelled.items() if isinstance(result, Done)}
+        victims, rows, paths = list[dict[str, Any]](), list[dict[str, Any]](), list[Path]()
+        for attempt in self.attempts:
+            for victim in attempt.victims:
+                if {victim.trained.identity, victim.measured.identity} <= done.keys():
+                    told, of_victim = _told(attempt, victim, done)
+                    victims.append(told)
+                    rows += of_victim
+            paths += _pictures(attempt, done, out / PICTURES)
+        table = by_camera(frame_of(rows))
+        named = {"study": self.study.kind, "name": self.study.name, "question": self.study.question}
+        record = {"story": STORY, **named, "victims": victims, **provenance.origin()}
+        record |= figures(record, {ROWS: table})
+        paths.append(write_rows(table, out / f"{ROWS}{SUFFIX}"))
+        save_text(sections(tables(record)), out / TABLE)
+        save_text(self.study.text, out / STUDY_FILE)
+        save_json(record, out / RECORD)
+        return [*paths, *(out / name for name in (TABLE, STUDY_FILE, RECORD))]
+
+
+def point_of(settings: Settings, name: str) -> PoisonPoint:
+    """What a point asks for.
+
+    Args:
+        settings: As the file has them; "none" stands for None.
+        name: Of the study.
+
+    Raises:
+        InvalidValueError: A setting is unknown or cannot be.
+    """
+    values = with_none(settings)
+    table = values.pop("poison", None)
+    poison = None if table is None else poison_config(table, f"{name}, poison")
+    return replace(decode(PoisonPoint, values, name), poison=poison)
+
+
+def _told(
+    attempt: Attempt, victim: TrainedVictim, done: Mapping[str, Done]
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """What is known of a victim, and its rows."""
+    trained, measured = done[victim.trained.identity], done[victim.measured.identity]
+    named = {"part": attempt.part, "value": attempt.value, "seed": attempt.asked.seed, "splat": victim.splat}
+    told = {**named, "defended": victim.defended, **read_json(measured.folder / COUNT)}
+    told |= {**read_json(trained.folder / COST), **read_json(measured.folder / SPEED)}
+    cells = {"attack": attempt.title, "seed": attempt.asked.seed, "splat": victim.splat}
+    cells["condition"] = DEFENDED if victim.defended else None
+    return told, [{**cells, **row} for row in measured.rows]
+
+
+def _pictures(attempt: Attempt, done: Mapping[str, Done], folder: Path) -> list[Path]:
+    """Copy the pictures of a point with seed 0: what was done to the set, and where each splat has its Gaussians."""
+    if attempt.asked.seed != 0:
+        return []
+    shown = {f"{one.splat}{' defended' * one.defended} centres": (one.measured, CENTRES) for one in attempt.victims}
+    if attempt.poisoned is not None:
+        shown["poisoned"] = (attempt.poisoned, SHEET)
+    paths = []
+    for name, (job, file) in shown.items():
+        if job.identity in done and (done[job.identity].folder / file).is_file():  # CLOAK leaves no sheet
+            folder.mkdir(exist_ok=True)
+            to = folder / (re.sub(r"[^0-9A-Za-z.]+", "-", f"{attempt.title} {name}") + ".png")
+            paths.append(Path(shutil.copyfile(done[job.identity].folder / file, to)))
+    return paths
+
+
+Record = Mapping[str, Any]
+
+COSTS = ("gaussians", "cpu_seconds", "seconds", "peak_megabytes", "gpu_megabytes", "milliseconds")
+"""What a victim pays, of which the poisoned one's is divided by the clean one's."""
+
+
+def figures(record: Record, tables: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+    """Every figure of a study: for each value how many times the costs are, and how true its splats are.
+
+    Args:
+        record: result.json; costs are taken from its `victims`.
+        tables: Its tables; PSNR is taken from the rows.
+    """
+    truth = tables[ROWS].with_columns(pl.col("condition").is_not_null().alias("defended"))
+    means = truth.group_by("attack", "seed", "splat", "defended").agg(pl.col("psnr").mean(), pl.col("ssim").mean())
+    quality = {tuple(row[:4]): {"psnr": row[4], "ssim": row[5]} for row in means.iter_rows()}
+    groups: dict[tuple[str, str], dict[tuple[int, str, bool], dict[str, Any]]] = {}
+    for victim in record["victims"]:
+        title = f"{victim['part']}: {victim['value']}"
+        key = (victim["seed"], victim["splat"], victim["defended"])
+        of_value = groups.setdefault((victim["part"], victim["value"]), {})
+        of_value[key] = {**victim, **quality.get((title, *key), {})}
+    return {"values": [_value(part, value, victims) for (part, value), victims in groups.items()]}
+
+
+def _value(part: str, value: str, victims: Mapping[tuple[int, str, bool], Record]) -> dict[str, Any]:
+    """The figures of one value over its seeds, of each splat that it has."""
+    seeds = sorted({seed for seed, _, _ in victims})
+    told: dict[str, Any] = {"part": part, "value": value, "seeds": seeds, "splats": {}}
+    for splat, defended in sorted({(splat, defended) for _, splat, defended in victims}):
+        mine = {seed: victims[seed, splat, defended] for seed in seeds if (seed, splat, defended) in victims}
+        clean = {seed: victims[seed, CLEAN, False] for seed in mine if (seed, CLEAN, False) in victims}
+        name = f"{splat}, defended" if defended else splat
+        told["splats"][name] = {
+            "gaussians": _spread([one["gaussians"] for one in mine.values()]),
+            "psnr": _spread([one.get("psnr") for one in mine.values()]),
+            "ssim": _spread([one.get("ssim") for one in mine.values()]),
+            "stopped": sum(bool(one["stopped"]) for one in mine.values()),
+            "times": {
+                cost: _spread([_ratio(one.get(cost), clean.get(seed, {}).get(cost)) for seed, one in mine.items()])
+                for cost in COSTS
+            },
+        }
+    return told
+
+
+def _ratio(value: float | None, clean: float | None) -> float | None:
+    return value / clean if value is not None and clean else None
+
+
+def _spread(values: Sequence[float | None]) -> dict[str, Any] | None:
+    """Mean, least and most over the seeds, and the 95 % interval of the mean (Student's t) from two seeds on."""
+    known = [value for value in values if value is not None]
+    if not known:
+        return None
+    mean, interval = statistics.fmean(known), None
+    if len(known) > 1:
+        half = float(stdtrit(len(known) - 1, 0.975)) * statistics.stdev(known) / math.sqrt(len(known))
+        interval = [mean - half, mean + half]
+    return {"mean": mean, "least": min(known), "most": max(known), "interval": interval, "count": len(known)}
+
+
+def tables(record: Record) -> Iterator[Table]:
+    """For each part a table of costs, and one of what the splats are worth.
+
+    Args:
+        record: result.json.
+    """
+    parts: dict[str, list[Record]] = {}
+    for value in record["values"]:
+        parts.setdefault(value["part"], []).append(value)
+    for part, values in parts.items():
+        title = part.replace("_", " ")
+        lines = [
+            {"value": value["value"], "splat": name, "seeds": len(value["seeds"]), **splat, **splat["times"]}
+            | {"count": splat["gaussians"], "times": splat["times"]["gaussians"]}
+            for value in values
+            for name, splat in value["splats"].items()
+        ]
+        yield Table.of(f"{title[0].upper()}{title[1:]}", _COLUMNS, lines)
+
+
+def _number(key: str, digits: int) -> Column[Any]:
+    """The mean over seeds and, of several, its ends."""
+
+    def text(line: Record) -> str:
+        spread = line.get(key)
+        if spread is None:
+            return "-"
+        mean, ends = f"{spread['mean']:,.{digits}f}", [f"{spread[end]:,.{digits}f}" for end in ("least", "most")]
+        return mean if spread["count"] == 1 else f"{mean} ({ends[0]} to {ends[1]})"
+
+    return text
+
+
+_COLUMNS: dict[str, Column[Any]] = {
+    "value": "value",
+    "splat": "splat",
+    "seeds": "seeds",
+    "Gaussians": _number("count", 0),
+    "times the clean splat's": _number("times", 2),
+    "CPU time": _number("cpu_seconds", 2),
+    "wall time": _number("seconds", 2),
+    "memory": _number("peak_megabytes", 2),
+    "time of a picture": _number("milliseconds", 2),
+    "PSNR, held out, dB": _number("psnr", 2),
+    "ended early": lambda line: line["stopped"] or "-",
+}

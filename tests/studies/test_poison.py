@@ -1,0 +1,129 @@
+"""Studies of poisoned training pictures: which jobs there are, what they leave, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from attacks.cli import main
+from attacks.observe.rows import rows
+from attacks.poisons.victim import peak_memory
+from attacks.studies.poison import PoisonWork, point_of
+from attacks.studies.study_file import study_of
+from mi_splat.errors import InvalidValueError
+from mi_splat.io.parsing import read_json
+
+SMALL = """
+study = "poison"
+question = "Does it cost more?"
+scene = { object = "tv", ground = "nothing" }
+cameras = { train = 6, size = 24, samples = 1, points = 60 }
+training = { iterations = 12, max_gaussians = "none", sh_degree = 0 }
+evaluation = { cameras = 4 }
+
+[[case]]
+name = "kinds"
+matrix = { seed = [0, 1], poison = [{ name = "noise", poison = { kind = "uniform-noise", eps = 8 } }] }
+
+[[case]]
+name = "defended"
+poison = { kind = "poison-splat", steps = 3, variation_steps = 2 }
+defence = { filter = { name = "blur" } }
+
+[[case]]
+name = "afford"
+victim = { seconds = 1e-6 }
+"""
+
+
+def work(**changes: Any) -> PoisonWork:
+    settings = {"study": "poison", "scene": {"object": "tv"}, **changes}
+    return PoisonWork(study_of(settings, "toy"))
+
+
+def test_a_study_is_done_and_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("small.toml").write_text(SMALL)
+    assert main(["study", "run", "small.toml", "--workers", "0"]) == 0
+    folder = Path("out/studies/small")
+    record = read_json(folder / "result.json")
+    values = {f"{value['part']}: {value['value']}": value for value in record["values"]}
+    assert [*values] == ["kinds: noise", "defended: defended", "afford: afford"]
+    assert values["kinds: noise"]["seeds"] == [0, 1]
+    assert values["kinds: noise"]["splats"]["clean"]["times"]["gaussians"]["mean"] == 1
+    assert [*values["defended: defended"]["splats"]] == ["attacked", "attacked, defended", "clean", "clean, defended"]
+    assert values["afford: afford"]["splats"]["clean"]["stopped"] == 1
+    stopped = next(victim for victim in record["victims"] if victim["part"] == "afford")
+    assert stopped["stopped"] == "after 1 steps: more than 1e-06 seconds"
+    assert (stopped["steps"], stopped["gaussians"]) == (1, 60)
+    paid = next(victim for victim in record["victims"] if victim["splat"] == "attacked")
+    assert paid["peak_megabytes"] > 100
+    assert 0 < paid["cpu_seconds"] < 100
+    table = rows(folder)
+    assert set(table["condition"].to_list()) == {None, "defended"}
+    views = 4 * len(record["victims"])
+    assert len(table) == views
+    names = {path.stem for path in (folder / "pictures").glob("*.png")}
+    assert {"kinds-noise-poisoned", "defended-defended-attacked-defended-centres"} <= names
+    assert main(["artifact-check", str(folder)]) == 0
+    assert main(["report", str(folder), "--out", "page.html"]) == 0
+
+
+def test_which_jobs_share_their_work() -> None:
+    poison = {"kind": "poison-splat"}
+    labels = work(poison=poison, defence={"limit": 2.0}, matrix={"poison.eps": [8, 16]}).jobs()
+    kinds = [job.kind.rsplit(".", 1)[1] for job in {job.identity: job for job in labels.values()}.values()]
+    assert kinds.count("pictures") == kinds.count("true_pictures") == 1
+    assert kinds.count("changed") == 2
+    assert kinds.count("victim") == 1 + 1 + 2 + 2  # clean, clean and limited; of each poison both
+    limited = next(job for label, job in labels.items() if label.endswith("training on attacked pictures, limited"))
+    assert limited.config.limit == 2.0
+    assert "clean" in limited.inputs
+    black_box = work(poison=poison, attacker={"strategy": "mcmc"}).jobs()
+    start = next(job for label, job in black_box.items() if label.endswith("by the attacker"))
+    (changed,) = (job for label, job in black_box.items() if label.endswith("poisoning"))
+    assert changed.sources["splat"].job is start  # type: ignore[union-attr]
+    assert start.config.asked.training.strategy == "mcmc"
+
+
+def test_cloak_is_one_of_the_poisons() -> None:
+    attack = {"name": "overhead", "appearance": "remove", "elevation": [50.0, 90.0]}
+    jobs = work(poison={"kind": "cloak", "attack": [attack]}, training={"near": 0.1}).jobs()
+    poisoned = next(job for label, job in jobs.items() if label.endswith("poisoning"))
+    assert poisoned.kind == "attacks.cloak.kinds.poisoned"
+    victim = next(job for label, job in jobs.items() if label.endswith("attacked pictures"))
+    assert victim.sources["pictures"].job is poisoned  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        ({"poison": {"kind": "poison"}}, "kind of toy, poison: expected .*poison-splat.*got poison"),
+        ({"poison": "splat"}, "toy, poison: expected a table, got 'splat'"),
+        ({"poison": {"kind": "uniform-noise", "steps": 3}}, "key in toy, poison: expected .*eps"),
+        ({"poison": {"kind": "poison-splat", "eps": 300}}, "eps: expected .*255"),
+        ({"defence": {}}, "defence.*one of filter, limit and prune, got none"),
+        ({"defence": {"limit": 1.0, "filter": {"name": "blur"}}}, "one of filter, limit and prune"),
+        ({"defense": {"limit": 1.0}}, "key in toy.*defence"),
+        ({"judge": {"matrix": {"condition": ["ray"]}}}, "no judge"),
+        ({"victim": {"device": "gpu"}}, "device: expected one of cpu, cuda"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_a_job(changes: dict[str, Any], match: str) -> None:
+    with pytest.raises(InvalidValueError, match=match):
+        work(**changes)
+
+
+def test_none_stands_for_no_poison_and_no_limit() -> None:
+    point = point_of({"poison": "none", "training": {"max_gaussians": "none"}}, "toy")
+    assert point.poison is None
+    assert point.training.max_gaussians is None
+
+
+def test_the_peak_is_that_since_it_was_asked_for() -> None:
+    peak = peak_memory()
+    before = peak()
+    block = bytearray(b"x") * 64_000_000
+    assert peak() - before > 0.9 * len(block) / 1e6 - 1 or before > 1000
