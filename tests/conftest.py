@@ -94,8 +94,9 @@ def frozen(monkeypatch: pytest.MonkeyPatch) -> list[Camera]:
 
 @pytest.fixture(autouse=True)
 def _seeded() -> None:
-    """A test that forgets to seed torch is reproducible nevertheless."""
+    """A test that forgets to seed torch is reproducible nevertheless, and one that changed threads changed its own."""
     torch.manual_seed(0)
+    torch.set_num_threads(1)
 
 
 @pytest.fixture(autouse=True)

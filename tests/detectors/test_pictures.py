@@ -47,11 +47,6 @@ pytestmark = pytest.mark.usefixtures("scalar")
 TINY = PictureSetConfig(size=48, samples=1, shots=2, count=4)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _one_thread() -> None:
-    torch.set_num_threads(1)
-
-
 def seeded(number: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(number)
 

@@ -23,7 +23,6 @@ from attacks.detectors import (
     DETECTORS,
     Candidates,
     Detections,
-    Detector,
     DetectorError,
     fasterrcnn_small,
     load_detector,
@@ -45,14 +44,10 @@ from mi_splat.assets.street import plain
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.capture.path_tracer import daylight, photograph
 from mi_splat.errors import InvalidValueError
+from tests.detectors.contract import each_picture_has_its_own_gradient, holds_the_protocol, slope_is_the_gradient
 from tests.detectors.random_weights import random_detector, warm_up
 
 LIGHT = ("fasterrcnn_small", "fasterrcnn_mobilenet_v3_large_320_fpn")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _one_thread() -> None:
-    torch.set_num_threads(1)
 
 
 @pytest.fixture(scope="module", params=LIGHT)
@@ -87,9 +82,7 @@ def car_picture() -> CarPicture:
 
 
 def test_the_protocol_holds(detector: TorchvisionDetector) -> None:
-    assert isinstance(detector, Detector)
-    assert not detector.model.training
-    assert not any(p.requires_grad for p in detector.model.parameters())
+    holds_the_protocol(detector)
     assert {"car", "person", "stop sign", "elephant", "bird", "tv", "train", "suitcase"} <= set(detector.classes)
 
 
@@ -163,42 +156,7 @@ def test_the_gradient_agrees_with_finite_differences() -> None:
         (candidates,) = detector.candidates(image)
         return candidates.scores[-1, 2] + 1e-3 * candidates.boxes[-1, 2].sum()
 
-    image = pictures(96, 96, 1).double().clamp(0.01, 0.99)
-    leaf = image.clone().requires_grad_()
-    confidence(leaf).backward()  # type: ignore[no-untyped-call]
-    assert leaf.grad is not None
-    direction = torch.randn(image.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    step = 1e-6
-    with torch.no_grad():
-        slope = (confidence(image + step * direction) - confidence(image - step * direction)) / (2 * step)
-    torch.testing.assert_close((leaf.grad * direction).sum(), slope, rtol=1e-4, atol=1e-8)
-
-
-@pytest.mark.parametrize("shape", [(96, 96, 3), (1, 3, 96, 96), (1, 0, 96, 3), (0, 96, 96, 3)])
-def test_pictures_of_another_shape_are_refused(detector: TorchvisionDetector, shape: tuple[int, ...]) -> None:
-    with pytest.raises(InvalidValueError, match="images: expected floating point"):
-        detector.candidates(torch.zeros(shape))
-    with pytest.raises(InvalidValueError, match="images"):
-        detector.detect(torch.zeros(shape))
-
-
-@pytest.mark.parametrize(
-    ("value", "words"),
-    [
-        (255.0, "got values from 0.5 to 255; divide 8-bit"),
-        (1.1, "from 0.5 to 1.1"),
-        (1.005, "from 0.5 to 1.005"),
-        (-0.1, "from -0.1 to 0.5"),
-        (float("nan"), "from nan to nan"),
-    ],
-)
-def test_pictures_of_other_values_are_refused(detector: TorchvisionDetector, value: float, words: str) -> None:
-    images = torch.full((1, 32, 32, 3), 0.5)
-    images[0, 3, 4, 1] = value
-    with pytest.raises(InvalidValueError, match=words):
-        detector.candidates(images)
-    with pytest.raises(InvalidValueError, match=words):
-        detector.detect(images)
+    slope_is_the_gradient(confidence, pictures(96, 96, 1).double().clamp(0.01, 0.99))
 
 
 def test_rounding_is_no_reason_to_refuse_a_picture() -> None:
@@ -361,10 +319,8 @@ def one_stage(request: pytest.FixtureRequest) -> OneStageDetector:
 
 
 def test_a_one_stage_detector_holds_the_protocol(one_stage: OneStageDetector) -> None:
-    assert isinstance(one_stage, Detector)
-    assert not one_stage.model.training
-    assert not any(p.requires_grad for p in one_stage.model.parameters())
-    assert len(one_stage.fingerprint) == 16
+    holds_the_protocol(one_stage)
+    each_picture_has_its_own_gradient(one_stage, pictures())
     assert one_stage.min_confidence == one_stage.model.score_thresh
     assert one_stage.classes == SMALL_CLASSES
 
@@ -416,7 +372,6 @@ def test_candidates_lie_inside_the_picture(one_stage: OneStageDetector) -> None:
 
 def test_scores_and_boxes_agree_with_finite_differences() -> None:
     """Of the three ways to compute scores, along one direction, in double precision."""
-    direction = torch.randn((1, 96, 96, 3), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     for kind in SMALL:
         detector = made(kind)
         detector.model.double()
@@ -425,22 +380,7 @@ def test_scores_and_boxes_agree_with_finite_differences() -> None:
             (candidates,) = detector.candidates(image)
             return candidates.scores[:, 2].sum() + 1e-3 * candidates.boxes[:, 2].sum()
 
-        image = pictures(96, 96, 1).double().clamp(0.01, 0.99)
-        leaf = image.clone().requires_grad_()
-        (gradient,) = torch.autograd.grad(measured(leaf), leaf)
-        step = 1e-6
-        with torch.no_grad():
-            slope = (measured(image + step * direction) - measured(image - step * direction)) / (2 * step)
-        assert float(slope.abs()) > 1e-3, kind
-        torch.testing.assert_close((gradient * direction).sum(), slope, rtol=1e-4, atol=1e-8, msg=kind)
-
-
-def test_gradients_reach_each_picture_for_itself(one_stage: OneStageDetector) -> None:
-    images = pictures(96, 128).requires_grad_()
-    one_stage.candidates(images)[0].scores[:, 0].max().backward()  # type: ignore[no-untyped-call]
-    assert images.grad is not None
-    assert float(images.grad[0].abs().max()) > 1e-6
-    assert float(images.grad[1].abs().max()) == 0
+        slope_is_the_gradient(measured, pictures(96, 96, 1).double().clamp(0.01, 0.99), least=1e-3)
 
 
 def test_a_hopeless_candidate_of_fcos_keeps_a_finite_gradient() -> None:

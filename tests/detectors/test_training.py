@@ -32,12 +32,6 @@ from mi_splat.ledger import Job, Ledger
 from tests.detectors.made import HERE, TableDetector, drawn, picture, reported
 from tests.io.noted import Change, changed
 
-
-@pytest.fixture(scope="module", autouse=True)
-def _one_thread() -> None:
-    torch.set_num_threads(1)
-
-
 PLAIN = TrainConfig(epochs=2, batch=2, low_resolution=96, low_resolution_fraction=1.0, seed=3)
 
 

@@ -14,9 +14,14 @@ import torch
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from attacks.detectors import Detector, DetectorError, load_detector
+from attacks.detectors import DetectorError, load_detector
 from attacks.detectors.catalogue import COCO_CLASSES
-from mi_splat.errors import InvalidValueError
+from tests.detectors.contract import (
+    each_picture_has_its_own_gradient,
+    holds_the_protocol,
+    pictures,
+    slope_is_the_gradient,
+)
 
 try:
     from attacks.detectors import transformers as adapter
@@ -41,11 +46,6 @@ TRANSFORMER = {
     **{"d_model": 16, "encoder_layers": 1, "decoder_layers": 2, "encoder_ffn_dim": 32, "decoder_ffn_dim": 32},
     **{"encoder_attention_heads": 2, "decoder_attention_heads": 2, "num_queries": 12},
 }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _one_thread() -> None:
-    torch.set_num_threads(1)
 
 
 def detr() -> tuple[Any, Any]:
@@ -110,17 +110,9 @@ def detector(request: pytest.FixtureRequest, folders: dict[str, Path]) -> adapte
     return loaded
 
 
-def pictures(height: int, width: int, count: int = 2) -> Tensor:
-    """Smooth random pictures of 8 bits."""
-    coarse = torch.rand(count, 3, 6, 9, generator=torch.Generator().manual_seed(height))
-    fine = nn.functional.interpolate(coarse, size=(height, width), mode="bicubic").clamp(0, 1)
-    return (fine.permute(0, 2, 3, 1) * 255).round() / 255
-
-
 def test_the_protocol_holds(detector: adapter.TransformersDetector) -> None:
-    assert isinstance(detector, Detector)
-    assert not detector.model.training
-    assert not any(p.requires_grad for p in detector.model.parameters())
+    holds_the_protocol(detector)
+    each_picture_has_its_own_gradient(detector, pictures(50, 90))
     assert detector.min_confidence == 0.5
     assert detector.classes == (("person", "car", "stop sign") if "_resnet" in detector.name else COCO_CLASSES)
 
@@ -192,29 +184,13 @@ def test_the_gradient_agrees_with_finite_differences(detector: adapter.Transform
     """Of scores and boxes, along one direction, in double precision; what RT-DETR holds constant in training too."""
     double = adapter.TransformersDetector("x", copy.deepcopy(detector.model).double(), detector.processor)
     image = pictures(50, 90, 1).double().clamp(0.01, 0.99)
-    direction = torch.randn(image.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     for part in ("scores", "boxes"):
 
         def measured(at: Tensor, part: str = part) -> Tensor:
             (candidates,) = double.candidates(at)
             return (candidates.scores[:, 1] if part == "scores" else candidates.boxes[:, 1]).sum()
 
-        leaf = image.clone().requires_grad_()
-        (gradient,) = torch.autograd.grad(measured(leaf), leaf)
-        step = 1e-7
-        with torch.no_grad():
-            slope = (measured(image + step * direction) - measured(image - step * direction)) / (2 * step)
-        assert float(slope.abs()) > 1e-5
-        torch.testing.assert_close((gradient * direction).sum(), slope, rtol=1e-3, atol=1e-8)
-
-
-def test_gradients_reach_each_picture_for_itself(detector: adapter.TransformersDetector) -> None:
-    images = pictures(50, 90).requires_grad_()
-    detector.candidates(images)[0].scores[:, 0].max().backward()  # type: ignore[no-untyped-call]
-    assert images.grad is not None
-    assert torch.isfinite(images.grad).all()
-    assert float(images.grad[0].abs().max()) > 1e-6
-    assert float(images.grad[1].abs().max()) == 0
+        slope_is_the_gradient(measured, image, step=1e-7, rtol=1e-3, least=1e-5)
 
 
 def test_detach_is_itself_again_afterwards(detector: adapter.TransformersDetector) -> None:
@@ -227,13 +203,6 @@ def test_the_file_in_the_folder_will_do(folders: dict[str, Path], detector: adap
     kind = detector.model.config.model_type
     loaded = load_detector(detector.name, weights=folders[kind] / "model.safetensors")
     assert loaded.fingerprint == detector.fingerprint
-
-
-def test_pictures_of_another_shape_are_refused(detector: adapter.TransformersDetector) -> None:
-    with pytest.raises(InvalidValueError, match="images: expected floating point"):
-        detector.candidates(torch.zeros(1, 3, 96, 96))
-    with pytest.raises(InvalidValueError, match="images"):
-        detector.detect(torch.full((1, 32, 32, 3), 255.0))
 
 
 def test_weights_of_another_architecture_are_refused(folders: dict[str, Path]) -> None:

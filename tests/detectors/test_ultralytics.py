@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +19,18 @@ from attacks.detectors.catalogue import COCO_CLASSES, SMALL_CLASSES
 from attacks.detectors.training.config import TrainConfig
 from attacks.detectors.training.loop import Training
 from attacks.detectors.training.pictures import LabelledPicture
+from tests.detectors.contract import (
+    each_picture_has_its_own_gradient,
+    holds_the_protocol,
+    pictures,
+    slope_is_the_gradient,
+)
 
 try:
     from attacks.detectors import ultralytics
     from attacks.detectors.training.yolo import YOLOTrainer, mosaic, with_mosaics
 except DetectorError as error:  # ultralytics is not installed, or not usable without some system library
     pytest.skip(str(error), allow_module_level=True)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _one_thread() -> None:
-    torch.set_num_threads(1)
 
 
 def random_model(classes: int = 8, family: str = "yolov8") -> Any:
@@ -59,14 +61,6 @@ def model(request: pytest.FixtureRequest) -> Any:
 @pytest.fixture(scope="module")
 def detector(model: Any) -> ultralytics.YOLODetector:
     return ultralytics.YOLODetector("yolov8n_small", model, SMALL_CLASSES, side=128)
-
-
-def pictures(height: int, width: int, count: int = 2) -> Tensor:
-    """Smooth random pictures of 8 bits."""
-    generator = torch.Generator().manual_seed(height)
-    coarse = torch.rand(count, 3, 6, 9, generator=generator)
-    fine = torch.nn.functional.interpolate(coarse, size=(height, width), mode="bicubic").clamp(0, 1)
-    return (fine.permute(0, 2, 3, 1) * 255).round() / 255
 
 
 @pytest.mark.parametrize("size", [(128, 128), (90, 160), (75, 50), (300, 211)])
@@ -105,6 +99,11 @@ def test_candidates_are_what_detections_come_from(detector: Detector, size: tupl
         assert SMALL_CLASSES[int(label[near])] == found.labels[0]
 
 
+def test_the_protocol_holds(detector: Detector) -> None:
+    holds_the_protocol(detector)
+    each_picture_has_its_own_gradient(detector, pictures(90, 160))
+
+
 def test_a_picture_is_framed_in_the_library_s_grey(detector: ultralytics.YOLODetector) -> None:
     grey = 114 / 255
     (found,) = detector.candidates(torch.full((1, 90, 160, 3), grey))
@@ -131,30 +130,15 @@ def test_the_floor_is_that_of_the_constructor(detector: ultralytics.YOLODetector
     assert float(found.scores.min()) >= floor
 
 
-def test_gradients_reach_the_picture(detector: Detector) -> None:
-    images = pictures(90, 160).requires_grad_(True)
-    detector.candidates(images)[0].scores[:, 0].max().backward()  # type: ignore[no-untyped-call]
-    assert images.grad is not None
-    assert float(images.grad[0].abs().max()) > 1e-6
-    assert float(images.grad[1].abs().max()) == 0
-
-
 def test_candidates_agree_with_finite_differences(model: Any) -> None:
     """Of one score, along one direction, in double precision."""
-    import copy
-
     double = ultralytics.YOLODetector("x", copy.deepcopy(model).double(), SMALL_CLASSES, side=128)
     image = pictures(96, 128, 1).double()
-    direction = torch.rand(image.shape, dtype=torch.float64) - 0.5
 
     def score(at: Tensor) -> Tensor:
         return double.candidates(at)[0].scores[:, 2].sum()
 
-    start = image.clone().requires_grad_(True)
-    (gradient,) = torch.autograd.grad(score(start), start)
-    step = 1e-6
-    difference = (score(image + step * direction) - score(image - step * direction)) / (2 * step)
-    assert float((gradient * direction).sum()) == pytest.approx(float(difference), rel=1e-4)
+    slope_is_the_gradient(score, image)
 
 
 def test_weights_come_from_a_file_of_tensors(tmp_path: Path) -> None:

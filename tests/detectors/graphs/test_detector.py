@@ -18,10 +18,10 @@ from attacks.detectors.graphs.detector import DEVIATION, FAMILIES, MEAN, Family,
 from attacks.detectors.graphs.files import load_graph_model, topology
 from attacks.detectors.graphs.network import GraphNetwork
 from attacks.detectors.graphs.packages import flaw
-from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import quantise
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import read_scene
+from tests.detectors.contract import each_picture_has_its_own_gradient, holds_the_protocol, slope_is_the_gradient
 from tests.detectors.graphs.graphs import files, model, node, placeholder
 
 SCENES = Path(__file__).resolve().parents[3] / "scenes"
@@ -128,6 +128,11 @@ def test_boxes_are_in_pixels_of_the_picture_whatever_its_size() -> None:
     assert all_of_them.boxes[3, 2].tolist() == [16.0, 8.0, 32.0, 16.0]
 
 
+def test_the_protocol_holds() -> None:
+    holds_the_protocol(_tiny())
+    each_picture_has_its_own_gradient(_tiny(), torch.rand(3, 10, 12, 3))
+
+
 def test_the_graph_belongs_to_the_fingerprint() -> None:
     one, same, other = _tiny(), _tiny(), _tiny("Relu6")
     assert one.fingerprint == same.fingerprint != other.fingerprint
@@ -155,20 +160,6 @@ def test_a_graph_of_another_family_is_refused(tmp_path: Path, monkeypatch: pytes
         monkeypatch.setitem(FAMILIES, "centernet_coco", replace(family, side=side))
         with pytest.raises(DetectorError, match=words):
             load("centernet_coco", tmp_path / "weights.safetensors")
-
-
-def test_candidates_are_differentiable_in_every_picture() -> None:
-    images = torch.rand(3, 10, 12, 3, requires_grad=True)
-    sum(one.scores.sum() for one in _tiny().candidates(images)).backward()  # type: ignore[union-attr]
-    assert images.grad is not None
-    assert (images.grad.flatten(1).abs().sum(1) > 0).all()
-
-
-def test_wrong_pictures_are_refused() -> None:
-    with pytest.raises(InvalidValueError, match="images"):
-        _tiny().candidates(torch.rand(1, 3, 8, 8))
-    with pytest.raises(InvalidValueError, match="images"):
-        _tiny().detect(torch.rand(1, 8, 8, 3) * 255)
 
 
 def test_what_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -200,18 +191,13 @@ def test_gradient_of_the_whole_chain_is_that_of_differences(name: str) -> None:
     detector.model.double()
     generator = torch.Generator().manual_seed(0)
     image = torch.rand(1, 64, 80, 3, generator=generator, dtype=torch.float64) * 0.6 + 0.2
-    direction = torch.randn(image.shape, generator=generator, dtype=torch.float64)
 
     def value(picture: Tensor) -> Tensor:
         (found,) = detector.candidates(picture)
         return found.scores.logsumexp((0, 1)) + found.boxes.mean() / 100
 
-    leaf = image.clone().requires_grad_(True)
-    (gradient,) = torch.autograd.grad(value(leaf), leaf)
-    slope = (
-        value(image + 1e-7 * direction) - value(image - 1e-7 * direction)
-    ) / 2e-7  # shorter than from kink to kink of a million activations
-    assert float((gradient * direction).sum()) == pytest.approx(float(slope), rel=3e-3)
+    # The step is shorter than from kink to kink of a million activations.
+    slope_is_the_gradient(value, image, step=1e-7, rtol=3e-3)
 
 
 @there["centernet_coco"]
