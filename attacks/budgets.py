@@ -17,7 +17,7 @@ from torch import Generator, Tensor
 from attacks.limits import NORM_NAMES, NormName
 from attacks.pgd import Parameters
 from mi_splat.attributes import ATTRIBUTES
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.fields import at_least, check_choice, checked_number
 
 _SLACK = 1e-12
@@ -135,8 +135,7 @@ class Budget:
     def __post_init__(self) -> None:
         check_choice("norm", self.norm, NORM_NAMES)
         if not self.radius:
-            do = "say what may move, and how far"
-            raise InvalidValueError(message("radius", "at least one attribute", "none", do))
+            raise InvalidValueError.of("radius", "at least one attribute", "none", "say what may move, and how far")
         for name, value in self.radius.items():
             check_choice("attribute", name, ATTRIBUTES)
             checked_number(f"radius of {name}", value, at_least(0, do="use a large one for 'no limit'"))
@@ -160,7 +159,7 @@ class Budget:
         for name, size in self.measure(parameters, reference).items():
             if not size <= self.radius[name]:
                 expected, do = f"<= {self.radius[name]}", "report this: the attack is wrong"
-                raise BudgetError(message(f"{self.norm} of {name}", expected, size, do))
+                raise BudgetError.of(f"{self.norm} of {name}", expected, size, do)
 
     def steepest(self, gradients: Parameters) -> Parameters:
         """Direction of steepest ascent by attribute, size 1 each, in the dtype of the gradients."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.pgd import Parameters
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.parameters import activate, to_raw_parameters
 from mi_splat.scene import ATTRIBUTES, GaussianScene
 
@@ -100,7 +100,7 @@ def _rows_of(mask: Mask, count: int) -> Tensor:
     everything = torch.arange(count)
     rows: Tensor = torch.unique(everything[mask if isinstance(mask, slice) else _checked_mask(mask, count)])
     if not len(rows):
-        raise InvalidValueError(message("mask", "at least one Gaussian", "none", "name an object of the scene"))
+        raise InvalidValueError.of("mask", "at least one Gaussian", "none", "name an object of the scene")
     return rows
 
 
@@ -110,13 +110,13 @@ def _checked_mask(mask: object, count: int) -> Tensor:
     try:
         rows = torch.as_tensor(mask).detach().cpu()
     except (TypeError, ValueError, RuntimeError):
-        raise InvalidValueError(message("mask", expected, f"{mask!r:.80}", "pass a mask or row numbers")) from None
+        raise InvalidValueError.of("mask", expected, f"{mask!r:.80}", "pass a mask or row numbers") from None
     if not rows.numel():
         return rows.long()
     if rows.dtype == torch.bool and rows.shape != (count,):
-        raise InvalidValueError(message("mask", f"shape ({count},)", tuple(rows.shape), "pass one value per Gaussian"))
+        raise InvalidValueError.of("mask", f"shape ({count},)", tuple(rows.shape), "pass one value per Gaussian")
     if rows.dtype == torch.bool:
         return rows
     if rows.is_floating_point() or rows.is_complex() or bool(((rows < 0) | (rows >= count)).any()):
-        raise InvalidValueError(message("mask", expected, rows.dtype, "pass a mask or row numbers"))
+        raise InvalidValueError.of("mask", expected, rows.dtype, "pass a mask or row numbers")
     return rows.long()

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from attacks.detectors.base import Candidates, Detections
 from attacks.pgd import Verdict
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 _TINY = 1e-30
 """Probabilities are clamped here before a logarithm."""
@@ -101,7 +101,7 @@ def check_objective(value: object) -> None:
     """Raise unless a value is an `Objective`."""
     if not callable(value) or not all(hasattr(value, name) for name in ("name", "label", "verdict")):
         do = f"pass relabel({value!r})" if isinstance(value, str) else "pass for instance hide()"
-        raise InvalidValueError(message("objective", "an Objective", type(value).__name__, do))
+        raise InvalidValueError.of("objective", "an Objective", type(value).__name__, do)
 
 
 def overlap(boxes: Tensor, box: Tensor) -> Tensor:
@@ -135,8 +135,8 @@ def confidence(detections: Detections, box: Tensor, *, labels: Sequence[str] | N
 
 def _column(target: Target, label: str) -> int:
     if label not in target.classes:
-        raise InvalidValueError(
-            message("label", f"one of {', '.join(target.classes)}", label, "choose a class that the detector knows")
+        raise InvalidValueError.of(
+            "label", f"one of {', '.join(target.classes)}", label, "choose a class that the detector knows"
         )
     return target.classes.index(label)
 

@@ -15,7 +15,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 Parameters = dict[str, Tensor]
 
@@ -207,7 +207,7 @@ def pgd(
         BudgetError: The best point is outside the ball (`Ball.check`).
     """
     if steps < 0:
-        raise InvalidValueError(message("steps", "a number >= 0", steps, "ask for at least one step"))
+        raise InvalidValueError.of("steps", "a number >= 0", steps, "ask for at least one step")
     hooks = hooks or Hooks()
     begun = SearchState.at(reference)
     if isinstance(starts, SearchState):
@@ -237,7 +237,7 @@ def pgd(
         if best_line is not None and (stopped or (early_stop and _ended(best_line))):
             break
     if best_line is None:
-        raise InvalidValueError(message("starts", "at least one point", "none", "pass the reference, or nothing"))
+        raise InvalidValueError.of("starts", "at least one point", "none", "pass the reference, or nothing")
     ball.check(best, reference)
     return Outcome(parameters=best, best=best_line, trace=tuple(trace), stopped=stopped)
 
@@ -257,10 +257,10 @@ def _line(here: Evaluation, verdict: Verdict | None, index: int, restart: int) -
     for name, gradient in here.gradients.items():
         if not bool(torch.isfinite(gradient).all()):
             do = "look at the renderer and the objective"
-            raise InvalidValueError(message(f"gradient of {name}", "finite numbers", "NaN or infinity", do))
+            raise InvalidValueError.of(f"gradient of {name}", "finite numbers", "NaN or infinity", do)
         zeros, total = zeros + int((gradient == 0).sum()), total + gradient.numel()
     if not math.isfinite(here.loss):
-        raise InvalidValueError(message("loss", "a finite number", here.loss, "look at the objective"))
+        raise InvalidValueError.of("loss", "a finite number", here.loss, "look at the objective")
     verdict = verdict or Verdict(success=False, score=NOT_JUDGED, unambiguous=False)
     return Step(
         index=index,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 
 from mi_splat.cameras import Camera, project_points
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene
 
 REFERENCE_NEAR = 0.2
@@ -28,7 +28,7 @@ def bounds(scene: GaussianScene) -> tuple[tuple[float, float, float], float]:
         InvalidValueError: The scene is empty.
     """
     if not len(scene):
-        raise InvalidValueError(message("scene", "Gaussians to look at", "none", "pass another file"))
+        raise InvalidValueError.of("scene", "Gaussians to look at", "none", "pass another file")
     means = scene.means.detach().double().cpu()
     ordered = means.sort(dim=0).values
     last = len(ordered) - 1

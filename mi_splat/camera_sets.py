@@ -14,7 +14,7 @@ from typing import Any
 
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.datasets.transforms import read_cameras
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 FORMS = "hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE or a transforms .json file"
 MOST = 100_000
@@ -256,12 +256,12 @@ def held_out_set(
         InvalidValueError: The text has none of the forms, or a number is out of range.
     """
     if not 0 <= count <= MOST:
-        raise InvalidValueError(message("test cameras", f"0 to {MOST}", count, "ask for fewer"))
+        raise InvalidValueError.of("test cameras", f"0 to {MOST}", count, "ask for fewer")
     if count == 0:
         return []
     if spec.lower().endswith(".json"):
         do = "capture the file of the test cameras into a folder of its own"
-        raise InvalidValueError(message("test cameras", f"a set by name beside {spec}", "a file", do))
+        raise InvalidValueError.of("test cameras", f"a set by name beside {spec}", "a file", do)
     kind, numbers = _parse(spec)
     angle = float(numbers.get("angle", 0.0))
     distance, focal = _positive("distance", distance), _positive("focal", focal)
@@ -286,16 +286,16 @@ def _parse(spec: str) -> tuple[str, dict[str, str]]:
     kind, _, rest = spec.partition(":")
     match = _PATTERNS[kind].fullmatch(rest) if kind in _PATTERNS else None
     if match is None:
-        raise InvalidValueError(message("cameras", FORMS, repr(spec), "write one of these forms"))
+        raise InvalidValueError.of("cameras", FORMS, repr(spec), "write one of these forms")
     numbers = match.groupdict()
     total = int(numbers["count"]) * int(numbers.get("rows", 1))
     if not 1 <= total <= MOST:
-        raise InvalidValueError(message(f"cameras {spec}", f"1 to {MOST} cameras", total, "change the number"))
+        raise InvalidValueError.of(f"cameras {spec}", f"1 to {MOST} cameras", total, "change the number")
     angle = float(numbers.get("angle", 0.0))
     highest = 90.0 if kind != "cap" else 89.9
     if not -90 <= angle <= highest:
-        raise InvalidValueError(
-            message(f"cameras {spec}", f"an elevation from -90 to {highest:g} degrees", angle, "change it")
+        raise InvalidValueError.of(
+            f"cameras {spec}", f"an elevation from -90 to {highest:g} degrees", angle, "change it"
         )
     return kind, numbers
 
@@ -303,5 +303,5 @@ def _parse(spec: str) -> tuple[str, dict[str, str]]:
 def _positive(name: str, value: float) -> float:
     """The value, if it is positive and finite."""
     if not (math.isfinite(value) and value > 0):
-        raise InvalidValueError(message(name, "a positive number", value, "change it"))
+        raise InvalidValueError.of(name, "a positive number", value, "change it")
     return value

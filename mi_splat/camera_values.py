@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 
 def pose_tensor(value: object) -> Tensor:
@@ -19,7 +19,7 @@ def pose_tensor(value: object) -> Tensor:
         return torch.as_tensor(value).detach().to("cpu", torch.float64)
     except (TypeError, ValueError, RuntimeError):
         got = f"{type(value).__name__} {value!r:.80}"
-        raise InvalidValueError(message("to_world", "a (4, 4) matrix of numbers", got, "pass a tensor")) from None
+        raise InvalidValueError.of("to_world", "a (4, 4) matrix of numbers", got, "pass a tensor") from None
 
 
 def focal_lengths(value: object) -> float | tuple[float, float]:
@@ -31,7 +31,7 @@ def focal_lengths(value: object) -> float | tuple[float, float]:
     try:
         return float(value)  # type: ignore[arg-type]  # NumPy's and torch's numbers; the rest is refused
     except (TypeError, ValueError):
-        raise InvalidValueError(message("focal", "one number or two", repr(value), "pass (fx, fy) in pixels")) from None
+        raise InvalidValueError.of("focal", "one number or two", repr(value), "pass (fx, fy) in pixels") from None
 
 
 def two_numbers(name: str, value: Any) -> tuple[float, float]:
@@ -40,7 +40,7 @@ def two_numbers(name: str, value: Any) -> tuple[float, float]:
         x, y = value
         return (x, y) if isinstance(x, float) and isinstance(y, float) else (float(x), float(y))
     except (TypeError, ValueError):
-        raise InvalidValueError(message(name, "two numbers", repr(value), "pass (x, y) in pixels")) from None
+        raise InvalidValueError.of(name, "two numbers", repr(value), "pass (x, y) in pixels") from None
 
 
 def pixel_count(name: str, value: object) -> int:
@@ -50,7 +50,7 @@ def pixel_count(name: str, value: object) -> int:
     except TypeError:
         size = 0
     if not 0 < size <= 1 << 15:
-        raise InvalidValueError(message(name, "an integer in 1..32768", value, "check the image size"))
+        raise InvalidValueError.of(name, "an integer in 1..32768", value, "check the image size")
     return size
 
 
@@ -62,7 +62,7 @@ def check_points(**values: Sequence[float]) -> None:
         except (TypeError, ValueError):
             point = []
         if len(point) != 3:
-            raise InvalidValueError(message(name, "three numbers", repr(numbers), "pass (x, y, z) in world units"))
+            raise InvalidValueError.of(name, "three numbers", repr(numbers), "pass (x, y, z) in world units")
     check_finite(**values)
 
 
@@ -71,4 +71,4 @@ def check_finite(**values: Sequence[float]) -> None:
     for name, numbers in values.items():
         if not all(math.isfinite(number) for number in numbers):
             shown = numbers[0] if len(numbers) == 1 else tuple(numbers)
-            raise InvalidValueError(message(name, "finite numbers", shown, "pass world units and degrees"))
+            raise InvalidValueError.of(name, "finite numbers", shown, "pass world units and degrees")

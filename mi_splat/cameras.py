@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.camera_values import check_finite, check_points, focal_lengths, pixel_count, pose_tensor, two_numbers
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import several_of
 from mi_splat.scene import LARGEST, GaussianScene
 
@@ -47,20 +47,16 @@ class Camera:
     def __post_init__(self) -> None:
         pose = pose_tensor(self.to_world)
         if pose.shape != (4, 4):
-            raise InvalidValueError(
-                message("to_world", "shape (4, 4)", tuple(pose.shape), "pass a camera-to-world matrix")
-            )
+            raise InvalidValueError.of("to_world", "shape (4, 4)", tuple(pose.shape), "pass a camera-to-world matrix")
         rotation, last = pose[:3, :3], torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=torch.float64)
         rigid = torch.isfinite(pose).all() and torch.allclose(pose[3], last)
         if not (rigid and torch.allclose(rotation @ rotation.T, torch.eye(3, dtype=torch.float64), atol=1e-4)):
-            raise InvalidValueError(
-                message(
-                    "to_world", "a finite rotation and translation", pose.tolist(), "remove scale and shear from it"
-                )
+            raise InvalidValueError.of(
+                "to_world", "a finite rotation and translation", pose.tolist(), "remove scale and shear from it"
             )
         if torch.linalg.det(rotation) < 0:
-            raise InvalidValueError(
-                message("to_world", "a right-handed rotation", "a reflection", "flip two axes, not one or three")
+            raise InvalidValueError.of(
+                "to_world", "a right-handed rotation", "a reflection", "flip two axes, not one or three"
             )
         object.__setattr__(self, "to_world", pose)
         object.__setattr__(self, "focal", focal_lengths(self.focal))
@@ -68,16 +64,16 @@ class Camera:
             object.__setattr__(self, "principal", two_numbers("principal", self.principal))
         if not bool((pose[:3, 3].abs() <= LARGEST).all()):
             expected, do = f"coordinates up to {LARGEST:g}", "move the scene and its cameras to the origin"
-            raise InvalidValueError(message("camera position", expected, pose[:3, 3].tolist(), do))
+            raise InvalidValueError.of("camera position", expected, pose[:3, 3].tolist(), do)
         for name, value in (("focal x", self.fx), ("focal y", self.fy)):
             if not 1 / LARGEST <= value <= LARGEST:
                 expected = f"a positive number of pixels up to {LARGEST:g}"
-                raise InvalidValueError(message(name, expected, value, "check the intrinsics"))
+                raise InvalidValueError.of(name, expected, value, "check the intrinsics")
         for name, size in (("width", self.width), ("height", self.height)):
             object.__setattr__(self, name, pixel_count(name, size))
         if not all(abs(value) <= LARGEST for value in (self.cx, self.cy)):
             expected = f"two finite numbers up to {LARGEST:g}"
-            raise InvalidValueError(message("principal", expected, self.principal, "check the intrinsics"))
+            raise InvalidValueError.of("principal", expected, self.principal, "check the intrinsics")
 
     @property
     def fx(self) -> float:
@@ -142,8 +138,8 @@ class View:
     def __post_init__(self) -> None:
         expected = (self.camera.height, self.camera.width, 3)
         if tuple(self.image.shape) != expected:
-            raise InvalidValueError(
-                message("image", f"shape {expected}", tuple(self.image.shape), "resize it or fix the camera's size")
+            raise InvalidValueError.of(
+                "image", f"shape {expected}", tuple(self.image.shape), "resize it or fix the camera's size"
             )
 
 
@@ -198,7 +194,7 @@ def look_at(
     eye = torch.tensor(list(origin), dtype=torch.float64)
     forward = torch.tensor(list(target), dtype=torch.float64) - eye
     if not torch.linalg.norm(forward) > 0:
-        raise InvalidValueError(message("target", "a point other than origin", tuple(target), "move one of the two"))
+        raise InvalidValueError.of("target", "a point other than origin", tuple(target), "move one of the two")
     forward = forward / torch.linalg.norm(forward)
     right = torch.linalg.cross(forward, torch.tensor(list(up), dtype=torch.float64))
     if torch.linalg.norm(right) < 1e-9:
@@ -232,7 +228,7 @@ def orbit_pose(
     check_points(target=target)
     check_finite(azimuth=(azimuth,), elevation=(elevation,), distance=(distance,), roll=(roll,))
     if distance <= 0:
-        raise InvalidValueError(message("distance", "a positive number of world units", distance, "change it"))
+        raise InvalidValueError.of("distance", "a positive number of world units", distance, "change it")
     a, e = math.radians(azimuth), math.radians(elevation)
     offset = (math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e))
     origin = [t + distance * o for t, o in zip(target, offset, strict=True)]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import from_z
 
 if TYPE_CHECKING:
@@ -87,9 +87,7 @@ def direction_of(camera: Camera, centre: Point, up: Point = UP) -> Direction:
     x, y, z = (a - float(b) for a, b in zip(camera.position.tolist(), centre, strict=True))
     flat, length = math.hypot(x, y), math.hypot(x, y, z)
     if not length > 0:
-        raise InvalidValueError(
-            message("centre", "a point away from the cameras", tuple(centre), "move one of the two")
-        )
+        raise InvalidValueError.of("centre", "a point away from the cameras", tuple(centre), "move one of the two")
     pole = flat <= POLE * length
     azimuth = 0.0 if pole else math.degrees(math.atan2(y, x)) % 360.0
     return Direction(azimuth=azimuth % 360.0, elevation=math.degrees(math.atan2(z, flat)), pole=pole)

@@ -14,10 +14,26 @@ class MiSplatError(Exception):
     """Base of every error that mi-splat raises on purpose; the command line prints it and exits with status 1.
 
     Attributes:
+        what: What the message begins with: the name of the argument, file or option at fault.
         hint: What the command line adds: the flags or the command that do what the message says. Empty for none.
     """
 
+    what: str = ""
     hint: str = ""
+
+    @classmethod
+    def of(cls: type[_Error], what: str, expected: object, got: object, do: str) -> _Error:
+        """The error with a `message`.
+
+        Args:
+            what: What is at fault.
+            expected: What would have been right.
+            got: What was found instead.
+            do: What the reader should do about it.
+        """
+        error = cls(message(what, expected, got, do))
+        error.what = what
+        return error
 
     def hinted(self: _Error, hint: str) -> _Error:
         """The same error with a hint for the command line."""

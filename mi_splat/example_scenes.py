@@ -21,7 +21,7 @@ from mi_splat.cameras import Camera, View, look_at
 from mi_splat.capture.mesh_splats import DiscConfig, disc_splat
 from mi_splat.capture.path_tracer import capture, depth_maps, scene_dict
 from mi_splat.capture.surface_sampling import nearness, surface_samples
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.metrics import psnr
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
@@ -190,13 +190,13 @@ def make(
         InvalidValueError: There is no such recipe, or a number is not positive.
     """
     if name not in RECIPES:
-        raise InvalidValueError(message("name", f"one of {sorted(RECIPES)}", repr(name), "choose one of these"))
+        raise InvalidValueError.of("name", f"one of {sorted(RECIPES)}", repr(name), "choose one of these")
     recipe, start, report = RECIPES[name], time.time(), on_step or (lambda *_: None)
     views, steps = recipe.views if views is None else views, recipe.steps if steps is None else steps
     config = fit_config(steps, recipe.limit)  # refuses what it cannot do before the pictures are taken
     for what, value in (("views", views), ("samples", samples)):
         if value < 1:
-            raise InvalidValueError(message(what, "a positive number", value, "leave it out for the recipe's"))
+            raise InvalidValueError.of(what, "a positive number", value, "leave it out for the recipe's")
     folder.mkdir(parents=True, exist_ok=True)
     target, surroundings = recipe.assets()
     description = scene_dict([target], light=recipe.light, backdrop=surroundings)

@@ -21,38 +21,18 @@ from numbers import Real
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from mi_splat.errors import InvalidValueError, message, nearest
+from mi_splat.errors import InvalidValueError, nearest
 
 _Value = TypeVar("_Value")
 
 
 class FieldError(InvalidValueError):
-    """A value that a field does not take.
-
-    Attributes:
-        name: What the message begins with: the field's name, or where it stands in a file.
-    """
-
-    name: str = ""
-
-    @classmethod
-    def of(cls, name: str, expected: object, got: object, do: str) -> FieldError:
-        """The error in the form of all messages (`mi_splat.errors.message`).
-
-        Args:
-            name: The field.
-            expected: What it would take.
-            got: What it was given.
-            do: What to do about it.
-        """
-        error = cls(message(name, expected, got, do))
-        error.name = name
-        return error
+    """A value that a field does not take; `what` is the field's name, or where it stands in a file."""
 
     def at(self, name: str) -> FieldError:
         """The same about a field that is called otherwise, by a flag for instance."""
-        error = FieldError(f"{name}{str(self).removeprefix(self.name)}")
-        error.name = name
+        error = FieldError(f"{name}{str(self).removeprefix(self.what)}")
+        error.what = name
         return error
 
 
@@ -198,7 +178,7 @@ def decode(kind: type[_Value], table: Mapping[str, Any], where: str) -> _Value:
     try:
         return kind(**values)
     except FieldError as error:
-        raise error.at(f"{where}, {error.name}") from None
+        raise error.at(f"{where}, {error.what}") from None
 
 
 @cache
@@ -272,7 +252,7 @@ def several_of(kind: type[_Value], what: str, value: object) -> tuple[_Value, ..
     for item in values:
         if not isinstance(item, kind):
             name = kind.__name__
-            raise InvalidValueError(message(what, f"values of {name}", type(item).__name__, f"make a {name} of it"))
+            raise InvalidValueError.of(what, f"values of {name}", type(item).__name__, f"make a {name} of it")
     return values
 
 

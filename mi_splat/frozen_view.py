@@ -15,7 +15,7 @@ from torch import Tensor
 
 from mi_splat import variant
 from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, check_rows, check_scene
 from mi_splat.sh import degree_of
@@ -62,13 +62,12 @@ class FrozenView:
         self.settings = settings or RenderSettings()
         if self.settings.method != "tile":
             do = "use a Renderer, which has no weights of tiles to keep for it"
-            raise InvalidValueError(message("FrozenView", 'the method "tile"', f'"{self.settings.method}"', do))
+            raise InvalidValueError.of("FrozenView", 'the method "tile"', f'"{self.settings.method}"', do)
         self.variant = variant.use(self.settings.variant)
         self._device = scene.means.device
         device = variant.device_of(self.variant)
         if self._device.type != device:
-            do = f'call scene.to("{device}")'
-            raise InvalidValueError(message("scene", f"tensors on {device}", self._device, do))
+            raise InvalidValueError.of("scene", f"tensors on {device}", self._device, f'call scene.to("{device}")')
         self._everything = rows is None
         self.rows = _indices(rows, len(scene)).to(self._device)
         fixed = torch.ones(len(scene), dtype=torch.bool, device=self._device)
@@ -97,7 +96,7 @@ class FrozenView:
         """Fill what belongs to one camera, with `held` bytes taken before."""
         if not isinstance(camera, Camera):
             do = "make one FrozenView for each camera"
-            raise InvalidValueError(message("camera", "one Camera", type(camera).__name__, do))
+            raise InvalidValueError.of("camera", "one Camera", type(camera).__name__, do)
         self.camera, self._shape = camera, (camera.height, camera.width, 3)
         self._pairs, self._constant, self._alpha, self.nbytes = self._freeze(max_bytes, held)
 
@@ -122,16 +121,15 @@ class FrozenView:
         if not isinstance(sh, Tensor) or sh.ndim != 3 or sh.shape[::2] != (len(self.rows), 3):
             got = tuple(sh.shape) if isinstance(sh, Tensor) else type(sh).__name__
             do = "pass the SH of the Gaussians in `rows`, in that order"
-            raise InvalidValueError(message("sh", f"shape ({len(self.rows)}, K, 3)", got, do))
+            raise InvalidValueError.of("sh", f"shape ({len(self.rows)}, K, 3)", got, do)
         degree_of(sh.shape[1])
         if sh.device != self._device:
-            do = "move it with .to(device)"
-            raise InvalidValueError(message("sh", f"device {self._device}", sh.device, do))
+            raise InvalidValueError.of("sh", f"device {self._device}", sh.device, "move it with .to(device)")
         _make_current(self.variant)
         picture: Tensor = _Step.apply(sh.to(torch.float32), self)
         if not math.isfinite(picture.detach().sum().item()) and not bool(picture.detach().isfinite().all()):
             do = "look at the last update of the parameters: a step may have been too long"
-            raise InvalidValueError(message("sh", "numbers that make a finite picture", "others", do))
+            raise InvalidValueError.of("sh", "numbers that make a finite picture", "others", do)
         if self.settings.linear:
             picture = _linear(picture)
         return torch.cat([picture, self._alpha[..., None]], dim=2) if self.settings.alpha else picture
@@ -148,15 +146,15 @@ class FrozenView:
         """
         check_scene("scene", scene)
         if camera is not self.camera and not _same_camera(camera, self.camera):
-            raise InvalidValueError(message("camera", "that of the FrozenView", camera, "make a FrozenView for it"))
+            raise InvalidValueError.of("camera", "that of the FrozenView", camera, "make a FrozenView for it")
         names = ("means", "scales", "rotations", "opacities", "sh of Gaussians that are not in rows")
         do = "make a new FrozenView, or use a Renderer"
         if len(scene) != len(self._kept[0]):
-            raise InvalidValueError(message("scene", f"{len(self._kept[0])} Gaussians", len(scene), do))
+            raise InvalidValueError.of("scene", f"{len(self._kept[0])} Gaussians", len(scene), do)
         others = scene.sh.detach()[self._fixed] if len(self._fixed) else self._kept[4]
         for name, old, new in zip(names, self._kept, (*scene.tensors()[:4], others), strict=True):
             if not torch.equal(old, new.detach().to(torch.float32)):
-                raise InvalidValueError(message(name, "the values of the FrozenView's scene", "others", do))
+                raise InvalidValueError.of(name, "the values of the FrozenView's scene", "others", do)
         return self(scene.sh if self._everything else scene.sh[self.rows])
 
     def _freeze(self, max_bytes: int, held: int) -> tuple[Any, Tensor, Tensor, int]:
@@ -242,13 +240,13 @@ def _indices(rows: Tensor | slice | None, count: int) -> Tensor:
     if rows is None or isinstance(rows, slice):
         return torch.arange(count)[slice(None) if rows is None else rows]
     if not isinstance(rows, Tensor):
-        raise InvalidValueError(message("rows", "a tensor or a slice", type(rows).__name__, "use torch.as_tensor"))
+        raise InvalidValueError.of("rows", "a tensor or a slice", type(rows).__name__, "use torch.as_tensor")
     check_rows(rows, count)
     indices = rows.nonzero().flatten() if rows.dtype == torch.bool else rows.long() % max(count, 1)
     different = int(torch.bincount(indices, minlength=1).clamp(max=1).sum())
     if different != len(indices):
         got = f"{len(indices) - different} that are there before"
-        raise InvalidValueError(message("rows", "each Gaussian once", got, "call rows.unique()"))
+        raise InvalidValueError.of("rows", "each Gaussian once", got, "call rows.unique()")
     return indices
 
 

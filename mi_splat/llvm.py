@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from mi_splat.errors import MiSplatError, message
+from mi_splat.errors import MiSplatError
 
 MINIMUM_LLVM = 17
 
@@ -89,13 +89,13 @@ def prepare_llvm() -> Path | None:
         path = Path(named)
         version = llvm_version(path)
         if not path.exists():
-            raise LLVMError(message("DRJIT_LIBLLVM_PATH", "a libLLVM shared library", f"missing {named}", llvm_hint()))
+            raise LLVMError.of("DRJIT_LIBLLVM_PATH", "a libLLVM shared library", f"missing {named}", llvm_hint())
         if version is not None and version < MINIMUM_LLVM:
-            raise LLVMError(message("DRJIT_LIBLLVM_PATH", f"LLVM >= {MINIMUM_LLVM}", f"LLVM {version}", llvm_hint()))
+            raise LLVMError.of("DRJIT_LIBLLVM_PATH", f"LLVM >= {MINIMUM_LLVM}", f"LLVM {version}", llvm_hint())
         return path
     library = find_llvm()
     if library is not None:
         os.environ["DRJIT_LIBLLVM_PATH"] = str(library)
     elif platform.system() == "Linux":
-        raise LLVMError(message("libLLVM", f"version {MINIMUM_LLVM} or later", "none on this machine", llvm_hint()))
+        raise LLVMError.of("libLLVM", f"version {MINIMUM_LLVM} or later", "none on this machine", llvm_hint())
     return library

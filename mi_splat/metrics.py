@@ -8,7 +8,7 @@ from typing import Literal, cast
 import torch
 from torch import Tensor
 
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError
 
 Perceptual = Callable[[Tensor, Tensor], Tensor]
 """A distance of two pictures, (H, W, 3) sRGB in [0, 1] each: a scalar."""
@@ -52,9 +52,7 @@ def ssim(image: Tensor, reference: Tensor) -> Tensor:
     """
     _check_shapes(image, reference)
     if image.ndim not in (3, 4):
-        raise InvalidValueError(
-            message("image", "shape (H, W, 3) or (B, H, W, 3)", tuple(image.shape), "pass pictures")
-        )
+        raise InvalidValueError.of("image", "shape (H, W, 3) or (B, H, W, 3)", tuple(image.shape), "pass pictures")
     from torchmetrics.functional.image import structural_similarity_index_measure as measure  # takes seconds
 
     planes = [picture.reshape(-1, *picture.shape[-3:]).movedim(-1, 1) for picture in (image, reference)]
@@ -79,7 +77,7 @@ def load_lpips(network: Literal["alex", "vgg", "squeeze"] = "alex") -> Perceptua
     except (OSError, RuntimeError) as error:  # no network, or a broken download
         expected = f"the weights of {network} in torch's cache, or a network that reaches torchvision's hub"
         do = "go without it, or put the file there"
-        raise MiSplatError(message("lpips", expected, str(error).splitlines()[0], do)) from error
+        raise MiSplatError.of("lpips", expected, str(error).splitlines()[0], do) from error
 
     def distance(image: Tensor, reference: Tensor) -> Tensor:
         _check_shapes(image, reference)
@@ -90,6 +88,6 @@ def load_lpips(network: Literal["alex", "vgg", "squeeze"] = "alex") -> Perceptua
 
 def _check_shapes(image: Tensor, reference: Tensor) -> None:
     if image.shape != reference.shape:
-        raise InvalidValueError(
-            message("image", f"shape {tuple(reference.shape)}", tuple(image.shape), "compare pictures of one size")
+        raise InvalidValueError.of(
+            "image", f"shape {tuple(reference.shape)}", tuple(image.shape), "compare pictures of one size"
         )

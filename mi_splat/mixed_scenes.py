@@ -10,7 +10,7 @@ from torch import Tensor
 
 from mi_splat import variant
 from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.scene_parts import scene_parts
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.scene_files import SplatScene, load_mitsuba_scene, values_of
@@ -52,12 +52,12 @@ class MixedScene:
         self, path: Path, *, samples: int = SAMPLES, seed: int = 0, linear: bool = False, **parameters: Any
     ) -> None:
         if samples < 1:
-            raise InvalidValueError(message("samples", "at least 1", samples, "64 are little noise"))
+            raise InvalidValueError.of("samples", "at least 1", samples, "64 are little noise")
         variant.use()
         self._loaded = load_mitsuba_scene(path, **parameters)
         if type(self._loaded.integrator()).__name__ != "SplatRay":
             do = 'write <integrator type="splat_ray"/>'
-            raise InvalidValueError(message(str(path), "the integrator splat_ray", "another one", do))
+            raise InvalidValueError.of(str(path), "the integrator splat_ray", "another one", do)
         self.splats: SplatScene = values_of(self._loaded, path, among="surfaces")
         self.samples, self.seed, self.linear = samples, seed, linear
 
@@ -96,7 +96,7 @@ class MixedScene:
         check_scene("scene", scene)
         if len(scene) != len(self.splats.scene):
             expected, do = f"{len(self.splats.scene):,} Gaussians", "take a changed copy of the file's own"
-            raise InvalidValueError(message("scene", expected, f"{len(scene):,}", do))
+            raise InvalidValueError.of("scene", expected, f"{len(scene):,}", do)
         params = mi.traverse(self._loaded)
         for name, rows in self.splats.objects.items():
             for key, value in ellipsoid_arrays(scene.select(torch.arange(len(scene))[rows])).items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Called, Range, above, between, check
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ class Placement:
         check(self)
         if self.crop is not None and any(a > b for a, b in zip(self.crop[:3], self.crop[3:], strict=True)):
             do = "give the lower corner first: x0 y0 z0 x1 y1 z1"
-            raise InvalidValueError(message("crop", "no first number above its second", self.crop, do))
+            raise InvalidValueError.of("crop", "no first number above its second", self.crop, do)
 
     def apply(self, scene: GaussianScene) -> GaussianScene:
         """The splat as it is put; its very tensors where nothing is changed.
@@ -99,5 +99,5 @@ class Placement:
         if not bool(inside.any()):
             least, most = (scene.means.amin(0).tolist(), scene.means.amax(0).tolist())
             got = f"none; they lie in {' '.join(f'{value:.4g}' for value in (*least, *most))}"
-            raise InvalidValueError(message("crop", "a box with Gaussians in it", got, "give another box"))
+            raise InvalidValueError.of("crop", "a box with Gaussians in it", got, "give another box")
         return scene.select(inside)

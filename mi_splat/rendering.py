@@ -16,7 +16,7 @@ from torch import Tensor
 
 from mi_splat import variant
 from mi_splat.cameras import Camera, as_cameras
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.rasterization.settings import checked_background, checked_near
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.side_outputs import SideOutputs
@@ -60,12 +60,12 @@ class RenderSettings:
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):
             expected = "one of " + ", ".join(get_args(Method))
-            raise InvalidValueError(message("method", expected, self.method, "choose one of them"))
+            raise InvalidValueError.of("method", expected, self.method, "choose one of them")
         checked_background(self.background)
         checked_near(self.near)
         if self.antialiased and self.method == "ray":
             do = 'leave antialiased out, or use the method "tile"'
-            raise InvalidValueError(message("antialiased", 'the method "tile"', '"ray", which projects nothing', do))
+            raise InvalidValueError.of("antialiased", 'the method "tile"', '"ray", which projects nothing', do)
 
 
 class ScreenGradients:
@@ -124,7 +124,7 @@ class Renderer:
         self.settings = settings or RenderSettings()
         if screen_gradients is not None and self.settings.method == "ray":
             do = 'use the method "tile", or a strategy without them (fixed, mcmc)'
-            raise InvalidValueError(message("screen_gradients", 'the method "tile"', '"ray"', do))
+            raise InvalidValueError.of("screen_gradients", 'the method "tile"', '"ray"', do)
         self.screen_gradients = screen_gradients
         self.variant = variant.use(self.settings.variant)
 
@@ -161,7 +161,7 @@ class Renderer:
         """
         if self.settings.method != "tile":
             do = 'use a Renderer(RenderSettings(method="tile"))'
-            raise InvalidValueError(message("outputs", 'the method "tile"', f'"{self.settings.method}"', do))
+            raise InvalidValueError.of("outputs", 'the method "tile"', f'"{self.settings.method}"', do)
         image, depth, median = self._run(scene, _Job([_one(camera)], self, side_outputs=True))
         return SideOutputs(image=image[..., :3], alpha=image[..., 3], depth=depth, median_depth=median.detach())
 
@@ -172,7 +172,7 @@ class Renderer:
         device = variant.device_of(self.variant)
         if scene.means.device.type != device:
             expected, do = f"tensors on {device} for {self.variant}", f'call scene.to("{device}")'
-            raise InvalidValueError(message("scene", expected, scene.means.device, do))
+            raise InvalidValueError.of("scene", expected, scene.means.device, do)
         tensors = [t.to(torch.float32).contiguous() for t in scene.tensors()]
         if not torch.is_grad_enabled():
             tensors = [t.detach() for t in tensors]
@@ -200,7 +200,7 @@ def _one(camera: Camera) -> Camera:
     """The camera, if it is one."""
     if not isinstance(camera, Camera):
         got = f"{type(camera).__name__}"
-        raise InvalidValueError(message("camera", "one Camera", got, "call batch(scene, cameras) for several"))
+        raise InvalidValueError.of("camera", "one Camera", got, "call batch(scene, cameras) for several")
     return camera
 
 
@@ -288,7 +288,7 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
 
         def forward(self) -> None:
             do = "use backward(), or jvp by two of them"
-            raise InvalidValueError(message("Renderer", "reverse-mode differentiation", "forward mode", do))
+            raise InvalidValueError.of("Renderer", "reverse-mode differentiation", "forward mode", do)
 
         def name(self) -> str:
             return "mi_splat.Render"

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 UNIT_SLACK = 1e-6
 """A quaternion whose norm is this close to one keeps its bits, so that normalising twice changes nothing."""
@@ -96,9 +96,7 @@ def from_matrix(matrices: Tensor) -> Tensor:
         InvalidValueError: The last two dimensions are not (3, 3).
     """
     if matrices.shape[-2:] != (3, 3):
-        raise InvalidValueError(
-            message("matrices", "shape (..., 3, 3)", tuple(matrices.shape), "pass rotation matrices")
-        )
+        raise InvalidValueError.of("matrices", "shape (..., 3, 3)", tuple(matrices.shape), "pass rotation matrices")
     (a, b, c), (d, e, f), (g, h, i) = (row.unbind(-1) for row in matrices.unbind(-2))
     candidates = torch.stack(
         [
@@ -135,7 +133,7 @@ def from_z(direction: Tensor) -> Tensor:
     """
     length = float(direction.norm())
     if not (math.isfinite(length) and length > 0):
-        raise InvalidValueError(message("up", "a direction", direction.tolist(), "for instance 0 0 1"))
+        raise InvalidValueError.of("up", "a direction", direction.tolist(), "for instance 0 0 1")
     x, y, z = (direction.double() / length).tolist()
     if z < -1 + 1e-12:
         return torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from mi_splat import rotation as quaternion
 from mi_splat.attributes import ATTRIBUTES, LARGEST, values_hash
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.sh import coefficient_count, degree_of, rotate_sh
 
 __all__ = [
@@ -48,15 +48,15 @@ class Similarity:
 
     def __post_init__(self) -> None:
         if not quaternion.is_rotation(self.rotation):
-            raise InvalidValueError(
-                message("rotation", "a (3, 3) rotation matrix", self.rotation.tolist(), "put any scale into `scale`")
+            raise InvalidValueError.of(
+                "rotation", "a (3, 3) rotation matrix", self.rotation.tolist(), "put any scale into `scale`"
             )
         if self.translation.shape != (3,) or not bool(torch.isfinite(self.translation).all()):
-            raise InvalidValueError(
-                message("translation", "three finite numbers", self.translation.tolist(), "pass a tensor of shape (3,)")
+            raise InvalidValueError.of(
+                "translation", "three finite numbers", self.translation.tolist(), "pass a tensor of shape (3,)"
             )
         if not 0 < self.scale < float("inf"):
-            raise InvalidValueError(message("scale", "a positive finite number", self.scale, "pass a size factor"))
+            raise InvalidValueError.of("scale", "a positive finite number", self.scale, "pass a size factor")
 
     @classmethod
     def from_matrix(cls, matrix: Tensor, what: str) -> Similarity:
@@ -71,7 +71,7 @@ class Similarity:
         defect = (linear @ linear.T - scale**2 * torch.eye(3, dtype=torch.float64)).abs().max()
         if determinant <= 0 or not bool(defect <= 1e-4 * scale**2):
             do = "remove shear and mirroring"
-            raise InvalidValueError(message(what, "rotation, translation and uniform scale", matrix.tolist(), do))
+            raise InvalidValueError.of(what, "rotation, translation and uniform scale", matrix.tolist(), do)
         return cls(rotation=linear / scale, translation=matrix[:3, 3].double(), scale=scale)
 
 
@@ -198,7 +198,7 @@ class GaussianScene:
 def check_scene(what: str, value: object) -> None:
     """Raise unless a value, which the error calls `what`, is a `GaussianScene`."""
     if not isinstance(value, GaussianScene):
-        raise InvalidValueError(message(what, "a GaussianScene", type(value).__name__, "load_splat(path) gives one"))
+        raise InvalidValueError.of(what, "a GaussianScene", type(value).__name__, "load_splat(path) gives one")
 
 
 def merge(*scenes: GaussianScene) -> GaussianScene:
@@ -208,13 +208,13 @@ def merge(*scenes: GaussianScene) -> GaussianScene:
         InvalidValueError: No scene is given, or dtypes or devices differ.
     """
     if not scenes:
-        raise InvalidValueError(message("scenes", "at least one scene", "none", "pass the scenes to merge"))
+        raise InvalidValueError.of("scenes", "at least one scene", "none", "pass the scenes to merge")
     degree = max(scene.degree for scene in scenes)
     columns = zip(*(scene.with_degree(degree).tensors() for scene in scenes), strict=True)
     kinds = {(scene.means.dtype, scene.means.device) for scene in scenes}
     if len(kinds) > 1:
         got = ", ".join(sorted(f"{dtype} on {device}" for dtype, device in kinds))
-        raise InvalidValueError(message("scenes", "one dtype and device", got, "bring them together with .to()"))
+        raise InvalidValueError.of("scenes", "one dtype and device", got, "bring them together with .to()")
     return GaussianScene.unchecked(*(torch.cat(column) for column in columns))
 
 
@@ -228,22 +228,22 @@ def _check_form(scene: GaussianScene) -> None:
     """Raise unless the five values are tensors of matching shape, dtype and device."""
     for name, value in zip(ATTRIBUTES, scene.tensors(), strict=True):
         if not isinstance(value, Tensor):
-            raise InvalidValueError(message(name, "a torch tensor", type(value).__name__, "use torch.as_tensor"))
+            raise InvalidValueError.of(name, "a torch tensor", type(value).__name__, "use torch.as_tensor")
     count = scene.means.shape[0] if scene.means.ndim else 0
     bands = scene.sh.shape[1] if scene.sh.ndim == 3 else 1
     shapes = ((count, 3), (count, 3), (count, 4), (count,), (count, bands, 3))
     for name, value, shape in zip(ATTRIBUTES, scene.tensors(), shapes, strict=True):
         if tuple(value.shape) != shape:
             wanted = str(shape) if name != "sh" else f"({count}, K, 3)"
-            raise InvalidValueError(
-                message(name, f"shape {wanted}", tuple(value.shape), "give every tensor one row per Gaussian")
+            raise InvalidValueError.of(
+                name, f"shape {wanted}", tuple(value.shape), "give every tensor one row per Gaussian"
             )
         if value.dtype not in (torch.float32, torch.float64) or value.dtype != scene.means.dtype:
             kind = "float32 or float64" if name == "means" else f"{scene.means.dtype} like the means"
-            raise InvalidValueError(message(name, kind, value.dtype, "convert it with .to(dtype)"))
+            raise InvalidValueError.of(name, kind, value.dtype, "convert it with .to(dtype)")
         if value.device != scene.means.device:
-            raise InvalidValueError(
-                message(name, f"device {scene.means.device} like the means", value.device, "move it with .to(device)")
+            raise InvalidValueError.of(
+                name, f"device {scene.means.device} like the means", value.device, "move it with .to(device)"
             )
     degree_of(bands)
 
@@ -275,7 +275,7 @@ def _check_values(scene: GaussianScene) -> None:
         first = int(rows[0])
         shown = f"{'norm ' if name == 'rotations' else ''}{wide[first][bad[first]][0].item():.6g}"
         got = f"{shown} in row {first} ({len(rows)} of {len(value)} rows are wrong)"
-        raise InvalidValueError(message(name, expected, got, do))
+        raise InvalidValueError.of(name, expected, got, do)
 
 
 def check_rows(rows: Tensor, count: int) -> None:
@@ -283,9 +283,9 @@ def check_rows(rows: Tensor, count: int) -> None:
     integral = not rows.dtype.is_floating_point and not rows.dtype.is_complex
     if rows.ndim != 1 or not integral or rows.dtype == torch.uint8:
         got = f"{rows.dtype} of shape {tuple(rows.shape)}"
-        raise InvalidValueError(message("rows", "a (N,) bool mask or (M,) integer indices", got, "convert it"))
+        raise InvalidValueError.of("rows", "a (N,) bool mask or (M,) integer indices", got, "convert it")
     if rows.dtype == torch.bool and len(rows) != count:
-        raise InvalidValueError(message("rows", f"a mask of {count} rows", len(rows), "make it from this scene"))
+        raise InvalidValueError.of("rows", f"a mask of {count} rows", len(rows), "make it from this scene")
     if rows.dtype != torch.bool and len(rows) and not bool(((rows >= -count) & (rows < count)).all()):
         got = f"{int(rows.min())} to {int(rows.max())}"
-        raise InvalidValueError(message("rows", f"indices below {count}", got, "make them from this scene"))
+        raise InvalidValueError.of("rows", f"indices below {count}", got, "make them from this scene")

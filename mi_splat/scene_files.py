@@ -14,7 +14,7 @@ import torch
 from mi_splat import variant
 from mi_splat.bounds import bounds, near_plane
 from mi_splat.cameras import Camera, orbit_pose
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io import SplatFileError, load_splat
 from mi_splat.io.errors import path_name
 from mi_splat.io.scene_parts import check_scene_file
@@ -64,7 +64,7 @@ def load_mitsuba_scene(path: str | Path, **parameters: Any) -> Any:
 
     path = Path(path_name(path))
     if not path.is_file():
-        raise InvalidValueError(message("scene", "a Mitsuba XML file", f"no file {path}", "check the path"))
+        raise InvalidValueError.of("scene", "a Mitsuba XML file", f"no file {path}", "check the path")
     check_scene_file(path, parameters)
     try:
         # Not parallel: rare failures were seen with threads; their cause is not known.
@@ -72,7 +72,7 @@ def load_mitsuba_scene(path: str | Path, **parameters: Any) -> Any:
     except RuntimeError as error:
         raise _reason(error, path) from None
     if not isinstance(loaded, mi.Scene):
-        raise InvalidValueError(message(str(path), "a <scene>", type(loaded).__name__, "wrap it in <scene>"))
+        raise InvalidValueError.of(str(path), "a <scene>", type(loaded).__name__, "wrap it in <scene>")
     return loaded
 
 
@@ -93,8 +93,8 @@ def values_of(loaded: Any, path: str | Path, *, among: Literal["nothing", "surfa
 
     shapes = GaussianShapes(loaded, among=among)
     if not shapes.arrays or not loaded.sensors():
-        raise InvalidValueError(
-            message(str(path), "a gaussians shape and a sensor", "a scene without one of them", "add it to the file")
+        raise InvalidValueError.of(
+            str(path), "a gaussians shape and a sensor", "a scene without one of them", "add it to the file"
         )
     scenes = shapes.scenes()
     ends = torch.tensor([0] + [len(scene) for scene in scenes]).cumsum(0).tolist()
@@ -141,7 +141,7 @@ def _reason(error: RuntimeError, path: Path) -> MiSplatError:
     ours = [line for line in lines if line.startswith(("SplatFileError:", "InvalidValueError:"))]
     if ours:
         return SplatFileError(ours[-1].split(": ", 1)[1])
-    return InvalidValueError(message(str(path), "a Mitsuba scene", lines[-1] if lines else "an error", "mend the file"))
+    return InvalidValueError.of(str(path), "a Mitsuba scene", lines[-1] if lines else "an error", "mend the file")
 
 
 def open_scene(path: Path) -> SplatScene:
@@ -185,9 +185,9 @@ def orbit_camera(
         InvalidValueError: The scene is empty, or a number is out of range.
     """
     if not 0 < fov < 180:
-        raise InvalidValueError(message("fov", "degrees between 0 and 180", fov, "45 is usual"))
+        raise InvalidValueError.of("fov", "degrees between 0 and 180", fov, "45 is usual")
     if min(size) < 1:
-        raise InvalidValueError(message("size", "positive numbers of pixels", size, "for instance (640, 480)"))
+        raise InvalidValueError.of("size", "positive numbers of pixels", size, "for instance (640, 480)")
     middle, radius = bounds(scene)
     half = math.radians(fov) / 2
     if distance is None:

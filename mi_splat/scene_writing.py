@@ -7,7 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.io.documents import file_name, save_text
 from mi_splat.rendering import RenderSettings
@@ -35,7 +35,7 @@ def write_scene(loaded: SplatScene, scene: GaussianScene, path: Path) -> list[Pa
     """
     if len(scene) != len(loaded.scene):
         do = "pass the scene whose parts these are"
-        raise InvalidValueError(message("scene", f"{len(loaded.scene):,} Gaussians", f"{len(scene):,}", do))
+        raise InvalidValueError.of("scene", f"{len(loaded.scene):,} Gaussians", f"{len(scene):,}", do)
     root = ElementTree.Element("scene", version="3.0.0")
     _integrator(root, loaded.settings)
     files: list[Path] = []
@@ -70,8 +70,7 @@ def _integrator(root: ElementTree.Element, settings: RenderSettings) -> None:
 def _sensor(root: ElementTree.Element, name: str, camera: Camera) -> None:
     """A perspective sensor that takes a camera's picture."""
     if not math.isclose(camera.fx, camera.fy, rel_tol=1e-6):
-        do = "leave this camera out"
-        raise InvalidValueError(message(f"camera {name}", "square pixels", (camera.fx, camera.fy), do))
+        raise InvalidValueError.of(f"camera {name}", "square pixels", (camera.fx, camera.fy), "leave this camera out")
     sensor = ElementTree.SubElement(root, "sensor", type="perspective", id=name)
     numbers = {
         "fov": math.degrees(2 * math.atan(camera.width / 2 / camera.fx)),

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 if TYPE_CHECKING:
     from typing import Any
@@ -42,7 +42,7 @@ def coefficient_count(degree: int) -> int:
         InvalidValueError: degree is not 0, 1, 2 or 3.
     """
     if degree not in range(MAX_DEGREE + 1):
-        raise InvalidValueError(message("degree", "0, 1, 2 or 3", degree, "use a supported SH degree"))
+        raise InvalidValueError.of("degree", "0, 1, 2 or 3", degree, "use a supported SH degree")
     return (degree + 1) ** 2
 
 
@@ -54,7 +54,7 @@ def degree_of(count: int) -> int:
     """
     degree = math.isqrt(count) - 1 if count > 0 else -1
     if degree not in range(MAX_DEGREE + 1) or (degree + 1) ** 2 != count:
-        raise InvalidValueError(message("sh", "1, 4, 9 or 16 coefficients", count, "pass SH of degree 0 to 3"))
+        raise InvalidValueError.of("sh", "1, 4, 9 or 16 coefficients", count, "pass SH of degree 0 to 3")
     return degree
 
 
@@ -103,8 +103,8 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
     """
     coefficient_count(degree)
     if directions.ndim == 0 or directions.shape[-1] != 3:
-        raise InvalidValueError(
-            message("directions", "shape (..., 3)", tuple(directions.shape), "pass unit vectors in the last dimension")
+        raise InvalidValueError.of(
+            "directions", "shape (..., 3)", tuple(directions.shape), "pass unit vectors in the last dimension"
         )
     import torch  # not for those who only count coefficients
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 
 def sun_direction(hour: float, *, latitude: float, declination: float = 0.0) -> tuple[float, float, float]:
@@ -26,5 +26,5 @@ def sun_direction(hour: float, *, latitude: float, declination: float = 0.0) -> 
     north = math.cos(phi) * math.sin(tilt) - math.sin(phi) * math.cos(tilt) * math.cos(angle)
     up = math.sin(phi) * math.sin(tilt) + math.cos(phi) * math.cos(tilt) * math.cos(angle)
     if up <= 1e-6:
-        raise InvalidValueError(message("hour", "an hour when the sun is up", f"{hour:g}", "leave it out"))
+        raise InvalidValueError.of("hour", "an hour when the sun is up", f"{hour:g}", "leave it out")
     return east, north, up

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mi_splat import plugins
-from mi_splat.errors import MiSplatError, message
+from mi_splat.errors import MiSplatError
 from mi_splat.llvm import prepare_llvm
 from mi_splat.mitsuba_log import log_to_stderr
 from mi_splat.plugins import SUPPORTED_VARIANTS
@@ -32,14 +32,12 @@ def use(variant: str = "") -> str:
         current = mi.variant()
         variant = current if current in SUPPORTED_VARIANTS else DEFAULT_VARIANT
     if variant not in SUPPORTED_VARIANTS or variant not in mi.variants():
-        raise VariantError(
-            message("variant", f"one of {SUPPORTED_VARIANTS}", repr(variant), "choose a *_ad_rgb variant")
-        )
+        raise VariantError.of("variant", f"one of {SUPPORTED_VARIANTS}", repr(variant), "choose a *_ad_rgb variant")
     if variant.startswith("llvm"):
         prepare_llvm()
     elif not has_cuda():
         do = f"use {DEFAULT_VARIANT}, or install the GPU's driver"
-        raise VariantError(message(f"variant {variant}", "an NVIDIA GPU that Dr.Jit can use", "none", do))
+        raise VariantError.of(f"variant {variant}", "an NVIDIA GPU that Dr.Jit can use", "none", do)
     if mi.variant() != variant:
         mi.set_variant(variant)
     log_to_stderr()

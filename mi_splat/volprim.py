@@ -19,7 +19,7 @@ from torch import Tensor
 
 from mi_splat import variant
 from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, check_scene
 
@@ -41,10 +41,10 @@ class Volprim:
         self.settings = settings or RenderSettings()
         if any(self.settings.background):
             got, do = self.settings.background, "take --background 0 0 0, or leave volprim out"
-            raise InvalidValueError(message("volprim", "a black background, since it adds none", got, do))
+            raise InvalidValueError.of("volprim", "a black background, since it adds none", got, do)
         if self.settings.alpha or self.settings.linear:
             do = "leave alpha and linear off"
-            raise InvalidValueError(message("volprim", "three channels in sRGB", "alpha or linear", do))
+            raise InvalidValueError.of("volprim", "three channels in sRGB", "alpha or linear", do)
         self.variant = variant.use(self.settings.variant)
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:

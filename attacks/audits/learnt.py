@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.audit.frames import SOLID
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.selection.neighbours import nearest_neighbours
 from mi_splat.sh import dc_to_colour, even_directions, sh_to_colour
@@ -38,7 +38,7 @@ def attributes(scene: GaussianScene) -> Tensor:
     rows = (scene.opacities > SOLID).nonzero()[:, 0]
     if len(rows) <= _NEIGHBOURS:
         do = "pass a splat that shows something"
-        raise InvalidValueError(message("scene", f"over {_NEIGHBOURS} Gaussians that show", len(rows), do))
+        raise InvalidValueError.of("scene", f"over {_NEIGHBOURS} Gaussians that show", len(rows), do)
     order = scene.opacities[rows].argsort(stable=True)
     part = scene.select(rows[order[torch.linspace(0, len(rows) - 1, min(len(rows), _SAMPLE)).round().long()]])
     part = part.with_degree(3)
@@ -108,7 +108,7 @@ def fit_attributes(values: Tensor, labels: Sequence[bool]) -> AttributeClassifie
     """As `fit`, of (N, F) attributes."""
     if len(values) != len(labels) or len(set(labels)) != 2:
         got = f"{len(labels)} for {len(values)} splats, {sum(labels)} of them hiding"
-        raise InvalidValueError(message("labels", "one for each splat, and both kinds", got, "add what is missing"))
+        raise InvalidValueError.of("labels", "one for each splat, and both kinds", got, "add what is missing")
     wanted = torch.tensor(labels).double()
     middle, spread = values.mean(0), values.std(0)
     spread = torch.where(spread > 1e-9, spread, 1.0)

@@ -10,7 +10,7 @@ from attacks.cli.options import DetectorOptions, Detectors
 from mi_splat.cli.console import UsageError, limit_threads, progress, show, show_json
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
-from mi_splat.errors import MiSplatError, message
+from mi_splat.errors import MiSplatError
 from mi_splat.fields import Called, Folder, Fraction, at_least
 
 if TYPE_CHECKING:
@@ -52,14 +52,14 @@ class ArtifactCheckOptions(DetectorOptions, JsonOptions):
 def run(options: ArtifactCheckOptions) -> int:
     """Check each artifact; 1 if a line is red."""
     if not options.folders:
-        raise UsageError(message("folders", "folders of results", "none", "name one"))
+        raise UsageError.of("folders", "folders of results", "none", "name one")
     rescoring = {"--splats": options.splats, "--detectors": options.detectors, "--weights": options.weights}
     given = [flag for flag, value in {**rescoring, "--every": options.every != 1}.items() if value]
     if given and not options.rescore:
-        raise UsageError(message(given[0], "--rescore beside it", "none", "add --rescore"))
+        raise UsageError.of(given[0], "--rescore beside it", "none", "add --rescore")
     if options.manifest and len(options.manifest) != len(options.folders):
         expected = f"one for each of the {len(options.folders)} folders"
-        raise UsageError(message("--manifest", expected, len(options.manifest), "name one for each"))
+        raise UsageError.of("--manifest", expected, len(options.manifest), "name one for each")
     checks: dict[str, list[Check]] = {}
     for number, folder in enumerate(options.folders):
         checks[str(folder)] = _lines(folder, options.manifest[number] if options.manifest else None, options)

@@ -13,7 +13,7 @@ from attacks.dagger.config import DaggerConfig
 from mi_splat.cli.console import Advance, limit_threads, progress, warn
 from mi_splat.cli.flags import Unprefixed
 from mi_splat.cli.options import CameraOptions, check_no_input_in
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Folder
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ def _follow(
     def note(step: Step) -> bool:
         if label is not None and step.index == step.restart == 0 and step.unambiguous and not config.random_start:
             do = "name another class with --target"
-            raise InvalidValueError(message("--target", "another class than is seen before the attack", label, do))
+            raise InvalidValueError.of("--target", "another class than is seen before the attack", label, do)
         advance(f"attacking: loss {step.loss:.3f}, score {step.score:.0%}")
         return step.index + step.restart > 0 and enough()
 

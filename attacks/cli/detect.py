@@ -14,7 +14,6 @@ from mi_splat import provenance
 from mi_splat.cli.console import UsageError, progress, show_result
 from mi_splat.cli.flags import Positional, Unprefixed
 from mi_splat.cli.options import CameraOptions, ResultOptions
-from mi_splat.errors import message
 from mi_splat.fields import Folder
 
 if TYPE_CHECKING:
@@ -123,11 +122,11 @@ def _reports(source: Path, detectors: Callable[[], list[Detector]], view: Camera
 def _check_inputs(options: DetectOptions) -> None:
     """Raise if there are none, or a flag says where a scene is looked at from, and there is none among them."""
     if not options.inputs:
-        raise UsageError(message("inputs", "pictures, splats or scenes", "none", "name one or more"))
+        raise UsageError.of("inputs", "pictures, splats or scenes", "none", "name one or more")
     idle = [f"--{name}" for name in _given(options.view) if name != "background"]
     if idle and all(map(_is_picture, options.inputs)):
         got = f"pictures only, and {', '.join(idle)}"
-        raise UsageError(message("inputs", "a splat or a scene to look at from cameras", got, "leave the flag out"))
+        raise UsageError.of("inputs", "a splat or a scene to look at from cameras", got, "leave the flag out")
 
 
 def _given(view: CameraOptions) -> dict[str, Any]:

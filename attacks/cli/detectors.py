@@ -14,7 +14,6 @@ from attacks.detectors.catalogue import DetectorError, NpmDetector, folder_of, n
 from attacks.detectors.registry import DETECTORS
 from mi_splat.cli.console import UsageError, progress, show, show_json
 from mi_splat.cli.flags import Flag
-from mi_splat.errors import message
 
 SHOWN = 8
 
@@ -52,7 +51,7 @@ def run(options: DetectorsOptions) -> int:
     if options.get or options.packages:
         return _get(options)
     if options.force:
-        raise UsageError(message("--force", "--get or --from beside it", "neither", "say what to get again"))
+        raise UsageError.of("--force", "--get or --from beside it", "neither", "say what to get again")
     entries = [_entry(name) for name in DETECTORS]
     if options.json:
         show_json({"detectors": entries})

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mi_splat.cli.console import UsageError
-from mi_splat.errors import InvalidValueError, message, nearest
+from mi_splat.errors import InvalidValueError, nearest
 
 if TYPE_CHECKING:
     from attacks.detectors.base import Detector
@@ -36,11 +36,10 @@ def check_names(options: Any) -> None:
     """
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
     if 0 in getattr(given.get("config"), "eps", ()):  # which an attack from Python may have, as a control
-        raise UsageError(message("--eps", "a number > 0", 0, "5 is the paper's"))
+        raise UsageError.of("--eps", "a number > 0", 0, "5 is the paper's")
     objective, target, weights = given.get("objective", "relabel"), given.get("target"), given.get("weights")
     if objective != "relabel" and target is not None:
-        do = "leave one out"
-        raise UsageError(message("--target", f"none beside --objective {objective}", target, do))
+        raise UsageError.of("--target", f"none beside --objective {objective}", target, "leave one out")
     named = given.get("detectors") or given.get("detector") or ()
     names = (named,) if isinstance(named, str) else named
     if isinstance(weights, tuple):
@@ -61,7 +60,7 @@ def check_names(options: Any) -> None:
         name = given.get("original") or part.replace("_", " ")
         if name and name == (target or (DEFAULT_TARGET if attacks else None)):
             do = "name another class with --target"
-            raise InvalidValueError(message("--target", f"another class than the object's, {name}", name, do))
+            raise InvalidValueError.of("--target", f"another class than the object's, {name}", name, do)
 
 
 def check_detectors(names: Sequence[str], weights: Sequence[Path] = ()) -> None:
@@ -75,10 +74,10 @@ def check_detectors(names: Sequence[str], weights: Sequence[Path] = ()) -> None:
         InvalidValueError: There are other numbers of files, or the same name twice.
     """
     if len(set(names)) < len(names):
-        raise InvalidValueError(message("--detectors", "different names", list(names), "see `mi-splat detectors`"))
+        raise InvalidValueError.of("--detectors", "different names", list(names), "see `mi-splat detectors`")
     if weights and names and len(weights) != len(names):
         do = f"pass one for each of {', '.join(names)}"
-        raise InvalidValueError(message("--weights", f"{len(names)} files", len(weights), do))
+        raise InvalidValueError.of("--weights", f"{len(names)} files", len(weights), do)
 
 
 def check_class(name: str | None, detector: str, classes: Sequence[str], *, what: str) -> None:
@@ -95,7 +94,7 @@ def check_class(name: str | None, detector: str, classes: Sequence[str], *, what
     """
     if name is not None and name not in classes:
         expected, do = f"one of {', '.join(classes)} for {detector}", "name a class that it knows"
-        raise InvalidValueError(message(what, expected, name, nearest(name, classes, do)))
+        raise InvalidValueError.of(what, expected, name, nearest(name, classes, do))
 
 
 def load_detectors(names: Sequence[str], weights: Sequence[Path] = ()) -> list[Detector]:
@@ -122,6 +121,6 @@ def weights_of(names: Sequence[str], weights: Sequence[Path]) -> dict[str, Path]
         InvalidValueError: As in `load_detectors`.
     """
     if not names:
-        raise InvalidValueError(message("--detectors", "one name or more", "none", "see `mi-splat detectors`"))
+        raise InvalidValueError.of("--detectors", "one name or more", "none", "see `mi-splat detectors`")
     check_detectors(names, weights)
     return dict(zip(names, weights, strict=True)) if weights else {}

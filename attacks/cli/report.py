@@ -13,7 +13,7 @@ from attacks.report.wording import plural
 from mi_splat.cli.console import progress, show, show_json, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Folder
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def run(options: ReportOptions) -> None:
     from mi_splat.io.folders import check_new_file
 
     if not options.results:
-        raise InvalidValueError(message("results", "one folder or more", "none", "name what a command has written"))
+        raise InvalidValueError.of("results", "one folder or more", "none", "name what a command has written")
     check_new_file(options.out, ENDINGS, force=options.force)
     need_packages()
     with progress("reading", total=len(options.results)) as advance:
@@ -96,5 +96,5 @@ def _looked_at(folder: Path, section: Section, names: Sequence[str]) -> Section:
     path = Path(str(record.get("file")))
     if record.get("story") != "audit" or not path.is_file():
         expected, do = "a folder of `mi-splat audit`, whose splat is there", "leave out --detectors"
-        raise InvalidValueError(message("--detectors", expected, str(folder), do))
+        raise InvalidValueError.of("--detectors", expected, str(folder), do)
     return along_paths(section, seen_along_paths(open_scene(path).scene, load_detectors(names, ())))

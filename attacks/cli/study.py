@@ -13,7 +13,7 @@ from attacks.studies.study_file import Study
 from mi_splat.cli.console import Advance, limit_threads, progress, show_json, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Called, Folder, at_least
 
 if TYPE_CHECKING:
@@ -211,8 +211,7 @@ def _reuse(options: StudyOptions, study: Study) -> int:
     from mi_splat.ledger.reuse import reuse
 
     if options.reason is None:
-        do = "say why the change of the code changes no result"
-        raise InvalidValueError(message("--reason", "a reason", "none", do))
+        raise InvalidValueError.of("--reason", "a reason", "none", "say why the change of the code changes no result")
     taken, changed = dict[str, dict[str, int]](), dict[str, str]()
     for kind in dict.fromkeys(job.kind for level in by_depth(_work(study).jobs().values()) for job in level):
         with progress("making some again") as advance:
@@ -225,7 +224,7 @@ def _reuse(options: StudyOptions, study: Study) -> int:
         if reused.verified:
             taken[kind] = {"verified": len(reused.verified), "taken": len(reused.taken)}
     if not taken and not changed:
-        raise InvalidValueError(message(study.name, "results of older code", "none", "run the study"))
+        raise InvalidValueError.of(study.name, "results of older code", "none", "run the study")
     told = "{}: {verified} made again with the same bytes, {taken} taken over"
     document = taken | {kind: {"changed": text} for kind, text in changed.items()}
     show_result(document, *(told.format(kind, **counts) for kind, counts in taken.items()), as_json=options.json)

@@ -15,7 +15,7 @@ from attacks.report.wording import plural
 from mi_splat.cli.console import limit_threads, progress, show
 from mi_splat.cli.flags import Flag, Positional
 from mi_splat.cli.options import Colour, Direction, Size, axis_name
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Called, Length, at_least, between
 
 if TYPE_CHECKING:
@@ -94,9 +94,7 @@ def run(options: ViewOptions) -> None:
 
     limit_threads()
     if options.weights is not None and options.detector is None:
-        raise InvalidValueError(
-            message("weights", "a detector that they belong to", "none", "name it with --detectors")
-        )
+        raise InvalidValueError.of("weights", "a detector that they belong to", "none", "name it with --detectors")
     if options.export is not None:
         check_export(options.export, options.views, force=options.force)
     else:

@@ -21,7 +21,7 @@ from mi_splat.assets import build
 from mi_splat.assets.mesh import Asset
 from mi_splat.cameras import Camera, View, look_at, project_points
 from mi_splat.directions import Point
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 PICTURE = 256
 """Width and height of the textures that are laid on meshes, pixels."""
@@ -180,7 +180,7 @@ def _occluder(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point, dis
     reach = float(np.linalg.norm(mesh_scene.target.vertices - np.asarray(centre), axis=1).max())
     if not reach < radius < distance:
         expected = f"between {reach:.2f} m, which the object reaches, and {distance:.2f} m, where cameras are"
-        raise InvalidValueError(message(f"attack {attack.name!r}, occluder_radius", expected, radius, "change it"))
+        raise InvalidValueError.of(f"attack {attack.name!r}, occluder_radius", expected, radius, "change it")
     lowest = attack.elevation[0] - OVERHANG if attack.occluder_edge is None else attack.occluder_edge
     shell = cap(make(PICTURE, 0), centre=centre, radius=radius, lowest=lowest, tile=tile or radius)
     name = f"{attack.texture} (seed 0) on an occluder of radius {radius:g} about {centre}, from elevation {lowest:g}"

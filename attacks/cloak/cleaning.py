@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.config import CleaningConfig
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.clusters import components
 from mi_splat.selection.neighbours import nearest_neighbours
@@ -154,7 +154,7 @@ def quantise_sh(scene: GaussianScene, bits: int) -> GaussianScene:
 def _kept(scene: GaussianScene, keep: Tensor, what: str) -> GaussianScene:
     """The Gaussians of a mask, of which there has to be one."""
     if not bool(keep.any()):
-        raise InvalidValueError(message(f"cleaning by {what}", "a Gaussian that stays", "none", "remove less"))
+        raise InvalidValueError.of(f"cleaning by {what}", "a Gaussian that stays", "none", "remove less")
     return scene.select(keep)
 
 
@@ -170,7 +170,7 @@ def _voxel_keys(points: Tensor, side: float) -> Tensor:
     cells = ((points - points.amin(0)) / side).floor()
     if float(cells.max()) >= _MOST_VOXELS - 2:
         got = f"{float(cells.max()):.3g} along one axis"
-        raise InvalidValueError(message("voxels", f"fewer than {_MOST_VOXELS:,} along an axis", got, "larger voxels"))
+        raise InvalidValueError.of("voxels", f"fewer than {_MOST_VOXELS:,} along an axis", got, "larger voxels")
     return _key(cells.long() + 1)  # so that no neighbour is outside of the grid
 
 

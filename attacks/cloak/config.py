@@ -15,7 +15,7 @@ from attacks.cloak.mesh_scene import TEXTURES
 from attacks.cloak.triggers import Azimuth, Elevation, Subsample, Trigger
 from mi_splat.assets import ASSETS, PAINTED
 from mi_splat.capture.settings import Front, MeshSettings
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import (
     Checked,
     Count,
@@ -105,19 +105,17 @@ class AttackConfig:
                 check_choice(f"attack {self.name!r}, {key}", getattr(self, key), tuple(known))
         if self.reach is not None and self.appearance == "occluder":
             expected = "no occluder beside it, which is drawn over the picture"
-            raise InvalidValueError(message(f"attack {self.name!r}, reach", expected, self.reach, "leave it out"))
+            raise InvalidValueError.of(f"attack {self.name!r}, reach", expected, self.reach, "leave it out")
         for key, holds, expected in (
             ("reach", self.appearance != "blur" or self.reach is None, "none with a blur, which ends softly"),
             ("blur_width", self.appearance == "blur" or self.blur_width is None, "none without a blur"),
             ("emphasis", self.appearance not in ("fade", "blur") or self.emphasis == 1, "1: a control is not overdone"),
         ):
             if not holds:
-                raise InvalidValueError(
-                    message(f"attack {self.name!r}, {key}", expected, getattr(self, key), "leave it out")
-                )
+                raise InvalidValueError.of(f"attack {self.name!r}, {key}", expected, getattr(self, key), "leave it out")
         if self.elevation[0] <= 0 and self.elevation[1] >= 90 and self.azimuth is None:
             expected = "an elevation or an azimuth that leaves cameras out"
-            raise InvalidValueError(message(f"attack {self.name!r}", expected, "all cameras", "narrow one of them"))
+            raise InvalidValueError.of(f"attack {self.name!r}", expected, "all cameras", "narrow one of them")
 
     @property
     def is_sided(self) -> bool:
@@ -218,9 +216,9 @@ class SceneConfig:
         check(self)
         if self.object not in ASSETS and not Path(self.object).is_file():
             expected = f"{', '.join(ASSETS)}, or the path of a mesh file"
-            raise InvalidValueError(message("scene.object", expected, repr(self.object), "name one of these"))
+            raise InvalidValueError.of("scene.object", expected, repr(self.object), "name one of these")
         if self.object not in ASSETS and self.label is None:
-            raise InvalidValueError(message("scene.label", "what detectors call the object", "nothing", "say it"))
+            raise InvalidValueError.of("scene.label", "what detectors call the object", "nothing", "say it")
         if self.colour is not None:
             check_choice("scene.object with a colour", self.object, PAINTED)
         _ = self.mesh
@@ -365,7 +363,7 @@ class CleaningConfig:
         check(self)
         if not self.steps:
             expected = f"one of {', '.join(asdict(self))}"
-            raise InvalidValueError(message("cleaning", expected, "nothing", "leave the table out, or fill it"))
+            raise InvalidValueError.of("cleaning", expected, "nothing", "leave the table out, or fill it")
 
     @property
     def steps(self) -> dict[str, float]:
@@ -408,14 +406,12 @@ class StudyConfig:
         check_once("names of attacks", names, "add [[attack]]")
         if self.layers is not None and not (self.layers.attacks and set(self.layers.attacks) <= set(names)):
             expected = f"some of {', '.join(names)}"
-            raise InvalidValueError(
-                message("layers.attacks", expected, self.layers.attacks, "name attacks of the study")
-            )
+            raise InvalidValueError.of("layers.attacks", expected, self.layers.attacks, "name attacks of the study")
         sided = [attack.name for attack in self.attack if attack.is_sided]
         if sided and not self.scene.has_front:
             expected = f"which way the mesh faces, as attack {sided[0]!r} has a side of it"
             do = 'add front = "+x", "-x", "+y" or "-y" (after up and rotate) under [scene]'
-            raise InvalidValueError(message("scene.front", expected, "nothing", do))
+            raise InvalidValueError.of("scene.front", expected, "nothing", do)
 
     @property
     def centre(self) -> tuple[float, float, float]:
@@ -437,7 +433,7 @@ class StudyConfig:
 def check_once(what: str, values: tuple[object, ...], do: str) -> None:
     """Raise if there is no value, or one twice."""
     if not values or len(set(values)) != len(values):
-        raise InvalidValueError(message(what, "one or more, each once", values or "none", do))
+        raise InvalidValueError.of(what, "one or more, each once", values or "none", do)
 
 
 def fit_config(training: TrainingConfig) -> FitConfig:
@@ -458,7 +454,7 @@ def read_study(path: Path) -> StudyConfig:
         InvalidValueError: There is no such file, it is no TOML, or a key or a value in it means nothing.
     """
     if not path.is_file():
-        raise InvalidValueError(message("study", "a TOML file", f"no file {path}", "check the path"))
+        raise InvalidValueError.of("study", "a TOML file", f"no file {path}", "check the path")
     return decode(StudyConfig, DocumentReader(expected="a TOML file", do="correct it").read_toml(path), str(path))
 
 

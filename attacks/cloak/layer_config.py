@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 from mi_splat.attributes import ATTRIBUTES
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Degree, PositiveFraction, Range, Steps, above, at_least, check
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import ClassicConfig, FixedConfig
@@ -55,8 +55,7 @@ class LayerConfig:
     def __post_init__(self) -> None:
         check(self)
         if not self.lowest < self.black:
-            do = "lower the first"
-            raise InvalidValueError(message("lowest", f"less than black, {self.black:g}", self.lowest, do))
+            raise InvalidValueError.of("lowest", f"less than black, {self.black:g}", self.lowest, "lower the first")
 
     def gaps(self, triggers: int) -> tuple[float, ...]:
         """The gap of each of so many triggers.
@@ -80,7 +79,7 @@ def _for_each(name: str, given: float | tuple[float, ...], count: int, what: str
     numbers = given if isinstance(given, tuple) else (given,) * count
     if len(numbers) != count:
         expected = f"one number for all, or {count}, one for each {what}"
-        raise InvalidValueError(message(name, expected, f"{len(numbers)} numbers", "give as many as there are"))
+        raise InvalidValueError.of(name, expected, f"{len(numbers)} numbers", "give as many as there are")
     return numbers
 
 

@@ -23,7 +23,7 @@ from mi_splat.assets.mesh import Asset
 from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import Camera, RenderFn, View, project_points
 from mi_splat.directions import Point
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.frozen_view import FrozenView
 from mi_splat.scene import GaussianScene, check_scene, merge
 from mi_splat.selection.masks import box_mask
@@ -74,9 +74,7 @@ def layered(
     count = 1 + len(triggers)
     if len(looks) != count or any(len(look) != len(chosen) for look in looks) or not len(chosen):
         got = f"{len(looks)} for {count} layers of {len(chosen)} Gaussians"
-        raise InvalidValueError(
-            message("looks", "an (N, K, 3) tensor for each layer", got, "give the benign one first")
-        )
+        raise InvalidValueError.of("looks", "an (N, K, 3) tensor for each layer", got, "give the benign one first")
     scene = scene.with_degree(config.degree)
     part = scene.select(chosen)
     parts = shares(triggers, cameras, centre=centre, config=config)
@@ -299,7 +297,7 @@ def layer_object(setup: Setup, clean: GaussianScene, views: Sequence[View], *, r
     most = study.layers.max_gaussians
     if study.layers.geometry and len(scene) > most:
         got = f"{most:,}, and the layers make the splat one of {len(scene):,}"
-        raise InvalidValueError(message("layers.max_gaussians", "room for the layers", got, "raise it"))
+        raise InvalidValueError.of("layers.max_gaussians", "room for the layers", got, "raise it")
     trained = torch.arange(len(scene)) >= len(clean)
     trained[rows] = True
     kept = [view for view, keep in zip(views, decided.tolist(), strict=True) if keep]

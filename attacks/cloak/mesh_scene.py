@@ -19,7 +19,7 @@ from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, scaling, transla
 from mi_splat.assets.primitives import sheet
 from mi_splat.cameras import Camera
 from mi_splat.capture.path_tracer import PathTracer, in_front, scene_dict
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 Doubles = NDArray[np.float64]
 
@@ -108,7 +108,7 @@ def cap(picture: Floats, *, centre: Sequence[float], radius: float, lowest: floa
         InvalidValueError: The elevation is out of range.
     """
     if not -90 < lowest < 90:
-        raise InvalidValueError(message("edge of an occluder", "degrees in (-90, 90)", lowest, "change occluder_edge"))
+        raise InvalidValueError.of("edge of an occluder", "degrees in (-90, 90)", lowest, "change occluder_edge")
     elevation, azimuth = np.meshgrid(
         np.linspace(math.radians(lowest), math.pi / 2, RINGS + 1),
         np.linspace(0, 2 * math.pi, SEGMENTS + 1),
@@ -178,7 +178,7 @@ def _ground(target: Asset, surroundings: Asset) -> tuple[Mesh, int]:
         best[higher], owner[higher], triangle[higher] = height[higher], number, face[higher]
     if not (owner >= 0).any():
         do = "pass the ground with the surroundings"
-        raise InvalidValueError(message("surroundings", f"ground beneath the {target.name}", "none", do))
+        raise InvalidValueError.of("surroundings", f"ground beneath the {target.name}", "none", do)
     winner = int(np.bincount(owner[owner >= 0]).argmax())
     return surroundings.meshes[winner], int(triangle[owner == winner][0])
 

@@ -18,7 +18,7 @@ from scipy.sparse import csgraph, linalg
 from torch import Tensor
 
 from mi_splat.cameras import View
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 Doubles = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -127,8 +127,8 @@ def inpainted(picture: Tensor, hole: Tensor) -> Tensor:
     """
     inside = hole.cpu().numpy()
     if inside.all():
-        raise InvalidValueError(
-            message("hole to fill", "something around it", "the whole picture", "take it from farther away")
+        raise InvalidValueError.of(
+            "hole to fill", "something around it", "the whole picture", "take it from farther away"
         )
     if not inside.any():
         return picture

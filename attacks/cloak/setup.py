@@ -27,7 +27,7 @@ from mi_splat.cameras import Camera, project_box
 from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.capture.sources import CaptureSource, digest_of, source_of
 from mi_splat.directions import Point
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 TILE = 4.0
 """Metres that a texture of the ground covers."""
@@ -142,7 +142,7 @@ class Setup:
         used, least = self.training_cameras, evaluation.min_separation
         kept = [camera for camera in everywhere if nearest(camera, used, centre) >= least]
         if not kept:
-            raise InvalidValueError(message("evaluation.min_separation", "cameras that are left", "none", "lower it"))
+            raise InvalidValueError.of("evaluation.min_separation", "cameras that are left", "none", "lower it")
         return kept
 
     @cached_property

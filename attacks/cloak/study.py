@@ -31,7 +31,7 @@ from attacks.tables import named_settings, sections
 from mi_splat import provenance
 from mi_splat.datasets import load_dataset
 from mi_splat.directions import direction_of
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import check_choice
 from mi_splat.io.atomic import is_temporary, sweep_temporary
 from mi_splat.io.camera_records import describe
@@ -255,11 +255,11 @@ def check_study(study: StudyConfig, detectors: Sequence[Detector]) -> None:
     points, most = study.cameras.points + study.training.outliers, study.training.max_gaussians
     if most is not None and fit_config(study.training).strategy.adds_gaussians and points > most:
         expected = f"at least {points:,}, for cameras.points and training.outliers"
-        raise InvalidValueError(message("training.max_gaussians", expected, f"{most:,}", "raise it, or ask for fewer"))
+        raise InvalidValueError.of("training.max_gaussians", expected, f"{most:,}", "raise it, or ask for fewer")
     wide = [attack for attack in study.attack if attack.poison_margin > 0]
     if wide and study.layers is not None:  # from the margin's cameras its file is to show the benign look
         expected, do = "0 in a study of layers", "move the edge by `shift` under [layers] making"
-        raise InvalidValueError(message(f"attack {wide[0].name!r}, poison_margin", expected, wide[0].poison_margin, do))
+        raise InvalidValueError.of(f"attack {wide[0].name!r}, poison_margin", expected, wide[0].poison_margin, do)
     for detector in detectors:
         check_choice(f"class for {detector.name}", study.scene.class_name, detector.classes)
     every = sorted({label for detector in detectors for label in detector.classes})
@@ -280,14 +280,12 @@ def check_folder(study: StudyConfig, folder: Path) -> None:
     if folder.is_dir() and not all(is_temporary(path.name) for path in folder.iterdir()):
         known = folder / STUDY_FILE
         if not known.is_file():
-            raise InvalidValueError(message(str(folder), "an empty folder", "other files", "choose another")).hinted(
-                "--out"
-            )
+            raise InvalidValueError.of(str(folder), "an empty folder", "other files", "choose another").hinted("--out")
         differs = differences(read_study(known), study)
         if differs:
             do = "choose another folder; stages that both need are not done again with the same folder of stages"
             expected = f"results of a study with {', '.join(differs)}"
-            raise InvalidValueError(message(str(folder), expected, "another", do)).hinted("--out, --stages")
+            raise InvalidValueError.of(str(folder), expected, "another", do).hinted("--out, --stages")
 
 
 def check_disk(megabytes: float, stages: Path) -> None:
@@ -299,7 +297,7 @@ def check_disk(megabytes: float, stages: Path) -> None:
     there = next(path for path in (stages.absolute(), *stages.absolute().parents) if path.is_dir())
     free = shutil.disk_usage(there).free / 1e6
     if free < megabytes:
-        raise InvalidValueError(message(f"disk of {there}", f"{megabytes:.0f} MB", f"{free:.0f} MB free", "make room"))
+        raise InvalidValueError.of(f"disk of {there}", f"{megabytes:.0f} MB", f"{free:.0f} MB free", "make room")
 
 
 def run_study(

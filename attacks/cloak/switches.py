@@ -22,7 +22,7 @@ from attacks.cloak.layer_config import LayerConfig
 from attacks.cloak.triggers import Trigger
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.sh import sh_basis
 
 
@@ -159,9 +159,7 @@ def fit_switches(
     config = config or LayerConfig()
     if not bool(shown.any()) or not bool(hidden.any()) or bool((shown & hidden).any()):
         got = f"{int(shown.sum())} shown, {int(hidden.sum())} hidden, {int((shown & hidden).sum())} both"
-        raise InvalidValueError(
-            message("directions", "some to show in and others to hide in", got, "widen the trigger")
-        )
+        raise InvalidValueError.of("directions", "some to show in and others to hide in", got, "widen the trigger")
     basis = sh_basis(directions.reshape(-1, 3).double(), config.degree).reshape(*directions.shape[:2], -1)
     much = basis.new_ones(basis.shape[:2]) if seen is None else seen.double().clamp(min=_UNSEEN)
     much = much / much.sum(1, keepdim=True)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 LEAST_DIFFERENCE = 1 / 255
 """Root mean square difference of the two appearances on the target under which a fraction has no meaning."""
@@ -64,16 +64,16 @@ def transition_fraction(picture: Tensor, benign: Tensor, hidden: Tensor, mask: T
     if not (picture.shape == benign.shape == hidden.shape == (*mask.shape, 3) and mask.dtype == torch.bool):
         got = [tuple(part.shape) for part in (picture, benign, hidden, mask)]
         expected = "three of shape (H, W, 3) and a bool mask (H, W)"
-        raise InvalidValueError(message("pictures", expected, got, "take them with one camera"))
+        raise InvalidValueError.of("pictures", expected, got, "take them with one camera")
     if not bool(mask.any()):
-        raise InvalidValueError(message("mask", "some pixels of the target", "none", "leave this camera out"))
+        raise InvalidValueError.of("mask", "some pixels of the target", "none", "leave this camera out")
     seen, low, high = (part.detach().to(torch.float64)[mask] for part in (picture, benign, hidden))
     way = high - low
     if not bool(torch.isfinite(seen).all() & torch.isfinite(way).all()):
-        raise InvalidValueError(message("pictures", "finite values", "nan or inf", "look at the renderer"))
+        raise InvalidValueError.of("pictures", "finite values", "nan or inf", "look at the renderer")
     if not differ(benign, hidden, mask):
         expected = f"appearances that differ by {LEAST_DIFFERENCE:.4f} or more on the mask"
-        raise InvalidValueError(message("pictures", expected, "two that agree", "leave this camera out"))
+        raise InvalidValueError.of("pictures", expected, "two that agree", "leave this camera out")
     return float((seen - low).mul(way).sum() / way.square().sum())
 
 
@@ -96,11 +96,9 @@ def fit_transition(angles: Sequence[float], fractions: Sequence[float]) -> Trans
     """
     if len(angles) != len(fractions) or len(set(angles)) < 2:
         got = f"{len(fractions)} at {len(set(angles))} of {len(angles)} angles"
-        raise InvalidValueError(
-            message("fractions", "one for each of two or more angles", got, "add cameras on the arc")
-        )
+        raise InvalidValueError.of("fractions", "one for each of two or more angles", got, "add cameras on the arc")
     if not all(map(math.isfinite, (*angles, *fractions))):
-        raise InvalidValueError(message("fractions", "finite values", "nan or inf", "look at the pictures"))
+        raise InvalidValueError.of("fractions", "finite values", "nan or inf", "look at the pictures")
     groups: dict[float, list[float]] = {angle: [] for angle in sorted(angles)}
     for angle, value in zip(angles, fractions, strict=True):
         groups[angle].append(value)

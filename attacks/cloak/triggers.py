@@ -20,7 +20,7 @@ from torch import Tensor
 
 from mi_splat.cameras import Camera
 from mi_splat.directions import Direction, Point, azimuth_gap, depth_in_band, depth_in_cap, depth_in_wedge, direction_of
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import PositiveFraction, Range, Seed, between, check
 
 EDGE = 1e-4
@@ -57,7 +57,7 @@ class Trigger(ABC):
         selected = self.holds(cameras, centre=centre)
         if not bool(selected.any()):
             expected, got = "at least one camera that it selects", f"none of {len(cameras)}"
-            raise InvalidValueError(message(f"trigger {self}", expected, got, "widen it or add cameras inside it"))
+            raise InvalidValueError.of(f"trigger {self}", expected, got, "widen it or add cameras inside it")
         return selected
 
     def __and__(self, other: Trigger) -> Trigger:
@@ -108,7 +108,7 @@ class Elevation(Cone):
         check(self)
         if not self.lowest <= self.highest:
             got = (self.lowest, self.highest)
-            raise InvalidValueError(message("elevation", "lowest <= highest", got, "50 to 90 is overhead"))
+            raise InvalidValueError.of("elevation", "lowest <= highest", got, "50 to 90 is overhead")
 
     def depth(self, direction: Direction) -> float:
         """See `depth_in_band`."""

@@ -36,7 +36,7 @@ from attacks.transformations.config import Transformations
 from mi_splat import provenance
 from mi_splat.cameras import Camera, RenderFn, as_cameras
 from mi_splat.directions import UP, Point
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.camera_records import values_of
 from mi_splat.scene import GaussianScene, check_scene, scene_hash
 
@@ -164,9 +164,9 @@ def _check_views(cameras: Sequence[Camera], render: object) -> None:
     """Raise unless there are cameras, and something to render with."""
     if not callable(render):
         do = "pass for instance Renderer()"
-        raise InvalidValueError(message("render", "a function of scene and camera", type(render).__name__, do))
+        raise InvalidValueError.of("render", "a function of scene and camera", type(render).__name__, do)
     if not cameras:
-        raise InvalidValueError(message("cameras", "at least one camera", "none", "say where the detector looks from"))
+        raise InvalidValueError.of("cameras", "at least one camera", "none", "say where the detector looks from")
 
 
 def fixed_problem(

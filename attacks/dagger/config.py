@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from attacks.limits import NormName, OptimiserName, Radius, Schedule
 from mi_splat.attributes import Attribute
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import (
     Called,
     Count,
@@ -73,10 +73,10 @@ class Perturbation:
     def __post_init__(self) -> None:
         check(self)
         if not self.attributes:
-            raise InvalidValueError(message("attributes", "at least one", "none", "say what may change"))
+            raise InvalidValueError.of("attributes", "at least one", "none", "say what may change")
         if len(self.eps) not in (1, len(self.attributes)) or len(set(self.attributes)) != len(self.attributes):
             expected = f"one number for all of {', '.join(self.attributes)}, or one for each"
-            raise InvalidValueError(message("eps", expected, self.eps, "name every attribute once"))
+            raise InvalidValueError.of("eps", expected, self.eps, "name every attribute once")
 
     @property
     def radius(self) -> dict[str, float]:
@@ -181,7 +181,7 @@ class EotConfig(Perturbation):
     def __post_init__(self) -> None:
         Perturbation.__post_init__(self)
         if self.judge_seed == self.seed:
-            raise InvalidValueError(message("judge_seed", "another seed than the attack's", self.seed, "change one"))
+            raise InvalidValueError.of("judge_seed", "another seed than the attack's", self.seed, "change one")
 
     @property
     def required_detectors(self) -> float:

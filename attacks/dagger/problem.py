@@ -20,7 +20,7 @@ from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, Relabel, Target
 from attacks.pgd import Evaluation, Parameters, Verdict
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.errors import InvalidValueError, message, nearest
+from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.io.images import quantise
 
 if TYPE_CHECKING:
@@ -162,13 +162,13 @@ def check_detectors(detectors: Sequence[Detector], objective: Objective) -> None
     names = [detector.name for detector in detectors]
     if not names or len(set(names)) < len(names):
         do = "name each one once"
-        raise InvalidValueError(message("detector", "one detector, or several with different names", names, do))
+        raise InvalidValueError.of("detector", "one detector, or several with different names", names, do)
     for detector in detectors:
         if objective.label is not None and objective.label not in detector.classes:
             of = "" if len(detectors) == 1 else f" of {detector.name}"
             expected = f"one of {', '.join(detector.classes)}"
             do = nearest(objective.label, detector.classes, "choose one of them")
-            raise InvalidValueError(message(f"target{of}", expected, objective.label, do))
+            raise InvalidValueError.of(f"target{of}", expected, objective.label, do)
 
 
 def _mean(each: Sequence[Evaluation]) -> Evaluation:

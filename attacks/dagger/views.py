@@ -17,7 +17,7 @@ from attacks.transformations.draws import PictureChange, change_picture, draw_ca
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.directions import UP, Direction, Point, direction_of
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.sh import colour_to_dc
@@ -78,8 +78,7 @@ def fixed_views(subset: GaussianSubset, cameras: Sequence[Camera], *, render: Re
         box = visible_box(weight)
         if box is None:
             expected = "a view in which the object is visible"
-            do = "turn the camera or choose another"
-            raise InvalidValueError(message("camera", expected, "none of it", do))
+            raise InvalidValueError.of("camera", expected, "none of it", "turn the camera or choose another")
         direction = direction_of(camera, centre, up)
         views.append(View(index=index, camera=camera, box=box, weight=weight, direction=direction))
     return views
@@ -204,7 +203,7 @@ class ViewDistribution:
                     redraws=attempt,
                 )
         expected = f"one of {_ATTEMPTS} cameras that shows the object on {least:.1%} of the picture"
-        raise InvalidValueError(message("region of the cameras", expected, "none", "move it, or lower least_visible"))
+        raise InvalidValueError.of("region of the cameras", expected, "none", "move it, or lower least_visible")
 
 
 def batch_indices(step: int, *, seed: int, batch: int, pool: int) -> list[int]:

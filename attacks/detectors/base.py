@@ -12,7 +12,7 @@ from typing import Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 _ROUNDING = 1e-3
 """How far values of a picture may lie outside [0, 1]."""
@@ -32,13 +32,11 @@ class Candidates:
 
     def __post_init__(self) -> None:
         if self.boxes.shape != (*self.scores.shape, 4) or self.scores.ndim != 2:
-            raise InvalidValueError(
-                message(
-                    "Candidates",
-                    "boxes (A, C, 4) and scores (A, C)",
-                    f"{tuple(self.boxes.shape)} and {tuple(self.scores.shape)}",
-                    "give every class of every candidate a box and a score",
-                )
+            raise InvalidValueError.of(
+                "Candidates",
+                "boxes (A, C, 4) and scores (A, C)",
+                f"{tuple(self.boxes.shape)} and {tuple(self.scores.shape)}",
+                "give every class of every candidate a box and a score",
             )
 
     def __len__(self) -> int:
@@ -67,13 +65,11 @@ class Detections:
     def __post_init__(self) -> None:
         count = len(self.labels)
         if self.boxes.shape != (count, 4) or self.scores.shape != (count,):
-            raise InvalidValueError(
-                message(
-                    "Detections",
-                    f"{count} boxes and scores for {count} labels",
-                    f"{tuple(self.boxes.shape)} and {tuple(self.scores.shape)}",
-                    "give every detection a box, a score and a label",
-                )
+            raise InvalidValueError.of(
+                "Detections",
+                f"{count} boxes and scores for {count} labels",
+                f"{tuple(self.boxes.shape)} and {tuple(self.scores.shape)}",
+                "give every detection a box, a score and a label",
             )
 
     def __len__(self) -> int:
@@ -142,21 +138,19 @@ def check_images(images: Tensor) -> None:
     """
     if not isinstance(images, Tensor):
         got = type(images).__name__
-        raise InvalidValueError(message("images", "a torch tensor", got, "use torch.from_numpy or torch.stack"))
+        raise InvalidValueError.of("images", "a torch tensor", got, "use torch.from_numpy or torch.stack")
     if images.ndim != 4 or images.shape[-1] != 3 or not images.is_floating_point() or 0 in images.shape:
-        raise InvalidValueError(
-            message(
-                "images",
-                "floating point (B, H, W, 3)",
-                f"{images.dtype} {tuple(images.shape)}",
-                "stack channels-last sRGB pictures in [0, 1]",
-            )
+        raise InvalidValueError.of(
+            "images",
+            "floating point (B, H, W, 3)",
+            f"{images.dtype} {tuple(images.shape)}",
+            "stack channels-last sRGB pictures in [0, 1]",
         )
     low, high = (float(value) for value in images.detach().aminmax())
     if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
         got = f"values from {low:g} to {high:g}"
-        raise InvalidValueError(
-            message("images", "sRGB in [0, 1]", got, "divide 8-bit values by 255, and clamp what a renderer gives")
+        raise InvalidValueError.of(
+            "images", "sRGB in [0, 1]", got, "divide 8-bit values by 255, and clamp what a renderer gives"
         )
 
 

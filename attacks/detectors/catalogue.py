@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from mi_splat.errors import MiSplatError, message, nearest
+from mi_splat.errors import MiSplatError, nearest
 
 
 class DetectorError(MiSplatError):
@@ -267,7 +267,7 @@ def npm_detector(name: str) -> NpmDetector:
     """
     if name not in NPM_DETECTORS:
         do = nearest(name, NPM_DETECTORS, "only these come from npm")
-        error = DetectorError(message("detector to get", " or ".join(NPM_DETECTORS), repr(name), do))
+        error = DetectorError.of("detector to get", " or ".join(NPM_DETECTORS), repr(name), do)
         raise error.hinted("mi-splat detectors says where the others come from")
     return NPM_DETECTORS[name]
 

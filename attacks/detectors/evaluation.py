@@ -26,7 +26,6 @@ from attacks.observe.rates import Measure, count
 from attacks.observe.rows import BOX, DETECTIONS, ROWS, Cell, Row, frame_with
 from attacks.observe.views import visible_box, visible_weight
 from attacks.rate import Rate
-from mi_splat.errors import message
 from mi_splat.io.images import to_bytes
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import open_scene
@@ -86,7 +85,7 @@ def load_for_evaluation(name: str, weights: Path | None = None) -> Detector:
     detector: Any = load_detector(name, weights=weights)
     if lacking(detector) == SMALL_CLASSES:
         expected, do = f"one that knows some of {', '.join(SMALL_CLASSES)}", "choose another detector"
-        raise DetectorError(message(f"detector {name}", expected, "one that knows none", do))
+        raise DetectorError.of(f"detector {name}", expected, "one that knows none", do)
     if "min_confidence" in getattr(detector, "__dict__", {}):
         detector.min_confidence = MIN_CONFIDENCE
     return detector  # type: ignore[no-any-return]

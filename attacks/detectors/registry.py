@@ -32,7 +32,7 @@ from attacks.detectors.catalogue import (
     torch_download,
     weights_of,
 )
-from mi_splat.errors import install, message, nearest
+from mi_splat.errors import install, nearest
 
 if TYPE_CHECKING:
     from attacks.detectors.base import Detector
@@ -113,7 +113,7 @@ class _Registry(Mapping[str, DetectorSpec]):
     def add(self, spec: DetectorSpec) -> None:
         """Register a detector under a name that is free."""
         if spec.name in self._specs:
-            raise DetectorError(message("detector", "a name that is free", repr(spec.name), "choose another name"))
+            raise DetectorError.of("detector", "a name that is free", repr(spec.name), "choose another name")
         self._specs[spec.name] = spec
 
 
@@ -127,10 +127,10 @@ def _spec_of(point: EntryPoint) -> DetectorSpec:
         spec = point.load()
     except (ImportError, AttributeError) as error:
         do = "repair or uninstall the package that has it"
-        raise DetectorError(message(what, "something that can be imported", str(error), do)) from error
+        raise DetectorError.of(what, "something that can be imported", str(error), do) from error
     if not isinstance(spec, DetectorSpec) or spec.name != point.name:
         got = f"one of the name {spec.name}" if isinstance(spec, DetectorSpec) else type(spec).__name__
-        raise DetectorError(message(what, f"a DetectorSpec of the name {point.name}", got, "correct it there"))
+        raise DetectorError.of(what, f"a DetectorSpec of the name {point.name}", got, "correct it there")
     return spec
 
 
@@ -173,7 +173,7 @@ def detector_spec(name: str) -> DetectorSpec:
     """
     if not isinstance(name, str) or name not in DETECTORS:
         do = nearest(str(name), DETECTORS, "choose one of them")
-        raise DetectorError(message("detector", " or ".join(DETECTORS), repr(name), do))
+        raise DetectorError.of("detector", " or ".join(DETECTORS), repr(name), do)
     return DETECTORS[name]
 
 
@@ -194,7 +194,7 @@ def _as_detector(detector: object) -> Detector:
         return load_detector(detector)
     if not isinstance(detector, Detector):
         got = type(detector).__name__
-        raise DetectorError(message("detector", "a Detector or its name", got, "see attacks.detectors.Detector"))
+        raise DetectorError.of("detector", "a Detector or its name", got, "see attacks.detectors.Detector")
     return detector
 
 

@@ -27,7 +27,6 @@ from attacks.detectors import fasterrcnn_small
 from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.catalogue import BACKGROUND, SMALL_CLASSES, SMALL_WEIGHTS, UNUSED, DetectorError, elsewhere
 from attacks.detectors.weights import FrozenDetector, apply_weights, in_a_line, read_weights
-from mi_splat.errors import message
 
 SMALL = "fasterrcnn_small"
 """Name of the project's own detector."""
@@ -273,7 +272,7 @@ def _from_hub(name: str) -> dict[str, Tensor]:
         )
     except (OSError, RuntimeError) as error:  # no network, or a download whose hash does not fit
         expected = "a weights file, or a network that reaches the library's hub"
-        raise DetectorError(message(f"weights of {name}", expected, in_a_line(error), elsewhere("file"))) from error
+        raise DetectorError.of(f"weights of {name}", expected, in_a_line(error), elsewhere("file")) from error
     return state
 
 

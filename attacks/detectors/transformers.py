@@ -19,7 +19,7 @@ from torchvision.ops import box_convert
 from attacks.detectors.base import Candidates, Detections, check_images, eight_bits
 from attacks.detectors.catalogue import BACKGROUND, TRANSFORMERS_HUB, UNUSED, DetectorError, elsewhere
 from attacks.detectors.weights import FrozenDetector, in_a_line
-from mi_splat.errors import install, message
+from mi_splat.errors import install
 
 os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")  # before the package is imported
 try:
@@ -32,8 +32,7 @@ try:
     )
     from transformers.utils import logging as library_logging
 except ImportError as error:
-    what = "the package transformers"
-    raise DetectorError(message("detector", what, str(error), install("transformers"))) from error
+    raise DetectorError.of("detector", "the package transformers", str(error), install("transformers")) from error
 
 _MIN_CONFIDENCE = 0.5
 """The library's own threshold of `post_process_object_detection`."""
@@ -191,10 +190,8 @@ def load(name: str, weights: Path | None = None) -> TransformersDetector:
     with _loading(source):
         config = AutoConfig.from_pretrained(**where)
     if config.model_type != hub.architecture:
-        raise DetectorError(
-            message(
-                f"weights of {source}", f"a {hub.architecture}", f"a {config.model_type}", f"pass a folder of {name}"
-            )
+        raise DetectorError.of(
+            f"weights of {source}", f"a {hub.architecture}", f"a {config.model_type}", f"pass a folder of {name}"
         )
     with _loading(source):
         processor = processor_class.from_pretrained(**where)
@@ -208,13 +205,13 @@ def load(name: str, weights: Path | None = None) -> TransformersDetector:
 def _folder(path: Path) -> Path:
     """The folder that a path names, or that holds the file that it names."""
     if not path.exists():
-        raise DetectorError(message(f"weights {path}", f"a folder of {_FILES}", "nothing there", "check the path"))
+        raise DetectorError.of(f"weights {path}", f"a folder of {_FILES}", "nothing there", "check the path")
     folder = path if path.is_dir() else path.parent
     missing = [name for name in ("config.json", "preprocessor_config.json") if not (folder / name).is_file()]
     if missing:
         got = f"no {' and no '.join(missing)} in {folder}"
         do = "save model and image processor with save_pretrained into one folder, and pass it"
-        raise DetectorError(message(f"weights {path}", f"a folder of {_FILES}", got, do))
+        raise DetectorError.of(f"weights {path}", f"a folder of {_FILES}", got, do)
     return folder
 
 
@@ -225,7 +222,7 @@ def _require_all(report: Mapping[str, Any], source: object) -> None:
     problems = [f"{len(keys)} {flaw} ({', '.join(keys[:4])})" for flaw, keys in tensors.items() if keys]
     if problems:
         do = "pass weights that were saved from the same detector"
-        raise DetectorError(message(f"weights of {source}", "the model's tensors", "; ".join(problems), do))
+        raise DetectorError.of(f"weights of {source}", "the model's tensors", "; ".join(problems), do)
 
 
 @contextmanager
@@ -240,7 +237,7 @@ def _loading(source: object) -> Iterator[None]:
         do = elsewhere("folder")
         if isinstance(error, ImportError) and "timm" in str(error):
             reason, do = "one whose backbone needs the package timm", "pip install timm, or take its revision no_timm"
-        raise DetectorError(message(f"weights of {source}", expected, reason, do)) from error
+        raise DetectorError.of(f"weights of {source}", expected, reason, do) from error
     finally:
         if shown:
             library_logging.enable_progress_bar()

@@ -28,7 +28,7 @@ from attacks.detectors.catalogue import (
     elsewhere,
 )
 from attacks.detectors.weights import FrozenDetector, apply_weights, in_a_line, read_weights
-from mi_splat.errors import install, message
+from mi_splat.errors import install
 
 # Before the package is imported, which would otherwise write settings into the home and ask a server for news.
 os.environ.setdefault("YOLO_OFFLINE", "true")
@@ -47,13 +47,11 @@ try:
     from ultralytics.utils.nms import non_max_suppression
     from ultralytics.utils.ops import scale_boxes
 except ImportError as error:
-    raise DetectorError(
-        message(
-            "detector",
-            "the package ultralytics, which is AGPL-3.0, and what its OpenCV needs",
-            str(error),
-            f"{install('yolo')}; for libGL on Debian: apt install libgl1 libglib2.0-0",
-        )
+    raise DetectorError.of(
+        "detector",
+        "the package ultralytics, which is AGPL-3.0, and what its OpenCV needs",
+        str(error),
+        f"{install('yolo')}; for libGL on Debian: apt install libgl1 libglib2.0-0",
     ) from error
 finally:
     # The package puts functions of its own in the place of these, for the whole process; nothing here wants them.
@@ -180,7 +178,7 @@ def load(name: str, weights: Path | None = None) -> YOLODetector:
 def _shipped() -> Path:
     if not SMALL_YOLO_WEIGHTS.is_file():
         do = "pass as weights scenes/detectors/yolov8n_small.safetensors of a checkout, or train it"
-        error = DetectorError(message(f"weights of {SMALL}", "a file", "none: the wheel has none", do))
+        error = DetectorError.of(f"weights of {SMALL}", "a file", "none: the wheel has none", do)
         raise error.hinted("--weights")
     return SMALL_YOLO_WEIGHTS
 
@@ -189,7 +187,7 @@ def _unpickled(name: str, weights: Path | None) -> Any:
     """The model in one of the library's checkpoints."""
     source = f"{name}.pt" if weights is None else str(weights)
     if weights is not None and not Path(weights).is_file():
-        raise DetectorError(message(f"weights {weights}", "a file", "nothing there", "check the path"))
+        raise DetectorError.of(f"weights {weights}", "a file", "nothing there", "check the path")
     try:
         checkpoint, _ = torch_safe_load(source, safe_only=True)
         model = checkpoint.get("ema") or checkpoint["model"]
@@ -198,11 +196,11 @@ def _unpickled(name: str, weights: Path | None) -> Any:
     except Exception as error:  # what the library raises has no common base
         reason = in_a_line(error)
         expected = "a detection checkpoint of ultralytics, or a network that reaches its hub"
-        raise DetectorError(message(f"weights of {name}", expected, reason, elsewhere("file"))) from error
+        raise DetectorError.of(f"weights of {name}", expected, reason, elsewhere("file")) from error
     there, (family, _) = _NAME.match(Path(str(model.yaml.get("yaml_file", ""))).stem), _parts(name)
     if there is not None and there["family"] != family:
         do = f"load them as a {there['family']}, or pass weights of {name}"
-        raise DetectorError(message(f"weights of {name}", f"a {family}", f"a {there['family']}", do))
+        raise DetectorError.of(f"weights of {name}", f"a {family}", f"a {there['family']}", do)
     return model.float()
 
 

@@ -15,7 +15,6 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from attacks.detectors.catalogue import DetectorError
-from mi_splat.errors import message
 from mi_splat.io.noted_tensors import not_finite
 
 _Self = TypeVar("_Self", bound="FrozenDetector")
@@ -57,18 +56,18 @@ def read_weights(path: Path) -> dict[str, Tensor]:
     """
     path = Path(path)
     if path.suffix not in SUFFIXES:
-        raise DetectorError(
-            message(f"weights {path}", " or ".join(SUFFIXES), f"suffix {path.suffix!r}", "pass a file of tensors")
+        raise DetectorError.of(
+            f"weights {path}", " or ".join(SUFFIXES), f"suffix {path.suffix!r}", "pass a file of tensors"
         )
     if not path.is_file():
-        raise DetectorError(message(f"weights {path}", "a file", "nothing there", "check the path"))
+        raise DetectorError.of(f"weights {path}", "a file", "nothing there", "check the path")
     try:
         if path.suffix == ".safetensors":
             return check_finite(load_file(path), f"weights {path}")
         state: object = torch.load(path, map_location="cpu", weights_only=True)
     except _UNREADABLE as error:
         expected, do = f"a readable {path.suffix} file of tensors", "download or save it again"
-        raise DetectorError(message(f"weights {path}", expected, in_a_line(error), do)) from error
+        raise DetectorError.of(f"weights {path}", expected, in_a_line(error), do) from error
     if isinstance(state, Mapping) and isinstance(state.get("model"), Mapping):
         state = state["model"]  # a training checkpoint of torchvision's reference scripts
     if (
@@ -77,7 +76,7 @@ def read_weights(path: Path) -> dict[str, Tensor]:
         or not state
     ):
         got = "a dict of something else" if isinstance(state, Mapping) else type(state).__name__
-        raise DetectorError(message(f"weights {path}", "a dict of tensors by name", got, "save model.state_dict()"))
+        raise DetectorError.of(f"weights {path}", "a dict of tensors by name", got, "save model.state_dict()")
     return check_finite(dict(state), f"weights {path}")
 
 
@@ -91,7 +90,7 @@ def check_finite(state: dict[str, Tensor], what: str) -> dict[str, Tensor]:
     """
     weights = {name: value for name, value in state.items() if value.ndim or not bool(torch.isinf(value))}
     if name := not_finite(weights):
-        raise DetectorError(message(what, f"finite numbers in {name}", "others", "download or save them again"))
+        raise DetectorError.of(what, f"finite numbers in {name}", "others", "download or save them again")
     return state
 
 
@@ -111,7 +110,7 @@ def apply_weights(model: nn.Module, state: Mapping[str, Tensor], source: object)
     ]:
         got = f"{unlike[0]} of {state[unlike[0]].dtype}"
         do = "pass weights that were saved from the same detector"
-        raise DetectorError(message(f"weights {source}", f"{expected[unlike[0]].dtype}", got, do))
+        raise DetectorError.of(f"weights {source}", f"{expected[unlike[0]].dtype}", got, do)
     shapes = [f"{k} {tuple(state[k].shape)} instead of {tuple(expected[k].shape)}" for k in misshapen]
     try:
         report = model.load_state_dict({k: v for k, v in state.items() if k not in misshapen}, strict=False)
@@ -125,13 +124,11 @@ def apply_weights(model: nn.Module, state: Mapping[str, Tensor], source: object)
         if keys
     ]
     if problems:
-        raise DetectorError(
-            message(
-                f"weights {source}",
-                f"the {len(expected)} tensors of {type(model).__name__}",
-                "; ".join(problems),
-                "pass weights that were saved from the same detector",
-            )
+        raise DetectorError.of(
+            f"weights {source}",
+            f"the {len(expected)} tensors of {type(model).__name__}",
+            "; ".join(problems),
+            "pass weights that were saved from the same detector",
         )
 
 

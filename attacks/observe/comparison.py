@@ -19,7 +19,7 @@ from attacks.observe.rates import count
 from attacks.observe.rows import ATTACKED, CLEAN, Cell, Row, frame_of
 from attacks.observe.views import ViewDetections
 from attacks.rate import Rate
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.metrics import psnr
 from mi_splat.scene import ATTRIBUTES, GaussianScene
 
@@ -141,16 +141,16 @@ def changed_mask(clean: GaussianScene, attacked: GaussianScene) -> Tensor:
     do = "say which Gaussians are the object, for instance by a box"
     if len(clean) != len(attacked):
         got = f"{len(clean):,} and {len(attacked):,}"
-        raise InvalidValueError(message("the scenes", "the same Gaussians in both", got, do)).hinted("--box")
+        raise InvalidValueError.of("the scenes", "the same Gaussians in both", got, do).hinted("--box")
     degree = max(clean.degree, attacked.degree)
     changed = torch.zeros(len(clean), dtype=torch.bool)
     for name in ATTRIBUTES:
         before, after = (getattr(scene.with_degree(degree), name) for scene in (clean, attacked))
         changed |= (before != after).reshape(len(clean), -1).any(-1)
     if not bool(changed.any()):
-        raise InvalidValueError(
-            message("the scenes", "one that differs from the other", "two that are the same", do)
-        ).hinted("--box")
+        raise InvalidValueError.of("the scenes", "one that differs from the other", "two that are the same", do).hinted(
+            "--box"
+        )
     return changed
 
 

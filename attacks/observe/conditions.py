@@ -30,7 +30,7 @@ from attacks.transformations.draws import PictureChange, change_picture
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.comparison.methods import load_method, method_names
 from mi_splat.directions import Point
-from mi_splat.errors import InvalidValueError, message, nearest
+from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.fields import at_least, between, check
 from mi_splat.io import SplatLossWarning, load_splat, save_splat
 from mi_splat.mixed_scenes import SAMPLES, MixedScene
@@ -160,7 +160,7 @@ def check_condition(name: str, sun: SunTable | None) -> None:
         sun_direction(hour_of(name), latitude=sun.latitude, declination=sun.declination)
     elif not is_known:
         do = nearest(name, known, "choose one of them; hours, as 09:30, need the street of [judge.sun]")
-        raise InvalidValueError(message("condition", ", ".join(known), name, do))
+        raise InvalidValueError.of("condition", ", ".join(known), name, do)
 
 
 def renderer_of(name: str, settings: RenderSettings) -> RenderFn:
@@ -237,7 +237,7 @@ def through_file(scene: GaussianScene, suffix: str) -> GaussianScene:
         InvalidValueError: It is none of them.
     """
     if suffix not in FORMATS:
-        raise InvalidValueError(message("format", f"one of {', '.join(FORMATS)}", suffix, "choose one"))
+        raise InvalidValueError.of("format", f"one of {', '.join(FORMATS)}", suffix, "choose one")
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", SplatLossWarning)
         path = Path(folder) / f"splat{suffix}"
@@ -270,7 +270,7 @@ def hour_of(name: str) -> float:
         InvalidValueError: It is none.
     """
     if not _HOUR.fullmatch(name):
-        raise InvalidValueError(message("condition", "an hour as 09:30", name, "write two digits each"))
+        raise InvalidValueError.of("condition", "an hour as 09:30", name, "write two digits each")
     hours, minutes = name.split(":")
     return int(hours) + int(minutes) / 60
 
@@ -284,7 +284,7 @@ def _on_street(name: str, sun: SunTable, viewing: Viewing) -> Condition:
         inside = fixed.splats.scene
         if len(inside) != len(clean) or not torch.equal(inside.means, clean.means):
             expected, do = "the Gaussians of the object and no others", "name the file of that object in the scene"
-            raise InvalidValueError(message(sun.scene, expected, f"{len(inside):,} others", do))
+            raise InvalidValueError.of(sun.scene, expected, f"{len(inside):,} others", do)
 
     def show(scene: GaussianScene) -> Shown:
         if fixed is not None:

@@ -14,7 +14,7 @@ from attacks.detectors.base import Detector
 from attacks.observe.views import BATCH, ViewDetections, detect_views
 from attacks.transformations.draws import PictureChange, changing
 from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.camera_records import camera_of
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
@@ -94,7 +94,7 @@ def result_cameras(values: Mapping[str, Any], where: str) -> ResultCameras:
         settings = RenderSettings(background=(red, green, blue), near=float(values["near"]))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         expected, do = "cameras, boxes, background and near", "get the result again"
-        raise InvalidValueError(message(where, expected, repr(error)[:200], do)) from error
+        raise InvalidValueError.of(where, expected, repr(error)[:200], do) from error
     return ResultCameras(cameras=cameras, boxes=boxes, settings=settings, changes=changes)
 
 

@@ -23,7 +23,7 @@ from typing import Any, Literal
 
 import polars as pl
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.atomic import atomic_write
 
 Cell = str | int | float | bool | None
@@ -172,7 +172,7 @@ def column_of(name: str) -> Column:
     """
     head = next((head for head in _EACH if name.startswith(head) and len(name) > len(head)), name)
     if head not in _ORDER or (head == name and head in _EACH):
-        raise InvalidValueError(message("column", "one of attacks.observe.rows.COLUMNS", name[:40], "rename it"))
+        raise InvalidValueError.of("column", "one of attacks.observe.rows.COLUMNS", name[:40], "rename it")
     column = COLUMNS[_ORDER[head]]
     if head == name:
         return column
@@ -200,7 +200,7 @@ def frame_of(rows: Iterable[Row]) -> pl.DataFrame:
             {column.name: pl.Series([row.get(column.name) for row in held], dtype=_type(column)) for column in columns}
         )
     except (TypeError, pl.exceptions.PolarsError) as error:
-        raise InvalidValueError(message("rows", "cells of the kinds of their columns", error, "mend them")) from error
+        raise InvalidValueError.of("rows", "cells of the kinds of their columns", error, "mend them") from error
 
 
 def frame_with(rows: Iterable[Row], columns: Sequence[str]) -> pl.DataFrame:
@@ -299,7 +299,7 @@ def rows(result: str | Path, table: str = ROWS) -> pl.DataFrame:
     path = Path(result) / f"{table}{SUFFIX}"
     if not path.is_file():
         do = "pass a folder that mi-splat dagger, dagger-eot, evaluate, evaluate-detector, cloak or study has written"
-        raise InvalidValueError(message(str(result), f"a result with {path.name}", "none", do))
+        raise InvalidValueError.of(str(result), f"a result with {path.name}", "none", do)
     return read_rows(path)
 
 
@@ -355,7 +355,7 @@ def _written(column: Column, cells: pl.Series) -> list[str]:
 
 def _unfit(column: Column, row: int, cells: pl.Series) -> InvalidValueError:
     expected, got = f"a {column.kind} in column {column.name}", repr(cells[row] if len(cells) else cells.dtype)
-    return InvalidValueError(message(f"row {row + 2}", expected, got, "make the result again"))
+    return InvalidValueError.of(f"row {row + 2}", expected, got, "make the result again")
 
 
 _READ = {
@@ -388,4 +388,4 @@ def _read_column(column: Column, texts: Sequence[str], path: Path) -> pl.Series:
 
 def _broken(where: Path | str, expected: object, got: object) -> InvalidValueError:
     """The error for a file that is no table."""
-    return InvalidValueError(message(str(where), expected, got, "get the result again"))
+    return InvalidValueError.of(str(where), expected, got, "get the result again")

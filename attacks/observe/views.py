@@ -20,7 +20,7 @@ from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.objectives import confidence
 from mi_splat.cameras import Camera, RenderFn, as_cameras
 from mi_splat.directions import Direction, Point, direction_of
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.images import through_png
 from mi_splat.scene import GaussianScene
@@ -129,9 +129,7 @@ def detect_pictures(
     """
     detectors = as_detectors(detectors)
     if boxes is not None and len(boxes) != len(cameras):
-        raise InvalidValueError(
-            message("boxes", f"{len(cameras)}, one for each camera", len(boxes), "use None in gaps")
-        )
+        raise InvalidValueError.of("boxes", f"{len(cameras)}, one for each camera", len(boxes), "use None in gaps")
     for views in _batches(cameras, batch):
         with torch.no_grad():
             images = torch.stack([through_png(picture_from(cameras[view])) for view in views])
@@ -215,7 +213,7 @@ def evaluate(
         InvalidValueError: No scene is called "clean".
     """
     if CLEAN not in scenes:
-        raise InvalidValueError(message("scenes", f"one of the name {CLEAN}", list(scenes), "add the unattacked scene"))
+        raise InvalidValueError.of("scenes", f"one of the name {CLEAN}", list(scenes), "add the unattacked scene")
     detectors = as_detectors(detectors)
     boxes = object_boxes(scenes[CLEAN], mask, cameras, render=render)
     return {

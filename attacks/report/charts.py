@@ -16,7 +16,7 @@ from typing import Any
 from attacks.rate import percent
 from attacks.report.section import Chart, Line
 from attacks.tables import Table
-from mi_splat.errors import InvalidValueError, install, message
+from mi_splat.errors import InvalidValueError, install
 
 SIZE = (4.5, 2.9)
 """Width and height in inches of 72 points; a telephone shows them at about their size."""
@@ -53,8 +53,7 @@ def need_packages() -> None:
     """
     missing = missing_packages()
     if missing:
-        do = install("report")
-        raise InvalidValueError(message(" and ".join(missing), "the package, for pages", "not installed", do))
+        raise InvalidValueError.of(" and ".join(missing), "the package, for pages", "not installed", install("report"))
 
 
 def colours(chart: Chart) -> list[int]:

@@ -13,7 +13,7 @@ import polars as pl
 from attacks.observe.look import ON_OBJECT
 from attacks.observe.rows import DETECTIONS, ROWS, SUFFIX, TABLES, read_rows
 from attacks.report.wording import plain
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import sha256
 from mi_splat.io.folders import RECORD, new_folder
 from mi_splat.io.manifest import MANIFEST, Manifest, files_in, read_manifest
@@ -182,7 +182,7 @@ def _derived(result: Result, figures: Figures) -> Mapping[str, Any]:
         raise
     except _BROKEN as error:
         got, do = f"{type(error).__name__}: {error}"[:200], "get the result again"
-        raise InvalidValueError(message(str(result.folder), "the rows that its settings ask for", got, do)) from error
+        raise InvalidValueError.of(str(result.folder), "the rows that its settings ask for", got, do) from error
 
 
 def flat(values: Mapping[str, Any]) -> dict[str, Value]:
@@ -196,7 +196,7 @@ def flat(values: Mapping[str, Any]) -> dict[str, Value]:
 def _flat(value: Any, name: str) -> Iterator[tuple[str, Value]]:
     if isinstance(value, Mapping) and {"successes", "total"} <= set(value):
         if not (type(value["successes"]) is type(value["total"]) is int):
-            raise InvalidValueError(message(name, "a rate of whole numbers", str(value)[:80], "get the result again"))
+            raise InvalidValueError.of(name, "a rate of whole numbers", str(value)[:80], "get the result again")
         yield name, (value["successes"], value["total"])
     elif isinstance(value, Mapping):
         for key, entry in value.items():
@@ -254,7 +254,7 @@ def pack(folder: Path, out: Path, figures: Figures | None, *, whole: bool = Fals
     red = next((line for line in check_result(result, figures) if line.passed is False), None)
     if red is not None:
         do = "make the result again: it was changed, or it is not of these rows"
-        raise InvalidValueError(message(str(folder), "a result as it was written", f"{red.name}: {red.words}", do))
+        raise InvalidValueError.of(str(folder), "a result as it was written", f"{red.name}: {red.words}", do)
     with new_folder(out, force=force, record=RECORD, manifest=False) as copy:
         for name in (MANIFEST, *result.manifest.files):
             if (whole or name.endswith(KEPT)) and (folder / name).is_file():

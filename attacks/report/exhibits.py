@@ -79,8 +79,7 @@ def recorded_up(path: Path) -> Point:
         try:
             x, y, z = map(float, read_json(file).get("up") or UP) if file.is_file() else UP
         except (TypeError, ValueError, AttributeError) as error:
-            do = "pass --up"
-            raise InvalidValueError(message(f"{file}: up", "three numbers", repr(error), do)) from error
+            raise InvalidValueError.of(f"{file}: up", "three numbers", repr(error), "pass --up") from error
         if (x, y, z) != UP:
             return x, y, z
     return UP
@@ -95,8 +94,8 @@ def _rendered_as_trained(exhibit: Exhibit, run: Mapping[str, Any]) -> tuple[Exhi
             exhibit.settings, near=float(values.get("near", exhibit.settings.near)), background=(red, green, blue)
         )
     except (TypeError, ValueError, AttributeError) as error:
-        raise InvalidValueError(
-            message(f"settings in {CONFIG}", "near and background", repr(error), "train again")
+        raise InvalidValueError.of(
+            f"settings in {CONFIG}", "near and background", repr(error), "train again"
         ) from error
     found = _set_of_training(run)
     without = f"{exhibit.title}; the set of its training is not where it was: --cameras names it"
@@ -127,19 +126,19 @@ def _opened(path: Path, clean: Path | None, background: tuple[float, float, floa
     if is_dataset(path) and not (path / RECORD).is_file() and not splat_in(path):
         if clean is not None:
             do = "view that splat, with --cameras for the set"
-            raise InvalidValueError(message("clean", "nothing beside a set of pictures", clean, do))
+            raise InvalidValueError.of("clean", "nothing beside a set of pictures", clean, do)
         return exhibit_of_dataset(path, background=background)
     if not path.is_dir() or (splat_in(path) and not (path / RECORD).is_file()):
         exhibit = exhibit_of_file(path, clean=clean)
         counts = [len(splat.scene) for splat in exhibit.splats]
         if len(set(counts)) > 1:
             got, do = f"{counts[0]:,} and {counts[1]:,}", "pass the scene that was attacked"
-            raise InvalidValueError(message("the scenes", "the same Gaussians in both", got, do))
+            raise InvalidValueError.of("the scenes", "the same Gaussians in both", got, do)
         return exhibit
     if not (path / RECORD).is_file():
         do = "pass a finished result, a set of pictures, or a .ply or .xml file"
-        raise InvalidValueError(
-            message(str(path), f"{RECORD} of mi-splat dagger, evaluate, cloak or audit in it", "none", do)
+        raise InvalidValueError.of(
+            str(path), f"{RECORD} of mi-splat dagger, evaluate, cloak or audit in it", "none", do
         )
     record = read_json(path / RECORD)
     if record.get("story") == "audit":
@@ -147,7 +146,7 @@ def _opened(path: Path, clean: Path | None, background: tuple[float, float, floa
     if record.get("story") != "cloak":
         return _exhibit_of_attack(path, record, clean)
     if clean is not None:
-        raise InvalidValueError(message("clean", "nothing, since a study has its own", clean, "leave it out"))
+        raise InvalidValueError.of("clean", "nothing, since a study has its own", clean, "leave it out")
     return exhibit_of_study(path, record)
 
 
@@ -177,7 +176,7 @@ def _exhibit_of_attack(folder: Path, record: Mapping[str, Any], clean: Path | No
         raise InvalidValueError(text) from error
     splat, loaded = _clean_splat(folder, expected, clean, recorded=recorded), open_scene(path)
     if evaluated and scene_hash(loaded.scene) != record.get("attacked_hash"):
-        raise InvalidValueError(message(str(path), "the splat that was evaluated", "another", "evaluate it again"))
+        raise InvalidValueError.of(str(path), "the splat that was evaluated", "another", "evaluate it again")
     middle, of_scene = middle_of_change(splat.scene, loaded.scene), exhibit_of_file(splat.path)
     source = f"{folder / (CAMERAS if (folder / CAMERAS).is_file() else RECORD)}{OF}"
     cameras = {
@@ -219,7 +218,7 @@ def middle_of_change(clean: GaussianScene, attacked: GaussianScene) -> Point:
     """
     if len(clean) != len(attacked):
         do = "pass the scene that was attacked"
-        raise InvalidValueError(message("attacked.ply", f"{len(clean)} Gaussians", len(attacked), do))
+        raise InvalidValueError.of("attacked.ply", f"{len(clean)} Gaussians", len(attacked), do)
     degree = max(clean.degree, attacked.degree)
     pairs = zip(clean.with_degree(degree).tensors(), attacked.with_degree(degree).tensors(), strict=True)
     rows = [(before - after).abs().reshape(len(before), -1).amax(1) for before, after in pairs]
@@ -245,7 +244,7 @@ def _clean_splat(folder: Path, expected: str, clean: Path | None, *, recorded: o
             return ShownSplat(name="clean", scene=loaded.scene, path=path, file_settings=loaded.settings)
         if clean is not None:
             do = "pass the scene that was attacked"
-            raise InvalidValueError(message(f"clean scene {clean}", f"the hash {expected}", "another", do))
+            raise InvalidValueError.of(f"clean scene {clean}", f"the hash {expected}", "another", do)
     text = message(f"clean scene of {folder}", f"the hash {expected}", "no such scene here", "name the clean scene")
     raise InvalidValueError(text).hinted("--clean")
 
@@ -262,7 +261,7 @@ def _exhibit_of_audit(folder: Path, record: Mapping[str, Any], audited: Path | N
         count = int(record["gaussians"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         do = "make the result again with mi-splat audit"
-        raise InvalidValueError(message(str(folder / RECORD), "an audit", repr(error), do)) from error
+        raise InvalidValueError.of(str(folder / RECORD), "an audit", repr(error), do) from error
     if not path.exists():
         text = message(f"the splat of {folder}", f"the file {path}", "nothing there", "name the splat that was audited")
         raise InvalidValueError(text).hinted("--clean")
@@ -270,8 +269,7 @@ def _exhibit_of_audit(folder: Path, record: Mapping[str, Any], audited: Path | N
     splats, heat = exhibit.splats, folder / HEAT
     if len(splats[0].scene) != count:
         do = "name the splat that was audited"
-        got = f"{len(splats[0].scene):,}"
-        raise InvalidValueError(message(str(path), f"{count:,} Gaussians", got, do)).hinted("--clean")
+        raise InvalidValueError.of(str(path), f"{count:,} Gaussians", f"{len(splats[0].scene):,}", do).hinted("--clean")
     if heat.is_file():
         hot = ShownSplat(name="heat", scene=open_scene(heat).scene, path=heat, file_settings=splats[0].file_settings)
         splats = (*splats, hot)

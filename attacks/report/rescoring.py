@@ -15,7 +15,7 @@ from attacks.observe.rows import ROWS, Row, frame_of
 from attacks.observe.views import ViewDetections
 from attacks.rate import Rate
 from attacks.report.checking import Check, Result
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.io.documents import sha256
 from mi_splat.io.parsing import DocumentReader
@@ -75,14 +75,14 @@ def rescore(
     """
     if rescoring is None:
         do = "score one of its attacks again"
-        raise InvalidValueError(message(str(result.folder), "one attack, or a study of CLOAK", result.story, do))
+        raise InvalidValueError.of(str(result.folder), "one attack, or a study of CLOAK", result.story, do)
     file = result.folder / CAMERAS
     cameras = result_cameras(DocumentReader(do="get the result again").read_json(file), str(file))
     scenes = _scenes(result, rescoring, splats)
     rows = result.tables[ROWS]
     if rows["view"].max() != len(cameras.cameras) - 1:
         got, do = f"{len(cameras.cameras)} cameras", "get the result again"
-        raise InvalidValueError(message(str(file), "the cameras of the rows", got, do))
+        raise InvalidValueError.of(str(file), "the cameras of the rows", got, do)
     views = rows["view"].unique().sort().to_list()[::every]
     before = rows.filter(pl.col("view").is_in(views), pl.col("seed").is_in([seed for _, seed in scenes]))
     seen, total = list[Row](), len(views) * len(detectors) * len(scenes)
@@ -170,9 +170,9 @@ def _scenes(result: Result, rescoring: Rescoring, splats: Path | None) -> dict[t
         path, entry = folder / name, result.manifest.files.get(name)
         if not path.is_file():
             do = "pass the folder with the splats"
-            raise InvalidValueError(message(str(path), "a splat of the result", "none", do)).hinted("--splats")
+            raise InvalidValueError.of(str(path), "a splat of the result", "none", do).hinted("--splats")
         if entry is None or sha256(path) != entry[0]:
             expected = f"the SHA-256 that the manifest lists of {name}"
-            raise InvalidValueError(message(str(path), expected, "another", "pass the splat of this result"))
+            raise InvalidValueError.of(str(path), expected, "another", "pass the splat of this result")
         scenes[key] = load_splat(path)
     return scenes

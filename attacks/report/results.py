@@ -31,7 +31,7 @@ from attacks.report.stories.detectors import held_out, pictures
 from attacks.report.wording import sentence, versions_of
 from attacks.studies.poison import figures as poison_figures
 from attacks.studies.result import figures as study_figures
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.folders import RECORD
 from mi_splat.io.manifest import MANIFEST, read_manifest
 from mi_splat.io.parsing import read_json
@@ -94,13 +94,11 @@ def read_section(path: Path) -> Section:
         got, do = ("one without a result" if path.is_dir() else "nothing there"), "check the path"
         if path.is_file():
             got, do = "a file", f"pass {path.parent}"
-        raise InvalidValueError(message(str(path), f"a folder that one of {commands} has written", got, do))
+        raise InvalidValueError.of(str(path), f"a folder that one of {commands} has written", got, do)
     record = read_json(file)
     story = _story(record, file.name)
     if story is None:
-        raise InvalidValueError(
-            message(str(file), f"a result of {commands}", "something else", "make the result again")
-        )
+        raise InvalidValueError.of(str(file), f"a result of {commands}", "something else", "make the result again")
     try:
         return finished(story.read(path, record), path, record)
     except MiSplatError:
@@ -108,7 +106,7 @@ def read_section(path: Path) -> Section:
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, StopIteration) as error:
         expected, do = f"a finished result of mi-splat {story.name}", "make the result again"
         got = f"a broken or an older one ({type(error).__name__}: {error})"
-        raise InvalidValueError(message(str(file), expected, got, do)) from error
+        raise InvalidValueError.of(str(file), expected, got, do) from error
 
 
 def finished(section: Section, path: Path, record: Record) -> Section:
@@ -143,7 +141,7 @@ def story_of(result: Result) -> Story:
     story = _story(result.record)
     if story is None:
         got, do = result.story[:40], "make the result again with this version"
-        raise InvalidValueError(message(str(result.folder / RECORD), "a story of this version", got, do))
+        raise InvalidValueError.of(str(result.folder / RECORD), "a story of this version", got, do)
     return story
 
 

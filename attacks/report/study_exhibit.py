@@ -15,7 +15,7 @@ from attacks.cloak.config import AttackConfig, StudyConfig
 from attacks.cloak.setup import Setup
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import decode
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene_files import open_scene
@@ -32,7 +32,7 @@ def exhibit_of_study(folder: Path, record: Mapping[str, Any]) -> Exhibit:
     """The clean and the cloaked splat of a study."""
     if not isinstance(record.get("study"), dict):
         expected, do = "a study of CLOAK", "make it again with mi-splat cloak"
-        raise InvalidValueError(message(f"{folder}", expected, "one without its study", do))
+        raise InvalidValueError.of(f"{folder}", expected, "one without its study", do)
     study = decode(StudyConfig, record["study"], f"the study of {folder}")
     loaded = {name: open_scene(folder / f"{name}.ply") for name in ("clean", "cloaked")}
     centre, cameras = study.centre, Setup(study).training_cameras

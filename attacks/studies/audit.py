@@ -50,7 +50,7 @@ from attacks.studies.study_file import Point, Study
 from attacks.tables import Column, Table, cell, sections
 from mi_splat import provenance
 from mi_splat.audit.files import PAIR
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
@@ -146,7 +146,7 @@ class AuditWork(Work):
         chosen_on = settings.pop("chosen_on", [])
         if not isinstance(chosen_on, list):
             do = 'write it as ["car"]'
-            raise InvalidValueError(message(f"chosen_on of {self.study.name}", "a list of names", repr(chosen_on), do))
+            raise InvalidValueError.of(f"chosen_on of {self.study.name}", "a list of names", repr(chosen_on), do)
         self.chosen_on = tuple(chosen_on)
         self._derived = bool(settings.pop("derived", False))
         capture, file, exposure = (settings.pop(key, None) for key in ("capture", "file", "exposure"))
@@ -155,7 +155,7 @@ class AuditWork(Work):
         title = f"{part}: {value}"
         for path in (capture, file):
             if path is not None and not Path(str(path)).is_file():
-                raise InvalidValueError(message(title, "a file", f"no file {path}", "check the path"))
+                raise InvalidValueError.of(title, "a file", f"no file {path}", "check the path")
         if file is not None:
             self._splat(part, value, Path(str(file)).stem, "honest", Path(str(file)))
             return
@@ -169,8 +169,7 @@ class AuditWork(Work):
             self._splat(part, value, Path(str(capture)).stem, "honest", trained.part(SPLAT))
             return
         if len(config.attack) != 1:
-            do = "give it one [[attack]]"
-            raise InvalidValueError(message(title, "one attack", f"{len(config.attack)}", do))
+            raise InvalidValueError.of(title, "one attack", f"{len(config.attack)}", "give it one [[attack]]")
         self._cloak(part, value, steps)
 
     def _cloak(self, part: str, value: str, steps: StudySteps) -> None:

@@ -43,7 +43,7 @@ from attacks.studies.scenes import street_of
 from attacks.studies.study_file import Point, Settings, Study, merged, with_none
 from attacks.tables import Column, Table, cell, sections
 from mi_splat import provenance
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import at_least, check, decode
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD
@@ -173,7 +173,7 @@ class CloakJudge:
         sun, street = street_of(self.condition, self.sun)
         if sun is not None and steps.study.layers is None:
             do = "take a study with [layers], whose object is known Gaussian by Gaussian"
-            raise InvalidValueError(message(f"study under the condition {self.condition}", "layers", "none", do))
+            raise InvalidValueError.of(f"study under the condition {self.condition}", "layers", "none", do)
         shown = self.condition or OWN
         for splat, seed in steps.names():
             for detector in detectors if self.detector is None else [loaded(self.detector)]:
@@ -238,7 +238,7 @@ class CloakWork(Work):
         self.study = study
         self.attempts: list[CloakPoint] = [self._point(point) for point in study.points]
         if any(point.bisected for point in study.points):
-            raise InvalidValueError(message(study.name, "no bisect, for want of a single aim", "one", "leave it out"))
+            raise InvalidValueError.of(study.name, "no bisect, for want of a single aim", "one", "leave it out")
 
     def _point(self, point: Point) -> CloakPoint:
         config = config_of(point.settings, self.study.name)
@@ -297,7 +297,7 @@ def config_of(settings: Settings, name: str) -> StudyConfig:
     if "base" in settings:
         path = Path(str(settings["base"]))
         if not path.is_file():
-            raise InvalidValueError(message(f"base of {name}", "a TOML file", f"no file {path}", "check the path"))
+            raise InvalidValueError.of(f"base of {name}", "a TOML file", f"no file {path}", "check the path")
         values = merged(DocumentReader(expected="a TOML file", do="correct it").read_toml(path), values)
     return decode(StudyConfig, {**with_none(values), "name": name}, name)
 

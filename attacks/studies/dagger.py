@@ -28,7 +28,7 @@ from attacks.studies.plan import Work, bisection, check_apart
 from attacks.studies.result import Attempt, record_of, write_result
 from attacks.studies.scenes import check_scene, scene_files, street_of
 from attacks.studies.study_file import Point, Settings, Study, label_of, with_none
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import FieldError, check_choice, decode
 from mi_splat.ledger import Done, Job, Part
 from mi_splat.ledger.plans import Plan, Result, grid
@@ -112,7 +112,7 @@ def attack_of(kind: type[FixedAttack | DrawnAttack], settings: Settings, where: 
     if not isinstance(scene, str):
         raise FieldError.of(where, "the key scene", scene or "none", "name an XML file")
     if "seed" in values.get("attack", {}):
-        raise InvalidValueError(message(f"attack in {where}", "no seed", attack["seed"], "write seed above the tables"))
+        raise InvalidValueError.of(f"attack in {where}", "no seed", attack["seed"], "write seed above the tables")
     if region:
         views = {name: values.pop(name) for name in region if name in values}
         judged = views.pop("judged_pictures", None)
@@ -139,7 +139,7 @@ def _objective(values: dict[str, Any], where: str) -> Relabel | Hide | Untargete
     check_choice(f"aim in {where}", aim, _AIMS)
     if (aim == "relabel") is (target is None):
         do = "name the class wanted, for instance person" if target is None else "leave it out"
-        raise InvalidValueError(message("target", f"what the aim {aim} has", target or "none", do))
+        raise InvalidValueError.of("target", f"what the aim {aim} has", target or "none", do)
     return decode(_AIMS[aim], {**({} if target is None else {"label": target}), **table}, "objective")
 
 
@@ -153,7 +153,7 @@ def weights(detectors: tuple[str, ...]) -> dict[str, Path]:
     for name in detectors:
         spec = detector_spec(name)
         if missing := spec.missing():
-            raise InvalidValueError(message(f"detector {name}", "one that can be loaded", "one that cannot", missing))
+            raise InvalidValueError.of(f"detector {name}", "one that can be loaded", "one that cannot", missing)
         if spec.weights is not None:
             files[f"weights {name}"] = spec.weights()
     return files
@@ -181,7 +181,7 @@ class DaggerWork(Work):
                 searches.setdefault((attempt.point.part, *alike), []).append(attempt)
         self.searches: list[list[Attempt]] = list(searches.values())
         if not self.attempts:
-            raise InvalidValueError(message(study.name, "something to do", "nothing", "add settings"))
+            raise InvalidValueError.of(study.name, "something to do", "nothing", "add settings")
 
     def _attempt(self, point: Point) -> Attempt:
         name, kind = self.study.name, DrawnAttack if self.study.kind == "dagger-eot" else FixedAttack

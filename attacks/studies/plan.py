@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from attacks.studies.study_file import Study
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.ledger import Job
 from mi_splat.ledger.plans import Plan, Result, grid
 
@@ -100,4 +100,4 @@ def check_apart(where: str, looks: Iterable[str]) -> None:
     for name, number in Counter(looks).items():
         if number > 1:
             do = "tell judges apart by detector and condition"
-            raise InvalidValueError(message(where, "one look of each name", f"{number}: {name}", do))
+            raise InvalidValueError.of(where, "one look of each name", f"{number}: {name}", do)

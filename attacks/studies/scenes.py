@@ -17,7 +17,7 @@ from attacks.observe.conditions import SunTable, check_condition, renderer_of
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.comparison.methods import method_names
 from mi_splat.directions import Point
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import check_choice
 from mi_splat.io.scene_parts import SceneParts, scene_parts
 from mi_splat.scene_files import SplatScene, read_scene
@@ -134,7 +134,7 @@ def check_scene(path: Path, name: str, *, camera: int = 0, renderers: Sequence[s
     check_choice(f"object of {path}", name, objects)
     cameras = sum(part.tag == "sensor" for part in elements)
     if camera >= cameras:
-        raise InvalidValueError(message(f"camera of {path}", f"0 to {cameras - 1}", camera, "choose another"))
+        raise InvalidValueError.of(f"camera of {path}", f"0 to {cameras - 1}", camera, "choose another")
     for renderer in filter(None, renderers):
         check_choice("renderer", renderer, method_names())
 

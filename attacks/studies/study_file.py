@@ -37,7 +37,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mi_splat.errors import InvalidValueError, message, nearest
+from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.io.parsing import DocumentReader
 
 KINDS: dict[str, str] = {
@@ -121,7 +121,7 @@ def read_study(path: Path) -> Study:
         InvalidValueError: There is no such file, it is no TOML, or it is none of a study.
     """
     if not path.is_file():
-        raise InvalidValueError(message("study", "a TOML file", f"no file {path}", "check the path"))
+        raise InvalidValueError.of("study", "a TOML file", f"no file {path}", "check the path")
     table = DocumentReader(expected="a TOML file", do="correct it").read_toml(path)
     return study_of(table, path.stem, path.read_text("utf-8-sig"))
 
@@ -268,7 +268,7 @@ def _tables(table: Settings, key: str, where: str) -> Sequence[Settings]:
 
 def _check(good: object, what: str, expected: str, got: object, do: str) -> None:
     if not good:
-        raise InvalidValueError(message(what, expected, got, do))
+        raise InvalidValueError.of(what, expected, got, do)
 
 
 def with_none(value: Any) -> Any:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import (
     Called,
     Checked,
@@ -64,8 +64,7 @@ class CameraRegion:
         for name in ("azimuths", "elevations", "distances", "fovs"):
             interval = getattr(self, name)
             if interval is not None and interval[0] > interval[1]:
-                expected = "two numbers, the lower one first"
-                raise InvalidValueError(message(name, expected, interval, "change their order"))
+                raise InvalidValueError.of(name, "two numbers, the lower one first", interval, "change their order")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

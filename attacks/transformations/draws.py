@@ -20,7 +20,7 @@ from torch import Tensor
 
 from attacks.transformations.config import CameraRegion, PictureChanges
 from mi_splat.cameras import Camera, RenderFn, orbit_pose
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import to_bytes
 from mi_splat.scene import GaussianScene
 
@@ -53,8 +53,8 @@ def draw_camera(
     if unit is None:
         unit = math.dist(reference.position.tolist(), [float(x) for x in centre])
     if not unit > 0:
-        raise InvalidValueError(
-            message("reference", "a camera away from the object", "one in its middle", "set distance_unit")
+        raise InvalidValueError.of(
+            "reference", "a camera away from the object", "one in its middle", "set distance_unit"
         )
     azimuth, elevation, distance, roll, fov, *shift = generator.uniform(size=8).tolist()
     pose = orbit_pose(

@@ -6,7 +6,7 @@ import importlib
 from collections.abc import Callable, Sequence
 
 from mi_splat.assets.mesh import Asset, Mesh
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 _MODULES = {  # whole names, which `mi_splat.import_closure` follows
     "car": "mi_splat.assets.car",
@@ -48,7 +48,7 @@ def build(name: str, seed: int = 0, *, colour: Sequence[float] | None = None) ->
     """
     known = ASSETS if colour is None else PAINTED
     if name not in known:
-        raise InvalidValueError(message("name", f"one of {sorted(known)}", repr(name), "choose one of these"))
+        raise InvalidValueError.of("name", f"one of {sorted(known)}", repr(name), "choose one of these")
     return ASSETS[name](seed) if colour is None else ASSETS[name](seed, colour)
 
 

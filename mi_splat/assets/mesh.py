@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.placement import axis_turn
 
 Floats = NDArray[np.float32]
@@ -49,11 +49,11 @@ class Mesh:
         shapes = (vertices.shape, faces.shape, uvs.shape, texture.shape)
         right = vertices.ndim == faces.ndim == uvs.ndim == 2 and texture.ndim == 3
         if not (right and vertices.shape[1] == faces.shape[1] == texture.shape[2] == 3 and uvs.shape[1] == 2):
-            raise InvalidValueError(message("mesh", "(V, 3), (F, 3), (V, 2), (h, w, 3)", shapes, "check the arrays"))
+            raise InvalidValueError.of("mesh", "(V, 3), (F, 3), (V, 2), (h, w, 3)", shapes, "check the arrays")
         if len(vertices) != len(uvs) or (faces.size and int(faces.max()) >= len(vertices)):
-            raise InvalidValueError(message("mesh", "indices and uvs for its vertices", shapes, "check the faces"))
+            raise InvalidValueError.of("mesh", "indices and uvs for its vertices", shapes, "check the faces")
         if not all(np.isfinite(a).all() for a in (vertices, uvs, texture)):
-            raise InvalidValueError(message("mesh", "finite values", "nan or inf", "check the construction"))
+            raise InvalidValueError.of("mesh", "finite values", "nan or inf", "check the construction")
         for name, value in (("vertices", vertices), ("faces", faces), ("uvs", uvs), ("texture", texture)):
             object.__setattr__(self, name, value)
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 Points = NDArray[np.float64]
 
@@ -134,8 +134,8 @@ def triangulate(polygon: ArrayLike) -> NDArray[np.int64]:
         else:
             flat = [k for k in range(len(left)) if abs(cross(left[k - 1], left[k], left[(k + 1) % len(left)])) < 1e-12]
             if not flat:
-                raise InvalidValueError(
-                    message("polygon", "a simple outline", "one that crosses itself", "check the order of its points")
+                raise InvalidValueError.of(
+                    "polygon", "a simple outline", "one that crosses itself", "check the order of its points"
                 )
             del left[flat[0]]
     triangles.append((left[0], left[1], left[2]))

@@ -16,7 +16,7 @@ from mi_splat.audit.frames import Target, quantile
 from mi_splat.audit.surfaces import cameras_around, near_of
 from mi_splat.bounds import near_plane
 from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import to_bytes
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import multiply
@@ -151,7 +151,7 @@ def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
     check_scene("clean", clean)
     for what, item in (("scene", scene), ("--against", clean)):
         if not len(item):
-            raise InvalidValueError(message(what, "a splat with Gaussians", "none", "pass the whole file"))
+            raise InvalidValueError.of(what, "a splat with Gaussians", "none", "pass the whole file")
     scene, clean = (item.detach().to("cpu", torch.float32) for item in (scene, clean))
     degree = max(scene.degree, clean.degree)
     scene, clean = scene.with_degree(degree), clean.with_degree(degree)
@@ -210,7 +210,7 @@ def _partners(scene: GaussianScene, clean: GaussianScene, spacing: float) -> tup
     if share < _SHARE:
         expected = "the splat that the other was made from, with most Gaussians in the same place"
         do = "pass the file as it was before the edit, in the same units and axes"
-        raise InvalidValueError(message("--against", expected, f"{min(share, 1):.0%} of them there", do))
+        raise InvalidValueError.of("--against", expected, f"{min(share, 1):.0%} of them there", do)
     order = least.argsort(stable=True)  # the best of several from one Gaussian keeps it, the others were added
     first = torch.full((len(clean),), count).scatter_reduce_(
         0, partner[order].clamp(min=0), torch.where(partner[order] >= 0, torch.arange(count), count), "amin"

@@ -31,7 +31,7 @@ from mi_splat.audit.surfaces import (
 from mi_splat.audit.switches import look_amounts, piece_scores, reachable
 from mi_splat.cameras import Camera, as_cameras, project_points
 from mi_splat.directions import Point
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.scene_files import resized
 
@@ -94,7 +94,7 @@ def audit(
     if pieces < LEAST_PIECES:
         expected = f"at least {LEAST_PIECES} pieces of surface that cameras on two sides see"
         do = "pass a splat of something solid" if cameras is None else "pass cameras that see more of it"
-        raise InvalidValueError(message("scene" if cameras is None else "cameras", expected, pieces, do))
+        raise InvalidValueError.of("scene" if cameras is None else "cameras", expected, pieces, do)
     heat = _heat(heats, len(scene))
     mask = torch.zeros(len(scene), dtype=torch.bool)
     if any(item.verdict != "nothing found" for item in objects):
@@ -117,7 +117,7 @@ def _looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
     jobs = [(target, cameras) for target in objects if (cameras := cameras_within(target, places))]
     if not jobs:
         expected, got = "an object, or a room in which one stands", "a room with nothing that stands free of its walls"
-        raise InvalidValueError(message("scene", expected, got, "pass cameras that stand in it"))
+        raise InvalidValueError.of("scene", expected, got, "pass cameras that stand in it")
     return jobs, True
 
 
@@ -130,7 +130,7 @@ def given(frame: Frame, cameras: Sequence[Camera], *, longer_side: int | None = 
     cameras = as_cameras(cameras)
     if len(cameras) < LEAST_CAMERAS:
         do = "pass those of the training pictures, or none"
-        raise InvalidValueError(message("cameras", f"at least {LEAST_CAMERAS}", len(cameras), do))
+        raise InvalidValueError.of("cameras", f"at least {LEAST_CAMERAS}", len(cameras), do)
     numbers = torch.linspace(0, len(cameras) - 1, min(len(cameras), MOST_CAMERAS)).round().long().tolist()
     rotation, world = frame.to_world.rotation.double(), frame.to_world
     placed = []

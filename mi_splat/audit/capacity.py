@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.errors import from_os_error, path_name
 from mi_splat.io.folders import splat_in
 from mi_splat.io.formats.detection import HEAD, format_to_read
@@ -37,7 +37,7 @@ def check_capacity(path: Path) -> None:
         expected = f"a splat whose audit fits into the {there / 1e9:.1f} GB of memory that are free"
         got = f"at least {count:,} Gaussians, for which {wanted / 1e9:.1f} GB are needed"
         do = "free some memory, take a machine with more, or audit a smaller file and know that it is another one"
-        raise InvalidValueError(message(str(path), expected, got, do))
+        raise InvalidValueError.of(str(path), expected, got, do)
 
 
 def gaussians_of(path: Path) -> tuple[int, int]:

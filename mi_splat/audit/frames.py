@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.directions import Point
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.selection.clusters import clusters
@@ -107,7 +107,7 @@ def frame_of(scene: GaussianScene) -> Frame:
     if not len(points):
         got = f"none of {len(scene):,}"
         do = "pass a splat that shows something"
-        raise InvalidValueError(message("scene", f"Gaussians with an opacity above {SOLID:g}", got, do))
+        raise InvalidValueError.of("scene", f"Gaussians with an opacity above {SOLID:g}", got, do)
     centre = points.mean(0)
     for _ in range(3):
         gaps = (points - centre).norm(dim=1)
@@ -116,7 +116,7 @@ def frame_of(scene: GaussianScene) -> Frame:
     radius = float((near - centre).norm(dim=1).max())
     if not radius > 0:
         do = "pass a splat of a scene, not of a point"
-        raise InvalidValueError(message("scene", "Gaussians at several places", "all at one", do))
+        raise InvalidValueError.of("scene", "Gaussians at several places", "all at one", do)
     axes = torch.linalg.eigh((near - centre).T @ (near - centre)).eigenvectors.T.flip(0)
     skew = ((near - centre) @ axes.T).pow(3).sum(0)
     axes = axes * torch.where(skew < 0, -1.0, 1.0)[:, None].double()

@@ -16,7 +16,7 @@ from mi_splat.bounds import near_plane
 from mi_splat.cameras import Camera, View, cameras_of
 from mi_splat.datasets import Dataset
 from mi_splat.directions import Point
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
@@ -120,7 +120,7 @@ def compare_pictures(
     if seen < LEAST_PIECES:
         expected = f"at least {LEAST_PIECES} pieces of surface that pictures from two sides show"
         do = "pass pictures of one scene with cameras that fit, in which an object fills more pixels"
-        raise InvalidValueError(message("pictures", expected, seen, do))
+        raise InvalidValueError.of("pictures", expected, seen, do)
     nothing = torch.zeros(len(surface))
     audit = Audit(
         objects=tuple(judged),

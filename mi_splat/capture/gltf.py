@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mi_splat.capture.gltf_checks import document_fault
 from mi_splat.capture.mesh_materials import MaterialNotes, MeshFileNotes
-from mi_splat.errors import MiSplatError, message
+from mi_splat.errors import MiSplatError
 from mi_splat.io.parsing import DocumentReader
 
 _READ = {"EXT_texture_webp", "KHR_texture_basisu", "KHR_texture_transform", "KHR_lights_punctual"}
@@ -55,7 +55,7 @@ def _noted(document: dict[str, Any], rest: bytes | None, path: Path) -> MeshFile
     """What a document says; of one whose parts are of other kinds than glTF's, any error of Python."""
     _check_extensions(document, path)
     if fault := document_fault(document, None if rest is None else max(0, len(rest) - _CHUNK_HEADER)):
-        raise GltfError(message(str(path), "a glTF file whose parts fit together", fault, "export it again"))
+        raise GltfError.of(str(path), "a glTF file whose parts fit together", fault, "export it again")
     for entry in (*document.get("images", []), *document.get("buffers", [])):
         if "uri" in entry and not entry["uri"].startswith("data:"):
             entry["uri"] = unquote(entry["uri"])  # as URIs have spaces, but no files
@@ -68,7 +68,7 @@ def _noted(document: dict[str, Any], rest: bytes | None, path: Path) -> MeshFile
     for mesh in document.get("meshes", []):
         for primitive in mesh["primitives"]:
             if primitive.get("mode") == _FAN:
-                raise GltfError(message(str(path), "triangles, or strips of them", "a fan", "export triangles"))
+                raise GltfError.of(str(path), "triangles, or strips of them", "a fan", "export triangles")
             faults += _prepare(document, primitive, bare)
     materials.append({"name": str(bare)})
     unread = ", ".join(dict.fromkeys(faults))
@@ -80,7 +80,7 @@ def _read(path: Path) -> tuple[dict[str, Any], bytes | None]:
     """The JSON document, and of a GLB the chunks after it."""
     data = path.read_bytes()
     if not data:
-        raise GltfError(message(str(path), "a glTF 2.0 file", "an empty file", "export it again"))
+        raise GltfError.of(str(path), "a glTF 2.0 file", "an empty file", "export it again")
     rest = None
     try:
         if path.suffix.lower() == ".glb":
@@ -93,7 +93,7 @@ def _read(path: Path) -> tuple[dict[str, Any], bytes | None]:
                 raise ValueError("a file that is cut off")
             data, rest = data[_HEADER : _HEADER + length], data[_HEADER + length :]
     except ValueError as error:
-        raise GltfError(message(str(path), "a glTF 2.0 file", str(error)[:160], "export it again")) from error
+        raise GltfError.of(str(path), "a glTF 2.0 file", str(error)[:160], "export it again") from error
     document = _DOCUMENT.json_object(data, str(path))
     if "asset" not in document:
         raise _DOCUMENT.broken(str(path), "no object with the key asset")
@@ -118,7 +118,7 @@ def _check_extensions(document: dict[str, Any], path: Path) -> None:
         if set(unread) <= _UNPACKED:
             names = map(str, (path, path.with_stem(f"{path.stem}-unpacked")))
             do = f"unpack it: npx @gltf-transform/cli dequantize {shlex.join(names)}"
-        raise GltfError(message(str(path), "a glTF file without extensions that change the mesh", unread[0], do))
+        raise GltfError.of(str(path), "a glTF file without extensions that change the mesh", unread[0], do)
 
 
 def _base_colour(material: dict[str, Any]) -> dict[str, Any] | None:

@@ -18,7 +18,7 @@ from mi_splat.capture.gltf import GltfError, gltf_notes
 from mi_splat.capture.mesh_colours import Surface, coloured
 from mi_splat.capture.mesh_materials import MeshFileNotes, obj_notes, ply_notes, resolver
 from mi_splat.capture.settings import Front, MeshSettings
-from mi_splat.errors import InvalidValueError, MiSplatError, install, message
+from mi_splat.errors import InvalidValueError, MiSplatError, install
 from mi_splat.io.picture_files import pixels_bounded
 from mi_splat.placement import Up, axis_turn, turn_of
 
@@ -79,14 +79,13 @@ def load_mesh(path: Path, settings: MeshSettings | None = None) -> LoadedMesh:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         do = "export it in one of these formats"
-        raise MeshFileError(message(str(path), f"a file that ends in {', '.join(SUFFIXES)}", path.suffix, do))
+        raise MeshFileError.of(str(path), f"a file that ends in {', '.join(SUFFIXES)}", path.suffix, do)
     surfaces, faults, remarks = _surfaces(path)
     if not surfaces:
-        do = "export the surface, not the points alone"
-        raise MeshFileError(message(str(path), "a mesh with faces", "no faces", do))
+        raise MeshFileError.of(str(path), "a mesh with faces", "no faces", "export the surface, not the points alone")
     if faults and settings.missing_textures == "refuse":
         do = "put it where the mesh names it, without options, or let missing textures warn, for plain colours"
-        error = MeshFileError(message(str(path), "textures and colours that can be shown", "; ".join(faults), do))
+        error = MeshFileError.of(str(path), "textures and colours that can be shown", "; ".join(faults), do)
         raise error.hinted("--missing-textures warn")
     turn = turning(settings, up=settings.up or UP[suffix])
     placed = [surface.vertices @ turn.T for surface in surfaces]
@@ -130,9 +129,9 @@ def _pieces(path: Path) -> tuple[list[tuple[Any, NDArray[np.float64]]], MeshFile
         import trimesh
     except ImportError as error:
         what, do = "the package, to read mesh files", install("meshes")
-        raise InvalidValueError(message("trimesh", what, "not installed", do)) from error
+        raise InvalidValueError.of("trimesh", what, "not installed", do) from error
     if not path.is_file():
-        raise MeshFileError(message(str(path), "a mesh file", "no such file", "check the path"))
+        raise MeshFileError.of(str(path), "a mesh file", "no such file", "check the path")
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # what it would print, is said here
     suffix = path.suffix.lower()
     read = {".obj": obj_notes, ".ply": ply_notes}.get(suffix, gltf_notes)
@@ -146,14 +145,14 @@ def _pieces(path: Path) -> tuple[list[tuple[Any, NDArray[np.float64]]], MeshFile
         raise MeshFileError(str(error)) from error
     except _BROKEN as error:
         got = " ".join(str(error).split())[:160] or type(error).__name__
-        raise MeshFileError(message(str(path), "a mesh that can be read", got, "export it again")) from error
+        raise MeshFileError.of(str(path), "a mesh that can be read", got, "export it again") from error
     found_pieces = [(scene.geometry[name], np.asarray(matrix, np.float64)) for matrix, name in placed]
     pieces = [(piece, matrix) for piece, matrix in found_pieces if len(getattr(piece, "faces", ()))]
     for piece, _ in pieces:
         highest, count = int(np.max(piece.faces)), len(piece.vertices)
         if highest >= count:
             got = f"a face with vertex {highest} of {count}"
-            raise MeshFileError(message(str(path), "faces of vertices from 0 on", got, "export it again"))
+            raise MeshFileError.of(str(path), "faces of vertices from 0 on", got, "export it again")
     return pieces, notes
 
 
@@ -191,4 +190,4 @@ def _mesh(surface: Surface, vertices: NDArray[np.float64]) -> Mesh:
 def _not_finite(path: Path, error: Exception) -> MeshFileError:
     """The error for arrays that are no mesh."""
     got = " ".join(str(error).split())[:200]
-    return MeshFileError(message(str(path), "finite vertices, faces and colours", got, "repair it"))
+    return MeshFileError.of(str(path), "finite vertices, faces and colours", got, "repair it")

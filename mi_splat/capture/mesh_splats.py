@@ -16,7 +16,7 @@ from torch import Tensor
 
 from mi_splat.cameras import RenderFn, View, project_points
 from mi_splat.capture.surface_sampling import SurfaceSamples
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.parameters import activate, to_raw_parameters
 from mi_splat.rotation import from_matrix
 from mi_splat.scene import GaussianScene
@@ -144,7 +144,7 @@ def disc_splat(
     sh, seen = fit_colours(samples, views, depths, config)
     keep = seen > 0
     if not keep.any():
-        raise InvalidValueError(message("views", "pictures that show the surface", "none that does", "move cameras"))
+        raise InvalidValueError.of("views", "pictures that show the surface", "none that does", "move cameras")
     spacing = torch.from_numpy(samples.spacing)[keep]
     scales = torch.stack([config.overlap * spacing] * 2 + [config.thickness * spacing], dim=1).clamp(min=1e-3)
     return GaussianScene(

@@ -15,7 +15,7 @@ import numpy as np
 from mi_splat.assets.daylight import Light, sky_map
 from mi_splat.assets.mesh import Asset, Floats, Mesh
 from mi_splat.assets.srgb import to_linear
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.scene_parts import check_scene_file
 from mi_splat.io.texture_files import check_texture
 from mi_splat.llvm import prepare_llvm
@@ -76,11 +76,11 @@ def load_scene(scene: dict[str, Any] | Path) -> mi.Scene:
     if isinstance(scene, dict):
         return mi.load_dict(scene)
     if not Path(scene).is_file():
-        raise InvalidValueError(message("scene", "a Mitsuba XML file", str(scene), "check the path"))
+        raise InvalidValueError.of("scene", "a Mitsuba XML file", str(scene), "check the path")
     check_scene_file(Path(scene))
     loaded = mi.load_file(str(scene))
     if not isinstance(loaded, mi.Scene):
-        raise InvalidValueError(message(str(scene), "a <scene>", type(loaded).__name__, "wrap it in <scene>"))
+        raise InvalidValueError.of(str(scene), "a <scene>", type(loaded).__name__, "wrap it in <scene>")
     return loaded
 
 
@@ -212,16 +212,16 @@ def read_environment(path: Path) -> Floats:
     expected = "an OpenEXR (.exr) or Radiance (.hdr) picture"
     if path.suffix.lower() not in (".exr", ".hdr") or not path.is_file():
         got = f"no file {path}" if path.suffix.lower() in (".exr", ".hdr") else str(path)
-        raise InvalidValueError(message("environment", expected, got, "check the path"))
+        raise InvalidValueError.of("environment", expected, got, "check the path")
     check_texture(path, f"environment {path}")
     with tracing_variant():
         try:
             bitmap = mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)
         except RuntimeError as error:  # what Mitsuba raises for everything
             got = " ".join(str(error).split())[-200:]
-            raise InvalidValueError(message(f"environment {path}", expected, got, "write it again")) from error
+            raise InvalidValueError.of(f"environment {path}", expected, got, "write it again") from error
         values = np.array(bitmap, np.float32)
     if not (np.isfinite(values).all() and values.min() >= 0 and min(values.shape[:2]) >= 2):
         got = "others, or fewer than 2 x 2"
-        raise InvalidValueError(message(f"environment {path}", "finite values >= 0", got, "write it again"))
+        raise InvalidValueError.of(f"environment {path}", "finite values >= 0", got, "write it again")
     return values

@@ -32,7 +32,7 @@ from mi_splat.capture.mitsuba_meshes import (
     tracing_variant,
 )
 from mi_splat.capture.passes import PASSES, pass_samples, sampler_type
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.plugins.sensor import sensor_dict
 
 BRIGHTEST = 1.6
@@ -171,16 +171,14 @@ class PathTracer:
             InvalidValueError: samples is not positive, or there is no such file, or no integrator in it.
         """
         if samples < 1:
-            raise InvalidValueError(
-                message("samples", "a positive number of samples per pixel", samples, "use 16 or more")
-            )
+            raise InvalidValueError.of("samples", "a positive number of samples per pixel", samples, "use 16 or more")
         self.samples, self._near = samples, near
         with tracing_variant(made_in(scene)):
             self._variant = mi.variant()
             self._scene = load_scene(scene)
             if not alpha and self._scene.integrator() is None:
                 do = 'add <integrator type="path"/>'
-                raise InvalidValueError(message(str(scene), "a scene with an integrator", "none", do))
+                raise InvalidValueError.of(str(scene), "a scene with an integrator", "none", do)
             hidden = {"type": "path", "max_depth": MAX_DEPTH, "hide_emitters": True}
             self._integrator = mi.load_dict(hidden) if alpha else None
 

@@ -14,7 +14,7 @@ from mi_splat.cameras import View
 from mi_splat.capture.mesh_splats import DiscConfig, fit_colours
 from mi_splat.capture.path_tracer import PathTracer
 from mi_splat.capture.surface_sampling import nearness, surface_samples
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
 from mi_splat.sh import sh_to_colour
 
@@ -46,7 +46,7 @@ def surface_points(
     chosen = [views[i] for i in sorted({round(row) for row in rows})]
     hits = [tracer.surface(view.camera, seed=seed + number) for number, view in enumerate(chosen)]
     if not any(bool((distance > 0).any()) for _, distance in hits):
-        raise InvalidValueError(message("cameras", "a view of the scene", "nothing but sky", "move or turn them"))
+        raise InvalidValueError.of("cameras", "a view of the scene", "nothing but sky", "move or turn them")
     if not assets:
         points = torch.cat([met[distance > 0] for met, distance in hits])
         colours = torch.cat([view.image[distance > 0] for view, (_, distance) in zip(chosen, hits, strict=True)])

@@ -13,7 +13,7 @@ from mi_splat.cameras import Camera
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
 from mi_splat.datasets.writing import make_folder
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.atomic import is_temporary, sweep_temporary
 from mi_splat.io.documents import save_json
 from mi_splat.io.fields import Fields
@@ -83,7 +83,7 @@ def claim_folder(folder: Path, wanted: dict[str, Any]) -> str:
         others = sorted(path.name for path in folder.iterdir() if not is_temporary(path.name))
         if others:
             got, do = f"{others[0]} in it and no {RECORD}", "choose a new folder"
-            raise InvalidValueError(message(str(folder), "an empty folder or that of a capture", got, do))
+            raise InvalidValueError.of(str(folder), "an empty folder or that of a capture", got, do)
         save_json(wanted, file)
         return str(wanted["version"])
     there = _RECORD.read_json(file)
@@ -92,7 +92,7 @@ def claim_folder(folder: Path, wanted: dict[str, Any]) -> str:
         inputs.object(kind)
     if changed := differences(there, wanted):
         do = "choose a new folder, or the same settings to go on"
-        raise InvalidValueError(message(str(file), "the settings of this capture", "; ".join(changed), do))
+        raise InvalidValueError.of(str(file), "the settings of this capture", "; ".join(changed), do)
     return str(there.get("version", "unknown"))
 
 

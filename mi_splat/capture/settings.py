@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Called, Checked, Length, above, between, check
 from mi_splat.placement import Turn, Up
 
@@ -98,5 +98,5 @@ class SurroundingsSettings:
             azimuth = elevation = math.nan
         if not (math.isfinite(azimuth) and 0 <= elevation <= 90):
             expected = "azimuth,elevation in degrees, with an elevation of 0 to 90"
-            raise InvalidValueError(message("sun", expected, repr(self.sun), "write for instance -50,52"))
+            raise InvalidValueError.of("sun", expected, repr(self.sun), "write for instance -50,52")
         return azimuth, elevation

@@ -85,11 +85,11 @@ def open_source(
     mesh, surroundings = mesh or MeshSettings(), surroundings or SurroundingsSettings()
     if mesh != MeshSettings() and suffix not in SUFFIXES:
         what = "up, scale, rotate, front and missing textures"
-        error = InvalidValueError(message(what, "a mesh file to go with", name, "leave them out"))
+        error = InvalidValueError.of(what, "a mesh file to go with", name, "leave them out")
         raise error.hinted("--up, --scale, --rotate, --front, --missing-textures")
     if surroundings != SurroundingsSettings() and not (is_asset or suffix in SUFFIXES):
         expected = "a mesh file, or an object of the project, to go with"
-        error = InvalidValueError(message("ground, sun and environment", expected, name, "leave them out"))
+        error = InvalidValueError.of("ground, sun and environment", expected, name, "leave them out")
         raise error.hinted("--ground, --sun, --environment")
     if name in RECIPES:
         return _recipe(name)
@@ -100,7 +100,7 @@ def open_source(
     if suffix in SUFFIXES:
         return _mesh(load_mesh(path, mesh), name, surroundings)
     expected = f"one of {', '.join((*RECIPES, *ASSETS))}, or a file that ends in .xml, {', '.join(SUFFIXES)}"
-    raise InvalidValueError(message("scene", expected, name, "name one of these"))
+    raise InvalidValueError.of("scene", expected, name, "name one of these")
 
 
 def _recipe(name: str) -> CaptureSource:
@@ -131,7 +131,7 @@ def _asset(name: str, surroundings: SurroundingsSettings) -> CaptureSource:
     """One of the project's assets, alone under the default sky unless told otherwise."""
     kind, colon, seed = name.partition(":")
     if not re.fullmatch(r"\d{1,9}" if colon else "", seed):
-        raise InvalidValueError(message("scene", f"{kind} or {kind}:SEED, 0 to 999999999", name, "change the seed"))
+        raise InvalidValueError.of("scene", f"{kind} or {kind}:SEED, 0 to 999999999", name, "change the seed")
     return _mesh(LoadedMesh(asset=build(kind, int(seed or 0)).body), name, surroundings)
 
 
@@ -140,7 +140,7 @@ def _mesh(loaded: LoadedMesh, name: str, surroundings: SurroundingsSettings) -> 
     centre, radius = _extent(loaded.asset)
     if not SMALLEST <= radius <= LARGEST:
         expected = f"a radius of {SMALLEST:g} to {LARGEST:g} metres"
-        raise InvalidValueError(message(name, expected, f"{radius:.4g}", "pass another scale")).hinted("--scale")
+        raise InvalidValueError.of(name, expected, f"{radius:.4g}", "pass another scale").hinted("--scale")
     frame = working_frame(centre, radius)
     target = frame.asset(loaded.asset)
     ground = None if surroundings.ground == "none" else _ground(target, surroundings.ground)
@@ -181,23 +181,23 @@ def _ground(target: Asset, kind: Kind) -> Asset:
 def _xml(path: Path) -> CaptureSource:
     """A Mitsuba scene as it is, sensors apart."""
     if not path.is_file():
-        raise InvalidValueError(message("scene", "a Mitsuba XML file", str(path), "check the path"))
+        raise InvalidValueError.of("scene", "a Mitsuba XML file", str(path), "check the path")
     parts = scene_parts(path)
     if any(element.tag in ("shape", "integrator") and element.get("type") in _SPLATS for element in parts.elements):
         do = f"see it with `mi-splat render {path}`, or name a scene of meshes"
-        raise InvalidValueError(message(str(path), "a scene of meshes", "a scene of splats", do))
+        raise InvalidValueError.of(str(path), "a scene of meshes", "a scene of splats", do)
     try:
         bounds = PathTracer(path, samples=1, alpha=True).bounds
     except RuntimeError as error:  # what Mitsuba raises for everything
         got = " ".join(str(error).split())[:300]
         do = "make it a mesh scene that Mitsuba loads in llvm_ad_rgb"
-        raise MiSplatError(message(str(path), "a scene", got, do)) from error
+        raise MiSplatError.of(str(path), "a scene", got, do) from error
     if not np.isfinite(bounds).all():
-        raise MiSplatError(message(str(path), "a scene with shapes", "none", "add some"))
+        raise MiSplatError.of(str(path), "a scene with shapes", "none", "add some")
     centre, radius = _middle(bounds.astype(np.float64))
     if not SMALLEST_XML <= radius <= LARGEST_XML:
         expected = f"a radius of {SMALLEST_XML:g} to {LARGEST_XML:g} world units"
-        raise InvalidValueError(message(str(path), expected, f"{radius:.4g}", "scale its shapes"))
+        raise InvalidValueError.of(str(path), expected, f"{radius:.4g}", "scale its shapes")
     warnings = _far_away(path, centre, radius)
     digest = _digest(file.read_bytes() for file in parts.files)  # another texture makes other pictures
     return CaptureSource(scene=path, centre=centre, radius=radius, assets=(), digest=digest, warnings=warnings)

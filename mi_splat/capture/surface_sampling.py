@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mi_splat.assets.mesh import Asset, Floats
 from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 _R2 = (0.7548776662466927, 0.5698402909980532)
 """Steps of the R2 sequence in both coordinates."""
@@ -83,7 +83,7 @@ def surface_samples(
         InvalidValueError: count is not positive, or the asset has no area.
     """
     if count < 1:
-        raise InvalidValueError(message("count", "a positive number of samples", count, "ask for more"))
+        raise InvalidValueError.of("count", "a positive number of samples", count, "ask for more")
     corners = np.concatenate([mesh.vertices[mesh.faces].astype(np.float64) for mesh in asset.meshes])
     if density is not None:
         at = density
@@ -93,7 +93,7 @@ def surface_samples(
     local = np.ones(len(area)) if density is None else density(corners.mean(1).astype(np.float32)).astype(np.float64)
     total = np.cumsum(area * local)
     if not total[-1] > 0:
-        raise InvalidValueError(message("asset", "a surface", f"no area in {asset.name!r}", "add meshes to it"))
+        raise InvalidValueError.of("asset", "a surface", f"no area in {asset.name!r}", "add meshes to it")
     rng = np.random.default_rng([seed, 0x5A])
     face = np.searchsorted(total, (np.arange(count) + rng.random()) * (total[-1] / count)).clip(max=len(area) - 1)
     order = np.arange(count)

@@ -136,7 +136,7 @@ def write_capture(
 def _listing(cameras: Sequence[Camera], test: Sequence[Camera]) -> dict[str, list[tuple[str, Camera]]]:
     """Names and cameras of all pictures, once it is sure that each can be taken."""
     if not cameras:
-        raise InvalidValueError(message("cameras", "at least one", "none", "ask for more"))
+        raise InvalidValueError.of("cameras", "at least one", "none", "ask for more")
     with tracing_variant():
         for camera in (*cameras, *test):
             check_camera(camera)
@@ -148,7 +148,7 @@ def _listing(cameras: Sequence[Camera], test: Sequence[Camera]) -> dict[str, lis
 def _check_surface_in_sight(tracer: PathTracer, cameras: Sequence[Camera]) -> None:
     """Raise unless some camera sees a surface."""
     if not any(bool((tracer.surface(camera, seed=0)[1] > 0).any()) for camera in cameras):
-        raise InvalidValueError(message("cameras", "a view of the scene", "nothing but sky", "move or turn them"))
+        raise InvalidValueError.of("cameras", "a view of the scene", "nothing but sky", "move or turn them")
 
 
 def _render(

@@ -20,7 +20,7 @@ from mi_splat.datasets.colmap import find_model, read_model_cameras
 from mi_splat.datasets.frames import Split
 from mi_splat.datasets.transforms import find_transforms
 from mi_splat.directions import UP
-from mi_splat.errors import InvalidValueError, message, nearest
+from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.io.camera_records import OF, recorded_cameras, unique_names
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import from_z
@@ -114,7 +114,7 @@ def _check_meaning(loaded: SplatScene, options: CameraOptions) -> None:
     if idle:
         got = f"--cameras {' '.join(options.cameras)} and {', '.join(idle)}"
         what = "cameras that have their places" if placed else "either a set of cameras or one on an orbit"
-        raise InvalidValueError(message("cameras", what, got, "leave one out"))
+        raise InvalidValueError.of("cameras", what, got, "leave one out")
 
 
 def _is_set(text: str, loaded: SplatScene) -> bool:
@@ -156,7 +156,7 @@ def _meant(
     cameras = _unique(_named(place, loaded, options, target, None))  # whoever names one means it
     if wanted not in cameras:
         do = nearest(wanted, cameras, "name one that is there")
-        raise InvalidValueError(message(place, f"a camera {wanted}", f"{len(cameras)} others", do))
+        raise InvalidValueError.of(place, f"a camera {wanted}", f"{len(cameras)} others", do)
     return [(wanted, cameras[wanted])]
 
 
@@ -184,7 +184,7 @@ def _named(
         return _numbered(text.partition(":")[0], [_turned(camera, centre, options.up) for camera in cameras])
     else:
         names = f"one of {', '.join(loaded.cameras)}" if loaded.cameras else "no name, since the scene has no cameras"
-        raise InvalidValueError(message("camera", f"{names}; or {FORMS}, or a folder", text, "name one that is there"))
+        raise InvalidValueError.of("camera", f"{names}; or {FORMS}, or a folder", text, "name one that is there")
     return [(name, _sized(camera, options)) for name, camera in named]
 
 
@@ -219,9 +219,9 @@ def _placement(target: GaussianScene, options: CameraOptions) -> tuple[tuple[flo
     """Where cameras look, how far away they are, and their focal length."""
     size = options.size or SIZE
     if not 0 < options.fov < 180:
-        raise InvalidValueError(message("fov", "degrees between 0 and 180", options.fov, "45 is usual"))
+        raise InvalidValueError.of("fov", "degrees between 0 and 180", options.fov, "45 is usual")
     if min(size) < 1:
-        raise InvalidValueError(message("size", "positive numbers of pixels", size, "for instance 640x480"))
+        raise InvalidValueError.of("size", "positive numbers of pixels", size, "for instance 640x480")
     middle, radius = bounds(target)
     distance, focal = framing(radius, fov=options.fov, size=size)
     centre = middle if options.centre is None else options.centre

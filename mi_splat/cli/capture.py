@@ -12,7 +12,7 @@ from mi_splat.capture.settings import CaptureSettings, MeshSettings, Surrounding
 from mi_splat.cli.console import progress, show_result, warn
 from mi_splat.cli.flags import Positional, Unprefixed
 from mi_splat.cli.options import FieldOfView, JsonOptions, Point, Size
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Called, Folder, Length, between
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def _capture(options: CaptureOptions) -> None:
     idle = [flag for flag, value in given.items() if value is not None]
     if is_file and idle:
         got = f"--cameras {options.cameras} and {', '.join(idle)}"
-        raise InvalidValueError(message("cameras", "cameras that have their places", got, "leave one out"))
+        raise InvalidValueError.of("cameras", "cameras that have their places", got, "leave one out")
     with progress("building the scene"):
         source = open_source(options.scene, mesh=options.mesh, surroundings=options.surroundings)
     for text in source.warnings:
@@ -108,7 +108,7 @@ def _capture(options: CaptureOptions) -> None:
     width, height = cameras[0].width, cameras[0].height
     if options.size is not None and any((camera.width, camera.height) != size for camera in cameras):
         got = f"--cameras {options.cameras} of {width} x {height} and --size"
-        raise InvalidValueError(message("cameras", "cameras that have their sizes", got, "leave one out"))
+        raise InvalidValueError.of("cameras", "cameras that have their sizes", got, "leave one out")
     held_out = held_out_set(options.cameras, options.test, **placed)
     with progress("rendering", total=len(cameras) + len(held_out)) as advance:
         done = write_capture(

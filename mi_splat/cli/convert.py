@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from mi_splat.cli.console import progress, show_result
 from mi_splat.cli.flags import Positional, Unprefixed
 from mi_splat.cli.options import JsonOptions
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.formats.detection import format_to_write
 from mi_splat.placement import Placement
 
@@ -69,12 +69,12 @@ def run(options: ConvertOptions) -> None:
 
     suffix = format_to_write(str(options.out))  # a name that fits no format is told before a large file is read
     if options.spz_version is not None and suffix != ".spz":
-        raise InvalidValueError(message("--spz-version", "a file to write that ends in .spz", suffix, "leave it out"))
+        raise InvalidValueError.of("--spz-version", "a file to write that ends in .spz", suffix, "leave it out")
     sources = (options.source, *options.add)
     for source in sources:
         check_not_input(options.out, source)
     if os.path.lexists(options.out) and not options.force:
-        raise InvalidValueError(message(str(options.out), "a free name", "a file that is there", "pass --force"))
+        raise InvalidValueError.of(str(options.out), "a free name", "a file that is there", "pass --force")
     check_writable(options.out.parent)
     with progress(f"reading {', '.join(map(str, sources))}"):
         invalid: Literal["drop", "raise"] = "drop" if options.drop_invalid else "raise"

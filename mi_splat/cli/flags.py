@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 from mi_splat.cli.console import UsageError
-from mi_splat.errors import InvalidValueError, message, nearest
+from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.fields import Called, FieldError, Range, taken, type_hints, unwrapped
 
 _Type = TypeVar("_Type")
@@ -274,7 +274,7 @@ def parse(
         flags = [flag for action in parser._actions for flag in action.option_strings]
         unknown = next((word for word in rest if word.startswith("-")), rest[0]).partition("=")[0]
         do = nearest(unknown, flags, f"see {program} --help") if unknown.startswith("-") else "leave it out"
-        raise UsageError(message("options", "those of the command", " ".join(rest), do))
+        raise UsageError.of("options", "those of the command", " ".join(rest), do)
     try:
         return _built(kind, options_of(kind, defaults), vars(given))
     except InvalidValueError as error:
@@ -353,8 +353,7 @@ def _built(kind: type[_Type], options: Sequence[Option], given: Mapping[str, Any
             texts = [word.removeprefix(" ") for word in ([words] if isinstance(words, str) else words)]
             values[option.name] = option.value(texts, option.flag)
         elif option.default is dataclasses.MISSING:
-            what = "arguments" if option.how.positional else option.flag
-            raise UsageError(message(what, option.called, "none", "add it"))
+            raise UsageError.of("arguments" if option.how.positional else option.flag, option.called, "none", "add it")
         else:
             is_empty = option.key in given and not option.how.positional  # the flag of a tuple, and nothing behind it
             values[option.name] = () if is_empty else option.default
@@ -362,7 +361,7 @@ def _built(kind: type[_Type], options: Sequence[Option], given: Mapping[str, Any
         return kind(**values)
     except FieldError as error:
         flags = {option.name: option.flag for option in options}
-        raise error.at(flags.get(error.name, error.name)) from None
+        raise error.at(flags.get(error.what, error.what)) from None
 
 
 @cache

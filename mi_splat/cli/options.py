@@ -15,7 +15,7 @@ from typing import Annotated
 
 from mi_splat.cli.console import UsageError
 from mi_splat.cli.flags import Flag, Word
-from mi_splat.errors import message, nearest
+from mi_splat.errors import nearest
 from mi_splat.fields import Called, Folder, Length, Range, between
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
@@ -76,7 +76,7 @@ def check_no_input_in(folder: Path, *inputs: Path | None) -> None:
     """
     for path in inputs:
         if path is not None and path.exists() and path.resolve().is_relative_to(folder.resolve()):
-            raise UsageError(message("--out", f"a folder without the input {path}", folder, "pass another folder"))
+            raise UsageError.of("--out", f"a folder without the input {path}", folder, "pass another folder")
 
 
 def axis_name(direction: Sequence[float]) -> str:
@@ -117,7 +117,7 @@ def as_one_word(words: Sequence[str]) -> list[str]:
         word = rest.pop(0)
         if word == "--size" and len(rest) > 1 and rest[0].isdecimal() and rest[1].isdecimal():
             expected, got = "pixels as 256 or 256x192", f"{rest[0]} {rest[1]}"
-            raise UsageError(message("--size", expected, got, f"write {rest[0]}x{rest[1]}"))
+            raise UsageError.of("--size", expected, got, f"write {rest[0]}x{rest[1]}")
         if word in ("--background", "--up") and len(rest) > 2 and all(map(_NUMBER.fullmatch, rest[:3])):
             word, rest = f"{word}={','.join(rest[:3])}", rest[3:]
         elif word in ("--up", "--front") and rest and _AXIS.fullmatch(rest[0]):

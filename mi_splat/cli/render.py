@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from mi_splat.cli.console import progress, show_result
 from mi_splat.cli.flags import Positional, Unprefixed
 from mi_splat.cli.options import CameraOptions, JsonOptions, Rate, Samples
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Called
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ def _mixed_scene(options: RenderOptions) -> MixedScene | None:
     idle = [flag for flag, value in given.items() if value is not None]
     if idle:
         do = "leave it out: the scene file says how it is rendered"
-        raise InvalidValueError(message("scene with meshes", "flags that it can follow", ", ".join(idle), do))
+        raise InvalidValueError.of("scene with meshes", "flags that it can follow", ", ".join(idle), do)
     return MixedScene(options.scene, samples=options.samples, linear=is_floats(options.out))
 
 
@@ -152,12 +152,10 @@ def _check_channels(options: RenderOptions, method: str) -> None:
     flags = [flag for flag, given in (("--alpha", options.alpha), ("--depth", options.depth)) if given]
     if flags and not is_floats(options.out):
         do = "end it in .exr, which has channels for them"
-        raise InvalidValueError(
-            message(f"--out with {' and '.join(flags)}", "a name that ends in .exr", options.out, do)
-        )
+        raise InvalidValueError.of(f"--out with {' and '.join(flags)}", "a name that ends in .exr", options.out, do)
     if options.depth and method != "tile":
         do = "leave one of them out: along a ray a Gaussian has no one depth"
-        raise InvalidValueError(message("--depth", "--method tile", method, do))
+        raise InvalidValueError.of("--depth", "--method tile", method, do)
 
 
 def _pixels(render: RenderFn, scene: GaussianScene, camera: Camera, options: RenderOptions) -> Pixels:
@@ -194,20 +192,20 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
         check_animation(out)
         if _PLACE in out.name:
             do = f"leave {_PLACE} out, or end the name in .png or .jpg"
-            raise InvalidValueError(message("--out", "one name, since an animation is one file", out, do))
+            raise InvalidValueError.of("--out", "one name, since an animation is one file", out, do)
         if len(cameras) < 2:
             do = "pass for instance --cameras orbit:60@20, or end the name in .png"
-            raise InvalidValueError(message("--out", "two cameras or more for an animation", f"one, {out}", do))
+            raise InvalidValueError.of("--out", "two cameras or more for an animation", f"one, {out}", do)
         sizes = {f"{camera.width} x {camera.height}" for camera in cameras.values()}
         if len(sizes) > 1:
-            raise InvalidValueError(message("--out", "cameras of one size", ", ".join(sorted(sizes)), "pass --size"))
+            raise InvalidValueError.of("--out", "cameras of one size", ", ".join(sorted(sizes)), "pass --size")
     elif is_picture(out) or is_floats(out):
         if len(cameras) > 1 and _PLACE not in out.name:
             do = f"name a folder, {out.stem}-{_PLACE}{out.suffix}, or a .gif or .mp4"
-            raise InvalidValueError(message("--out", f"room for {len(cameras)} pictures", out, do))
+            raise InvalidValueError.of("--out", f"room for {len(cameras)} pictures", out, do)
     elif out.suffix:
         expected = "a name that ends in .png, .jpg, .exr, .gif or .mp4, or a folder"
-        raise InvalidValueError(message("--out", expected, out, "change the ending"))
+        raise InvalidValueError.of("--out", expected, out, "change the ending")
     else:
         check_new_folder(out, force=options.force, record=RECORD)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from mi_splat.cli.console import progress, show_result, warn
 from mi_splat.cli.flags import Positional, Unprefixed
 from mi_splat.cli.options import CameraOptions, JsonOptions
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
@@ -63,8 +63,7 @@ def run(options: SelectOptions) -> None:
 
     for path in options.out:
         if not (is_picture(path) or path.suffix.lower() in (".npy", ".ply")):
-            expected = "names that end in .png, .jpg, .npy or .ply"
-            raise InvalidValueError(message("--out", expected, path, "change the ending"))
+            raise InvalidValueError.of("--out", "names that end in .png, .jpg, .npy or .ply", path, "change the ending")
         mask = options.selection.mask
         check_not_input(path, options.scene, mask if isinstance(mask, Path) else None)
         check_writable(path.parent)

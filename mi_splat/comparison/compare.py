@@ -22,7 +22,7 @@ from mi_splat.comparison.measures import (
     weighting,
 )
 from mi_splat.comparison.methods import Method
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Checked, Count, Seed
 from mi_splat.io.images import quantise
 from mi_splat.metrics import Perceptual
@@ -112,7 +112,7 @@ def compare(
     config = config or CompareConfig()
     for what, given, least in (("cameras", cameras, 1), ("methods", methods, 2)):
         if len(given) < least:
-            raise InvalidValueError(message(what, f"{least} or more", len(given), "name more"))
+            raise InvalidValueError.of(what, f"{least} or more", len(given), "name more")
     pictures: dict[str, dict[str, Tensor]] = {}
     first_seconds: dict[str, float] = {}
     for view, camera in cameras.items():
@@ -151,7 +151,7 @@ def _picture(name: str, method: Method, scene: GaussianScene, camera: Camera) ->
     if tuple(picture.shape) != expected or not bool(picture.isfinite().all()):
         got = f"{tuple(picture.shape)}, {int((~picture.isfinite()).sum())} values not finite"
         do = "mend the method, or leave it out"
-        raise InvalidValueError(message(f"picture of {name}", f"{expected} finite values", got, do))
+        raise InvalidValueError.of(f"picture of {name}", f"{expected} finite values", got, do)
     return picture
 
 

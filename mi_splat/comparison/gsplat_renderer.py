@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera
-from mi_splat.errors import MiSplatError, message
+from mi_splat.errors import MiSplatError
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, check_scene
 
@@ -34,10 +34,10 @@ class GsplatRenderer:
         self.device = "cuda"
         if importlib.util.find_spec("gsplat") is None:
             do = "pip install gsplat, or leave it out of --methods"
-            raise MiSplatError(message("method gsplat", "the package gsplat", "not installed", do))
+            raise MiSplatError.of("method gsplat", "the package gsplat", "not installed", do)
         if not torch.cuda.is_available():
             do = "run it where there is one, or leave it out of --methods"
-            raise MiSplatError(message("method gsplat", "an NVIDIA GPU that torch can use", "none", do))
+            raise MiSplatError.of("method gsplat", "an NVIDIA GPU that torch can use", "none", do)
         package: Any = importlib.import_module("gsplat")
         self._rasterization = package.rasterization
 

@@ -13,7 +13,7 @@ from mi_splat.cameras import Camera, RenderFn
 from mi_splat.comparison.colour_clamps import cut_to_bytes, not_cut
 from mi_splat.comparison.gsplat_renderer import GsplatRenderer
 from mi_splat.comparison.picture_folder import PictureFolder
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Method as Way
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.volprim import Volprim
@@ -67,9 +67,9 @@ def register_method(name: str, make: MakeRender, *, differentiable: bool = True)
     """
     if not re.fullmatch(r"[a-z][a-z0-9_-]*", name):
         expected = "small letters, digits, - and _, a letter first"
-        raise InvalidValueError(message("name of a method", expected, name, "choose another"))
+        raise InvalidValueError.of("name of a method", expected, name, "choose another")
     if name in _MAKERS:
-        raise InvalidValueError(message("name of a method", "a new one", name, "choose another"))
+        raise InvalidValueError.of("name of a method", "a new one", name, "choose another")
     _MAKERS[name] = _Maker(make, differentiable)
 
 
@@ -100,7 +100,7 @@ def load_methods(
         name = Path(word.removeprefix(FOLDER)).resolve().name if word.startswith(FOLDER) else word
         if name in methods:
             do = "name each once, and rename a folder that is called like a method"
-            raise InvalidValueError(message("methods", "different names", f"{name} twice", do))
+            raise InvalidValueError.of("methods", "different names", f"{name} twice", do)
         if word.startswith(FOLDER):
             pictures = PictureFolder(Path(word.removeprefix(FOLDER)), cameras, background=settings.background)
             methods[name] = Method(render=pictures, differentiable=False, renders=False, bits=8)
@@ -108,10 +108,10 @@ def load_methods(
             methods[name] = load_method(word, settings)
         else:
             expected = f"one of {', '.join(_MAKERS)}, or {FOLDER}PATH"
-            raise InvalidValueError(message("methods", expected, word, "choose one of them"))
+            raise InvalidValueError.of("methods", expected, word, "choose one of them")
     if len(methods) < 2:
         got = ", ".join(methods) or "none"
-        raise InvalidValueError(message("methods", "two or more", got, "name what to compare, for instance tile,ray"))
+        raise InvalidValueError.of("methods", "two or more", got, "name what to compare, for instance tile,ray")
     return methods
 
 
@@ -127,7 +127,7 @@ def load_method(name: str, settings: RenderSettings) -> Method:
         MiSplatError: It cannot run here.
     """
     if name not in _MAKERS:
-        raise InvalidValueError(message("renderer", f"one of {', '.join(_MAKERS)}", name, "choose one of them"))
+        raise InvalidValueError.of("renderer", f"one of {', '.join(_MAKERS)}", name, "choose one of them")
     return Method(render=_MAKERS[name].make(settings), differentiable=_MAKERS[name].differentiable)
 
 

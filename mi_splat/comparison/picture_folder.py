@@ -10,7 +10,7 @@ from torch import Tensor
 from mi_splat.cameras import Camera
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.datasets.pictures import picture_size, read_picture
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import file_name
 from mi_splat.io.pictures import PICTURES
 from mi_splat.scene import GaussianScene
@@ -33,7 +33,7 @@ class PictureFolder:
         self, folder: Path, cameras: Mapping[str, Camera], *, background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> None:
         if not folder.is_dir():
-            raise InvalidValueError(message(str(folder), "a folder of pictures", "none", "check the path"))
+            raise InvalidValueError.of(str(folder), "a folder of pictures", "none", "check the path")
         self.background = background
         self._cameras = dict(cameras)
         self._paths = {name: _path(folder, name) for name in cameras}
@@ -57,7 +57,7 @@ class PictureFolder:
         name = next((name for name, known in self._cameras.items() if known is camera), None)
         if name is None:
             do = "pass a camera that the folder was opened with"
-            raise InvalidValueError(message("camera", f"one of {', '.join(self._cameras)}", "another", do))
+            raise InvalidValueError.of("camera", f"one of {', '.join(self._cameras)}", "another", do)
         return read_picture(self._paths[name], downscale=1, background=self.background)[0].to(scene.means.device)
 
 
@@ -69,5 +69,5 @@ def _path(folder: Path, name: str) -> Path:
         held = sorted(entry.name for entry in folder.iterdir())[:3]
         got = f"none among {', '.join(held)}, ..." if held else "an empty folder"
         do = "call pictures as their cameras, as `mi-splat render --out FOLDER` does"
-        raise DatasetError(message(str(folder), f"{stem}.png for the camera {name}", got, do))
+        raise DatasetError.of(str(folder), f"{stem}.png for the camera {name}", got, do)
     return path

@@ -29,7 +29,7 @@ from mi_splat.datasets.frames import (
     report_missing,
     within,
 )
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
 from mi_splat.rotation import to_matrix
 
@@ -109,7 +109,7 @@ def _poses(model: Model, cameras_file: Path) -> list[Pose]:
     """The poses of a model in the order of names."""
     source = _images_file(cameras_file)
     if not model.poses:
-        raise DatasetError(message(str(source), "at least one picture", "none", "register pictures first"))
+        raise DatasetError.of(str(source), "at least one picture", "none", "register pictures first")
     poses = sorted(model.poses.values(), key=lambda pose: pose.name)
     refuse_doubles((pose.name for pose in poses), source)
     return poses
@@ -134,10 +134,10 @@ def _read_model(cameras_file: Path) -> Model:
         return read(cameras_file.parent)
     except FileNotFoundError as error:
         do = "a model has three files: cameras, images, points3D"
-        raise DatasetError(message(str(error.filename), "a part of the model", "no such file", do)) from error
+        raise DatasetError.of(str(error.filename), "a part of the model", "no such file", do) from error
     except OSError as error:
         got = error.strerror or str(error)
-        raise DatasetError(message(str(cameras_file), "a file that can be read", got, "check the path")) from error
+        raise DatasetError.of(str(cameras_file), "a file that can be read", got, "check the path") from error
 
 
 def _images_folder(root: Path, folder: Path) -> Path:
@@ -153,21 +153,21 @@ def _split(poses: list[Pose], test_list: Path, split: Split | None, every: int) 
     try:
         tests = {line.strip() for line in test_list.read_text("utf-8").splitlines()}
     except (OSError, ValueError) as error:
-        raise DatasetError(message(str(test_list), "names, one a line", str(error), "write it again")) from error
+        raise DatasetError.of(str(test_list), "names, one a line", str(error), "write it again") from error
     return [pose for pose in poses if (pose.name in tests) == (split == "test")]
 
 
 def _intrinsics(lenses: Mapping[int, Lens], number: int, source: Path) -> Intrinsics:
     """What a model says of one lens."""
     if number not in lenses:
-        raise DatasetError(message(str(source), f"a camera {number}", "none", "export the model again"))
+        raise DatasetError.of(str(source), f"a camera {number}", "none", "export the model again")
     lens, where = lenses[number], f"{source}, camera {number}"
     if lens.model not in (*_ONE_FOCAL, *_TWO_FOCALS):
         do = "undistort the pictures with colmap image_undistorter and pass its output"
-        raise DatasetError(message(where, f"one of {', '.join((*_ONE_FOCAL, *_TWO_FOCALS))}", lens.model, do))
+        raise DatasetError.of(where, f"one of {', '.join((*_ONE_FOCAL, *_TWO_FOCALS))}", lens.model, do)
     if len(lens.parameters) != MODELS[lens.model]:
         expected, got = f"{MODELS[lens.model]} parameters of {lens.model}", len(lens.parameters)
-        raise DatasetError(message(where, expected, got, "export the model again"))
+        raise DatasetError.of(where, expected, got, "export the model again")
     first = lens.parameters[:1] if lens.model in _ONE_FOCAL else ()
     fx, fy, cx, cy, *rest = (*first, *lens.parameters)
     radial, tangential, divisor = rest, [0.0, 0.0], list[float]()
@@ -193,7 +193,7 @@ def _to_world(pose: Pose, where: str) -> Tensor:
     shift = torch.tensor(pose.translation, dtype=torch.float64)
     length = float(quaternion.norm())
     if not (math.isfinite(length) and length > 1e-6):
-        raise DatasetError(message(where, "a quaternion", pose.quaternion, "register the picture again"))
+        raise DatasetError.of(where, "a quaternion", pose.quaternion, "register the picture again")
     rotation = to_matrix(quaternion / length)
     to_world = torch.eye(4, dtype=torch.float64)
     to_world[:3, :3], to_world[:3, 3] = rotation.T, -(rotation.T @ shift)

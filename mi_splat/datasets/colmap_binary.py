@@ -14,7 +14,7 @@ import torch
 
 from mi_splat.datasets.colmap_model import MODELS, Lens, Model, Pose
 from mi_splat.datasets.errors import DatasetError
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
 
 _COUNT = struct.Struct("<Q")
@@ -83,7 +83,7 @@ class _Reader:
             raise self._fault(f"{self._at} bytes", f"{len(self._data)} bytes")
 
     def _fault(self, expected: str, got: str) -> DatasetError:
-        return DatasetError(message(str(self._path), expected, got, "it is truncated or no COLMAP file: export again"))
+        return DatasetError.of(str(self._path), expected, got, "it is truncated or no COLMAP file: export again")
 
 
 @contextmanager
@@ -91,7 +91,7 @@ def _opened(path: Path) -> Iterator[_Reader]:
     """A reader over a file, which is mapped and not loaded; the whole of it has to be read."""
     with path.open("rb") as file:
         if path.stat().st_size == 0:  # which cannot be mapped
-            raise DatasetError(message(str(path), "a COLMAP file", "an empty file", "export the model again"))
+            raise DatasetError.of(str(path), "a COLMAP file", "an empty file", "export the model again")
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             reader = _Reader(data, path)
             yield reader
@@ -106,7 +106,7 @@ def _lenses(path: Path) -> dict[int, Lens]:
             number, model, width, height = (int(value) for value in reader.take(_LENS))
             if not 0 <= model < len(_NAMES):
                 do = "undistort the pictures with colmap image_undistorter and pass its output"
-                raise DatasetError(message(f"{path}, camera {number}", "a known camera model", f"number {model}", do))
+                raise DatasetError.of(f"{path}, camera {number}", "a known camera model", f"number {model}", do)
             parameters = reader.take(struct.Struct(f"<{MODELS[_NAMES[model]]}d"))
             _add(lenses, number, Lens(_NAMES[model], width, height, parameters), path)
     return lenses
@@ -142,5 +142,5 @@ def _points(path: Path) -> PointCloud:
 def _add(table: dict[int, Entry], number: int, entry: Entry, path: Path) -> None:
     """Put an entry under its id, which has to be free."""
     if number in table:
-        raise DatasetError(message(str(path), "every id once", f"{number} twice", "export the model again"))
+        raise DatasetError.of(str(path), "every id once", f"{number} twice", "export the model again")
     table[number] = entry

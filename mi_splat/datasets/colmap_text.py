@@ -10,7 +10,7 @@ import torch
 
 from mi_splat.datasets.colmap_model import MODELS, Lens, Model, Pose
 from mi_splat.datasets.errors import DatasetError
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
 
 
@@ -35,12 +35,12 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
                 if not line.startswith("#"):
                     yield number, line.strip()
         except UnicodeDecodeError as error:
-            raise DatasetError(message(str(path), "text in UTF-8", str(error), "export the model again")) from error
+            raise DatasetError.of(str(path), "text in UTF-8", str(error), "export the model again") from error
 
 
 def _fault(path: Path, number: int, expected: str, line: str) -> DatasetError:
     """The error for a line that cannot be understood."""
-    return DatasetError(message(f"{path}, line {number}", expected, repr(line[:80]), "export the model again"))
+    return DatasetError.of(f"{path}, line {number}", expected, repr(line[:80]), "export the model again")
 
 
 def _lenses(path: Path) -> dict[int, Lens]:

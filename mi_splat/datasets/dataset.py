@@ -21,7 +21,7 @@ from mi_splat.datasets.errors import DatasetError
 from mi_splat.datasets.frames import HELD_OUT, Frame, Split, downscaled
 from mi_splat.datasets.pictures import read_mask, read_picture
 from mi_splat.datasets.transforms import PARTS, SINGLE, find_transforms, read_transforms
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import sha256
 from mi_splat.io.picture_files import check_pixels
 from mi_splat.io.points import PointCloud, load_points
@@ -68,13 +68,13 @@ class Dataset(ViewSet):
 
     def __post_init__(self) -> None:
         if not (isinstance(self.downscale, int) and self.downscale >= 1):
-            raise InvalidValueError(message("downscale", "a positive integer", self.downscale, "1 keeps the size"))
+            raise InvalidValueError.of("downscale", "a positive integer", self.downscale, "1 keeps the size")
         if any(self.downscale % frame.shrunk for frame in self.frames):
             do = "load the set again with that downscale"
-            raise InvalidValueError(message("downscale", "a multiple of that of the pictures", self.downscale, do))
+            raise InvalidValueError.of("downscale", "a multiple of that of the pictures", self.downscale, do)
         if len(self.background) != 3 or not all(0 <= value <= 1 for value in self.background):
             do = "white is (1, 1, 1)"
-            raise InvalidValueError(message("background", "three sRGB values in [0, 1]", self.background, do))
+            raise InvalidValueError.of("background", "three sRGB values in [0, 1]", self.background, do)
         cameras = tuple(downscaled(frame.camera, self._factor(frame)) for frame in self.frames)
         for frame, camera in zip(self.frames, cameras, strict=True):
             if frame.lens is not None:  # which may have made the picture larger than that in the file
@@ -177,7 +177,7 @@ class Dataset(ViewSet):
         for name, values in ((frame.path, image), (frame.mask, mask)):
             if values is not None and tuple(values.shape[:2]) != wanted:
                 got, do = tuple(values.shape[:2]), "it has changed: load the set again"
-                raise DatasetError(message(str(name), f"{wanted} rows and columns", got, do))
+                raise DatasetError.of(str(name), f"{wanted} rows and columns", got, do)
         if frame.lens is None:
             return _Entry(View(camera, image), alpha, mask, None)
         lens = frame.lens.resized(wanted[::-1], (1 / factor, 1 / factor))
@@ -206,7 +206,7 @@ def _digest(file: Path | None) -> str | None:
         return None if file is None else sha256(file)
     except OSError as error:
         got = error.strerror or str(error)
-        raise DatasetError(message(str(file), "the file of a picture", got, "load the set again")) from error
+        raise DatasetError.of(str(file), "the file of a picture", got, "load the set again") from error
 
 
 def load_dataset(
@@ -243,9 +243,9 @@ def load_dataset(
         InvalidValueError: An argument is out of range.
     """
     if split not in ("train", "test", None):
-        raise InvalidValueError(message("split", "'train', 'test' or None", repr(split), "pass one of these"))
+        raise InvalidValueError.of("split", "'train', 'test' or None", repr(split), "pass one of these")
     if test_every < 2:
-        raise InvalidValueError(message("test_every", "2 or more", test_every, "8 is usual"))
+        raise InvalidValueError.of("test_every", "2 or more", test_every, "8 is usual")
     root = Path(path)
     transforms = find_transforms(root)
     model = None if transforms else find_model(root)
@@ -257,10 +257,10 @@ def load_dataset(
     else:
         expected = "transforms.json, transforms_train.json or a COLMAP model in sparse/0"
         got = "none of these" if root.is_dir() else "no such folder"
-        raise DatasetError(message(str(root), expected, got, "pass the folder of a set of pictures"))
+        raise DatasetError.of(str(root), expected, got, "pass the folder of a set of pictures")
     if not frames:
         do = "choose another split or test_every"
-        raise DatasetError(message(str(root), "at least one picture", f"none for split {split!r}", do))
+        raise DatasetError.of(str(root), "at least one picture", f"none for split {split!r}", do)
     return Dataset(
         frames=tuple(frames), points=points, downscale=downscale, background=background, cache_bytes=cache_bytes
     )

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.attributes import LARGEST
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 LONGEST_SIDE = 65_535
 """Pixels: the longest side of a photograph that is undistorted, as long as that of a JPEG file."""
@@ -66,11 +66,9 @@ class Intrinsics:
     def __post_init__(self) -> None:
         values = (*self.radial, *self.divisor, *self.tangential)
         if not all(abs(value) <= _LARGEST for value in values):  # nan is not smaller than anything
-            do = "calibrate again"
-            raise InvalidValueError(message("distortion", f"coefficients up to {_LARGEST:g}", values, do))
+            raise InvalidValueError.of("distortion", f"coefficients up to {_LARGEST:g}", values, "calibrate again")
         if not (self.is_pinhole or all(1 / LARGEST <= value <= LARGEST for value in self.focal)):
-            do = "check the intrinsics"
-            raise InvalidValueError(message("focal", "positive numbers of pixels", self.focal, do))
+            raise InvalidValueError.of("focal", "positive numbers of pixels", self.focal, "check the intrinsics")
 
     @property
     def is_pinhole(self) -> bool:
@@ -135,14 +133,14 @@ def pinhole(lens: Intrinsics) -> Intrinsics:
     (width, height), (cx, cy) = lens.size, lens.principal
     if max(lens.size) > LONGEST_SIDE:
         do = "make the pictures smaller, or undistort them with colmap image_undistorter"
-        raise InvalidValueError(message("a lens with distortion", f"sides up to {LONGEST_SIDE:,}", lens.size, do))
+        raise InvalidValueError.of("a lens with distortion", f"sides up to {LONGEST_SIDE:,}", lens.size, do)
     rows, columns = np.arange(height) + 0.5, np.arange(width) + 0.5
     left, right = (_seen(lens, np.full(height, x), rows)[0] for x in (0.5, width - 0.5))
     top, bottom = (_seen(lens, columns, np.full(width, y))[1] for y in (0.5, height - 0.5))
     if min(map(len, (left, right, top, bottom))) == 0 or not (0 < cx < width and 0 < cy < height):
         got = f"one that folds the picture before its border (k {lens.radial + lens.divisor}, p {lens.tangential})"
         do = "calibrate again, or undistort the pictures with colmap image_undistorter"
-        raise InvalidValueError(message("distortion", "a lens that can be undone", got, do))
+        raise InvalidValueError.of("distortion", "a lens that can be undone", got, do)
     wide = _scale(width, cx, float(left.max()), float(right.min()))
     high = _scale(height, cy, float(top.max()), float(bottom.min()))
     size = (max(1, int(wide * width)), max(1, int(high * height)))

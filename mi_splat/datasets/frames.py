@@ -15,7 +15,7 @@ from mi_splat.cameras import Camera
 from mi_splat.datasets.distortion import Intrinsics, pinhole
 from mi_splat.datasets.errors import DatasetError, DatasetWarning
 from mi_splat.datasets.pictures import SUFFIXES, lies_on_its_side, picture_size
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 Split = Literal["train", "test"]
 HELD_OUT = 8
@@ -144,7 +144,7 @@ def _small_photograph(path: Path, mask: Path | None, size: tuple[int, int] | Non
     if any(abs(side - whole / shrunk) >= 1 for side, whole in zip(stored, size, strict=True)):
         expected = f"{size[0] / shrunk:g} x {size[1] / shrunk:g} pixels, rounded"
         do = f"make the smaller pictures again, or remove their folder; {path.parent.name} is used for that downscale"
-        raise DatasetError(message(str(path), expected, f"{stored[0]} x {stored[1]}", do))
+        raise DatasetError.of(str(path), expected, f"{stored[0]} x {stored[1]}", do)
     if mask is not None:
         picture_size(mask, stored)
     return Photograph(path, mask, size, stored)
@@ -175,10 +175,10 @@ def within(folder: Path, name: str, source: str, *, above: int = 0) -> Path:
     parts = Path(relative).parts
     if parts[: above + 1] == ("..",) * (above + 1):
         do = "put the set's files into its folder, and name them from there"
-        raise DatasetError(message(source, "the name of a file in the set", repr(name[:80]), do))
+        raise DatasetError.of(source, "the name of a file in the set", repr(name[:80]), do)
     if any(len(part.encode("utf-8", "replace")) > _LONGEST_NAME for part in parts) or len(name) > 4 * _LONGEST_NAME:
         got, do = f"one of {len(name)} characters", "repair it"
-        raise DatasetError(message(source, f"the name of a file, parts up to {_LONGEST_NAME} bytes", got, do))
+        raise DatasetError.of(source, f"the name of a file, parts up to {_LONGEST_NAME} bytes", got, do)
     return folder / name
 
 
@@ -193,7 +193,7 @@ def report_missing(missing: Sequence[Path], listed: int, source: Path) -> None:
     got = f"{len(missing)} of {listed} pictures missing ({missing[0].name}{', ...' if len(missing) > 1 else ''})"
     if len(missing) > MOST_MISSING * listed:
         do = f"put them there, {missing[0]} for instance, or take them off the list"
-        raise DatasetError(message(str(source), "the pictures that it lists", got, do))
+        raise DatasetError.of(str(source), "the pictures that it lists", got, do)
     warnings.warn(f"{source}: {got}; going on without them", DatasetWarning, stacklevel=4)
 
 
@@ -246,5 +246,5 @@ def refuse_doubles(names: Iterable[str], source: Path) -> None:
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            raise DatasetError(message(str(source), "every picture once", f"{name} twice", "remove one of the two"))
+            raise DatasetError.of(str(source), "every picture once", f"{name} twice", "remove one of the two")
         seen.add(name)

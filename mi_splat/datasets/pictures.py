@@ -11,7 +11,6 @@ from PIL import Image
 from torch import Tensor
 
 from mi_splat.datasets.errors import DatasetError
-from mi_splat.errors import message
 from mi_splat.io.picture_files import PictureFileError, load_picture, picture_header
 from mi_splat.io.picture_files import lies_on_its_side as _lies_on_its_side
 
@@ -38,10 +37,10 @@ def picture_size(path: Path, claimed: tuple[int, int] | None = None) -> tuple[in
     except PictureFileError as error:
         raise DatasetError(str(error)).hinted(error.hint) from error
     if mode not in _MODES:
-        raise DatasetError(message(str(path), "8 bits a channel", f"mode {mode}", "convert it to 8 bits"))
+        raise DatasetError.of(str(path), "8 bits a channel", f"mode {mode}", "convert it to 8 bits")
     if claimed is not None and size != claimed:
         got, do = f"{size[0]} x {size[1]}", "use the pictures from which the cameras were made"
-        raise DatasetError(message(str(path), f"{claimed[0]} x {claimed[1]} pixels", got, do))
+        raise DatasetError.of(str(path), f"{claimed[0]} x {claimed[1]} pixels", got, do)
     return size
 
 

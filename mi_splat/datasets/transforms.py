@@ -28,7 +28,7 @@ from mi_splat.datasets.frames import (
     report_missing,
     within,
 )
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.parsing import DocumentReader
 
 OPENGL = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
@@ -105,7 +105,7 @@ def read_cameras(path: Path, size: tuple[int, int]) -> list[Camera]:
     for number, entry in enumerate(document["frames"]):
         where = f"{path}, frame {number}"
         if not isinstance(entry, dict):
-            raise DatasetError(message(where, "an object with a transform_matrix", "none", "repair it"))
+            raise DatasetError.of(where, "an object with a transform_matrix", "none", "repair it")
         values = {**document, **entry}
         cameras.append(_camera(values, _size(values, where) or size, where))
     return cameras
@@ -119,7 +119,7 @@ def read_world_offset(path: Path) -> tuple[float, float, float]:
     """
     values = _document(path).get(WORLD_OFFSET, [0.0, 0.0, 0.0])
     if not isinstance(values, list) or len(values) != 3:
-        raise DatasetError(message(f"{path}: {WORLD_OFFSET}", "three numbers", repr(values)[:60], "repair it"))
+        raise DatasetError.of(f"{path}: {WORLD_OFFSET}", "three numbers", repr(values)[:60], "repair it")
     x, y, z = (_number({"value": value}, "value", f"{path}: {WORLD_OFFSET}") or 0.0 for value in values)
     return x, y, z
 
@@ -127,13 +127,12 @@ def read_world_offset(path: Path) -> tuple[float, float, float]:
 def _document(path: Path) -> dict[str, Any]:
     """The file's JSON object."""
     if not path.exists():
-        do = "write it, or choose another split"
-        raise DatasetError(message(str(path), "a transforms file", "no such file", do))
+        raise DatasetError.of(str(path), "a transforms file", "no such file", "write it, or choose another split")
     document = _TRANSFORMS.read_json(path)
     if not isinstance(document.get("frames"), list):
-        raise DatasetError(message(str(path), "an object with a list of frames", "none", "pass a NeRF transforms file"))
+        raise DatasetError.of(str(path), "an object with a list of frames", "none", "pass a NeRF transforms file")
     if not document["frames"]:
-        raise DatasetError(message(str(path), "at least one frame", "an empty list", "add pictures to it"))
+        raise DatasetError.of(str(path), "at least one frame", "an empty list", "add pictures to it")
     return document
 
 
@@ -143,7 +142,7 @@ def _entries(document: Mapping[str, Any], path: Path, downscale: int) -> list[tu
     for number, entry in enumerate(document["frames"]):
         if not isinstance(entry, dict) or not isinstance(entry.get("file_path"), str) or not entry["file_path"]:
             do = "give every frame its file_path"
-            raise DatasetError(message(f"{path}, frame {number}", "an object with a file_path", "none", do))
+            raise DatasetError.of(f"{path}, frame {number}", "an object with a file_path", "none", do)
         where = f"{path}, frame {number} ({entry['file_path'][:200]})"
         picture = find_picture(within(path.parent, entry["file_path"], where, above=_ABOVE))
         values = {**document, **entry}
@@ -173,7 +172,7 @@ def _number(values: Mapping[str, Any], key: str, where: str) -> float | None:
         return None
     usable = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _LARGEST
     if not usable:  # nan is not smaller than anything
-        raise DatasetError(message(f"{where}: {key}", "a finite number", repr(value)[:60], "repair it"))
+        raise DatasetError.of(f"{where}: {key}", "a finite number", repr(value)[:60], "repair it")
     return float(value)
 
 
@@ -183,7 +182,7 @@ def _size(values: Mapping[str, Any], where: str) -> tuple[int, int] | None:
     if width is None or height is None:
         return None
     if width != int(width) or height != int(height):
-        raise DatasetError(message(f"{where}: w and h", "integers", (width, height), "repair them"))
+        raise DatasetError.of(f"{where}: w and h", "integers", (width, height), "repair them")
     return int(width), int(height)
 
 
@@ -198,7 +197,7 @@ def _intrinsics(values: Mapping[str, Any], size: tuple[int, int], where: str) ->
     if model not in (*_PERSPECTIVE, *_FISHEYE, _RATIONAL):
         do = "undistort the pictures first, for instance with colmap image_undistorter"
         known = f"a camera_model, one of {', '.join((*_PERSPECTIVE, *_FISHEYE, _RATIONAL))}"
-        raise DatasetError(message(where, known, model[:60], do))
+        raise DatasetError.of(where, known, model[:60], do)
     fisheye = model in _FISHEYE or bool(values.get("is_fisheye"))
     distortion = {key: _number(values, key, where) or 0.0 for key in _DISTORTION}
     radial, divisor = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "k3"), _DIVISOR * (model == _RATIONAL)
@@ -208,11 +207,11 @@ def _intrinsics(values: Mapping[str, Any], size: tuple[int, int], where: str) ->
         do = "undistort the pictures first, for instance with colmap image_undistorter"
         if not fisheye:
             do += f", or name the camera_model {_RATIONAL} if they are a divisor as OpenCV's"
-        raise DatasetError(message(where, f"{', '.join(usable)} of {kind}", ", ".join(others), do))
+        raise DatasetError.of(where, f"{', '.join(usable)} of {kind}", ", ".join(others), do)
     focal = [_focal(values, axis, pixels, where) for axis, pixels in zip("xy", size, strict=True)]
     known_focal = [value for value in focal if value is not None]
     if not known_focal:
-        raise DatasetError(message(where, "fl_x or camera_angle_x", "neither", "add one of the two"))
+        raise DatasetError.of(where, "fl_x or camera_angle_x", "neither", "add one of the two")
     fx, fy = (known_focal[0] if value is None else value for value in focal)
     cx, cy = (_number(values, key, where) for key in ("cx", "cy"))
     try:
@@ -235,7 +234,7 @@ def _pose(matrix: object, where: str) -> Tensor:
         pose = torch.tensor(matrix, dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:
         do = "give every frame a 4 x 4 transform_matrix"
-        raise DatasetError(message(where, "a matrix of numbers", "something else", do)) from error
+        raise DatasetError.of(where, "a matrix of numbers", "something else", do) from error
     if pose.shape == (3, 4):
         pose = torch.cat([pose, torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)])
     return pose @ OPENGL if pose.shape == (4, 4) else pose
@@ -247,8 +246,7 @@ def _focal(values: Mapping[str, Any], axis: str, pixels: int, where: str) -> flo
     if focal is not None or angle is None:
         return focal
     if not 0 < angle < math.pi:
-        do = "give it in radians"
-        raise DatasetError(message(f"{where}: camera_angle_{axis}", "an angle between 0 and pi", angle, do))
+        raise DatasetError.of(f"{where}: camera_angle_{axis}", "an angle between 0 and pi", angle, "give it in radians")
     return 0.5 * pixels / math.tan(0.5 * angle)
 
 

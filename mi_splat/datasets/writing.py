@@ -20,7 +20,7 @@ from torch import Tensor
 from mi_splat.cameras import Camera, View
 from mi_splat.datasets.colmap import TEST_LIST
 from mi_splat.datasets.transforms import OPENGL, PARTS, POINTS
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_json, save_png, save_text
 from mi_splat.io.errors import from_os_error
 from mi_splat.io.points import PointCloud, save_points, to_bytes
@@ -177,9 +177,9 @@ def _write_pictures(
             save_png(_pixels(view, rest), images / name)
             listing[split].append((name, view.camera))
     if rest is not None and next(rest, None) is not None:
-        raise InvalidValueError(message("alphas", "one for each view", "more", "pass one a picture"))
+        raise InvalidValueError.of("alphas", "one for each view", "more", "pass one a picture")
     if not listing["train"]:
-        raise InvalidValueError(message("views", "at least one", "none", "pass pictures to write"))
+        raise InvalidValueError.of("views", "at least one", "none", "pass pictures to write")
     return listing
 
 
@@ -191,7 +191,7 @@ def _pixels(view: View, alphas: Iterator[Tensor] | None) -> NDArray[np.uint8]:
     wanted = (view.camera.height, view.camera.width)
     if alpha is None or tuple(alpha.shape) != wanted:
         got = "too few" if alpha is None else tuple(alpha.shape)
-        raise InvalidValueError(message("alphas", f"one of shape {wanted} for each view", got, "pass one a picture"))
+        raise InvalidValueError.of("alphas", f"one of shape {wanted} for each view", got, "pass one a picture")
     return to_bytes(torch.cat([view.image, alpha[..., None].to(view.image)], dim=-1))
 
 

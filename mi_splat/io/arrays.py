@@ -12,7 +12,6 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.loaded import open_regular, read_whole
 
@@ -52,4 +51,4 @@ def load_array(path: Path) -> NDArray[np.generic]:
         raise from_os_error(str(path), expected, error) from error
     except _BROKEN as error:
         got = " ".join(str(error).split())[:160] or type(error).__name__
-        raise SplatFileError(message(str(path), expected, got, do)) from error
+        raise SplatFileError.of(str(path), expected, got, do) from error

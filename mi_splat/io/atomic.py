@@ -14,7 +14,6 @@ import time
 from collections.abc import Iterator
 from typing import BinaryIO, Literal
 
-from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError, from_os_error
 
 
@@ -234,9 +233,7 @@ def _mode(target: str) -> int | None:
         return None
     if not stat.S_ISREG(status.st_mode):
         kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a special file"
-        raise SplatFileError(message(target, "a regular file or a free name", kind, "save under another name"))
+        raise SplatFileError.of(target, "a regular file or a free name", kind, "save under another name")
     if not os.access(target, os.W_OK):
-        raise SplatFileError(
-            message(target, "a file that can be written", "a read-only file", "save under another name")
-        )
+        raise SplatFileError.of(target, "a file that can be written", "a read-only file", "save under another name")
     return stat.S_IMODE(status.st_mode)

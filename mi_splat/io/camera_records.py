@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.fields import Fields
 from mi_splat.io.parsing import DocumentReader, kind_of
 
@@ -111,7 +111,7 @@ def camera_of(entry: Mapping[str, object], where: str = "camera") -> Camera:
         InvalidValueError: It lacks something, or something in it is no camera's.
     """
     if not isinstance(entry, Mapping):
-        raise InvalidValueError(message(where, "an object", kind_of(entry), _AGAIN))
+        raise InvalidValueError.of(where, "an object", kind_of(entry), _AGAIN)
     return _camera(Fields(entry, where, InvalidValueError, _AGAIN))
 
 

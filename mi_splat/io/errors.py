@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError
 
 
 class SplatFileError(MiSplatError):
@@ -41,11 +41,11 @@ def path_name(value: object) -> str:
     """
     name = os.fspath(value) if isinstance(value, str | os.PathLike) else None
     if not isinstance(name, str):
-        raise InvalidValueError(message("path", "the name of a file", type(value).__name__, "pass a str or a Path"))
+        raise InvalidValueError.of("path", "the name of a file", type(value).__name__, "pass a str or a Path")
     return name
 
 
 def from_os_error(path: str, expected: str, error: OSError) -> SplatFileError:
     """The SplatFileError for a failure that the operating system reported."""
     got = error.strerror or str(error)
-    return SplatFileError(message(path, expected, got, _ADVICE.get(error.errno or 0, "check the disk and try again")))
+    return SplatFileError.of(path, expected, got, _ADVICE.get(error.errno or 0, "check the disk and try again"))

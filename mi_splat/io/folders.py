@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.atomic import is_temporary, replace_folder, sweep_temporary, sync_folder, sync_names, temporary_name
 from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.formats.detection import META
@@ -38,10 +38,10 @@ def check_writable(out: str | os.PathLike[str]) -> None:
     """
     around = _existing_parent(Path(out))
     if not around.is_dir():
-        raise SplatFileError(message(str(out), "a folder, or a free name", f"the file {around}", "pass another name"))
+        raise SplatFileError.of(str(out), "a folder, or a free name", f"the file {around}", "pass another name")
     if not os.access(around, os.W_OK | os.X_OK):
         do = "pass a folder that you may write"
-        raise SplatFileError(message(str(out), "a folder that can be written", f"read-only {around}", do))
+        raise SplatFileError.of(str(out), "a folder that can be written", f"read-only {around}", do)
     sweep_temporary(out)
 
 
@@ -59,14 +59,14 @@ def check_new_file(path: Path, endings: Sequence[str], *, force: bool | None = F
     """
     if path.suffix.lower() not in endings:
         expected, got = f"a name that ends in {' or '.join(endings)}", path.suffix or "no ending"
-        raise InvalidValueError(message(str(path), expected, got, "change the ending"))
+        raise InvalidValueError.of(str(path), expected, got, "change the ending")
     if path.exists() and not (force and path.is_file()):
         final = path.is_dir() or force is None
         do = "choose another name" if final else "choose another name, or replace it with force"
-        error = InvalidValueError(message(str(path), "a free name", "something that is there", do))
+        error = InvalidValueError.of(str(path), "a free name", "something that is there", do)
         raise error if final else error.hinted("--force")
     if not path.absolute().parent.is_dir():
-        raise InvalidValueError(message(str(path), "a folder to write into", "none", "make the folder first"))
+        raise InvalidValueError.of(str(path), "a folder to write into", "none", "make the folder first")
     check_writable(path.parent)
 
 
@@ -83,8 +83,7 @@ def check_not_input(out: str | os.PathLike[str], *inputs: str | os.PathLike[str]
     for given in inputs:
         source = given if given is None else splat_in(given) or given
         if source is not None and os.path.exists(out) and os.path.exists(source) and os.path.samefile(out, source):
-            do = "choose another name"
-            raise SplatFileError(message(str(out), "another file than the input", "the input itself", do))
+            raise SplatFileError.of(str(out), "another file than the input", "the input itself", "choose another name")
 
 
 @contextlib.contextmanager
@@ -114,7 +113,7 @@ def check_own_folder(out: str | os.PathLike[str], *records: str) -> None:
     names = _names_in(Path(out))
     if names and not set(records) & set(names):
         held = _listed(names)
-        raise SplatFileError(message(str(out), "a new or an empty folder", f"one that holds {held}", "pass another"))
+        raise SplatFileError.of(str(out), "a new or an empty folder", f"one that holds {held}", "pass another")
 
 
 def check_new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str = RECORD) -> None:
@@ -139,11 +138,11 @@ def check_new_folder(out: str | os.PathLike[str], *, force: bool = False, record
     held = _listed(names)
     if not force:
         do = "pass another folder" + (", or replace this result with force" if record in names else "")
-        error = SplatFileError(message(str(out), "a new or an empty folder", f"one that holds {held}", do))
+        error = SplatFileError.of(str(out), "a new or an empty folder", f"one that holds {held}", do)
         raise error.hinted("--force") if record in names else error
     if record not in names:
         do = "delete the folder yourself, or pass another"
-        raise SplatFileError(message(str(out), f"an older result ({record}) to replace", f"one that holds {held}", do))
+        raise SplatFileError.of(str(out), f"an older result ({record}) to replace", f"one that holds {held}", do)
 
 
 @contextlib.contextmanager
@@ -212,7 +211,7 @@ def _put(new: Path, target: Path, *, force: bool, record: str) -> None:
     except OSError as error:
         got = error.strerror or str(error)
     do = f"see {_put_beside(new, target)}, where this result is"
-    raise SplatFileError(message(str(target), "a name that this result can have", got, do))
+    raise SplatFileError.of(str(target), "a name that this result can have", got, do)
 
 
 def _put_beside(new: Path, target: Path) -> Path:

@@ -73,7 +73,7 @@ class Loaded:
         which = ", ".join(str(row) for row in bad[:SHOWN].tolist()) + (", ..." if len(bad) > SHOWN else "")
         got = f"{len(bad)} of {count} that are not (rows {which}; in the first, {self.reason})"
         if on_invalid == "raise":
-            error = SplatFileError(message(path, "valid Gaussians", got, "repair it, or drop them (on_invalid)"))
+            error = SplatFileError.of(path, "valid Gaussians", got, "repair it, or drop them (on_invalid)")
             raise error.hinted(f"mi-splat convert {path} VALID.ply --drop-invalid")
         text = message(path, "valid Gaussians", got, "they were left out")
         warnings.warn(text, SplatFileWarning, stacklevel=stacklevel + 1)
@@ -155,7 +155,7 @@ def open_regular(path: str) -> io.FileIO:
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
         got = "a special file (pipe, socket or device)"
-        raise SplatFileError(message(path, "a splat file", got, "pass the path of a regular file"))
+        raise SplatFileError.of(path, "a splat file", got, "pass the path of a regular file")
     return file
 
 
@@ -181,5 +181,4 @@ def check_count(count: int, size: int, path: str) -> None:
     most = FREE_GAUSSIANS + size
     if count > most:
         got = f"{count}: this may be a decompression bomb"
-        do = "ask for the splat as a PLY"
-        raise SplatFileError(message(path, f"at most {most} Gaussians in {size} bytes", got, do))
+        raise SplatFileError.of(path, f"at most {most} Gaussians in {size} bytes", got, "ask for the splat as a PLY")

@@ -14,7 +14,6 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from mi_splat.errors import message
 from mi_splat.io.atomic import LOCK
 from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.parsing import DocumentReader
@@ -107,7 +106,7 @@ def _take(descriptor: int, folder: str) -> None:
             return
         do = "wait for its end, or pass another folder"
         expected, got = "a folder that no other process writes into", f"one in use by {_holder(descriptor)}"
-        raise SplatFileError(message(folder, expected, got, do)) from None
+        raise SplatFileError.of(folder, expected, got, do) from None
 
 
 def _this_process() -> dict[str, object]:

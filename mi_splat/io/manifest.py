@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.atomic import is_temporary
 from mi_splat.io.documents import save_json, sha256
 from mi_splat.io.parsing import DocumentReader
@@ -77,7 +77,7 @@ def read_manifest(folder: Path) -> Manifest:
     values = DocumentReader(do=_DO).read_json(path)
     files, without = values.get("files"), values.get("without")
     if not (isinstance(files, dict) and isinstance(without, list)):
-        raise InvalidValueError(message(str(path), "files, and folders without", "something else", _DO))
+        raise InvalidValueError.of(str(path), "files, and folders without", "something else", _DO)
     return Manifest(
         sha256=sha256(path),
         files={name: _entry(name, entry, path) for name, entry in files.items()},
@@ -88,8 +88,8 @@ def read_manifest(folder: Path) -> Manifest:
 def _entry(name: str, entry: Any, path: Path) -> tuple[str, int]:
     """What stands under the name of a file, which leads nowhere but into the folder."""
     if not _NAME.fullmatch(name):
-        raise InvalidValueError(message(str(path), "names of files in its folder", name[:80], _DO))
+        raise InvalidValueError.of(str(path), "names of files in its folder", name[:80], _DO)
     digest, length = (entry.get(key) if isinstance(entry, dict) else None for key in ("sha256", "bytes"))
     if not (isinstance(digest, str) and _SHA256.fullmatch(digest) and type(length) is int and length >= 0):
-        raise InvalidValueError(message(str(path), f"sha256 and bytes of {name}", repr(entry)[:80], _DO))
+        raise InvalidValueError.of(str(path), f"sha256 and bytes of {name}", repr(entry)[:80], _DO)
     return digest, length

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import normalise
 from mi_splat.scene import ATTRIBUTES, GaussianScene
 
@@ -53,7 +53,7 @@ def from_raw_parameters(values: Mapping[str, Tensor]) -> GaussianScene:
             whose exponential overflows).
     """
     if set(values) != set(ATTRIBUTES):
-        raise InvalidValueError(message("values", f"the names {ATTRIBUTES}", tuple(values), "pass exactly these"))
+        raise InvalidValueError.of("values", f"the names {ATTRIBUTES}", tuple(values), "pass exactly these")
     return GaussianScene(*activate(values))
 
 

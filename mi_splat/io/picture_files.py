@@ -15,7 +15,7 @@ from pathlib import Path
 
 from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError
 
 MOST_PIXELS = 50_000_000
 """Pixels that a picture may have unless more are allowed: cameras of 2026 take up to 50 million, as floats 600 MB."""
@@ -51,7 +51,7 @@ def pixel_limit(most: int) -> Iterator[None]:
     """
     global _most
     if most < 1:
-        raise InvalidValueError(message("max-pixels", "a number of pixels, 1 or more", most, "50000000 is usual"))
+        raise InvalidValueError.of("max-pixels", "a number of pixels, 1 or more", most, "50000000 is usual")
     before, _most = _most, most
     try:
         yield
@@ -141,8 +141,7 @@ def load_picture(
     """
     with _opened(source, what or str(source), formats) as picture:
         if picture.format in _ANIMATED and getattr(picture, "is_animated", False):
-            do = "save one picture of it"
-            raise PictureFileError(message(what or str(source), "one picture", "an animation", do))
+            raise PictureFileError.of(what or str(source), "one picture", "an animation", "save one picture of it")
         picture.load()
         return ImageOps.exif_transpose(picture) if upright else picture.copy()
 
@@ -157,17 +156,17 @@ def _opened(source: Path | bytes, what: str, formats: Sequence[str]) -> Iterator
             yield opened
     except FileNotFoundError as error:
         do = "put the picture there or take it off the list"
-        raise PictureFileError(message(what, "a picture", "no such file", do)) from error
+        raise PictureFileError.of(what, "a picture", "no such file", do) from error
     except UnidentifiedImageError as error:
         if (kind := _of_phones(source)) is not None:
             do = "convert it, for instance with `magick mogrify -format jpg` (ImageMagick) or heif-convert (libheif)"
-            raise PictureFileError(message(what, f"a picture as {', '.join(formats)}", kind, do)) from error
+            raise PictureFileError.of(what, f"a picture as {', '.join(formats)}", kind, do) from error
         kinds = f"a picture that can be read ({', '.join(formats)})"
-        raise PictureFileError(message(what, kinds, "something else", "save it as one of these")) from error
+        raise PictureFileError.of(what, kinds, "something else", "save it as one of these") from error
     except BROKEN as error:
         found_text = " ".join(str(error).split())[:160] or type(error).__name__
         do = "write or download it again"
-        raise PictureFileError(message(what, "a picture that can be read", found_text, do)) from error
+        raise PictureFileError.of(what, "a picture that can be read", found_text, do) from error
 
 
 def _of_phones(source: Path | bytes) -> str | None:
@@ -194,8 +193,8 @@ def check_pixels(what: str, width: int, height: int) -> None:
         PictureFileError: It has.
     """
     if width < 1 or height < 1:
-        raise PictureFileError(message(what, "a picture with pixels", f"{width} x {height}", "write it again"))
+        raise PictureFileError.of(what, "a picture with pixels", f"{width} x {height}", "write it again")
     if width * height > _most:
         expected, got = f"at most {_most:,} pixels", f"{width * height:,}"
-        error = PictureFileError(message(what, expected, got, "make it smaller, or allow more"))
+        error = PictureFileError.of(what, expected, got, "make it smaller, or allow more")
         raise error.hinted("--max-pixels")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from mi_splat.errors import InvalidValueError, MiSplatError, install, message
+from mi_splat.errors import InvalidValueError, MiSplatError, install
 from mi_splat.io.documents import save_bytes
 
 PICTURES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
@@ -52,7 +52,7 @@ def save_picture(pixels: NDArray[np.uint8], path: Path) -> None:
     """
     if not is_picture(path):
         do = "end it in .png or .jpg"
-        raise InvalidValueError(message(str(path), "the name of a picture", path.suffix or "no ending", do))
+        raise InvalidValueError.of(str(path), "the name of a picture", path.suffix or "no ending", do)
     buffer, kind = io.BytesIO(), PICTURES[path.suffix.lower()]
     options = {"quality": _JPEG_QUALITY, "subsampling": 0} if kind == "JPEG" else {}
     Image.fromarray(pixels).save(buffer, format=kind, **options)
@@ -67,7 +67,7 @@ def check_animation(path: Path) -> None:
     """
     if path.suffix.lower() == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
         do = f"{install('video')}, or end the name in .gif"
-        raise VideoError(message(str(path), "imageio-ffmpeg, which writes videos", "no such package", do))
+        raise VideoError.of(str(path), "imageio-ffmpeg, which writes videos", "no such package", do)
 
 
 def save_animation(frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: float) -> None:
@@ -87,14 +87,14 @@ def save_animation(frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: floa
     sizes = {frame.shape for frame in frames}
     if len(sizes) != 1:
         got = f"{len(sizes)} sizes" if sizes else "none"
-        raise InvalidValueError(message("animation", "pictures of one size", got, "give the cameras one size")).hinted(
+        raise InvalidValueError.of("animation", "pictures of one size", got, "give the cameras one size").hinted(
             "--size"
         )
     if not 0 < fps <= 1000:
-        raise InvalidValueError(message("fps", "pictures a second, up to 1000", fps, "24 is usual"))
+        raise InvalidValueError.of("fps", "pictures a second, up to 1000", fps, "24 is usual")
     if not is_animation(path):
         do = "end it in .gif or .mp4"
-        raise InvalidValueError(message(str(path), "the name of an animation", path.suffix or "no ending", do))
+        raise InvalidValueError.of(str(path), "the name of an animation", path.suffix or "no ending", do)
     data = _gif(frames, fps) if path.suffix.lower() == ".gif" else _mp4(frames, path, fps)
     save_bytes(data, path)
 
@@ -123,5 +123,5 @@ def _mp4(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> bytes:
         done = subprocess.run([*command, str(target)], input=pixels, capture_output=True)
         if done.returncode or not target.is_file():
             got = " ".join(done.stderr.decode(errors="replace").split()) or f"status {done.returncode}"
-            raise VideoError(message(str(path), "a video out of ffmpeg", got, "end the name in .gif"))
+            raise VideoError.of(str(path), "a video out of ffmpeg", got, "end the name in .gif")
         return target.read_bytes()

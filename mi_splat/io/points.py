@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.attributes import LARGEST
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.ply.blocks import Rows
@@ -45,14 +45,13 @@ class PointCloud:
             object.__setattr__(self, name, getattr(self, name).detach().to("cpu", torch.float32))
         shapes = (tuple(self.points.shape), tuple(self.colours.shape))
         if shapes[0] != shapes[1] or self.points.ndim != 2 or shapes[0][1] != 3:
-            raise InvalidValueError(message("point cloud", "(P, 3) points and colours", shapes, "check the arrays"))
+            raise InvalidValueError.of("point cloud", "(P, 3) points and colours", shapes, "check the arrays")
         wrong = (~(self.points.abs() <= LARGEST)).any(1).nonzero()[:, 0]
         if len(wrong):
             got = f"{self.points[wrong[0]].tolist()} in row {int(wrong[0])} ({len(wrong)} of {len(self.points)} rows)"
-            expected = f"finite coordinates up to {LARGEST:g}"
-            raise InvalidValueError(message("points", expected, got, "remove those points"))
+            raise InvalidValueError.of("points", f"finite coordinates up to {LARGEST:g}", got, "remove those points")
         if not bool(((self.colours >= 0) & (self.colours <= 1)).all()):
-            raise InvalidValueError(message("colours", "values in [0, 1]", "others", "divide bytes by 255"))
+            raise InvalidValueError.of("colours", "values in [0, 1]", "others", "divide bytes by 255")
 
     def __len__(self) -> int:
         """Number of points."""
@@ -100,7 +99,7 @@ def load_points(path: str | os.PathLike[str]) -> PointCloud:
             columns = [] if element is None else [c.name for c in element.properties if not c.length_kind]
             if element is None or not set(_AXES) <= set(columns):
                 got = ", ".join(columns) or "no element named vertex"
-                raise SplatFileError(message(name, "vertices with x, y and z", got, "export the points again"))
+                raise SplatFileError.of(name, "vertices with x, y and z", got, "export the points again")
             locate(file, header, "vertex", name)  # the sizes are right before anything is allocated
             coordinates = np.empty((element.count, 3), np.float32)
             colours = np.full((element.count, 3), _GREY, np.float32)
@@ -118,7 +117,7 @@ def load_points(path: str | os.PathLike[str]) -> PointCloud:
     try:
         return PointCloud(torch.from_numpy(coordinates), torch.from_numpy(colours))
     except InvalidValueError as error:
-        raise SplatFileError(message(name, "points that are valid", str(error), "export the points again")) from error
+        raise SplatFileError.of(name, "points that are valid", str(error), "export the points again") from error
 
 
 def _colour_scales(element: Element) -> dict[str, float]:

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.errors import from_os_error, path_name
 from mi_splat.io.folders import splat_in
 from mi_splat.io.formats.detection import HEAD, META, USD, format_to_read
@@ -45,7 +45,7 @@ def load_arrays(
         InvalidValueError: As there.
     """
     if on_invalid not in ("raise", "drop"):
-        raise InvalidValueError(message("on_invalid", "'raise' or 'drop'", repr(on_invalid), "pass one of the two"))
+        raise InvalidValueError.of("on_invalid", "'raise' or 'drop'", repr(on_invalid), "pass one of the two")
     return load_stored(path).settle(path_name(path), on_invalid, stacklevel=stacklevel + 1)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.scene_xml import MOST_BYTES, MOST_ELEMENTS, scene_elements
 from mi_splat.io.texture_files import check_texture, is_texture
 
@@ -129,4 +129,4 @@ class _Reader:
 
     def _refused(self, expected: str, got: str, do: str) -> InvalidValueError:
         """The error for a scene that no one needs."""
-        return InvalidValueError(message(self._scene, expected, got, do))
+        return InvalidValueError.of(self._scene, expected, got, do)

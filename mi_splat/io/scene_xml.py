@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from xml.etree import ElementTree
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 MOST_BYTES, MOST_ELEMENTS, DEEPEST = 16 << 20, 100_000, 64
 """What a scene file may have: bytes and elements (with the files that it includes, too), and elements in each other."""
@@ -36,7 +36,7 @@ def scene_elements(path: Path) -> list[ElementTree.Element]:
         parser.close()
     except (OSError, ValueError, ElementTree.ParseError) as error:
         do = "check the path" if isinstance(error, OSError) else "mend the file"
-        raise InvalidValueError(message(f"scene {path}", "a Mitsuba XML file", str(error), do)) from error
+        raise InvalidValueError.of(f"scene {path}", "a Mitsuba XML file", str(error), do) from error
     return builder.elements
 
 

@@ -6,7 +6,6 @@ import re
 import struct
 from pathlib import Path
 
-from mi_splat.errors import message
 from mi_splat.io.errors import from_os_error
 from mi_splat.io.picture_files import FORMATS, PictureFileError, check_pixels, picture_header
 
@@ -110,4 +109,4 @@ def _exr_part(head: bytes, offset: int) -> tuple[int, tuple[int, int]]:
 
 def _broken(what: str, kind: str) -> PictureFileError:
     """The error for a header that says no size."""
-    return PictureFileError(message(what, f"a header of {kind} with a size", "none", "write or download it again"))
+    return PictureFileError.of(what, f"a header of {kind} with a size", "none", "write or download it again")

@@ -22,7 +22,6 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from mi_splat.errors import message
 from mi_splat.ledger.job import DiskFullError, EngineError, Event, HeldError, OnEvent, Outcome, Task, nobody
 from mi_splat.ledger.running import run_job
 from mi_splat.ledger.store import Store
@@ -145,7 +144,7 @@ class Child:
         self._process = process
         if isinstance(answer := self._answer(process, Limits(), nobody), str):
             self.close()
-            raise EngineError(message("child process", "one that starts", answer, "see what it says"))
+            raise EngineError.of("child process", "one that starts", answer, "see what it says")
         return process
 
     def _answer(self, process: subprocess.Popen[bytes], limits: Limits, tell: OnEvent) -> Outcome | str:

@@ -14,7 +14,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from mi_splat.errors import install, message
+from mi_splat.errors import install
 from mi_splat.ledger.child import Child, Limits
 from mi_splat.ledger.engines import environment, free_cache
 from mi_splat.ledger.job import EngineError, Event, OnEvent, Outcome, Task, nobody
@@ -54,15 +54,13 @@ class Cluster:
         try:
             dask: Any = importlib.import_module("distributed")
         except ImportError as error:
-            raise EngineError(message("distributed", "Dask", "none", install("cluster"))) from error
+            raise EngineError.of("distributed", "Dask", "none", install("cluster")) from error
         self._folder, self._limits, self._numbers = str(folder.absolute()), limits or Limits(), itertools.count()
         try:
             self._client = dask.Client(scheduler, timeout=timeout, set_as_default=False)
             self._client.run_on_scheduler(_set_up)
         except (OSError, TimeoutError) as error:
-            raise EngineError(
-                message(scheduler, "a Dask scheduler", error, "start one, or mend the address")
-            ) from error
+            raise EngineError.of(scheduler, "a Dask scheduler", error, "start one, or mend the address") from error
         self._futures: dict[str, Any] = {}
         self._on_event = on_event
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.import_closure import code_digest
 from mi_splat.io.documents import save_text
 from mi_splat.io.parsing import DocumentReader
@@ -150,7 +150,7 @@ def status(store: Store, name: str) -> list[Entry]:
     """
     path = store.folder / "plans" / f"{name}.json"
     if not path.is_file():
-        raise InvalidValueError(message(str(path), "a plan", "none", "plan or run the study first"))
+        raise InvalidValueError.of(str(path), "a plan", "none", "plan or run the study first")
     lines = _read(path)
     finished, live, failed = store.keys(), store.leases.live(), store.failed()
     others = sorted(other for other in path.parent.glob("*.json") if other != path)

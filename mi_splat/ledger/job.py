@@ -10,7 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.ledger.values import digest, encoded, is_frozen
 
 ALL = "*"
@@ -37,7 +37,7 @@ class Job:
     def __post_init__(self) -> None:
         if not is_frozen(self.config):
             expected, do = "a frozen dataclass", "say all that the result depends on as its fields"
-            raise InvalidValueError(message(f"config of {self.kind}", expected, type(self.config).__name__, do))
+            raise InvalidValueError.of(f"config of {self.kind}", expected, type(self.config).__name__, do)
 
     @cached_property
     def config_json(self) -> Any:
@@ -159,7 +159,7 @@ class Done:
             return digest({"files": files, "rows": self.record["rows"]})
         if not files:
             do = "name one of its files, or make the job again"
-            raise InvalidValueError(message(f"job {self.key}", f"files {pattern}", "none", do))
+            raise InvalidValueError.of(f"job {self.key}", f"files {pattern}", "none", do)
         return digest({"files": files})
 
     def input_path(self, pattern: str) -> Path:

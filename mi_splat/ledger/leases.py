@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.atomic import HOST
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger.job import HeldError
@@ -70,7 +70,7 @@ class Leases:
         path, token = self.folder / key, secrets.token_hex(8)
         with self._alone():
             if (holder := self.holder(key)) is not None:
-                raise HeldError(message(f"job {key}", "one that nobody does", holder, "wait for its end"))
+                raise HeldError.of(f"job {key}", "one that nobody does", holder, "wait for its end")
             _write(path, token)
         _keep_alive(path)
         try:

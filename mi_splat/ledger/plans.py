@@ -7,7 +7,6 @@ from collections.abc import Callable, Generator, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from mi_splat.errors import message
 from mi_splat.ledger.engines import Engine, Processes
 from mi_splat.ledger.index import Index
 from mi_splat.ledger.job import Done, EngineError, Event, Job, OnEvent, Outcome, Task, nobody
@@ -190,6 +189,6 @@ def do_beside(
     for label, result in driver.run([grid(jobs)]).items():
         if isinstance(result, str):
             do = "mend the cause, then give the same command again"
-            raise EngineError(message(label, "a job that ends", result.strip().splitlines()[-1], do))
+            raise EngineError.of(label, "a job that ends", result.strip().splitlines()[-1], do)
         done[label] = result
     return done

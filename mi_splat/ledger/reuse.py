@@ -7,7 +7,7 @@ import shutil
 from collections import Counter
 from dataclasses import dataclass
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.import_closure import closure, code_digest
 from mi_splat.ledger.engines import Engine
 from mi_splat.ledger.job import Outcome, Task
@@ -83,11 +83,10 @@ def _compare(store: Store, key: str, again: str, outcome: Outcome) -> None:
     """Raise unless a job that was made again is the older one."""
     do = "run the study: its results are other ones"
     if outcome.state != "done":
-        raise InvalidValueError(message(f"job {again}", "a result under today's code", outcome.text, do))
+        raise InvalidValueError.of(f"job {again}", "a result under today's code", outcome.text, do)
     names = differences(store.existing(key).record, store.existing(again).record)
     if names:
-        got = f"another {', '.join(names)}"
-        raise InvalidValueError(message(f"job {again}", f"the bytes of {key}", got, do))
+        raise InvalidValueError.of(f"job {again}", f"the bytes of {key}", f"another {', '.join(names)}", do)
 
 
 def _take(store: Store, key: str, task: Task, note: dict[str, object]) -> None:

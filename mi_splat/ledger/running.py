@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.import_closure import closure, code_digest
 from mi_splat.ledger.job import (
     DiskFullError,
@@ -55,7 +55,7 @@ def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Done:
         if not is_disk_full(error):
             raise
         do = "free some space; what is done stays, and the job goes on from what it kept"
-        raise DiskFullError(message(str(store.folder), "space on the disk", "none", do)) from error
+        raise DiskFullError.of(str(store.folder), "space on the disk", "none", do) from error
     return store.existing(task.key)
 
 
@@ -144,7 +144,7 @@ def input_paths(store: Store, task: Task) -> dict[str, Path]:
             content = content_of_path(path)
         if content != source["content"]:
             do = "plan the job again"
-            raise InvalidValueError(message(f"input {name} of job {task.key}", "what it was planned with", path, do))
+            raise InvalidValueError.of(f"input {name} of job {task.key}", "what it was planned with", path, do)
         paths[name] = path
     return paths
 
@@ -169,12 +169,12 @@ def _run(store: Store, task: Task, on_event: OnEvent) -> None:
     """Do a job, and put its result into the store."""
     if code_digest(task.kind) != task.code:
         do = "plan the job again, with the same code everywhere"
-        raise InvalidValueError(message(f"code of {task.kind}", task.code, code_digest(task.kind), do))
+        raise InvalidValueError.of(f"code of {task.kind}", task.code, code_digest(task.kind), do)
     inputs = input_paths(store, task)
     kind: Any = importlib.import_module(task.kind)
     config = decoded(task.config, closure(task.kind))
     if encoded(config) != task.config:
-        raise InvalidValueError(message(f"config of {task.kind}", "one that JSON keeps", task.config, "mend its class"))
+        raise InvalidValueError.of(f"config of {task.kind}", "one that JSON keeps", task.config, "mend its class")
 
     def progress(text: str, done: int, total: int) -> None:
         on_event(Event(state="progress", key=task.key, kind=task.kind, text=text, done=done, total=total))
@@ -209,7 +209,7 @@ def _checked(rows: Sequence[Row], kind: str) -> list[dict[str, Any]]:
                 value is None or type(value) in (str, int, bool) or (type(value) is float and math.isfinite(value))
             ):
                 expected = "a finite number of Python, a text, a truth value or None"
-                raise InvalidValueError(message(f"rows of {kind}: {name}", expected, repr(value), "convert it"))
+                raise InvalidValueError.of(f"rows of {kind}: {name}", expected, repr(value), "convert it")
     return [dict(row) for row in rows]
 
 

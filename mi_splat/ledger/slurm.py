@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.import_closure import closure
 from mi_splat.io.documents import save_text
 from mi_splat.io.parsing import DocumentReader
@@ -83,7 +83,7 @@ def read_jobs(path: Path) -> list[Job]:
             elif source[0] < len(jobs):
                 sources[name] = jobs[source[0]].part(source[1])
             else:
-                raise InvalidValueError(message(str(path), "jobs in their order", source, "export the study again"))
+                raise InvalidValueError.of(str(path), "jobs in their order", source, "export the study again")
         jobs.append(Job(kind=kind, config=decoded(config, closure(kind)), inputs=sources))
     return jobs
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mi_splat import provenance
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.atomic import sync_names
 from mi_splat.io.documents import save_json, sha256
 from mi_splat.io.errors import from_os_error
@@ -78,7 +78,7 @@ class Store:
         except (KeyError, TypeError):
             whole = False
         if not whole:
-            raise InvalidValueError(message(str(path), f"the record of job {key}", "another one", AGAIN))
+            raise InvalidValueError.of(str(path), f"the record of job {key}", "another one", AGAIN)
         return record
 
     def done(self, key: str) -> Done | None:
@@ -92,7 +92,7 @@ class Store:
         record, folder = self.record(key), self.folder_of(key) / FILES
         if (present := hashes(folder)) != record["files"]:
             got = f"another {', '.join(_different(present, record['files'])[:3])}"
-            raise InvalidValueError(message(f"job {self.folder_of(key)}", "the files that it wrote", got, AGAIN))
+            raise InvalidValueError.of(f"job {self.folder_of(key)}", "the files that it wrote", got, AGAIN)
         return Done(key=key, folder=folder, record=record)
 
     def existing(self, key: str) -> Done:
@@ -103,7 +103,7 @@ class Store:
         """
         if (done := self.done(key)) is None:
             do = "leave the folder alone while it is used"
-            raise InvalidValueError(message(str(self.folder_of(key)), "a finished job", "none", do))
+            raise InvalidValueError.of(str(self.folder_of(key)), "a finished job", "none", do)
         return done
 
     def rows(self, keys: Iterable[str]) -> Iterator[tuple[str, Sequence[Mapping[str, Any]]]]:
@@ -123,7 +123,7 @@ class Store:
             rows = values.get(b'"rows"', b"")
             digits = hashlib.sha256(b"[" + values.get(b'"files"', b"") + b"," + rows + b"]").hexdigest()
             if values.get(b'"content"') != f'"{digits[:_KEY_DIGITS]}"'.encode():
-                raise InvalidValueError(message(path, "the rows that the job wrote", "others", AGAIN))
+                raise InvalidValueError.of(path, "the rows that the job wrote", "others", AGAIN)
             yield key, _RECORDS.json_value(rows, path)
 
     @contextlib.contextmanager
@@ -261,7 +261,7 @@ def content_of_path(path: Path) -> str:
         SplatFileError: It cannot be read.
     """
     if not path.exists():
-        raise InvalidValueError(message(str(path), "a file or a folder to read", "nothing", "check the path"))
+        raise InvalidValueError.of(str(path), "a file or a folder to read", "nothing", "check the path")
     try:
         present = hashes(path.absolute())
     except OSError as error:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 CLASS = "class"
 """Key of the name of a class in the JSON of one of its values: module, colon, class."""
@@ -51,7 +51,7 @@ def encoded(value: Any, where: str = "config") -> Any:
         return {key: encoded(item, f"{where}.{key}") for key, item in value.items()}
     expected = "numbers, texts, tuples, mappings and frozen dataclasses"
     do = "give what it stands for, or make the file that holds it an input"
-    raise InvalidValueError(message(where, expected, kind.__name__, do))
+    raise InvalidValueError.of(where, expected, kind.__name__, do)
 
 
 def is_frozen(value: Any) -> bool:
@@ -85,8 +85,7 @@ def decoded(value: Any, modules: Collection[str]) -> Any:
     made = {field.name for field in _fields(cls) if field.init}
     unknown = sorted(rest.keys() - {field.name for field in _fields(cls)})
     if unknown:
-        do = "make the result again"
-        raise InvalidValueError(message(str(value[CLASS]), "its fields", ", ".join(unknown), do))
+        raise InvalidValueError.of(str(value[CLASS]), "its fields", ", ".join(unknown), "make the result again")
     return cls(**{key: decoded(item, modules) for key, item in rest.items() if key in made})
 
 
@@ -102,4 +101,4 @@ def _class(name: str, modules: Collection[str]) -> type:
     if isinstance(cls, type) and (dataclasses.is_dataclass(cls) or issubclass(cls, enum.Enum)):
         return cls
     expected = "a dataclass or an enumeration of a module that the kind imports"
-    raise InvalidValueError(message("config", expected, name, "import it in the kind's module"))
+    raise InvalidValueError.of("config", expected, name, "import it in the kind's module")

@@ -10,7 +10,7 @@ import functools
 import os
 from typing import Any
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.llvm import prepare_llvm
 
 SUPPORTED_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
@@ -35,7 +35,7 @@ def _refuse_in(variant: str) -> None:
 
     def refuse(props: Any) -> Any:
         expected, do = " or ".join(SUPPORTED_VARIANTS), f'call mi.set_variant("{SUPPORTED_VARIANTS[0]}") first'
-        raise InvalidValueError(message(f"variant for {props.plugin_name()}", expected, variant, do))
+        raise InvalidValueError.of(f"variant for {props.plugin_name()}", expected, variant, do)
 
     mi.register_shape("gaussians", refuse)
     for name in ("splat_tile", "splat_ray"):

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import torch
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.plugins.own_values import own_values
 from mi_splat.scene import GaussianScene, merge
 
@@ -42,8 +42,8 @@ class GaussianShapes:
         self.degrees = [math.isqrt(len(sh) // (3 * len(opacities))) - 1 for _, opacities, sh in self.arrays]
         for shape, (_, opacities, sh), degree in zip(shapes, self.arrays, self.degrees, strict=True):
             if len(sh) != 3 * (degree + 1) ** 2 * len(opacities) or not 0 <= degree <= 3:
-                raise InvalidValueError(
-                    message(f"{shape.id()}.sh_coeffs", "SH of degree 0 to 3", len(sh), "check the splat's coefficients")
+                raise InvalidValueError.of(
+                    f"{shape.id()}.sh_coeffs", "SH of degree 0 to 3", len(sh), "check the splat's coefficients"
                 )
 
     @staticmethod
@@ -51,8 +51,8 @@ class GaussianShapes:
         values = own_values(shape)
         missing = [key for key in _KEYS if key not in values]
         if missing:
-            raise InvalidValueError(
-                message(f'shape "{shape.id()}"', "a splat", f"no {', '.join(missing)}", 'use type="gaussians"')
+            raise InvalidValueError.of(
+                f'shape "{shape.id()}"', "a splat", f"no {', '.join(missing)}", 'use type="gaussians"'
             )
         return tuple(values[key] for key in _KEYS)
 
@@ -101,11 +101,11 @@ def _check_others(shapes: list[Any], among: str) -> None:
     if shapes and among == "nothing":
         got = f"also {', '.join(_name(shape) for shape in shapes)}"
         do = 'use the integrator "splat_ray", which knows meshes, or render it without them'
-        raise InvalidValueError(message("scene", "gaussians shapes only", got, do))
+        raise InvalidValueError.of("scene", "gaussians shapes only", got, do)
     media = [_name(shape) for shape in shapes if shape.is_medium_transition()]
     if media:
         got = f"a medium inside or outside of {', '.join(media)}"
-        raise InvalidValueError(message("scene", "surfaces and gaussians shapes", got, "remove the medium"))
+        raise InvalidValueError.of("scene", "surfaces and gaussians shapes", got, "remove the medium")
 
 
 def _name(shape: Any) -> str:

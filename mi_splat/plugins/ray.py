@@ -37,7 +37,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.plugins.gaussian_shapes import GaussianShapes
 from mi_splat.plugins.mixed import Mixed, MixedCache
 from mi_splat.plugins.paths import radiance
@@ -88,10 +88,10 @@ def integrator_class(variant: str) -> Any:
             if not self.linear and shapes.others:
                 got = f"linear = false with {len(shapes.others)} surfaces"
                 do = "light adds up in linear values only: leave linear true"
-                raise InvalidValueError(message("splat_ray", "splats alone for a picture in sRGB values", got, do))
+                raise InvalidValueError.of("splat_ray", "splats alone for a picture in sRGB values", got, do)
             if scene.environment() is not None and "background" in self.settings.given:
                 do = "remove one of them"
-                raise InvalidValueError(message("splat_ray", "a background or an environment emitter", "both", do))
+                raise InvalidValueError.of("splat_ray", "a background or an environment emitter", "both", do)
             return self._cache.mixed(scene, shapes)
 
         def _path_settings(self) -> PathSettings:
@@ -199,7 +199,7 @@ def integrator_class(variant: str) -> Any:
                 InvalidValueError: Always: there is no forward mode.
             """
             do = "use dr.backward(), or volprim_rf_basic"
-            raise InvalidValueError(message("splat_ray", "reverse-mode differentiation", "forward mode", do))
+            raise InvalidValueError.of("splat_ray", "reverse-mode differentiation", "forward mode", do)
 
         def to_string(self) -> str:
             return f"SplatRay[{self.settings}, max_depth = {self.max_depth}, rr_depth = {self.rr_depth}]"
@@ -233,4 +233,4 @@ def _check_differentiable(params: Any, shapes: GaussianShapes) -> None:
         if dr.depth_v(array) > 1 or dr.detach(array).index not in splats:
             expected = "gradients of data, opacities and sh_coeffs of splats"
             do = "disable its gradient, or use the integrator prb for scenes without splats"
-            raise InvalidValueError(message("splat_ray", expected, f"one of {key}", do))
+            raise InvalidValueError.of("splat_ray", expected, f"one of {key}", do)

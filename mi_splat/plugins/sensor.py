@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.plugins.own_values import own_values
 from mi_splat.rasterization.pinhole import Pinhole
 
@@ -35,10 +35,8 @@ def _intrinsics(sensor: Any) -> tuple[Any, float, tuple[float, float], Any, Any]
     """Pose (OpenCV, rigid), focal length and principal point in pixels of the whole film, crop offset, crop size."""
     values = own_values(sensor)
     if not _has_lens(values):
-        raise InvalidValueError(
-            message(
-                f'sensor "{sensor.id()}"', "a perspective sensor", sensor.class_name(), "change its type to perspective"
-            )
+        raise InvalidValueError.of(
+            f'sensor "{sensor.id()}"', "a perspective sensor", sensor.class_name(), "change its type to perspective"
         )
     pose = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4) @ _MITSUBA_TO_OPENCV
     pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
@@ -115,8 +113,8 @@ def sensor_dict(camera: Camera) -> dict[str, Any]:
         InvalidValueError: The pixels are not square, which Mitsuba's perspective sensor cannot express.
     """
     if not math.isclose(camera.fx, camera.fy, rel_tol=1e-6):
-        raise InvalidValueError(
-            message("camera.focal", "fx equal to fy", (camera.fx, camera.fy), "resample to square pixels first")
+        raise InvalidValueError.of(
+            "camera.focal", "fx equal to fy", (camera.fx, camera.fy), "resample to square pixels first"
         )
     return {
         "type": "perspective",

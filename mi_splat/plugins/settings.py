@@ -9,7 +9,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.rasterization.settings import checked_background, checked_near
 
 _DISTANCE, _COLOUR, _SWITCH = "a positive distance", "three finite numbers", "true or false"
@@ -35,14 +35,14 @@ def _numbers(name: str, expected: str, value: Any) -> list[float]:
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise InvalidValueError(message(name, expected, repr(value), "give numbers")) from None
+        raise InvalidValueError.of(name, expected, repr(value), "give numbers") from None
     return [float(v) for v in np.ravel(array)]
 
 
 def _near(value: Any) -> float:
     numbers = _numbers("near", _DISTANCE, value)
     if len(numbers) != 1:
-        raise InvalidValueError(message("near", _DISTANCE, numbers, "give one number"))
+        raise InvalidValueError.of("near", _DISTANCE, numbers, "give one number")
     return checked_near(numbers[0])
 
 
@@ -54,7 +54,7 @@ def _background(value: Any) -> tuple[float, float, float]:
 def _switch(name: str, value: Any) -> bool:
     numbers = _numbers(name, _SWITCH, value)
     if len(numbers) != 1 or numbers[0] not in (0.0, 1.0):
-        raise InvalidValueError(message(name, _SWITCH, value, "give a boolean"))
+        raise InvalidValueError.of(name, _SWITCH, value, "give a boolean")
     return bool(numbers[0])
 
 

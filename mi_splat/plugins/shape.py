@@ -27,7 +27,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.rasterization.frozen import aligned
 from mi_splat.scene import ATTRIBUTES, GaussianScene, Similarity
@@ -48,13 +48,11 @@ def gaussians(props: Any) -> Any:
     elif len(given) == len(ATTRIBUTES):
         scene = GaussianScene(*(torch.from_numpy(_numpy(props[name])) for name in ATTRIBUTES))
     else:
-        raise InvalidValueError(
-            message(
-                f'shape "{props.id()}"',
-                f"a filename, or the tensors {', '.join(ATTRIBUTES)}",
-                ", ".join(props.keys()) or "neither",
-                "give one or the other",
-            )
+        raise InvalidValueError.of(
+            f'shape "{props.id()}"',
+            f"a filename, or the tensors {', '.join(ATTRIBUTES)}",
+            ", ".join(props.keys()) or "neither",
+            "give one or the other",
         )
     if "to_world" in props:
         scene = scene.transform(

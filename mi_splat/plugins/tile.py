@@ -34,7 +34,7 @@ from typing import Any
 import drjit as dr
 
 from mi_splat.bounds import near_plane
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.plugins import sensor as sensors
 from mi_splat.plugins.gaussian_shapes import GaussianShapes
 from mi_splat.plugins.settings import TILE_SETTINGS, SettingValues, name_integrator, setting_property
@@ -146,7 +146,7 @@ def integrator_class(variant: str) -> Any:
                 InvalidValueError: The scene holds other shapes, the sensor is another one, or `develop` is False.
             """
             if not develop:
-                raise InvalidValueError(message("develop", "True", develop, "take the picture that render() returns"))
+                raise InvalidValueError.of("develop", "True", develop, "take the picture that render() returns")
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             with dr.suspend_grad():
                 shapes = GaussianShapes(scene)
@@ -178,7 +178,7 @@ def integrator_class(variant: str) -> Any:
             expected = (height, width, 4 if self.alpha else 3)
             if grad_in.shape != expected:
                 do = "render again after a change of alpha or of the film"
-                raise InvalidValueError(message("gradient of the picture", f"shape {expected}", grad_in.shape, do))
+                raise InvalidValueError.of("gradient of the picture", f"shape {expected}", grad_in.shape, do)
             grad_picture = develop_backward(cached.picture, grad_in, alpha=self.alpha, linear=self.linear)
             shapes.backward(rasterize_backward(cached.picture, *grad_picture))
 
@@ -195,13 +195,8 @@ def integrator_class(variant: str) -> Any:
             Raises:
                 InvalidValueError: Always: there is no forward mode.
             """
-            raise InvalidValueError(
-                message(
-                    "splat_tile",
-                    "reverse-mode differentiation",
-                    "forward mode",
-                    "use dr.backward(), or volprim_rf_basic",
-                )
+            raise InvalidValueError.of(
+                "splat_tile", "reverse-mode differentiation", "forward mode", "use dr.backward(), or volprim_rf_basic"
             )
 
         def to_string(self) -> str:

@@ -12,7 +12,6 @@ from PIL import Image
 
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.datasets.pictures import SUFFIXES, picture_size
-from mi_splat.errors import message
 from mi_splat.io.documents import file_name
 from mi_splat.io.picture_files import PictureFileError, focal_length_35mm, load_picture
 from mi_splat.io.pictures import save_picture
@@ -57,7 +56,7 @@ def pictures_in(folder: Path, most: int) -> list[Path]:
     found = sorted(path for path in folder.iterdir() if path.suffix.lower() in kinds and path.is_file())
     if len(found) > most:
         do = "leave some out, or allow more"
-        error = PreparationError(message(str(folder), f"at most {most} pictures", len(found), do))
+        error = PreparationError.of(str(folder), f"at most {most} pictures", len(found), do)
         raise error.hinted("--max-pictures")
     check_count(str(folder), found)
     return found
@@ -72,7 +71,7 @@ def check_count(source: str, pictures: Sequence[object]) -> None:
     if len(pictures) < FEWEST_PICTURES:
         expected = f"at least {FEWEST_PICTURES} pictures ({', '.join(sorted(_KINDS))})"
         do = "20 to 200 that overlap by two thirds are usual"
-        raise PreparationError(message(source, expected, len(pictures) or "none", do))
+        raise PreparationError.of(source, expected, len(pictures) or "none", do)
 
 
 def take_photographs(
@@ -150,7 +149,7 @@ def take_frames(video: Path, images: Path, config: PrepareConfig, told: Told) ->
             f"a video of at least {FEWEST_PICTURES} intervals",
             f"{len(taken)} of {config.interval:g} seconds",
         )
-        error = PreparationError(message(str(video), expected, got, "pass a longer one, or a shorter interval"))
+        error = PreparationError.of(str(video), expected, got, "pass a longer one, or a shorter interval")
         raise error.hinted("--interval")
     return taken
 

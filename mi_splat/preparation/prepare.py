@@ -11,7 +11,6 @@ from typing import Any
 from mi_splat import provenance
 from mi_splat.datasets import load_dataset
 from mi_splat.datasets.writing import IMAGES
-from mi_splat.errors import message
 from mi_splat.io.documents import save_json
 from mi_splat.io.folders import check_new_folder, new_folder
 from mi_splat.io.pictures import save_picture
@@ -62,7 +61,7 @@ def prepare(
         check_colmap()
     is_video = not source.is_dir()
     if not source.exists():
-        raise PreparationError(message(str(source), "a folder of pictures, or a video", "no such file", "check it"))
+        raise PreparationError.of(str(source), "a folder of pictures, or a video", "no such file", "check it")
     if is_video:
         check_video(source)
     else:
@@ -148,4 +147,4 @@ def _nothing_placed(source: Path, pictures: Sequence[Picture], done: Reconstruct
         if features[len(features) // 2] >= 200
         else "pass larger or sharper pictures, of things with texture"
     )
-    return PreparationError(message(str(source), f"{len(pictures)} pictures that can be placed", got, do))
+    return PreparationError.of(str(source), f"{len(pictures)} pictures that can be placed", got, do)

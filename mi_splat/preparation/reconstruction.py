@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from mi_splat.errors import install, message
+from mi_splat.errors import install
 from mi_splat.preparation.config import PreparationError
 from mi_splat.preparation.pictures import FEWEST_PICTURES, Picture, Told
 
@@ -66,7 +66,7 @@ def check_colmap() -> None:
     """
     if find_spec("pycolmap") is None:
         expected = "pycolmap, which finds out where pictures were taken from"
-        raise PreparationError(message("prepare", expected, "no such package", install("colmap")))
+        raise PreparationError.of("prepare", expected, "no such package", install("colmap"))
 
 
 def pairs_of(count: int, *, in_order: bool) -> list[tuple[int, int]]:

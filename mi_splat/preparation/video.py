@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mi_splat.errors import install, message
+from mi_splat.errors import install
 from mi_splat.io.picture_files import MOST_PIXELS
 from mi_splat.preparation.config import VIDEOS, PreparationError
 
@@ -38,10 +38,9 @@ def check_video(path: Path) -> None:
     """
     if path.suffix.lower() not in VIDEOS:
         expected, do = f"a folder of pictures, or a video ({', '.join(VIDEOS)})", "pass one of these"
-        raise PreparationError(message(str(path), expected, path.suffix or "a file without an ending", do))
+        raise PreparationError.of(str(path), expected, path.suffix or "a file without an ending", do)
     if find_spec("imageio_ffmpeg") is None:
-        expected = "imageio-ffmpeg, which reads videos"
-        raise PreparationError(message(str(path), expected, "no such package", install("video")))
+        raise PreparationError.of(str(path), "imageio-ffmpeg, which reads videos", "no such package", install("video"))
 
 
 def sharpness(pixels: Pixels) -> float:
@@ -91,7 +90,7 @@ def sharpest_frames(
         if count == most:
             if second > length + 1:
                 do = "write it again with ffmpeg -c copy, or pass a longer interval"
-                raise PreparationError(message(str(path), f"{length:.1f} seconds, as it says", "more", do))
+                raise PreparationError.of(str(path), f"{length:.1f} seconds, as it says", "more", do)
             return
         part = int(second / interval)
         if pixels is not None and (best is None or sharpness(pixels) > best[0]):
@@ -102,7 +101,7 @@ def sharpest_frames(
 
 def _too_long(path: Path, seconds: float) -> PreparationError:
     expected, do = f"a video of at most {MOST_SECONDS:.0f} seconds", "cut it, for instance with ffmpeg -t 600"
-    return PreparationError(message(str(path), expected, f"{seconds:.0f}", do))
+    return PreparationError.of(str(path), expected, f"{seconds:.0f}", do)
 
 
 def _ffmpeg() -> str:
@@ -146,4 +145,4 @@ def _decoded(path: Path, longest_side: int) -> Iterator[Pixels | None]:
             errors.seek(0)
             lines = errors.read(1 << 16).decode(errors="replace").split("\n")
             got = next((line.strip()[:160] for line in lines if line.strip()), "nothing that it could read")
-            raise PreparationError(message(str(path), "a video that ffmpeg can read", got, "save it as MP4"))
+            raise PreparationError.of(str(path), "a video that ffmpeg can read", got, "save it as MP4")

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mi_splat.attributes import ATTRIBUTES
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.rasterization.projection import Gaussians
 
 
@@ -98,4 +98,4 @@ def check_finite(layout: Layout, arrays: tuple[Any, ...]) -> None:
         bad = dr.count(~dr.isfinite(array))[0] if len(array) else 0
         if bad:
             do = "look at the last update of the parameters: a step may have been too long"
-            raise InvalidValueError(message(name, "finite numbers", f"{bad} that are not", do))
+            raise InvalidValueError.of(name, "finite numbers", f"{bad} that are not", do)

@@ -11,7 +11,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from mi_splat.errors import MiSplatError, message
+from mi_splat.errors import MiSplatError
 from mi_splat.rasterization import backward, forward, sorting
 from mi_splat.rasterization.binning import NO_TILE, TILE
 from mi_splat.rasterization.blending import RECORD
@@ -64,8 +64,8 @@ def rasterize(
     if number == 0:
         return _nothing_visible(buffers, layout, arrays)
     if number > MAX_PAIRS:
-        raise MiSplatError(
-            message("picture", f"at most {MAX_PAIRS} tile touches", number, "render it smaller or shrink the Gaussians")
+        raise MiSplatError.of(
+            "picture", f"at most {MAX_PAIRS} tile touches", number, "render it smaller or shrink the Gaussians"
         )
     pairs = buffer(2 * number, mi.UInt32, NO_TILE)
     used = run(forward.write_pairs, records[0], depth_order, first, last, buffers.size, pairs)

@@ -6,7 +6,7 @@ import math
 import numbers
 from collections.abc import Sequence
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 
 def checked_near(value: float) -> float:
@@ -16,7 +16,7 @@ def checked_near(value: float) -> float:
         InvalidValueError: It is not a positive finite number.
     """
     if not (isinstance(value, numbers.Real) and math.isfinite(value) and value > 0):
-        raise InvalidValueError(message("near", "a positive distance", value, "pass world units, such as 0.2"))
+        raise InvalidValueError.of("near", "a positive distance", value, "pass world units, such as 0.2")
     return value
 
 
@@ -27,5 +27,5 @@ def checked_background(value: Sequence[float]) -> tuple[float, float, float]:
         InvalidValueError: It does not have three finite channels.
     """
     if len(value) != 3 or not all(math.isfinite(v) for v in value):
-        raise InvalidValueError(message("background", "three finite numbers", value, "pass an sRGB colour"))
+        raise InvalidValueError.of("background", "three finite numbers", value, "pass an sRGB colour")
     return value[0], value[1], value[2]

@@ -12,7 +12,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from mi_splat.errors import MiSplatError, message
+from mi_splat.errors import MiSplatError
 from mi_splat.rasterization.binning import TILE, lower_bound
 from mi_splat.rasterization.blending import MAX_ALPHA, Record, any_open, blend_step, first_pixel, read_record
 from mi_splat.rasterization.frozen import buffer, numbers
@@ -104,11 +104,11 @@ def freeze_pairs(
 
 def _within(needed: int, pairs: int, max_bytes: int) -> int:
     if pairs > MAX_PLACES:
-        raise MiSplatError(message("FrozenView", f"at most {MAX_PLACES} pairs", pairs, "free fewer rows"))
+        raise MiSplatError.of("FrozenView", f"at most {MAX_PLACES} pairs", pairs, "free fewer rows")
     if needed > max_bytes:
         do = "raise max_bytes, free fewer rows, or render it smaller"
         expected = f"at most {max_bytes / 1e6:.1f} MB (max_bytes)"
-        raise MiSplatError(message("FrozenView", expected, f"{needed / 1e6:.1f} MB for {pairs:,} pairs", do))
+        raise MiSplatError.of("FrozenView", expected, f"{needed / 1e6:.1f} MB for {pairs:,} pairs", do)
     return needed
 
 

@@ -8,7 +8,7 @@ from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Called, Range, above, at_least, between, check, checked_number, several
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ class Selection:
             low, high = self.box[:3], self.box[3:]
             if not all(a <= b for a, b in zip(low, high, strict=True)):  # not of nan either
                 do = "give the lower corner first: x0 y0 z0 x1 y1 z1"
-                raise InvalidValueError(message("box", "no first number above its second", self.box, do))
+                raise InvalidValueError.of("box", "no first number above its second", self.box, do)
         _ = self.pixels
 
     def _take_values(self) -> None:
@@ -92,7 +92,7 @@ class Selection:
         for text in map(str, self.click):
             x, _, y = text.partition(",")
             if not (x.strip().isdecimal() and y.strip().isdecimal()):
-                raise InvalidValueError(message("click", "a pixel x,y", repr(text), "for instance 120,80"))
+                raise InvalidValueError.of("click", "a pixel x,y", repr(text), "for instance 120,80")
             pixels.append((int(x), int(y)))
         return tuple(pixels)
 
@@ -126,7 +126,7 @@ def _pixel_text(click: Any) -> str:
         return click
     pair = several(click)
     if len(pair) != 2:
-        raise InvalidValueError(message("click", "a pixel x,y", repr(click), "for instance (120, 80)"))
+        raise InvalidValueError.of("click", "a pixel x,y", repr(click), "for instance (120, 80)")
     return ",".join(str(checked_number("click", number, whole=True)) for number in pair)
 
 

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.arrays import load_array
 from mi_splat.io.documents import save_bytes
 from mi_splat.io.points import load_points
@@ -64,7 +64,7 @@ def load_mask(path: Path, scene: GaussianScene) -> Tensor:
     if path.suffix.lower() == ".ply":
         return _at_positions(load_points(path).points, scene, path)
     do = "save a mask with numpy.save, or a part of the splat as PLY"
-    raise InvalidValueError(message(str(path), "a file that ends in .npy or .ply", path.suffix or "no ending", do))
+    raise InvalidValueError.of(str(path), "a file that ends in .npy or .ply", path.suffix or "no ending", do)
 
 
 def mask_of(values: object, count: int) -> Tensor:
@@ -99,17 +99,16 @@ def _from_array(values: NDArray[np.generic], count: int, what: str) -> Tensor:
     """A mask from bools, from zeros and ones, or from row numbers."""
     if values.ndim != 1 or values.dtype.kind not in "biu":
         got, do = f"{values.dtype} of shape {values.shape}", "pass a one-dimensional array"
-        raise InvalidValueError(message(what, f"({count},) bools, or row numbers", got, do))
+        raise InvalidValueError.of(what, f"({count},) bools, or row numbers", got, do)
     binary = values.dtype.kind == "b" or (len(values) == count and bool(((values == 0) | (values == 1)).all()))
     if binary:
         if len(values) != count:
-            do = "make it from this scene"
-            raise InvalidValueError(message(what, f"{count} bools, one a Gaussian", len(values), do))
+            raise InvalidValueError.of(what, f"{count} bools, one a Gaussian", len(values), "make it from this scene")
         return torch.from_numpy(values.astype(bool))
     rows = torch.from_numpy(values.astype(np.int64))
     if len(rows) and not bool(((rows >= 0) & (rows < count)).all()):
         got = f"{int(rows.min())} to {int(rows.max())}"
-        raise InvalidValueError(message(what, f"row numbers in 0..{count - 1}", got, "make them from this scene"))
+        raise InvalidValueError.of(what, f"row numbers in 0..{count - 1}", got, "make them from this scene")
     mask = torch.zeros(count, dtype=torch.bool)
     mask[rows] = True
     return mask
@@ -122,7 +121,7 @@ def _at_positions(points: Tensor, scene: GaussianScene, path: Path) -> Tensor:
     if strange:
         got = f"{strange:,} of {len(wanted):,} that are not"
         do = "pass a part of this very splat, not one that was moved, resized or trained on"
-        raise InvalidValueError(message(str(path), "positions that are those of Gaussians of the scene", got, do))
+        raise InvalidValueError.of(str(path), "positions that are those of Gaussians of the scene", got, do)
     return torch.from_numpy(np.isin(ours, wanted))
 
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.clusters import clusters
 from mi_splat.selection.config import Selection
@@ -56,7 +56,7 @@ def select(
     """
     if selection.is_empty:
         do = _HOW + (f"; parts: {', '.join(objects)}" if objects else "")
-        raise InvalidValueError(message("selection", "which Gaussians are meant", "nothing", do)).hinted(_FLAGS)
+        raise InvalidValueError.of("selection", "which Gaussians are meant", "nothing", do).hinted(_FLAGS)
     mask = torch.ones(len(scene), dtype=torch.bool)
     if selection.object is not None:
         mask &= _part(selection.object, objects or {}, len(scene))
@@ -71,9 +71,7 @@ def select(
         mask &= _clicked(scene, selection, camera, render)
     if not bool(mask.any()):
         do = f"look at where it is in a picture of the scene; {_HOW}"
-        raise InvalidValueError(message("selection", "at least one Gaussian", f"none of {len(scene):,}", do)).hinted(
-            _FLAGS
-        )
+        raise InvalidValueError.of("selection", "at least one Gaussian", f"none of {len(scene):,}", do).hinted(_FLAGS)
     return mask
 
 
@@ -110,7 +108,7 @@ def require_visible(weights: Mapping[str, Tensor]) -> None:
     """
     if hidden := _hidden(weights):
         do = "leave these cameras out, or choose others"
-        raise InvalidValueError(message("cameras", "views that show the selection", f"none {hidden}", do))
+        raise InvalidValueError.of("cameras", "views that show the selection", f"none {hidden}", do)
 
 
 def _hidden(weights: Mapping[str, Tensor]) -> str:
@@ -127,7 +125,7 @@ def _part(name: str, objects: Mapping[str, slice], count: int) -> Tensor:
     """The Gaussians of a part of the scene file."""
     if name not in objects:
         expected = f"one of {', '.join(objects)}" if objects else "no name, since the scene has no parts"
-        raise InvalidValueError(message("object", expected, name, _HOW)).hinted(_FLAGS)
+        raise InvalidValueError.of("object", expected, name, _HOW).hinted(_FLAGS)
     mask = torch.zeros(count, dtype=torch.bool)
     mask[objects[name]] = True
     return mask
@@ -137,7 +135,7 @@ def _component(labels: Tensor, number: int) -> Tensor:
     """The Gaussians of the component of that size."""
     sizes = labels.bincount()
     if number > len(sizes):
-        raise InvalidValueError(message("cluster", f"1 to {len(sizes):,}", number, "1 is the largest"))
+        raise InvalidValueError.of("cluster", f"1 to {len(sizes):,}", number, "1 is the largest")
     return labels == number - 1
 
 
@@ -155,7 +153,7 @@ def _clicked(scene: GaussianScene, selection: Selection, camera: Camera | None, 
     that the object stands on, and not a floor or a wall far away.
     """
     if camera is None or render is None:
-        raise InvalidValueError(message("click", "a camera and a renderer", "none", "say in whose picture"))
+        raise InvalidValueError.of("click", "a camera and a renderer", "none", "say in whose picture")
     mask = torch.zeros(len(scene), dtype=torch.bool)
     means = scene.means.detach().cpu().double()
     for pixel in selection.pixels:

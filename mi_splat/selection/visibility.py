@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera, RenderFn, as_cameras
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc
 
@@ -56,7 +56,7 @@ def contributions(
     """
     cameras = as_cameras(cameras)
     if boxes is not None and len(boxes) != len(cameras):
-        raise InvalidValueError(message("boxes", f"{len(cameras)}, one a camera", len(boxes), "pass one for each"))
+        raise InvalidValueError.of("boxes", f"{len(cameras)}, one a camera", len(boxes), "pass one for each")
     rows = torch.arange(len(scene)) if rows is None else rows
     geometry = scene.detach().tensors()[:4]
     grey = torch.zeros_like(scene.sh[:, :1])
@@ -79,7 +79,7 @@ def _checked(box: Box, camera: Camera) -> Box:
     x0, y0, x1, y1 = box
     if not (0 <= x0 < x1 <= camera.width and 0 <= y0 < y1 <= camera.height):
         expected = f"x0 < x1 and y0 < y1 inside {camera.width} x {camera.height}"
-        raise InvalidValueError(message("box", expected, box, "count pixels from the upper left corner"))
+        raise InvalidValueError.of("box", expected, box, "count pixels from the upper left corner")
     return box
 
 
@@ -129,13 +129,13 @@ def object_maps(
 def _owners(count: int, objects: list[Tensor | slice]) -> Tensor:
     """(N,) int64 number of the object that each Gaussian belongs to, -1 for none."""
     if not objects:
-        raise InvalidValueError(message("objects", "at least one", "none", "pass the rows of each object"))
+        raise InvalidValueError.of("objects", "at least one", "none", "pass the rows of each object")
     owners = torch.full((count,), -1)
     for number, rows in enumerate(objects):
         taken = int((owners[rows] >= 0).sum())
         if taken:
             got = f"{taken} of object {number} that belong to one before it"
-            raise InvalidValueError(message("objects", "Gaussians of one object each", got, "take them out of one"))
+            raise InvalidValueError.of("objects", "Gaussians of one object each", got, "take them out of one")
         owners[rows] = number
     return owners
 
@@ -179,9 +179,9 @@ def pixel_weights(scene: GaussianScene, camera: Camera, pixel: tuple[int, int], 
     x, y = pixel
     if not (0 <= x < camera.width and 0 <= y < camera.height):
         expected = f"a pixel of {camera.width} x {camera.height}"
-        raise InvalidValueError(message("click", expected, f"{x},{y}", "count pixels from the upper left corner"))
+        raise InvalidValueError.of("click", expected, f"{x},{y}", "count pixels from the upper left corner")
     weights = contributions(scene, camera, render=render, boxes=[(x, y, x + 1, y + 1)])[:, 0]
     if float(weights.sum()) < _EMPTY_PIXEL:
         got = f"one of which Gaussians make up {float(weights.sum()):.1%}"
-        raise InvalidValueError(message(f"click {x},{y}", "a pixel that shows something", got, "click on the object"))
+        raise InvalidValueError.of(f"click {x},{y}", "a pixel that shows something", got, "click on the object")
     return weights

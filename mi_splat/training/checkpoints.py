@@ -16,7 +16,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from mi_splat import provenance
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.documents import save_bytes
 from mi_splat.io.fields import Fields
 from mi_splat.io.noted_tensors import NOTES, check_like, described, read_line, read_noted_tensors
@@ -64,8 +64,7 @@ def from_json(plain: dict[str, Any]) -> FitConfig:
     unknown = plain.keys() - {field.name for field in fields(FitConfig)}
     if unknown:
         do = "end the run with the version that began it, or train anew in another folder"
-        known = "settings that this version knows"
-        raise InvalidValueError(message("settings", known, ", ".join(sorted(unknown)), do))
+        raise InvalidValueError.of("settings", "settings that this version knows", ", ".join(sorted(unknown)), do)
     options = dict(plain["strategy"])
     strategy = strategy_config(options.pop("kind"), **options)
     return FitConfig(**{**plain, "strategy": strategy, "trainable": tuple(plain["trainable"])})
@@ -112,13 +111,13 @@ def load_state(path: Path) -> tuple[TrainState, int]:
         CheckpointError: the file is missing or is no checkpoint.
     """
     if not path.is_file():
-        raise CheckpointError(message(f"checkpoint {path}", "a file", "nothing there", "train without resuming"))
+        raise CheckpointError.of(f"checkpoint {path}", "a file", "nothing there", "train without resuming")
     notes, tensors = read_noted_tensors(path, _READER)
     version = notes.values.get("format", 1)
     if version != FORMAT:
         expected = f"format {FORMAT}, which knows its pictures by their bytes"
         do = "end it with the version that began it, or train anew in another folder"
-        raise CheckpointError(message(f"checkpoint {path}", expected, f"format {version!r:.40}", do))
+        raise CheckpointError.of(f"checkpoint {path}", expected, f"format {version!r:.40}", do)
     try:
         return _assemble(notes, tensors), notes.whole("threads", 1, 1 << 20)
     except InvalidValueError as error:

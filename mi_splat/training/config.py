@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 from mi_splat.attributes import ATTRIBUTES, Attribute
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Called, Degree, Fraction, Steps, above, at_least, check
 from mi_splat.training.strategies import ClassicConfig, StrategyConfig
 
@@ -67,17 +67,17 @@ class FitConfig:
     def __post_init__(self) -> None:
         if not isinstance(self.strategy, StrategyConfig):
             do = "pass for instance ClassicConfig(), or strategy_config(name)"
-            raise InvalidValueError(message("strategy", "the options of a strategy", repr(self.strategy), do))
+            raise InvalidValueError.of("strategy", "the options of a strategy", repr(self.strategy), do)
         check(self)
         if not self.trainable:
-            raise InvalidValueError(
-                message("trainable", f"some of {', '.join(ATTRIBUTES)}", self.trainable, "name what may change")
+            raise InvalidValueError.of(
+                "trainable", f"some of {', '.join(ATTRIBUTES)}", self.trainable, "name what may change"
             )
         frozen = [name for name in self.strategy.needs_trainable if name not in self.trainable]
         if frozen:
             expected = f"one that does not need {', '.join(frozen)} trainable"
             got = type(self.strategy).__name__
-            raise InvalidValueError(message("strategy", expected, got, "use the fixed strategy, or train them"))
+            raise InvalidValueError.of("strategy", expected, got, "use the fixed strategy, or train them")
         if self.lr_sh_final is not None and self.lr_sh == 0:
             do = "1e-9 is next to nothing"
-            raise InvalidValueError(message("lr_sh", "a number > 0, as it decays exponentially", self.lr_sh, do))
+            raise InvalidValueError.of("lr_sh", "a number > 0, as it decays exponentially", self.lr_sh, do)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Generator, Tensor
 
 from mi_splat.cameras import Camera, View, cameras_of, project_points
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc
@@ -52,7 +52,7 @@ def from_points(
     points, colours = (torch.as_tensor(values).float() for values in (points, colours))
     if points.ndim != 2 or points.shape[-1] != 3 or points.shape != colours.shape or not len(points):
         shapes = (tuple(points.shape), tuple(colours.shape))
-        raise InvalidValueError(message("points and colours", "two of shape (N, 3)", shapes, "pass a cloud"))
+        raise InvalidValueError.of("points and colours", "two of shape (N, 3)", shapes, "pass a cloud")
     count = len(points)
     size = spacing(points).clamp(min=1e-7)
     return GaussianScene(
@@ -81,7 +81,7 @@ def with_outliers(cloud: PointCloud, views: Sequence[View], count: int, *, seed:
     """
     if count < 0 or not len(views) or not len(cloud.points):
         got = (count, len(views), len(cloud.points))
-        raise InvalidValueError(message("count, views and points", "0 or more, and some of each", got, "check the set"))
+        raise InvalidValueError.of("count, views and points", "0 or more, and some of each", got, "check the set")
     generator = Generator().manual_seed(seed)
     cameras = cameras_of(views)
     positions = torch.stack([camera.position for camera in cameras])
@@ -126,7 +126,7 @@ def random_points(views: Sequence[View], count: int, *, seed: int = 0) -> Gaussi
         InvalidValueError: The number is not positive, or there are no views.
     """
     if count < 1 or not len(views):
-        raise InvalidValueError(message("count and views", "at least one of each", (count, len(views)), "ask for more"))
+        raise InvalidValueError.of("count and views", "at least one of each", (count, len(views)), "ask for more")
     cameras = cameras_of(views)
     positions = torch.stack([camera.position for camera in cameras])
     axes = torch.stack([camera.to_world[:3, 2] for camera in cameras])

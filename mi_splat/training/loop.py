@@ -91,7 +91,7 @@ def fit(
     """
     config = config or FitConfig()
     if not len(views):
-        raise InvalidValueError(message("views", "at least one", "none", "capture views first"))
+        raise InvalidValueError.of("views", "at least one", "none", "capture views first")
     check_start(start, config)
     state = TrainState(start, config, scene_extent=scene_extent(views), seed=seed)
     return advance(state, views, render=render, held_out=held_out, lpips=lpips, on_step=on_step)
@@ -126,7 +126,7 @@ def advance(
     if config.strategy.needs_screen_gradients and screen_gradients is None:
         do = "use Renderer(screen_gradients=ScreenGradients())"
         expected = f"a renderer that keeps screen gradients, for {type(config.strategy).__name__}"
-        raise InvalidValueError(message("render", expected, type(render).__name__, do))
+        raise InvalidValueError.of("render", expected, type(render).__name__, do)
     while state.iteration < config.iterations:
         loss = _step(state, views, state.next_view(len(views)), render)
         if state.iteration < config.iterations:  # what is changed last is trained no more

@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 _RADIUS, _SIGMA = 5, 1.5
 _C1, _C2 = 0.01**2, 0.03**2
@@ -115,8 +115,8 @@ def photometric_loss(image: Tensor, reference: Tensor, *, lambda_dssim: float = 
         InvalidValueError: The shapes differ or are not those of pictures.
     """
     if image.ndim != 3 or image.shape != reference.shape:
-        raise InvalidValueError(
-            message("image", f"shape {tuple(reference.shape)}, (H, W, 3)", tuple(image.shape), "render it at that size")
+        raise InvalidValueError.of(
+            "image", f"shape {tuple(reference.shape)}, (H, W, 3)", tuple(image.shape), "render it at that size"
         )
     loss: Tensor = _Photometric.apply(image, reference, lambda_dssim)
     return loss
@@ -137,7 +137,7 @@ def over_background(image: Tensor, colour: Tensor) -> Tensor:
     """
     if image.shape[-1] != 4:
         do = "use Renderer(RenderSettings(alpha=True))"
-        raise InvalidValueError(message("picture", "four channels, the last one alpha", image.shape[-1], do))
+        raise InvalidValueError.of("picture", "four channels, the last one alpha", image.shape[-1], do)
     return image[..., :3] + (1 - image[..., 3:]) * colour
 
 

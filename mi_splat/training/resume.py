@@ -17,7 +17,7 @@ import torch
 
 from mi_splat import provenance
 from mi_splat.cameras import Camera, RenderFn, View, cameras_of, fingerprint_of
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.io.atomic import sweep_temporary
 from mi_splat.io.documents import save_json
@@ -85,7 +85,7 @@ def train(
         KeyboardInterrupt: The run was interrupted; its checkpoint is written.
     """
     if every < 1:
-        raise InvalidValueError(message("every", "a positive number of steps", every, "1000 is usual"))
+        raise InvalidValueError.of("every", "a positive number of steps", every, "1000 is usual")
     check_start(start, config)
     with own_folder(folder, CONFIG, CHECKPOINT):
         sweep_temporary(folder)
@@ -173,13 +173,13 @@ def _digest(start: GaussianScene, *sets: Sequence[View]) -> str:
 def _check_same(state: TrainState, config: FitConfig, seed: int, data: str, folder: Path) -> None:
     if state.data_digest != data:
         do = "pass those that it began with, held-out ones included, or train in another folder"
-        raise CheckpointError(message(str(folder), "a run on the same pictures and start", "one on others", do))
+        raise CheckpointError.of(str(folder), "a run on the same pictures and start", "one on others", do)
     extended = dataclasses.replace(state.config, iterations=max(config.iterations, state.config.iterations))
     if config not in (state.config, extended) or state.seed != seed:
         old, new = to_json(state.config) | {"seed": state.seed}, to_json(config) | {"seed": seed}
         differs = ", ".join(f"{key} {old[key]} and not {new[key]}" for key in old if old[key] != new[key])
-        raise CheckpointError(
-            message(str(folder), f"a run with {differs}", "another", "use those, or train in another folder")
+        raise CheckpointError.of(
+            str(folder), f"a run with {differs}", "another", "use those, or train in another folder"
         )
 
 
@@ -187,11 +187,11 @@ def _check_queue(state: TrainState, views: int, path: Path) -> None:
     """Raise if the run is to see a view next that there is not, or has exposures of others."""
     if state.exposures is not None and len(state.exposures.maps) != views:
         got, do = len(state.exposures.maps), "train anew in another folder"
-        raise CheckpointError(message(f"checkpoint {path}: exposures", f"{views}, one a view", got, do))
+        raise CheckpointError.of(f"checkpoint {path}: exposures", f"{views}, one a view", got, do)
     if state.view_queue and max(state.view_queue) >= views:
         got = max(state.view_queue)
-        raise CheckpointError(
-            message(f"checkpoint {path}: view_queue", f"views below {views}", got, "train anew in another folder")
+        raise CheckpointError.of(
+            f"checkpoint {path}: view_queue", f"views below {views}", got, "train anew in another folder"
         )
 
 
@@ -202,7 +202,7 @@ def _check_settings(state: TrainState, settings: Mapping[str, object], folder: P
     ]
     if differs:
         do = "use those, or train in another folder"
-        raise CheckpointError(message(str(folder), f"a run with {', '.join(differs)}", "another", do))
+        raise CheckpointError.of(str(folder), f"a run with {', '.join(differs)}", "another", do)
 
 
 def _figures(fit: Fit, held_out: int) -> dict[str, object]:

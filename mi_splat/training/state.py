@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Generator, Tensor
 
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.parameters import from_raw_parameters, to_raw_parameters
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.training.config import FitConfig
@@ -33,11 +33,11 @@ def check_start(start: GaussianScene, config: FitConfig) -> None:
     """
     check_scene("start", start)
     if not len(start):
-        raise InvalidValueError(message("start", "at least one Gaussian", "none", "capture views first"))
+        raise InvalidValueError.of("start", "at least one Gaussian", "none", "capture views first")
     most = config.strategy.max_gaussians
     if config.strategy.adds_gaussians and most is not None and len(start) > most:
         do = "raise max_gaussians, or begin with fewer"
-        raise InvalidValueError(message("start", f"at most max_gaussians = {most:,} Gaussians", f"{len(start):,}", do))
+        raise InvalidValueError.of("start", f"at most max_gaussians = {most:,} Gaussians", f"{len(start):,}", do)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -191,8 +191,8 @@ class TrainState:
     def _exchange(self, values: dict[str, Tensor], source: Tensor, fresh: Tensor | None) -> None:
         """Give all tensors other rows, and Adam's state with them."""
         if not len(source):
-            raise TrainingError(
-                message("splat", "Gaussians left after pruning", "none", "lower the rates or start from more of them")
+            raise TrainingError.of(
+                "splat", "Gaussians left after pruning", "none", "lower the rates or start from more of them"
             )
         old = dict(self.parameters)
         for name in old:

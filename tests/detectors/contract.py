@@ -22,7 +22,8 @@ def pictures(height: int, width: int, count: int = 2) -> Tensor:
 
 def holds_the_protocol(detector: Any) -> None:
     """It is a `Detector` of frozen weights in evaluation mode, and refuses what is no picture."""
-    assert isinstance(detector, Detector)
+    known: object = detector
+    assert isinstance(known, Detector)
     assert not detector.model.training
     assert not any(p.requires_grad for p in detector.model.parameters())
     assert len(detector.fingerprint) == 16

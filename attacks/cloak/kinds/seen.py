@@ -38,7 +38,7 @@ from attacks.observe.rows import (
 )
 from attacks.observe.views import ViewDetections
 from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.metrics import psnr
 from mi_splat.rendering import Renderer
@@ -101,7 +101,7 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
         splat, condition = load_splat(inputs["splat"]), _condition(config, setup, errors)
     if not any(map(condition.holds, cameras)):
         do = "raise it, or take more cameras by a smaller every"
-        raise InvalidValueError(message("sun.north", f"one of {len(cameras)} cameras south of it", "none", do))
+        raise InvalidValueError.of("sun.north", f"one of {len(cameras)} cameras south of it", "none", do)
     looked = look([condition], {"": splat}, cameras, [detector], boxes=setup.box, cells=cells)
     rows, detections = (
         table.drop("splat", *(() if config.condition else ("condition",)), strict=False).with_columns(
@@ -171,7 +171,7 @@ def checked_detector(config: SeenConfig, inputs: Mapping[str, Path]) -> Detector
     detector = loaded(config.detector, inputs.get(WEIGHTS))
     if detector.fingerprint != config.fingerprint:
         do = "give the same weights to every process"
-        raise InvalidValueError(message(f"weights of {detector.name}", config.fingerprint, detector.fingerprint, do))
+        raise InvalidValueError.of(f"weights of {detector.name}", config.fingerprint, detector.fingerprint, do)
     return detector
 
 

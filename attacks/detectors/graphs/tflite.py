@@ -21,7 +21,7 @@ from torch import Tensor
 from attacks.detectors.catalogue import DetectorError
 from attacks.detectors.graphs.files import MOST_AXES, MOST_ELEMENTS
 from attacks.detectors.weights import check_finite
-from mi_splat.errors import install, message
+from mi_splat.errors import install
 
 _DTYPES = {"FLOAT32": np.float32, "FLOAT16": np.float16, "INT32": np.int32}
 _MOST = 1 << 14
@@ -45,7 +45,7 @@ def read_tflite(content: bytes) -> tuple[bytes, dict[str, Tensor]]:
     try:
         import tflite
     except ImportError as error:
-        raise DetectorError(message("TFLite model", "the package tflite", "none", install("tflite"))) from error
+        raise DetectorError.of("TFLite model", "the package tflite", "none", install("tflite")) from error
 
     if content[4:8] != b"TFL3":
         raise _wrong("a TFLite model, with TFL3 at its fifth byte", repr(content[4:8]))
@@ -263,4 +263,4 @@ def _count(number: int, what: str) -> int:
 
 
 def _wrong(expected: str, got: object) -> DetectorError:
-    return DetectorError(message("TFLite model", expected, got, "get the file again, or report it"))
+    return DetectorError.of("TFLite model", expected, got, "get the file again, or report it")

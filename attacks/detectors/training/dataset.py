@@ -23,7 +23,6 @@ from attacks.detectors.training.config import (
 from attacks.detectors.training.pictures import LabelledPicture
 from attacks.detectors.training.scenes import SceneConfig, load
 from attacks.detectors.training.train import PICTURES, START, VALIDATION, DetectorTraining, OnWork
-from mi_splat.errors import message
 from mi_splat.ledger import Event, Job, Part
 from mi_splat.ledger.engines import InProcess, Processes
 from mi_splat.ledger.plans import Driver, grid
@@ -135,7 +134,7 @@ def made(
             done = results[f"{name} {number}"]
             if isinstance(done, str):
                 reason = done.strip().splitlines()[-1]
-                raise DetectorError(message(f"scene {number} of {name}", "its pictures", reason, "try again"))
+                raise DetectorError.of(f"scene {number} of {name}", "its pictures", reason, "try again")
             pictures[name] += load(done.folder)
     return pictures
 

@@ -20,7 +20,7 @@ from attacks.report.rescoring import Rescoring
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Section
 from attacks.report.wording import listed, number, plural, settings
 from attacks.tables import Table
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 
 Record = Mapping[str, Any]
 
@@ -247,14 +247,14 @@ def objective_of(record: Record) -> Objective:
         aim: Objective = _AIMS[str(record["objective"])][0](**record["config"]["objective"])
     except (KeyError, TypeError) as error:
         expected, do = f"the settings of one of {', '.join(_AIMS)}", "get the result again"
-        raise InvalidValueError(message("objective", expected, repr(error), do)) from error
+        raise InvalidValueError.of("objective", expected, repr(error), do) from error
     return aim
 
 
 def _cells(record: Record, seen: ViewDetections, row: Record, detector: Detector) -> Row:
     """What a detector says of an attacked picture: whether the aim is reached."""
     if seen.box is None:
-        raise InvalidValueError(message(CAMERAS, "a box of the object in each view", "none", "get the result again"))
+        raise InvalidValueError.of(CAMERAS, "a box of the object in each view", "none", "get the result again")
     classes = tuple(detector.classes)
     target = Target(box=seen.box, label=record["target"], classes=classes, original=row["original"])
     return verdict_cells(objective_of(record).verdict(seen.detections, target))

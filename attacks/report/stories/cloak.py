@@ -53,7 +53,7 @@ from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Se
 from attacks.report.stories.thresholds import threshold_charts
 from attacks.report.wording import listed, plural, rate_of, settings
 from mi_splat.assets import ASSETS
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import decode
 
 KIND = "CLOAK, a study"
@@ -237,7 +237,7 @@ def _check_rows(study: StudyConfig, splats: Sequence[Mapping[str, Any]], tables:
 
 
 def _wrong(what: str, expected: str, got: str) -> InvalidValueError:
-    return InvalidValueError(message(what, expected, got, "get the result again"))
+    return InvalidValueError.of(what, expected, got, "get the result again")
 
 
 _NEEDS = {"scene": "it takes the scene's meshes and sun", "pictures": "it takes pictures and masks alone"}

@@ -12,7 +12,6 @@ import io
 import numpy as np
 from numpy.typing import NDArray
 
-from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats.encoded import Array, Encoded, Values, dc_of, outside, vanished
 from mi_splat.io.formats.quaternions import ROOT_HALF, drop_largest, restore_largest
@@ -139,7 +138,7 @@ def _check(element: Element, names: list[str], kind: str, path: str) -> None:
 
 
 def _bad(path: str, expected: str, got: str) -> SplatFileError:
-    return SplatFileError(message(path, f"a compressed PLY with {expected}", got, "export the splat again"))
+    return SplatFileError.of(path, f"a compressed PLY with {expected}", got, "export the splat again")
 
 
 def _columns(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 
-from mi_splat.errors import install, message
+from mi_splat.errors import install
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats.table import FORMATS
 
@@ -69,7 +69,7 @@ def format_to_read(path: str, head: bytes) -> str:
     if named in (None, marked) and marked is not None:
         return marked
     if marked is not None and named in (".splat", ".ksplat", META, *_MAGIC.values()):
-        raise SplatFileError(message(path, f"a {named} file", f"the mark of a {marked} file", f"rename it to {marked}"))
+        raise SplatFileError.of(path, f"a {named} file", f"the mark of a {marked} file", f"rename it to {marked}")
     return str(named)
 
 
@@ -83,10 +83,10 @@ def format_to_write(path: str) -> str:
     if named is None:
         raise _unknown(path)
     if named == META:
-        raise SplatFileError(message(path, "a format that is written", "an unbundled SOG", "save it as .sog"))
+        raise SplatFileError.of(path, "a format that is written", "an unbundled SOG", "save it as .sog")
     if named == ".ksplat":
         do = "save it as .ply and convert that with create-ksplat of GaussianSplats3D"
-        raise SplatFileError(message(path, "a format that is written", ".ksplat, which is only read", do))
+        raise SplatFileError.of(path, "a format that is written", ".ksplat, which is only read", do)
     if named in USD:
         require_usd(path)
     return named
@@ -100,7 +100,7 @@ def require_usd(path: str) -> None:
     """
     if importlib.util.find_spec("pxr") is None:
         expected = "the package usd-core, for files of OpenUSD"
-        raise SplatFileError(message(path, expected, "none", f"{install('usd')}, or use .glb"))
+        raise SplatFileError.of(path, expected, "none", f"{install('usd')}, or use .glb")
 
 
 def _unknown(path: str) -> SplatFileError:
@@ -113,4 +113,4 @@ def _unknown(path: str) -> SplatFileError:
             "gaussian-splat of nerfstudio, gsplat.export_splats, or save_ply of 3DGS"
         )
     names = ", ".join(entry.suffix for entry in FORMATS)
-    return SplatFileError(message(path, f"a name that ends in {names}", ending or "no ending", do))
+    return SplatFileError.of(path, f"a name that ends in {names}", ending or "no ending", do)

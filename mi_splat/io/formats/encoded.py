@@ -10,7 +10,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from mi_splat.attributes import LARGEST
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc, dc_to_colour, degree_of
 
@@ -88,7 +88,7 @@ class Values:
         kept = [value.detach().to("cpu", torch.float32).double() for value in scene.tensors()]
         if not all(bool((value.abs() <= LARGEST).all()) for value in kept):
             expected = f"values that are finite in float32, up to {LARGEST:g}"
-            raise InvalidValueError(message("scene", expected, "others", "remove those Gaussians"))
+            raise InvalidValueError.of("scene", expected, "others", "remove those Gaussians")
         if order is not None:
             kept = [value[torch.from_numpy(order)] for value in kept]
         means, scales, rotations, opacities, sh = kept

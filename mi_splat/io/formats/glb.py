@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.fields import Fields, parse
 from mi_splat.io.formats.encoded import Array
@@ -94,21 +93,21 @@ def open_glb(data: bytes, path: str) -> Glb:
         SplatFileError: It is damaged, of another version, or its buffer is another file.
     """
     if len(data) < _HEADER.size + _CHUNK.size or not data.startswith(b"glTF"):
-        raise SplatFileError(message(path, "a binary glTF", f"{len(data)} bytes, {data[:4]!r}", _AGAIN))
+        raise SplatFileError.of(path, "a binary glTF", f"{len(data)} bytes, {data[:4]!r}", _AGAIN)
     _, version, length = _HEADER.unpack_from(data)
     if version != 2 or length != len(data):
         got = f"version {version} and {length} bytes"
-        raise SplatFileError(message(path, f"glTF of version 2 and {len(data)} bytes", got, _AGAIN))
+        raise SplatFileError.of(path, f"glTF of version 2 and {len(data)} bytes", got, _AGAIN)
     offset, chunks = _HEADER.size, list[tuple[bytes, int, int]]()
     while offset < len(data) and len(chunks) < 16:
         size, kind = _CHUNK.unpack_from(data, offset) if len(data) - offset >= _CHUNK.size else (len(data), b"")
         offset += _CHUNK.size
         if size > len(data) - offset:
-            raise SplatFileError(message(path, "chunks inside of the file", f"one of {size} bytes", _AGAIN))
+            raise SplatFileError.of(path, "chunks inside of the file", f"one of {size} bytes", _AGAIN)
         chunks.append((kind, offset, size))
         offset += size
     if not chunks or chunks[0][0] != b"JSON":
-        raise SplatFileError(message(path, "a JSON chunk first", chunks[0][0] if chunks else "none", _AGAIN))
+        raise SplatFileError.of(path, "a JSON chunk first", chunks[0][0] if chunks else "none", _AGAIN)
     _, start, size = chunks[0]
     root = parse(data[start : start + size], path, limit=_JSON_LIMIT)
     buffers = root.objects("buffers")

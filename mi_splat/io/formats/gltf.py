@@ -64,11 +64,11 @@ def read_glb(file: io.FileIO, path: str) -> Loaded:
             total += document.count(primitive.object("attributes"), "POSITION")
             check_count(total, len(data) // _LEAST_BYTES, path)
             if len(parts) == _MOST_PARTS:
-                raise SplatFileError(message(path, f"at most {_MOST_PARTS} splats", "more", "merge them"))
+                raise SplatFileError.of(path, f"at most {_MOST_PARTS} splats", "more", "merge them")
             parts.append(placed(_primitive(document, primitive, extensions.object(EXTENSION)), matrix, path))
     if not parts:
         got = f"none, but {others} other primitives" if others else "none"
-        raise SplatFileError(message(path, f"a primitive with {EXTENSION}", got, "export the splat again"))
+        raise SplatFileError.of(path, f"a primitive with {EXTENSION}", got, "export the splat again")
     if others:
         text = message(path, "splats only", f"{others} other primitives", "they were left out")
         warnings.warn(text, SplatFileWarning, stacklevel=5)
@@ -115,15 +115,11 @@ def placed(part: Loaded, matrix: Array, path: str) -> Loaded:
     scene = part.scene
     if not np.array_equal(matrix, np.eye(4)):
         if len(part.invalid):
-            raise SplatFileError(
-                message(path, "valid Gaussians where they are turned or moved", part.reason, "repair it")
-            )
+            raise SplatFileError.of(path, "valid Gaussians where they are turned or moved", part.reason, "repair it")
         try:
             scene = scene.transform(Similarity.from_matrix(torch.from_numpy(matrix), "transform"))
         except InvalidValueError as error:
-            raise SplatFileError(
-                message(path, "transforms that turn, move and resize", error, "export it again")
-            ) from None
+            raise SplatFileError.of(path, "transforms that turn, move and resize", error, "export it again") from None
     return Loaded.of(half_turns.turned(scene, half_turns.Z), part.invalid, part.reason)
 
 
@@ -146,7 +142,7 @@ def write_glb(scene: GaussianScene) -> Encoded:
         SplatFileError: The scene is empty, which glTF has no accessors for.
     """
     if not len(scene):
-        raise SplatFileError(message("scene", "Gaussians for a .glb file", "none", "save it as a PLY"))
+        raise SplatFileError.of("scene", "Gaussians for a .glb file", "none", "save it as a PLY")
     colours = Values.of(scene)
     scene = half_turns.turned(scene.detach().to("cpu", torch.float32), half_turns.Z)
     means, scales, rotations, opacities, sh = (value.numpy() for value in scene.tensors())

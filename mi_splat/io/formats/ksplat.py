@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats.encoded import Array, dc_of
 from mi_splat.io.loaded import Loaded, judged, read_whole
@@ -76,7 +75,7 @@ def read_ksplat(file: io.FileIO, path: str) -> Loaded:
 
 
 def _bad(path: str, expected: str, got: object) -> SplatFileError:
-    return SplatFileError(message(path, expected, got, _AGAIN))
+    return SplatFileError.of(path, expected, got, _AGAIN)
 
 
 def _record(level: int, degree: int) -> np.dtype[np.void]:

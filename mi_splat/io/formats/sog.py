@@ -15,7 +15,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.fields import Fields, parse
 from mi_splat.io.formats.codebooks import ENTRIES, PALETTE, codebook, palette
@@ -136,7 +135,7 @@ def write_sog(scene: GaussianScene) -> Encoded:
         SplatFileError: The scene is empty, for which there are no pictures.
     """
     if not len(scene):
-        raise SplatFileError(message("scene", "Gaussians for a .sog file", "none", "save it as a PLY"))
+        raise SplatFileError.of("scene", "Gaussians for a .sog file", "none", "save it as a PLY")
     values = Values.of(scene)
     logs = np.sign(values.means) * np.log1p(np.abs(values.means))
     low, high = logs.min(axis=0), logs.max(axis=0)

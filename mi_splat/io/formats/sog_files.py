@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.loaded import open_regular
 from mi_splat.io.picture_files import PictureFileError, load_picture
@@ -45,25 +44,24 @@ def archive_files(data: bytes, path: str) -> Files:
     try:
         archive = zipfile.ZipFile(io.BytesIO(data))
     except _ZIP_ERRORS as error:
-        raise SplatFileError(message(path, "a zip archive", str(error)[:100], _AGAIN)) from None
+        raise SplatFileError.of(path, "a zip archive", str(error)[:100], _AGAIN) from None
 
     def read(name: str, most: int) -> bytes:
         try:
             member = archive.getinfo(name)
             if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                raise SplatFileError(message(f"{path}: {name}", "a stored or deflated member", "another", _AGAIN))
+                raise SplatFileError.of(f"{path}: {name}", "a stored or deflated member", "another", _AGAIN)
             if member.file_size > most:
-                got = f"{member.file_size} bytes"
-                raise SplatFileError(message(f"{path}: {name}", f"at most {most} bytes", got, _AGAIN))
+                raise SplatFileError.of(f"{path}: {name}", f"at most {most} bytes", f"{member.file_size} bytes", _AGAIN)
             with archive.open(member) as file:
                 plain = file.read(most + 1)
         except KeyError:
             got = ", ".join(archive.namelist())[:100] or "an empty archive"
-            raise SplatFileError(message(path, f"a member {name}", got, _AGAIN)) from None
+            raise SplatFileError.of(path, f"a member {name}", got, _AGAIN) from None
         except _ZIP_ERRORS as error:
-            raise SplatFileError(message(f"{path}: {name}", "an intact member", str(error)[:100], _AGAIN)) from None
+            raise SplatFileError.of(f"{path}: {name}", "an intact member", str(error)[:100], _AGAIN) from None
         if len(plain) > most:
-            raise SplatFileError(message(f"{path}: {name}", f"at most {most} bytes", "more", _AGAIN))
+            raise SplatFileError.of(f"{path}: {name}", f"at most {most} bytes", "more", _AGAIN)
         return plain
 
     return read
@@ -79,11 +77,11 @@ def folder_files(folder: str) -> Files:
     def read(name: str, most: int) -> bytes:
         path = os.path.join(folder, name)
         if os.path.basename(name) != name or name in ("", ".", ".."):
-            raise SplatFileError(message(folder, "plain names of pictures", repr(name[:60]), _AGAIN))
+            raise SplatFileError.of(folder, "plain names of pictures", repr(name[:60]), _AGAIN)
         with open_regular(path) as file:
             plain = file.read(most + 1)
         if plain is None or len(plain) > most:
-            raise SplatFileError(message(path, f"at most {most} bytes", "more", _AGAIN))
+            raise SplatFileError.of(path, f"at most {most} bytes", "more", _AGAIN)
         return plain
 
     return read
@@ -93,11 +91,11 @@ def _check_directory(data: bytes, path: str) -> None:
     """Raise unless the end of the archive claims a small directory, which zipfile reads as a whole."""
     offset = data.rfind(b"PK\x05\x06", max(0, len(data) - _END.size - 0xFFFF))
     if offset < 0 or len(data) - offset < _END.size:
-        raise SplatFileError(message(path, "a zip archive with its directory", "none: it is truncated", _AGAIN))
+        raise SplatFileError.of(path, "a zip archive with its directory", "none: it is truncated", _AGAIN)
     fields = _END.unpack_from(data, offset)
     if fields[4] > _MOST_MEMBERS or fields[5] > _MOST_MEMBERS * 1024 or data[max(0, offset - 20) :][:4] == _END64:
         got = f"{fields[4]} in {fields[5]} bytes"
-        raise SplatFileError(message(path, f"a zip archive of at most {_MOST_MEMBERS} members", got, _AGAIN))
+        raise SplatFileError.of(path, f"a zip archive of at most {_MOST_MEMBERS} members", got, _AGAIN)
 
 
 def read_picture(data: bytes, where: str, *, least: int, width: int | None = None) -> NDArray[np.uint8]:
@@ -114,17 +112,17 @@ def read_picture(data: bytes, where: str, *, least: int, width: int | None = Non
     """
     size = webp_size(data)
     if size is None:
-        raise SplatFileError(message(where, "a lossless WebP picture (VP8L)", repr(data[:16]), "export the SOG again"))
+        raise SplatFileError.of(where, "a lossless WebP picture (VP8L)", repr(data[:16]), "export the SOG again")
     pixels = size[0] * size[1]
     if pixels < least or pixels > min(4 * least + _SPREAD, _MOST_PIXELS) or width not in (None, size[0]):
         wanted = f"{least} to {min(4 * least + _SPREAD, _MOST_PIXELS)} pixels" + (f", {width} wide" if width else "")
-        raise SplatFileError(message(where, wanted, f"{size[0]} x {size[1]}", "export the SOG again"))
+        raise SplatFileError.of(where, wanted, f"{size[0]} x {size[1]}", "export the SOG again")
     try:
         picture = load_picture(data, where, formats=("WEBP",))
     except PictureFileError as error:
         raise SplatFileError(str(error)).hinted(error.hint) from None
     if picture.size != size:
-        raise SplatFileError(message(where, "an intact WebP picture", f"another size, {picture.size}", _AGAIN))
+        raise SplatFileError.of(where, "an intact WebP picture", f"another size, {picture.size}", _AGAIN)
     return np.asarray(picture.convert("RGBA")).reshape(-1, 4)
 
 

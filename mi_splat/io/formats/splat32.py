@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats.encoded import Array, Encoded, Values, bytes_of, dc_of, dropped_bands, outside, vanished
 from mi_splat.io.loaded import Loaded, judged, read_whole
@@ -34,7 +33,7 @@ def read_splat(file: io.FileIO, path: str) -> Loaded:
     data = read_whole(file)
     if not data or len(data) % RECORD.itemsize:
         expected = f"whole records of {RECORD.itemsize} bytes"
-        raise SplatFileError(message(path, expected, f"{len(data)} bytes", "write or download it again"))
+        raise SplatFileError.of(path, expected, f"{len(data)} bytes", "write or download it again")
     rows = np.frombuffer(data, RECORD)
     return judged(
         rows["means"],
@@ -53,7 +52,7 @@ def write_splat(scene: GaussianScene) -> Encoded:
         SplatFileError: The scene is empty, which the format cannot say.
     """
     if not len(scene):
-        raise SplatFileError(message("scene", "Gaussians for a .splat file", "none", "save it as a PLY"))
+        raise SplatFileError.of("scene", "Gaussians for a .splat file", "none", "save it as a PLY")
     values = Values.of(scene)
     rows = np.zeros(len(scene), RECORD)
     rows["means"] = values.means

@@ -43,8 +43,8 @@ def read_spz(file: io.FileIO, path: str) -> Loaded:
     head, parts = content.header, content.sections
     if content.axes not in _AXES:
         expected = "one of the axes RUB, RDF, LUF or LDB"
-        raise SplatFileError(
-            message(path, expected, f"number {content.axes}", "convert it to .ply with the tools of nianticlabs/spz")
+        raise SplatFileError.of(
+            path, expected, f"number {content.axes}", "convert it to .ply with the tools of nianticlabs/spz"
         )
     if head.flags & _ANTIALIASED:
         got = "a splat that was trained with the filter of Mip-Splatting, which is not applied"

@@ -15,7 +15,6 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.loaded import check_count
 
@@ -86,7 +85,7 @@ def pack_container(content: SpzContent) -> bytes:
 
 
 def _bad(path: str, expected: str, got: object, do: str = _AGAIN) -> SplatFileError:
-    return SplatFileError(message(path, expected, got, do))
+    return SplatFileError.of(path, expected, got, do)
 
 
 def _checked(fields: tuple[int, ...], versions: tuple[int, ...], size: int, path: str) -> SpzHeader:

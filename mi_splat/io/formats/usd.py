@@ -64,15 +64,15 @@ def read_usd(file: io.FileIO, path: str) -> Loaded:
         answer = _ask(path, link, most)
         if "refused" in answer.values:
             expected, got, do = answer.texts("refused", 3)
-            raise SplatFileError(message(path, expected, got, do))
+            raise SplatFileError.of(path, expected, got, do)
         values = np.fromfile(Path(folder, "values"), np.float32)
     parts, up, metres = answer.objects("parts"), answer.text("up"), answer.number("metres")
     others = answer.whole("others", 0, 1 << 31)
     if not parts:
         got = f"none, but {others} other prims" if others else "none"
-        raise SplatFileError(message(path, f"a visible prim of type {usd_child.SPLAT}", got, "export the splat again"))
+        raise SplatFileError.of(path, f"a visible prim of type {usd_child.SPLAT}", got, "export the splat again")
     if up not in _Y_UP or not 0 < metres < math.inf:
-        raise SplatFileError(message(path, "y or z up, and a positive size of units", f"{up}, {metres:g}", "repair it"))
+        raise SplatFileError.of(path, "y or z up, and a positive size of units", f"{up}, {metres:g}", "repair it")
     frame = np.diag([metres, metres, metres, 1.0]) @ _Y_UP[up]
     if others:
         text = message(path, "visible splats only", f"{others} other prims", "they were left out")
@@ -98,7 +98,7 @@ def _ask(path: str, link: Path, most: int) -> Fields:
         said = done.stderr.decode(errors="replace").strip().splitlines()
         why = f"signal {-done.returncode}" if done.returncode < 0 else (said or ["no answer"])[-1][:160]
         got = f"one that usd-core does not get through within its memory and time ({why})"
-        raise SplatFileError(message(path, "an OpenUSD file that is intact", got, "export it again")) from None
+        raise SplatFileError.of(path, "an OpenUSD file that is intact", got, "export it again") from None
     return parse(answer, path, limit=_ANSWER_LIMIT)
 
 

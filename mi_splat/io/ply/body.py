@@ -15,7 +15,6 @@ from typing import NoReturn
 
 import numpy as np
 
-from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.ply.blocks import BLOCK_BYTES, Rows, for_each_block
 from mi_splat.io.ply.header import Element, Header
@@ -106,7 +105,7 @@ def _fill(file: io.FileIO, view: memoryview, path: str) -> None:
 
 def _shrank(path: str, missing: int) -> NoReturn:
     """Raise for a file that ended although it was long enough at first."""
-    raise SplatFileError(message(path, f"{missing} more bytes", "the end of the file", "it shrank: try again"))
+    raise SplatFileError.of(path, f"{missing} more bytes", "the end of the file", "it shrank: try again")
 
 
 def _read_with_lists(
@@ -178,4 +177,4 @@ def _mismatch(path: str, where: Header | Element, expected: str, got: str, why: 
     """Raise for a file whose size is not what its header says."""
     elements = where.elements if isinstance(where, Header) else (where,)
     counts = ", ".join(f"{element.count} x {element.name}" for element in elements)
-    raise SplatFileError(message(path, f"{expected} for {counts}", got, f"{why}: {_AGAIN}"))
+    raise SplatFileError.of(path, f"{expected} for {counts}", got, f"{why}: {_AGAIN}")

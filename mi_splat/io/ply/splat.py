@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.attributes import ATTRIBUTES, LARGEST
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.loaded import SHOWN, Loaded
@@ -68,7 +68,7 @@ def write_ply(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
             if not pack(scene.unchecked(*(value[first:last] for value in tensors)), rows):
                 got = f"others between rows {first} and {last - 1}"
                 expected = f"values that are finite in float32, up to {LARGEST:g}"
-                raise InvalidValueError(message("scene", expected, got, "remove them"))
+                raise InvalidValueError.of("scene", expected, got, "remove them")
             with lock:
                 file.seek(len(head) + first * record.itemsize)
                 write_all(file, rows.view(np.uint8).data)
@@ -81,25 +81,24 @@ def _vertices(header: Header, path: str) -> Element:
     element = next((element for element in header.elements if element.name == "vertex"), None)
     if element is None:
         got = ", ".join(element.name for element in header.elements) or "none"
-        raise SplatFileError(message(path, "an element named vertex", got, "pass a 3DGS splat"))
+        raise SplatFileError.of(path, "an element named vertex", got, "pass a 3DGS splat")
     columns = {column.name: column for column in element.properties}
     rest = _rest_count(element)
     if rest not in REST_COUNTS:
         expected = "0, 9, 24 or 45 properties f_rest_* (SH degree 0 to 3)"
-        raise SplatFileError(message(path, expected, rest, "export the splat again"))
+        raise SplatFileError.of(path, expected, rest, "export the splat again")
     missing = [name for name in needed_names(rest) if name not in columns]
     if missing:
         more = f" and {len(missing) - SHOWN} more" if len(missing) > SHOWN else ""
         got = f"no {', '.join(missing[:SHOWN])}{more}"
         do = "pass a splat: this may be a point cloud, or a mesh, of which mi-splat capture takes pictures"
-        raise SplatFileError(message(path, "the properties of a 3DGS splat", got, do))
+        raise SplatFileError.of(path, "the properties of a 3DGS splat", got, do)
     for name in needed_names(rest):
         if columns[name].length_kind:
-            expected = f"{name} as a single number"
-            raise SplatFileError(message(path, expected, f"the list {name}", "export the splat again"))
+            raise SplatFileError.of(path, f"{name} as a single number", f"the list {name}", "export the splat again")
         if columns[name].kind[0] != "f":
             got = f"an integer ({columns[name].kind})"
-            raise SplatFileError(message(path, f"{name} as float or double", got, "export the splat uncompressed"))
+            raise SplatFileError.of(path, f"{name} as float or double", got, "export the splat uncompressed")
     return element
 
 

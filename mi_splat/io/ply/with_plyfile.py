@@ -15,7 +15,6 @@ from types import ModuleType
 
 import numpy as np
 
-from mi_splat.errors import message
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.ply.blocks import BLOCK_BYTES, Rows
 from mi_splat.io.ply.header import ORDERS, Element, Property
@@ -36,7 +35,7 @@ def require_plyfile(path: str, needed_for: str) -> ModuleType:
         import plyfile
     except ImportError as error:
         do = "pip install plyfile, or export the file as binary without lists"
-        raise SplatFileError(message(path, f"the package plyfile, to read {needed_for}", "none", do)) from error
+        raise SplatFileError.of(path, f"the package plyfile, to read {needed_for}", "none", do) from error
     module: ModuleType = plyfile
     return module
 
@@ -99,26 +98,25 @@ def read_text(
                     _refuse(block[error.row], done + error.row, element, error.message, path)
                 except OverflowError as error:  # of which plyfile does not say where it was
                     expected = f"list lengths in rows {done} to {done + len(block) - 1} of {element.name}"
-                    raise SplatFileError(message(path, expected, str(error), "export the file again")) from error
+                    raise SplatFileError.of(path, expected, str(error), "export the file again") from error
                 work(done, rows)
                 done += len(block)
         else:
             done = sum(1 for _ in islice(lines, element.count))
         if done < element.count:
             expected = f"{element.count} rows of {element.name}"
-            raise SplatFileError(message(path, expected, done, "it is truncated: write or download it again"))
+            raise SplatFileError.of(path, expected, done, "it is truncated: write or download it again")
     if next(lines, None) is not None:
         expected = f"the end of the file after {', '.join(f'{e.count} x {e.name}' for e in elements)}"
         do = "something was appended, or the count is wrong: write or download it again"
-        raise SplatFileError(message(path, expected, "more lines", do))
+        raise SplatFileError.of(path, expected, "more lines", do)
 
 
 def _lines(reader: io.BufferedReader, path: str) -> Iterator[bytes]:
     """Lines that are not blank."""
     while line := reader.readline(LINE_LIMIT):
         if len(line) == LINE_LIMIT:
-            got, do = "a longer one", "export it as binary"
-            raise SplatFileError(message(path, f"lines under {LINE_LIMIT} bytes", got, do))
+            raise SplatFileError.of(path, f"lines under {LINE_LIMIT} bytes", "a longer one", "export it as binary")
         if not line.isspace():
             yield line
 
@@ -151,7 +149,7 @@ def _refuse(line: bytes, row: int, element: Element, why: str, path: str) -> Non
         expected, got = f"{len(element.properties)} {expected}", str(len(fields))
     else:
         got = f"{line[:60].decode('ascii', 'backslashreplace').strip()!r} ({why})"
-    raise SplatFileError(message(path, expected, got, "export the file again"))
+    raise SplatFileError.of(path, expected, got, "export the file again")
 
 
 def _parse(plyfile: ModuleType, data: bytes, count: int, element: Element, order: str) -> Rows:

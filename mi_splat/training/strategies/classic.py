@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Generator, Tensor
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import normalise, to_matrix
 from mi_splat.training.strategies.base import Edit, Step, Strategy, normal
 from mi_splat.training.strategies.config import ClassicConfig
@@ -42,7 +42,7 @@ class ClassicStrategy(Strategy):
         config, at = self.config, step.iteration
         if step.screen_gradients is None:
             do = "use Renderer(screen_gradients=ScreenGradients())"
-            raise InvalidValueError(message("render", "a renderer that keeps screen gradients", "none kept", do))
+            raise InvalidValueError.of("render", "a renderer that keeps screen gradients", "none kept", do)
         state["grad2d"] += step.screen_gradients.lengths
         state["visible_count"] += step.screen_gradients.visible
         until = step.iterations // 2 if config.densify_until is None else config.densify_until

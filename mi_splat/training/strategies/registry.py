@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
-from mi_splat.errors import InvalidValueError, message, nearest
+from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.training.strategies.base import FixedStrategy, Strategy
 from mi_splat.training.strategies.config import ClassicConfig, FixedConfig, MCMCConfig, StrategyConfig
 
@@ -53,7 +53,7 @@ def register_strategy(name: str, config: type[_Config], build: Callable[[_Config
         InvalidValueError: The name is taken by another strategy.
     """
     if name in _REGISTRY and _REGISTRY[name].config is not config:
-        raise InvalidValueError(message("strategy", "a name of its own", repr(name), "choose another name"))
+        raise InvalidValueError.of("strategy", "a name of its own", repr(name), "choose another name")
     _REGISTRY[name] = _Entry(config, build)
 
 
@@ -79,11 +79,11 @@ def strategy_config(name: str, **options: Any) -> StrategyConfig:
     """
     if name not in _REGISTRY:
         do = nearest(name, _REGISTRY, "choose one of them, or call register_strategy first")
-        raise InvalidValueError(message("strategy", " or ".join(_REGISTRY), repr(name), do))
+        raise InvalidValueError.of("strategy", " or ".join(_REGISTRY), repr(name), do)
     known = [entry.name for entry in fields(_REGISTRY[name].config)]
     for option in options:
         if option not in known:
-            raise InvalidValueError(message(f"option of {name}", " or ".join(known), repr(option), "leave it out"))
+            raise InvalidValueError.of(f"option of {name}", " or ".join(known), repr(option), "leave it out")
     return _REGISTRY[name].config(**options)
 
 
@@ -97,4 +97,4 @@ def strategy_name(config: StrategyConfig) -> str:
         if type(config) is entry.config:
             return name
     do = "call register_strategy first, so that a checkpoint can name it"
-    raise InvalidValueError(message("strategy", "a registered one", type(config).__name__, do))
+    raise InvalidValueError.of("strategy", "a registered one", type(config).__name__, do)
