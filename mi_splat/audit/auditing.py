@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -14,9 +15,8 @@ from mi_splat.audit.evidence import cover_heat, heat_of, pair_of, split_of
 from mi_splat.audit.frames import SOLID, Frame, Target, frame_of, targets, whole
 from mi_splat.audit.occluders import BLOCKED, Cover, cover_of, middle_of
 from mi_splat.audit.regions import shape_of
-from mi_splat.audit.results import SUSPICION, Audit, Look, ObjectAudit, Occluder, Pair, Region, vector
+from mi_splat.audit.results import EXCESS, SUSPICION, Audit, Look, ObjectAudit, Occluder, Pair, Region, vector
 from mi_splat.audit.rooms import cameras_within, free_places
-from mi_splat.audit.several import Found, looks_of
 from mi_splat.audit.surfaces import (
     AROUND,
     LEAST_VIEWS,
@@ -28,7 +28,15 @@ from mi_splat.audit.surfaces import (
     in_sight,
     sight,
 )
-from mi_splat.audit.switches import look_amounts, piece_scores, reachable
+from mi_splat.audit.switches import (
+    Scores,
+    angles_between,
+    cameras_of_look,
+    explain,
+    look_amounts,
+    piece_scores,
+    reachable,
+)
 from mi_splat.cameras import Camera, as_cameras, project_points
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
@@ -270,3 +278,62 @@ def looked_at(frame: Frame, jobs: list[Job]) -> float:
             seen += (depth > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
         near |= ((points - target.centre).norm(dim=1) < AROUND * target.radius) & (seen >= LEAST_VIEWS)
     return float(near.double().mean())
+
+
+MOST_LOOKS = 3
+_EDGE = 20.0
+"""Degrees beyond the cameras of a look in which it may fade: they are left out with it."""
+_STRONG = 0.4
+"""Score of another look by that of the first, from which it is no ripple of it: spherical harmonics have some."""
+_LEFT = 1 / 3
+"""Share of the cameras that has to be left to look for another look."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Found:
+    """A look, and the surface as it was found on.
+
+    Attributes:
+        scores: How well each explanation fits.
+        shown: (K,) bool, the cameras that see it.
+        pieces: The surface, without what cameras see that were left out.
+    """
+
+    scores: Scores
+    shown: Tensor
+    pieces: Elements
+
+
+def looks_of(pieces: Elements, view: Sight) -> list[Found]:
+    """The look that explains most, and others that are hidden ones by themselves, found without the cameras before.
+
+    Of a look the smaller side is left out, and what lies near it: no file can tell which side is the true one.
+
+    Args:
+        pieces: The surface.
+        view: From where it was seen.
+
+    Returns:
+        At least one, and at most `MOST_LOOKS`.
+    """
+    found: list[Found] = []
+    kept = torch.ones(len(view.cameras), dtype=torch.bool)
+    for _ in range(MOST_LOOKS):
+        scores = explain(pieces, view)
+        another = scores.excess >= EXCESS
+        if found and not (another and scores.direction >= _STRONG * found[0].scores.direction):
+            break
+        shown = cameras_of_look(pieces, view, scores) & kept
+        found.append(Found(scores=scores, shown=shown, pieces=pieces))
+        small = shown if 2 * int(shown.sum()) <= int(kept.sum()) else ~shown & kept
+        if not another or not bool(small.any()):
+            break
+        kept = kept & (angles_between(view.directions, view.directions[small]).amin(1) > _EDGE)
+        if int(kept.sum()) < _LEFT * len(kept):
+            break
+        moments = pieces.moments * kept.float()[None, :, None]
+        judged = pieces.judged & (moments[..., 0].sum(1) >= LEAST_VIEWS)
+        if not bool(judged.any()):
+            break
+        pieces = dataclasses.replace(pieces, moments=moments, judged=judged)
+    return found

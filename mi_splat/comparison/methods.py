@@ -9,13 +9,21 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
+from torch import Tensor
+from torch.nn import functional
+
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.comparison.colour_clamps import cut_to_bytes, not_cut
 from mi_splat.comparison.gsplat_renderer import GsplatRenderer
-from mi_splat.comparison.picture_folder import PictureFolder
+from mi_splat.datasets.errors import DatasetError
+from mi_splat.datasets.pictures import picture_size, read_picture
 from mi_splat.errors import InvalidValueError
+from mi_splat.io.documents import file_name
+from mi_splat.io.pictures import PICTURES
 from mi_splat.rendering import Method as Way
 from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+from mi_splat.sh import colour_to_dc, dc_to_colour, sh_basis
 from mi_splat.volprim import Volprim
 
 FOLDER = "folder:"
@@ -153,3 +161,98 @@ register_method("ray", functools.partial(_own, method="ray"))
 register_method("ray-to-mean", functools.partial(_own, method="ray", colour_to_mean=True))
 register_method("volprim", Volprim)
 register_method("gsplat", GsplatRenderer)
+
+
+# 3D Gaussian Splatting cuts a colour at 0 alone. A program that stores colours in bytes before it blends keeps them in
+# [0, 1]; one that blends first and cuts last does not cut them at all.
+
+
+def cut_to_bytes(render: RenderFn) -> RenderFn:
+    """A renderer that keeps the colour of each Gaussian in [0, 1]."""
+    return lambda scene, camera: render(_coloured(scene, _colours(scene, camera).clamp(0, 1)), camera)
+
+
+def not_cut(render: RenderFn) -> RenderFn:
+    """A renderer that lets colours be negative, and blends them as they are.
+
+    A picture is linear in the colours, so that it is that of what is positive less that of what is negative, without
+    the background, of which a splat of black Gaussians shows what is seen.
+    """
+
+    def uncut(scene: GaussianScene, camera: Camera) -> Tensor:
+        colours = _colours(scene, camera)
+        light, dark, black = (
+            render(_coloured(scene, part), camera)
+            for part in (colours.clamp(min=0), (-colours).clamp(min=0), torch.zeros_like(colours))
+        )
+        return light - (dark - black)
+
+    return uncut
+
+
+def _colours(scene: GaussianScene, camera: Camera) -> Tensor:
+    """(N, 3) what a camera sees of each Gaussian, not cut."""
+    directions = functional.normalize(scene.means - camera.position.to(scene.means), dim=-1)
+    basis = sh_basis(directions, scene.degree)
+    return dc_to_colour(torch.zeros(1)) + (basis[..., None] * scene.sh).sum(1)
+
+
+def _coloured(scene: GaussianScene, colours: Tensor) -> GaussianScene:
+    return scene.replace(sh=colour_to_dc(colours)[:, None])
+
+
+class PictureFolder:
+    """A folder with a picture for each camera, called as `mi-splat render` calls its own; reads them as a `RenderFn`.
+
+    Args:
+        folder: Where they are: NAME.png or NAME.jpg for the camera NAME.
+        cameras: All cameras that will be asked for, by name.
+        background: sRGB colour behind transparent pixels.
+
+    Raises:
+        InvalidValueError: There is no such folder.
+        DatasetError: A picture is missing, cannot be read, or has another size than its camera.
+    """
+
+    def __init__(
+        self, folder: Path, cameras: Mapping[str, Camera], *, background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> None:
+        if not folder.is_dir():
+            raise InvalidValueError.of(str(folder), "a folder of pictures", "none", "check the path")
+        self.background = background
+        self._cameras = dict(cameras)
+        self._paths = {name: _path(folder, name) for name in cameras}
+        for name, camera in cameras.items():
+            picture_size(self._paths[name], (camera.width, camera.height))
+
+    def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
+        """The picture of a camera.
+
+        Args:
+            scene: Not looked at.
+            camera: One of those that were given.
+
+        Returns:
+            (H, W, 3) float32 in [0, 1].
+
+        Raises:
+            InvalidValueError: It is another camera.
+            DatasetError: The picture cannot be read any more.
+        """
+        name = next((name for name, known in self._cameras.items() if known is camera), None)
+        if name is None:
+            do = "pass a camera that the folder was opened with"
+            raise InvalidValueError.of("camera", f"one of {', '.join(self._cameras)}", "another", do)
+        return read_picture(self._paths[name], downscale=1, background=self.background)[0].to(scene.means.device)
+
+
+def _path(folder: Path, name: str) -> Path:
+    """The picture of a camera."""
+    stem = file_name(name)
+    path = next((folder / f"{stem}{ending}" for ending in PICTURES if (folder / f"{stem}{ending}").is_file()), None)
+    if path is None:
+        held = sorted(entry.name for entry in folder.iterdir())[:3]
+        got = f"none among {', '.join(held)}, ..." if held else "an empty folder"
+        do = "call pictures as their cameras, as `mi-splat render --out FOLDER` does"
+        raise DatasetError.of(str(folder), f"{stem}.png for the camera {name}", got, do)
+    return path

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from attacks.audits.baselines import BASELINES, band_share, baselines, measured
 from attacks.audits.learnt import attributes, fit
+from attacks.audits.rivals import BASELINES, band_share, baselines, measured
 from mi_splat.audit import surfaces as seen_surfaces
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene, Similarity, merge

@@ -15,10 +15,9 @@ from mi_splat.assets.primitives import box, quad
 from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import Camera
 from mi_splat.capture.path_tracer import Light, PathTracer, capture, scene_dict
-from mi_splat.capture.point_clouds import surface_points
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
-from mi_splat.capture.writer import write_capture
+from mi_splat.capture.writer import surface_points, write_capture
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError, MiSplatError
 

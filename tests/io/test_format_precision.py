@@ -15,7 +15,7 @@ from hypothesis.extra import numpy as hnp
 from torch import Tensor
 
 from mi_splat.io import SplatFileError, SplatLossWarning, load_splat, save_splat
-from mi_splat.io.formats import codebooks
+from mi_splat.io.formats import sog
 from mi_splat.io.formats.table import BY_SUFFIX, Precision, markdown
 from mi_splat.io.splat_files import write_splat_file
 from mi_splat.scene import GaussianScene, scene_hash
@@ -171,7 +171,7 @@ def test_ksplat_of_the_program_that_the_format_comes_from(level: int, scales: fl
 
 
 def test_a_palette_for_more_gaussians_than_it_has_rows(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(codebooks, "PALETTE", 64)
+    monkeypatch.setattr(sog, "PALETTE", 64)
     scene = tame_scene(400, 1)
     losses = write_splat_file(scene, tmp_path / "a.sog").losses
     once = load_splat(tmp_path / "a.sog")

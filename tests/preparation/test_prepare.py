@@ -23,9 +23,8 @@ from mi_splat.errors import MiSplatError
 from mi_splat.io.pictures import save_animation
 from mi_splat.preparation import video
 from mi_splat.preparation.config import PreparationError, PrepareConfig
-from mi_splat.preparation.contact_sheet import TILE
 from mi_splat.preparation.pictures import Picture, take_frames, take_photographs
-from mi_splat.preparation.prepare import SHEET, not_placed, prepare
+from mi_splat.preparation.prepare import SHEET, TILE, not_placed, prepare
 from mi_splat.preparation.reconstruction import ALL_PAIRS, Reconstruction, _trimmed, pairs_of
 from mi_splat.rotation import from_z
 from tests.project.layers import ROOT

@@ -32,7 +32,6 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "sun",
             "scene",
             "placement",
-            "camera_values",
         )
     ),
     "cameras": ("mi_splat.cameras", "mi_splat.directions", "mi_splat.bounds"),
