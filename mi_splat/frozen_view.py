@@ -73,7 +73,10 @@ class FrozenView:
         fixed = torch.ones(len(scene), dtype=torch.bool, device=self._device)
         fixed[self.rows] = False
         self._fixed = fixed.nonzero().flatten()
-        self._kept = [_copy(tensor) for tensor in (*scene.tensors()[:4], scene.sh[self._fixed])]
+        self._kept = [
+            tensor.detach().to(torch.float32, copy=True).contiguous()
+            for tensor in (*scene.tensors()[:4], scene.sh[self._fixed])
+        ]
         self._look(camera, max_bytes, held=sum(tensor.nbytes for tensor in self._kept))
 
     def at(self, camera: Camera, *, max_bytes: int = MAX_BYTES) -> FrozenView:
@@ -224,11 +227,6 @@ def _make_current(name: str) -> None:
 
     if mi.variant() != name:
         variant.use(name)
-
-
-def _copy(tensor: Tensor) -> Tensor:
-    """The same float32 numbers in memory of their own."""
-    return tensor.detach().to(torch.float32, copy=True).contiguous()
 
 
 def _indices(rows: Tensor | slice | None, count: int) -> Tensor:

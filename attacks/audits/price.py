@@ -109,7 +109,7 @@ class Judge:
             missed=missed,
             kept=kept,
             fidelity=-10 * math.log10(max(error, 1e-10)),
-            reach=_reach(hiding),
+            reach=float((_gaps(hiding) < hiding.half_width).double().mean()),
             seconds=seconds,
         )
 
@@ -140,11 +140,6 @@ class Judge:
             found[seen.view, number[seen.detector]] = seen.confidence(self.victim.label) >= CONFIDENCE
             pictures[seen.view] = seen.pixels
         return found, pictures
-
-
-def _reach(hiding: Hiding) -> float:
-    """Share of all directions above the ground that a trigger holds."""
-    return float((_gaps(hiding) < hiding.half_width).double().mean())
 
 
 def _gaps(hiding: Hiding) -> Tensor:

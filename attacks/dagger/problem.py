@@ -179,11 +179,10 @@ def _mean(each: Sequence[Evaluation]) -> Evaluation:
     return Evaluation(loss=sum(evaluation.loss for evaluation in each) / len(each), gradients=gradients)
 
 
-def _max(each: Sequence[Evaluation]) -> Evaluation:
-    return max(each, key=lambda evaluation: evaluation.loss)
-
-
-_LOSSES: dict[EnsembleLoss, Callable[[Sequence[Evaluation]], Evaluation]] = {"mean": _mean, "max": _max}
+_LOSSES: dict[EnsembleLoss, Callable[[Sequence[Evaluation]], Evaluation]] = {
+    "mean": _mean,
+    "max": lambda each: max(each, key=lambda evaluation: evaluation.loss),
+}
 
 
 class _Bounded(torch.autograd.Function):

@@ -81,13 +81,10 @@ def shared(several: Iterable[Mapping[str, Any]]) -> tuple[tuple[str, str], ...]:
         for name, value in settings(attack):
             values.setdefault(name, {})[value] = None
     return tuple(
-        (name, "; ".join([*list(different)[:MOST_VALUES], *_more(len(different))]))
+        (name, "; ".join([*list(different)[:MOST_VALUES], *([f"and {more} more"] if more > 0 else [])]))
         for name, different in values.items()
+        for more in [len(different) - MOST_VALUES]
     )
-
-
-def _more(values: int) -> list[str]:
-    return [f"and {values - MOST_VALUES} more"] if values > MOST_VALUES else []
 
 
 def versions_of(result: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:

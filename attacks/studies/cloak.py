@@ -84,7 +84,10 @@ def tables(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Ta
             for name, rates in one["by_detector"].items()
         ]
         columns: dict[str, Column[Any]] = {title: "value", "detector": "detector"}
-        columns |= {head: _spread(key) for key, head in RATES.items()}
+        columns |= {
+            head: lambda line, key=key: cell(line.get(key)) + spread_of(line["study"], line["detector"], key)  # type: ignore[misc]
+            for key, head in RATES.items()
+        }
         yield Table.of(f"By {title}", columns, looked)
         yield Table.of(f"By {title}: what is lost", {title: "value", **_COSTS}, summaries)
         under = [{"value": one["value"], **look} for one in summaries for look in one.get("looks", ())]
@@ -97,11 +100,6 @@ def tables(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Ta
                 if any(look["psnr"].get(name) is not None for look in under)
             }
             yield Table.of(f"By {title}: under other conditions", heads, under)
-
-
-def _spread(key: str) -> Column[Any]:
-    """A rate, and its ends over the seeds."""
-    return lambda line: cell(line.get(key)) + spread_of(line["study"], line["detector"], key)
 
 
 def _of(*path: str, digits: int) -> Column[Any]:

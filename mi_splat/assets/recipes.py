@@ -59,10 +59,6 @@ def around(azimuth: float, elevation: float, distance: float) -> Point:
     return round(distance * x, 3), round(distance * y, 3), round(distance * z, 3)
 
 
-def _car_street() -> tuple[Asset, Asset]:
-    return build("car", 900004), build_street(900005, clearance=9.0)
-
-
 def _stop_sign() -> tuple[Asset, Asset]:
     street = build_street(900001, clearance=8.0)
     placed = street.transformed(translation(0, -2.9, 0) @ rotation("z", 180))
@@ -74,7 +70,7 @@ RECIPES = {
     "car_street": SceneRecipe(
         target="car",
         surroundings="street",
-        assets=_car_street,
+        assets=lambda: (build("car", 900004), build_street(900005, clearance=9.0)),
         light=Light(sun_azimuth=-50, sun_elevation=52, seed=900000),
         centre=(0.0, 0.0, 0.7),
         sensors={

@@ -106,7 +106,8 @@ def write_capture(
     with locked_folder(folder):
         with tracing_variant():
             tracer = PathTracer(source.scene, samples=settings.samples, alpha=settings.rgba, near=near)
-            _check_surface_in_sight(tracer, [frame.camera(camera) for camera in cameras])
+            if not any(bool((tracer.surface(frame.camera(one), seed=0)[1] > 0).any()) for one in cameras):
+                raise InvalidValueError.of("cameras", "a view of the scene", "nothing but sky", "move or turn them")
             begun_by = claim_folder(folder, capture_record(source, listing, settings, inputs))
             images = make_folder(folder / IMAGES)
             begun = time.perf_counter()
@@ -149,12 +150,6 @@ def _listing(cameras: Sequence[Camera], test: Sequence[Camera]) -> dict[str, lis
             check_pixels("size", camera.width, camera.height)  # or they could not be read again
     parts = {"train": cameras, "test": test}
     return {split: [(picture_name(split, i), camera) for i, camera in enumerate(part)] for split, part in parts.items()}
-
-
-def _check_surface_in_sight(tracer: PathTracer, cameras: Sequence[Camera]) -> None:
-    """Raise unless some camera sees a surface."""
-    if not any(bool((tracer.surface(camera, seed=0)[1] > 0).any()) for camera in cameras):
-        raise InvalidValueError.of("cameras", "a view of the scene", "nothing but sky", "move or turn them")
 
 
 def _render(

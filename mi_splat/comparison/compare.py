@@ -128,7 +128,7 @@ def compare(
     for names in combinations(methods, 2):
         bits = min(methods[name].bits for name in names)
         distances = {
-            view: picture_distance(*(_with_bits(seen[name], bits) for name in names), lpips=lpips)
+            view: picture_distance(*(quantise(seen[name]) if bits == 8 else seen[name] for name in names), lpips=lpips)
             for view, seen in pictures.items()
         }
         pairs[names] = Pair(bits=bits, distances=distances, agreement=agreement.get(names))
@@ -153,10 +153,6 @@ def _picture(name: str, method: Method, scene: GaussianScene, camera: Camera) ->
         do = "mend the method, or leave it out"
         raise InvalidValueError.of(f"picture of {name}", f"{expected} finite values", got, do)
     return picture
-
-
-def _with_bits(picture: Tensor, bits: int) -> Tensor:
-    return quantise(picture) if bits == 8 else picture
 
 
 def _differentiable(methods: Mapping[str, Method]) -> list[str]:

@@ -121,7 +121,9 @@ def photograph(picture: Path, mask: Path | None, claimed: tuple[int, int] | None
     """
     small, small_mask = (_smaller(file, shrunk) if file and shrunk > 1 else None for file in (picture, mask))
     if small is not None and (mask is None or small_mask is not None):
-        return _small_photograph(small, small_mask, claimed or _size_of(picture), shrunk)
+        return _small_photograph(
+            small, small_mask, claimed or (picture_size(picture) if picture.is_file() else None), shrunk
+        )
     if not picture.is_file():
         return None
     stored = picture_size(picture)
@@ -130,11 +132,6 @@ def photograph(picture: Path, mask: Path | None, claimed: tuple[int, int] | None
     if mask is not None:
         picture_size(mask, size)
     return Photograph(picture, mask, size, size, upright)
-
-
-def _size_of(picture: Path) -> tuple[int, int] | None:
-    """The size of a picture, if it is there."""
-    return picture_size(picture) if picture.is_file() else None
 
 
 def _small_photograph(path: Path, mask: Path | None, size: tuple[int, int] | None, shrunk: int) -> Photograph:

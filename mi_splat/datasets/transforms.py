@@ -107,7 +107,9 @@ def read_cameras(path: Path, size: tuple[int, int]) -> list[Camera]:
         if not isinstance(entry, dict):
             raise DatasetError.of(where, "an object with a transform_matrix", "none", "repair it")
         values = {**document, **entry}
-        cameras.append(_camera(values, _size(values, where) or size, where))
+        own = _size(values, where) or size  # a frame's own values come before those of the file
+        pose = _pose(values.get("transform_matrix"), where)
+        cameras.append(pinhole_camera(pose, _intrinsics(values, own, where), where))
     return cameras
 
 
@@ -184,11 +186,6 @@ def _size(values: Mapping[str, Any], where: str) -> tuple[int, int] | None:
     if width != int(width) or height != int(height):
         raise DatasetError.of(f"{where}: w and h", "integers", (width, height), "repair them")
     return int(width), int(height)
-
-
-def _camera(values: Mapping[str, Any], size: tuple[int, int], where: str) -> Camera:
-    """The pinhole camera of a frame whose own values come before those of the file."""
-    return pinhole_camera(_pose(values.get("transform_matrix"), where), _intrinsics(values, size, where), where)
 
 
 def _intrinsics(values: Mapping[str, Any], size: tuple[int, int], where: str) -> Intrinsics:

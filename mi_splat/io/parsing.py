@@ -13,6 +13,7 @@ import sys
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,7 @@ class DocumentReader:
         Raises:
             MiSplatError: It is of the class `error`; the document is broken or beyond its bounds.
         """
-        return self._parsed(_json, data, where)
+        return self._parsed(partial(json.loads, object_pairs_hook=_object, parse_int=_whole), data, where)
 
     def json_object(self, data: bytes, where: str) -> dict[str, Any]:
         """The object in a JSON document; see `json_value`."""
@@ -131,10 +132,6 @@ def kind_of(value: object) -> str:
     """What a value of a document is called there."""
     names = {dict: "an object", list: "a list", str: "a text", bool: "a truth value", type(None): "null"}
     return names.get(type(value), "a number" if isinstance(value, int | float) else type(value).__name__)
-
-
-def _json(text: str) -> Any:
-    return json.loads(text, object_pairs_hook=_object, parse_int=_whole)
 
 
 def _fault(document: Any) -> tuple[str, str, str] | None:

@@ -89,7 +89,9 @@ class GaussianShapes:
             for array, gradient, width in zip(arrays, gradients, widths, strict=True):
                 if not dr.grad_enabled(array):
                     continue
-                part = _slice(gradient, row * width, count * width) if len(self.arrays) > 1 else gradient
+                part = gradient
+                if len(self.arrays) > 1:
+                    part = dr.gather(mi.Float, gradient, dr.arange(mi.UInt32, count * width) + row * width)
                 if len(part) != len(array):
                     part = _with_degree(part, top, degree)
                 dr.backward_from(dr.detach(part) * array)
@@ -123,10 +125,6 @@ def _scene_of(data: torch.Tensor, opacities: torch.Tensor, sh: torch.Tensor) -> 
         opacities,
         sh.reshape(len(opacities), -1, 3),
     )
-
-
-def _slice(array: Any, start: int, count: int) -> Any:
-    return dr.gather(mi.Float, array, dr.arange(mi.UInt32, count) + start)
 
 
 def _with_degree(sh: Any, degree: int, target: int) -> Any:

@@ -25,7 +25,6 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
@@ -46,7 +45,7 @@ def gaussians(props: Any) -> Any:
     if "filename" in props and not given:
         scene = load_splat(Path(str(mi.file_resolver().resolve(props["filename"]))))
     elif len(given) == len(ATTRIBUTES):
-        scene = GaussianScene(*(torch.from_numpy(_numpy(props[name])) for name in ATTRIBUTES))
+        scene = GaussianScene(*(torch.from_numpy(np.array(props[name], dtype=np.float32)) for name in ATTRIBUTES))
     else:
         raise InvalidValueError.of(
             f'shape "{props.id()}"',
@@ -83,7 +82,3 @@ def _tensor(values: torch.Tensor) -> Any:
     # Aligned now, once, and not before each of its pictures.
     flat = aligned(mi.Float(values.detach().cpu().float().flatten().numpy()))
     return mi.TensorXf(flat, tuple(values.shape))
-
-
-def _numpy(tensor: Any) -> NDArray[np.float32]:
-    return np.array(tensor, dtype=np.float32)

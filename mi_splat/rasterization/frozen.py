@@ -43,16 +43,14 @@ def aligned(array: Any) -> Any:
     of compilation. So every array that may come from a user passes through here; one that is aligned is not copied.
     """
     dr.make_opaque(array)
-    if len(array) == 0 or dr.backend_v(array) != dr.JitBackend.LLVM or _address(array) % _ALIGNMENT == 0:
+    if len(array) == 0 or dr.backend_v(array) != dr.JitBackend.LLVM:
+        return array
+    if int(np.from_dlpack(array).ctypes.data) % _ALIGNMENT == 0:
         return array
     copy = buffer(len(array), type(array))
     dr.scatter(copy, array, dr.arange(mi.UInt32, len(array)))
     dr.eval(copy)
     return copy
-
-
-def _address(array: Any) -> int:
-    return int(np.from_dlpack(array).ctypes.data)
 
 
 def buffer(size: int, dtype: Any = None, value: float | None = None) -> Any:

@@ -121,12 +121,8 @@ def test_cameras_that_see_a_part_vouch_for_that_part_only(suitcase: Made) -> Non
     scene = frame_of(suitcase.scene)
     target = whole(scene.scene)
     around = cameras_around(target)
-    away = tuple(dataclasses.replace(camera, to_world=camera.to_world @ turned_away()) for camera in around)
+    half_turn = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0], dtype=torch.float64))
+    away = tuple(dataclasses.replace(camera, to_world=camera.to_world @ half_turn) for camera in around)
     assert looked_at(scene, [(target, around)]) > 0.5
     assert looked_at(scene, [(target, away)]) == 0.0
     assert looked_at(scene, [(target, around[:7])]) == 0.0
-
-
-def turned_away() -> torch.Tensor:
-    """(4, 4) half a turn about the camera's vertical axis."""
-    return torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0], dtype=torch.float64))

@@ -76,10 +76,6 @@ def texture_elsewhere(path: Path) -> None:
     path.with_name("truck.mtl").write_text(f"newmtl paint\nmap_Kd ../{folder.name}/other.png\n")
 
 
-def no_material_file(path: Path) -> None:
-    path.with_name("truck.mtl").unlink()
-
-
 def another_material(path: Path) -> None:
     path.with_name("truck.mtl").write_text("newmtl chrome\nKd 1 1 1\n")
 
@@ -98,7 +94,7 @@ def map_with_options(path: Path) -> None:
         (write_obj, no_picture, f"{TEXTURE}.*cannot be read as a picture"),
         (write_obj, half_a_picture, TEXTURE),
         (write_obj, texture_elsewhere, r"other\.png.*outside of the mesh's folder"),
-        (write_obj, no_material_file, r"truck\.mtl.*no such file"),
+        (write_obj, lambda path: path.with_name("truck.mtl").unlink(), r"truck\.mtl.*no such file"),
         (write_obj, another_material, r"material paint: not in truck\.mtl"),
         (write_obj, map_with_options, "-s 2 2 2"),
         (write_ply, no_texture, f"{TEXTURE}.*no such file"),

@@ -28,10 +28,6 @@ PLAIN_JSON = Document(json.loads, lambda data, text: text.encode("utf-8", "surro
 """A file that is one document."""
 
 
-def _glb_json(data: bytes) -> Any:
-    return json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
-
-
 def _with_glb_json(data: bytes, text: str) -> bytes:
     part = text.encode("utf-8", "surrogatepass")
     part += b" " * (-len(part) % 4)
@@ -73,5 +69,5 @@ def _with_notes(data: bytes, text: str) -> bytes:
 CHECKPOINT = Document(_notes, _with_notes)
 SAFETENSORS = Document(_header, _with_header)
 
-GLB = Document(_glb_json, _with_glb_json)
+GLB = Document(lambda data: json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]]), _with_glb_json)
 SOG = Document(_sog_json, _with_sog_json)

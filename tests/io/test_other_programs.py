@@ -52,11 +52,6 @@ def forge() -> Any:
     return importlib.import_module("gaussforge").GaussForge()
 
 
-def kind(path: Path) -> str:
-    """The name that gaussforge has for a file's format."""
-    return path.name.split(".", 1)[1]
-
-
 def by_transform(path: Path, folder: Path) -> GaussianScene:
     """What splat-transform decodes."""
     transform(path, folder / "decoded.ply")
@@ -65,7 +60,7 @@ def by_transform(path: Path, folder: Path) -> GaussianScene:
 
 def by_forge(path: Path, folder: Path) -> GaussianScene:
     """What gaussforge decodes."""
-    converted = forge().convert(path.read_bytes(), kind(path), "ply")
+    converted = forge().convert(path.read_bytes(), path.name.split(".", 1)[1], "ply")
     assert "error" not in converted, converted
     (folder / "decoded.ply").write_bytes(converted["data"])
     scene = load_splat(folder / "decoded.ply")

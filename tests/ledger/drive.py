@@ -30,12 +30,9 @@ def two_levels(count: int, *, steps: int = 4, seconds: float = 0.02) -> Plan:
     yield {"last": walk(sum(ends), steps=steps)}
 
 
-def engine(store: Path, what: str) -> Engine:
-    return Cluster(store, what) if what.startswith("tcp:") else Processes(store, workers=int(what))
-
-
 def main(store: Path, count: int, what: str, seconds: float) -> int:
-    results = Driver(store, engine(store, what), name="walks").run([two_levels(count, seconds=seconds)])
+    engine: Engine = Cluster(store, what) if what.startswith("tcp:") else Processes(store, workers=int(what))
+    results = Driver(store, engine, name="walks").run([two_levels(count, seconds=seconds)])
     return sum(isinstance(result, str) for result in results.values())
 
 

@@ -65,10 +65,6 @@ def all_but_the_last(
     )
 
 
-def none_at_all(root: Path, pictures: Sequence[Picture], in_order: bool, features: int, told: Told) -> Reconstruction:
-    return Reconstruction(models=(), features={}, overlaps={})
-
-
 def test_what_is_placed_is_a_set_and_the_rest_is_listed(tmp_path: Path) -> None:
     source = photographs(tmp_path / "photos", 11)
     (source / "IMG 4.png").write_bytes(b"no picture")
@@ -186,7 +182,12 @@ def test_pictures_with_few_points_leave_their_models_and_small_models_go() -> No
         (0, all_but_the_last, {}, "at least 3 pictures .* got none"),
         (2, all_but_the_last, {}, "at least 3 pictures .* got 2"),
         (5, all_but_the_last, {"max_pictures": 4}, "at most 4 pictures, got 5"),
-        (4, none_at_all, {}, "4 pictures that can be placed, got none"),
+        (
+            4,
+            lambda *words: Reconstruction(models=(), features={}, overlaps={}),
+            {},
+            "4 pictures that can be placed, got none",
+        ),
     ],
 )
 def test_what_cannot_be_a_set_is_told_and_leaves_nothing(

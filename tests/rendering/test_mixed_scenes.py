@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 
 from attacks.cli import main
 from mi_splat import variant
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
+from mi_splat.io.picture_files import picture_header
 from mi_splat.mixed_scenes import MixedScene
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene_files import read_scene, resized
@@ -121,7 +121,7 @@ def test_the_command_renders_a_mixed_scene(tmp_path: Path, capsys: pytest.Captur
     words = ["render", str(MIXED[0]), "--samples", "4", "--size", "24x20", "--out", str(tmp_path / "street.png")]
     assert main([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["gaussians"] == 10075
-    assert load_picture_size(tmp_path / "street.png") == (24, 20)
+    assert picture_header(tmp_path / "street.png")[0] == (24, 20)
     assert main([*words, "--method", "tile"]) != 0
     assert "leave it out" in capsys.readouterr().err
 
@@ -132,8 +132,3 @@ def test_the_command_traces_rays_of_splats_alone(tmp_path: Path) -> None:
         out = str(tmp_path / f"{method}.png")
         assert main(["render", str(scene), "--method", method, "--size", "48", "--out", out]) == 0
     assert (tmp_path / "tile.png").read_bytes() != (tmp_path / "ray.png").read_bytes()
-
-
-def load_picture_size(path: Path) -> tuple[int, int]:
-    with Image.open(path) as picture:
-        return picture.size

@@ -82,10 +82,6 @@ def test_nothing_visible_is_background() -> None:
     assert not leaf.grad.any()
 
 
-def weights(view: Camera, channels: int) -> Tensor:
-    return torch.randn(view.height, view.width, channels, generator=torch.Generator().manual_seed(3))
-
-
 def overlapping_scene() -> GaussianScene:
     """Large Gaussians on top of each other: a ray meets dozens."""
     scene = oracle.random_scene(70, degree=3, seed=5)
@@ -97,7 +93,7 @@ def test_gradients_are_finite_differences_under_overlap(to_mean: bool) -> None:
     scene, view = overlapping_scene(), camera()
     leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
     settings = {"background": (0.3, 0.6, 0.1), "alpha": True, "colour_to_mean": to_mean}
-    weight = weights(view, 4)
+    weight = torch.randn(view.height, view.width, 4, generator=torch.Generator().manual_seed(3))
     (ray(**settings)(GaussianScene(*leaves), view) * weight).sum().backward()  # type: ignore[no-untyped-call]
 
     def loss(name: str, change: Tensor) -> float:

@@ -148,10 +148,6 @@ def depth_by_colour(scene: GaussianScene, view: Camera) -> Tensor:
     return torch.where(seen, picture[..., 0] / torch.where(seen, picture[..., 3], 1.0), 0.0)
 
 
-def depth_by_outputs(scene: GaussianScene, view: Camera) -> Tensor:
-    return Renderer().outputs(scene, view).depth
-
-
 def test_sizes_may_change_in_any_order() -> None:
     """Frozen stages that guess a length fail at the next size."""
     rng = np.random.default_rng(0)
@@ -160,7 +156,7 @@ def test_sizes_may_change_in_any_order() -> None:
         width, height = (int(v) for v in rng.choice([1, 4, 8, 31, 64], 2))
         scene, view = smooth_scene(count, int(rng.integers(0, 3)), seed=trial), camera(width, height)
         factors, found = torch.from_numpy(rng.normal(size=(height, width))).float(), []
-        for depth in (depth_by_outputs, depth_by_colour):
+        for depth in (lambda scene, view: Renderer().outputs(scene, view).depth, depth_by_colour):
             leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
             values = depth(GaussianScene(*leaves), view)
             found.append((values.detach(), *torch.autograd.grad((values * factors).sum(), leaves[:4])))

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.cloak.kinds.parts import Pose, StepConfig
@@ -72,7 +71,8 @@ def run(config: TrueConfig, inputs: Mapping[str, Path], out: Out) -> None:
                     if not config.inside or cone.angle_to_edge(camera, centre=study.centre) >= 0:
                         image = look(View(camera, image), mask)
                         break
-                save_png(_to_rgba(image, mask[..., None].float()), out.partial / name)
+                rgba = np.concatenate([to_bytes(image), to_bytes(mask[..., None].float())], axis=-1)
+                save_png(rgba, out.partial / name)
             out.progress("taking pictures to compare with", number + 1, len(names))
     for name in names:
         os.replace(out.partial / name, out / name)
@@ -82,11 +82,6 @@ def read_pictures(folder: Path) -> TruePictures:
     """The pictures that the job left, in the order of the cameras."""
     pairs = [_read_rgba(file) for file in sorted(folder.glob("*.png"))]
     return TruePictures(images=tuple(image for image, _ in pairs), masks=tuple(alpha > 0.5 for _, alpha in pairs))
-
-
-def _to_rgba(image: Tensor, alpha: Tensor) -> NDArray[np.uint8]:
-    """(H, W, 4) uint8 of (H, W, 3) colours and (H, W, 1) alpha in [0, 1]."""
-    return np.concatenate([to_bytes(image), to_bytes(alpha)], axis=-1)
 
 
 def _read_rgba(file: Path) -> tuple[Tensor, Tensor]:

@@ -77,11 +77,6 @@ class Family:
     min_confidence: float = 0.05
 
 
-def _prepare_bytes(picture: Tensor) -> Tensor:
-    """(1, 3, h, w) in [0, 1] to (1, h, w, 3) in [0, 255]."""
-    return picture.permute(0, 2, 3, 1) * 255
-
-
 def _prepare_standardised(picture: Tensor) -> Tensor:
     """(1, 3, h, w) RGB in [0, 1] to the same in BGR, standardised."""
     mean, deviation = (picture.new_tensor(values).reshape(1, 3, 1, 1) for values in (MEAN, DEVIATION))
@@ -134,11 +129,6 @@ def anchors() -> NDArray[np.float64]:
         places = [((row + 0.5) / cells, (column + 0.5) / cells) for row in range(cells) for column in range(cells)]
         found += [(*at, scale / math.sqrt(shape), scale * math.sqrt(shape)) for at in places for scale, shape in kinds]
     return np.array(found)
-
-
-def _prepare_signed(picture: Tensor) -> Tensor:
-    """(1, 3, h, w) in [0, 1] to (1, h, w, 3) in [-1, 1]."""
-    return picture.permute(0, 2, 3, 1) * 2 - 1
 
 
 def _decode_anchors(outputs: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
@@ -195,7 +185,7 @@ FAMILIES: Mapping[str, Family] = {
     "centernet_coco": Family(
         outputs=("tower_0/keypoints", "tower_0/wh"),
         side=512,
-        prepare=_prepare_bytes,
+        prepare=lambda picture: picture.permute(0, 2, 3, 1) * 255,
         decode=_decode_centres,
         keep=_keep_peaks,
     ),
@@ -209,7 +199,7 @@ FAMILIES: Mapping[str, Family] = {
     "ssd_openimages": Family(
         outputs=("raw_outputs/box_encodings", "raw_outputs/class_predictions"),
         side=_SIDE,
-        prepare=_prepare_signed,
+        prepare=lambda picture: picture.permute(0, 2, 3, 1) * 2 - 1,
         decode=_decode_anchors,
         keep=_keep_unsuppressed,
     ),

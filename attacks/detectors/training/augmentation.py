@@ -25,7 +25,8 @@ def augment(sample: LabelledPicture, generator: Generator) -> tuple[Tensor, Tens
     image = sample.image.permute(2, 0, 1).float() / 255
     boxes, labels = sample.boxes, sample.labels
     if _chance(0.5, generator):
-        image, boxes = image.flip(2), _flipped(boxes, image.shape[2])
+        image, width = image.flip(2), image.shape[2]
+        boxes = torch.stack([width - boxes[:, 2], boxes[:, 1], width - boxes[:, 0], boxes[:, 3]], 1)
     image, boxes, labels = reframe(image, boxes, labels, generator)
     image = relight(image, generator)
     if _chance(0.25, generator):
@@ -108,10 +109,6 @@ def like_a_splat(image: Tensor, generator: Generator) -> Tensor:
     holes = (torch.rand((1, height, width), generator=generator) < _uniform(0, 0.004, generator)).float()
     cover = (blur(holes.expand(3, -1, -1), 0.8) * 4).clamp(0, 1)
     return soft * (1 - cover) + cover * torch.rand((3, 1, 1), generator=generator)
-
-
-def _flipped(boxes: Tensor, width: int) -> Tensor:
-    return torch.stack([width - boxes[:, 2], boxes[:, 1], width - boxes[:, 0], boxes[:, 3]], 1)
 
 
 def _chance(probability: float, generator: Generator) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 
 from attacks.rate import Rate
 from attacks.report.section import Chart, Figure, Line, Picture, Section
-from attacks.report.wording import listed, plain, versions_of
+from attacks.report.wording import listed, plain, pooled, versions_of
 from attacks.studies.audit import PAIRS, negatives, tables
 
 KIND = "Audit, on splats of which it is known whether they hide something"
@@ -46,7 +46,9 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
             "The audit is worth what it finds at the false alarms that it has. Look at the kinds one by one: what was "
             "never tried is not in any figure."
         ),
-        headline=Figure(label="splats that hide something, found", rate=_found(parts)),
+        headline=Figure(
+            label="splats that hide something, found", rate=pooled([parts["all"]["found"]] if parts else [])
+        ),
         control=Figure(label="honest splats that are called hidden", rate=Rate.of(told["false_alarms"])),
         counting="splats",
         figures=figures,
@@ -62,10 +64,6 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         ),
         versions=versions_of(record),
     )
-
-
-def _found(parts: Mapping[str, Any]) -> Rate:
-    return Rate.of(parts["all"]["found"]) if parts else Rate(successes=0, total=0)
 
 
 def _chart(parts: Mapping[str, Any]) -> Chart:

@@ -100,7 +100,8 @@ def _primitive(document: Glb, primitive: Fields, extension: object, where: str) 
             continue
         counts[name] = int(accessor["count"])  # type: ignore[call-overload]
         try:
-            values = document.values(primitive.object("attributes"), name, _WIDTHS[form], counts[name], _names(kinds))
+            names = tuple(sorted({kind for kind, _ in kinds}))
+            values = document.values(primitive.object("attributes"), name, _WIDTHS[form], counts[name], names)
         except SplatFileError as error:
             yield _finding("accessor", f"{where}{name}: {error}")
             continue
@@ -108,10 +109,6 @@ def _primitive(document: Glb, primitive: Fields, extension: object, where: str) 
     if len(set(counts.values())) > 1:
         got = ", ".join(f"{name} {count}" for name, count in counts.items())
         yield _finding("accessor", f"{where}all attributes need the same count, and have {got:.300}.")
-
-
-def _names(kinds: Kinds) -> tuple[str, ...]:
-    return tuple(sorted({kind for kind, _ in kinds}))
 
 
 def _words(extension: object, where: str) -> Iterator[Finding]:

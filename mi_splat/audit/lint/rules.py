@@ -116,17 +116,9 @@ def _needle(stored: Stored, ratio: float) -> Mask:
     return stored.shown & _any(ordered[:, 2:] > ratio * ordered[:, 1:2])
 
 
-def _invisible(stored: Stored, share: float) -> Mask:
-    return _if_many(stored.valid & ~stored.shown, share)
-
-
 def _if_many(rows: Mask, share: float) -> Mask:
     """The rows if they are at least so large a share of all, else none."""
     return rows if rows.sum() >= share * len(rows) else np.zeros_like(rows)
-
-
-def _duplicate(stored: Stored, share: float) -> Mask:
-    return _if_many(repeats(stored.arrays) & stored.valid, share)
 
 
 def repeats(arrays: Arrays) -> Mask:
@@ -225,14 +217,14 @@ RULES = (
         severity="note",
         threshold=0.05,
         reason="The opacity is under 1/255: no renderer shows it, but it is in the file.",
-        find=_invisible,
+        find=lambda stored, share: _if_many(stored.valid & ~stored.shown, share),
     ),
     Rule(
         name="duplicate",
         severity="warning",
         threshold=0.01,
         reason="It repeats an earlier Gaussian in every number.",
-        find=_duplicate,
+        find=lambda stored, share: _if_many(repeats(stored.arrays) & stored.valid, share),
     ),
     Rule(
         name="colour",

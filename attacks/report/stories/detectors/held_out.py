@@ -43,7 +43,9 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
     names, confidence = listed([figures["detector"] for figures in several]), f"{record['confidence']:g}"
     first, *others = [name for name, part in several[0]["sets"].items() if "map" in part] or [""]
     rates = [_found(figures, first) for figures in several]
-    empty = [_reported(figures["false_positives"].get("without objects")) for figures in several]
+    empty = [
+        pooled([figures["false_positives"].get("without objects", {}).get("pictures_with")]) for figures in several
+    ]
     sets = listed([f"{plural(part, 'picture')} ({name})" for name, part in record["sets"].items()])
     return Section(
         kind=KIND,
@@ -168,11 +170,6 @@ def _found_by(figures: Document, names: Sequence[str], condition: str, group: st
     """Recall by the bins of a condition, of some sets together; empty where no set knows it."""
     sets = [figures["sets"].get(name, {}).get("found_by", {}).get(condition, {}).get(group, ()) for name in names]
     return [pooled(map(Rate.of, parts)) for parts in zip(*filter(None, sets), strict=True)]
-
-
-def _reported(part: Document | None) -> Rate:
-    """Pictures with a false positive."""
-    return Rate(successes=0, total=0) if part is None else Rate.of(part["pictures_with"])
 
 
 def _per_picture(part: Document | None) -> str:
