@@ -23,7 +23,7 @@ from typing import Any
 from urllib.parse import parse_qs, parse_qsl, urlencode, urlsplit
 
 from mi_splat.errors import InvalidValueError, MiSplatError, message
-from mi_splat.viewer.policy import viser_policy
+from mi_splat.viewer.policy import NAMING, script_hash, viser_policy
 
 LOOPBACK_NAMES = frozenset({"127.0.0.1", "localhost", "::1"})
 COOKIE = "mi-splat-view"
@@ -60,7 +60,7 @@ class Guard:
 
     Attributes:
         names: Names under which the page may be asked for; None is any.
-        scripts: Hashes of the scripts that may run in the page.
+        scripts: Hashes of the scripts that may run in the page, beside the one that is added to it.
         token: What the address has to hold.
         secret_path: Path of the page, without its first slash.
         cookie: What the cookie has to hold.
@@ -128,7 +128,7 @@ class Guard:
         name = f"{COOKIE}-{_name_and_port(host)[1]}"
         return {
             "Set-Cookie": f"{name}={self.cookie}; HttpOnly; SameSite=Strict; Path=/{self.secret_path}",
-            "Content-Security-Policy": viser_policy(self.scripts, host),
+            "Content-Security-Policy": viser_policy((*self.scripts, script_hash(NAMING)), host),
             "Referrer-Policy": "no-referrer",
             "Cache-Control": "no-store",
         }
@@ -180,9 +180,14 @@ def guarding(guard: Guard, websockets_server: Any) -> Iterator[None]:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{objection}\n")
             door = guard.door(request.path)
             request.path = guard.inside(request.path)
+            request.headers.pop("Accept-Encoding", None)  # what is packed has no place for the script
             response = answer(connection, request)
             if response is None:  # a websocket
                 return None
+            if response.headers.get("Content-Type", "").startswith("text/html"):
+                response.body += f"<script>{NAMING}</script>".encode()
+                del response.headers["Content-Length"]
+                response.headers["Content-Length"] = str(len(response.body))
             if door is not None:
                 response = connection.respond(HTTPStatus.OK, door)
                 del response.headers["Content-Type"]  # of plain text

@@ -18,6 +18,16 @@ _DIGITS = bytes(digit for digit in range(0x21, 0x7F) if digit not in b"\"&'<>`")
 """The 88 digits of viser's packed page."""
 
 
+NAMING = """
+new MutationObserver(() => {
+  for (const label of document.querySelectorAll("label[for]"))
+    for (const control of label.closest(".mantine-Flex-root")?.querySelectorAll("[role=slider], input, textarea") ?? [])
+      if (!control.labels?.length && control.ariaLabel !== label.textContent) control.ariaLabel = label.textContent;
+}).observe(document, {childList: true, subtree: true});
+"""
+"""Script that gives controls of viser without a name the text of the label beside them, for screen readers."""
+
+
 def script_hash(script: str) -> str:
     """How a policy names an inline script."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"

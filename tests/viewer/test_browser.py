@@ -54,12 +54,14 @@ def test_it_shows_both_splats_and_what_the_api_says_of_them(chromium: Any) -> No
 
 def test_the_keyboard_alone_moves_the_camera_and_chooses_what_is_shown(chromium: Any) -> None:
     with window(chromium, painter(looker=Looker())) as opened:
-        keys = opened.page.keyboard
+        keys, named = opened.page.keyboard, opened.page.get_by_role("slider", name="Elevation")
+        named.wait_for()
         for _ in range(40):  # to the first slider, as with the tab key
             keys.press("Tab")
             if opened.page.evaluate("document.activeElement.getAttribute('role')") == "slider":
                 break
-        assert float(opened.page.evaluate("document.activeElement.getAttribute('aria-valuenow')")) == START.elevation
+        assert named.evaluate("slider => slider == document.activeElement")
+        assert float(named.get_attribute("aria-valuenow")) == START.elevation
         for _ in range(5):
             keys.press("ArrowRight")
         there = replace(START, elevation=START.elevation + 5)

@@ -12,7 +12,7 @@ import pytest
 
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.viewer.guard import COOKIE, Guard, checked_host, guarding, is_loopback
-from mi_splat.viewer.policy import viser_scripts
+from mi_splat.viewer.policy import NAMING, script_hash, viser_scripts
 
 GUARD = Guard(token="secret", secret_path="somewhere", cookie="crumb", scripts=("'sha256-of-it'",))
 HERE = {"Host": "127.0.0.1:8080"}
@@ -84,7 +84,7 @@ def test_secrets_are_long_and_never_the_same(part: str) -> None:
 
 def test_the_page_may_ask_nobody_else_and_runs_no_other_script() -> None:
     policy = dict(part.split(" ", 1) for part in GUARD.headers("127.0.0.1:8080")["Content-Security-Policy"].split("; "))
-    assert policy["script-src"] == "'sha256-of-it' 'wasm-unsafe-eval'"
+    assert policy["script-src"] == f"'sha256-of-it' {script_hash(NAMING)} 'wasm-unsafe-eval'"
     assert policy["connect-src"] == "'self' ws://127.0.0.1:8080 data:"
     shut = {"default-src", "frame-src", "object-src", "base-uri", "form-action", "frame-ancestors"}
     assert {name for name, value in policy.items() if value == "'none'"} == shut
@@ -186,9 +186,16 @@ def test_a_guarded_server_asks_the_guard_first() -> None:
 
 
 def test_a_guarded_server_answers_those_who_may_pass() -> None:
-    process = served(lambda connection, request: SimpleNamespace(path=request.path, headers={}))
-    page = process(connection(), request("/somewhere/", **COOKIES))
+    def answer(connection: Any, request: Any) -> Any:
+        assert "Accept-Encoding" not in request.headers
+        headers = {"Content-Type": "text/html; charset=utf-8", "Content-Length": "3"}
+        return SimpleNamespace(path=request.path, headers=headers, body=b"<p>")
+
+    process = served(answer)
+    page = process(connection(), request("/somewhere/", **COOKIES, **{"Accept-Encoding": "gzip"}))
     assert page.path == "/"
+    assert page.body == f"<p><script>{NAMING}</script>".encode()
+    assert page.headers["Content-Length"] == str(len(page.body))
     assert page.headers["Set-Cookie"].startswith(f"{COOKIE}-8080=crumb;")
     door = process(connection(), request("/?token=secret"))
     assert (door.status, door.text) == (200, GUARD.door("/?token=secret"))
