@@ -50,6 +50,7 @@ COMMANDS = {
     "report": "one page of results: figures with intervals and controls, warnings, how to repeat them",
     "rows": "the rows of a result, from which its figures are counted: as CSV or JSON",
     "detectors": "the detectors, their classes, and whether the weights are there; get some of others",
+    "classifiers": "the classifiers, and whether the weights are there; get those of others",
     "train-detector": "train one of the project's small detectors",
     "evaluate-detector": "mAP, recall and false positives of detectors on held-out pictures",
     "doctor": "check that everything works here, and say what to do where it does not",
@@ -57,7 +58,7 @@ COMMANDS = {
 """What each command does, in a line; its module is called as it is."""
 OF_SPLATS = ("capture", "prepare", "train", "render", "select", "info", "audit", "convert", "example-scenes")
 """Commands whose modules are in `mi_splat.cli`; those of the others are here."""
-WITHOUT_TORCH = ("detectors", "doctor", "info", "rows", "study")
+WITHOUT_TORCH = ("classifiers", "detectors", "doctor", "info", "rows", "study")
 """Commands that do without torch, or with most of what they are asked."""
 
 

@@ -16,14 +16,20 @@ from torch import Tensor
 
 from attacks.cloak.appearances import Appearance, name_of
 from attacks.cloak.triggers import Trigger
-from attacks.poisons.base import Change, OnStep, Poisoned, PoisonedViews, checked_picture
+from attacks.poisons.base import (
+    Change,
+    Masks,
+    OnStep,
+    Poisoned,
+    PoisonedViews,
+    check_masks,
+    checked_picture,
+    mask_of,
+)
 from mi_splat.cameras import Camera, View, cameras_of
 from mi_splat.directions import Point, direction_of
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import several_of
-
-Masks = Sequence[Tensor] | Callable[[Camera], Tensor]
-"""(H, W) bool masks of the target: one for each view, or a function of the camera (such as `MeshScene.mask`)."""
 
 _NAMED = 10
 """How many cameras an error names."""
@@ -106,12 +112,11 @@ def poison(
     """
     cameras, attacks = cameras_of(views), several_of(Poisoning, "attacks", attacks)
     owners = assign(cameras, attacks, centre=centre)
-    if masks is not None and not callable(masks) and len(masks) != len(cameras):
-        raise InvalidValueError(message("masks", f"one for each of {len(cameras)} views", len(masks), "pass them all"))
+    check_masks(masks, len(cameras))
     replaced, changes = {}, []
     for index, attack in owners.items():
         before = views[index]
-        after = _replace(before, _mask(masks, index, before.camera), attack, index)
+        after = _replace(before, mask_of(masks, index, before.camera), attack, index)
         replaced[index] = after
         direction = direction_of(before.camera, centre)
         at = {"azimuth": direction.azimuth, "elevation": direction.elevation}
@@ -137,7 +142,7 @@ def assign(cameras: Sequence[Camera], attacks: Sequence[Poisoning], *, centre: P
     """
     names = [attack.name for attack in attacks]
     if not attacks or len(set(names)) != len(names):
-        raise InvalidValueError(message("attacks", "one or more, of different names", names, "name each differently"))
+        raise InvalidValueError.of("attacks", "one or more, of different names", names, "name each differently")
     owners: dict[int, Poisoning] = {}
     for attack in attacks:
         selected = attack.trigger.select(cameras, centre=centre).nonzero().flatten().tolist()
@@ -146,21 +151,9 @@ def assign(cameras: Sequence[Camera], attacks: Sequence[Poisoning], *, centre: P
             what = f"triggers of {owners[shared[0]].name!r} and {attack.name!r}"
             more = f" and {len(shared) - _NAMED} more" if len(shared) > _NAMED else ""
             got = f"cameras {', '.join(map(str, shared[:_NAMED]))}{more} in both"
-            raise InvalidValueError(message(what, "no camera in both", got, "separate them, by a & ~b for instance"))
+            raise InvalidValueError.of(what, "no camera in both", got, "separate them, by a & ~b for instance")
         owners |= dict.fromkeys(selected, attack)
     return dict(sorted(owners.items()))
-
-
-def _mask(masks: Masks | None, index: int, camera: Camera) -> Tensor:
-    """(H, W) bool mask of one view."""
-    size = (camera.height, camera.width)
-    if masks is None:
-        return torch.ones(size, dtype=torch.bool)
-    mask = masks(camera) if callable(masks) else masks[index]
-    if tuple(mask.shape) != size or mask.dtype != torch.bool:
-        got = f"{mask.dtype} of shape {tuple(mask.shape)}"
-        raise InvalidValueError(message(f"mask of view {index}", f"bool of shape {size}", got, "make it fit the view"))
-    return mask
 
 
 def _replace(before: View, mask: Tensor, attack: Poisoning, index: int) -> View:

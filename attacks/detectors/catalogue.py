@@ -272,11 +272,16 @@ def npm_detector(name: str) -> NpmDetector:
     return NPM_DETECTORS[name]
 
 
-def folder_of(name: str) -> Path:
-    """The folder of a detector of others, there or not: in `mi-splat/detectors` of XDG_CACHE_HOME, or of ~/.cache."""
+def kept_folder() -> Path:
+    """Where weights of others are kept that were got: `mi-splat` of XDG_CACHE_HOME, or of ~/.cache."""
     named = os.environ.get("XDG_CACHE_HOME", "")
     cache = Path(named) if os.path.isabs(named) else Path("~/.cache").expanduser()  # a relative one counts as none
-    return cache / "mi-splat" / "detectors" / name
+    return cache / "mi-splat"
+
+
+def folder_of(name: str) -> Path:
+    """The folder of a detector of others, there or not: in `detectors` of `kept_folder`."""
+    return kept_folder() / "detectors" / name
 
 
 def weights_of(name: str) -> Path:

@@ -26,7 +26,7 @@ from torchvision.ops.boxes import clip_boxes_to_image
 from attacks.detectors import fasterrcnn_small
 from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.catalogue import BACKGROUND, SMALL_CLASSES, SMALL_WEIGHTS, UNUSED, DetectorError, elsewhere
-from attacks.detectors.weights import FrozenDetector, apply_weights, in_a_line, read_weights
+from attacks.detectors.weights import FrozenModel, apply_weights, in_a_line, read_weights
 
 SMALL = "fasterrcnn_small"
 """Name of the project's own detector."""
@@ -53,7 +53,7 @@ _SCORES: Mapping[type[nn.Module], Callable[[Outputs], Tensor]] = {
 """How a one-stage model computes (B, A, L) scores: each class for itself, or one of them or the background."""
 
 
-class TorchvisionDetector(FrozenDetector, ABC):
+class TorchvisionDetector(FrozenModel, ABC):
     """A frozen detector of torchvision behind the `Detector` interface.
 
     Attributes:

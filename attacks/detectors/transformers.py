@@ -18,7 +18,7 @@ from torchvision.ops import box_convert
 
 from attacks.detectors.base import Candidates, Detections, check_images, eight_bits
 from attacks.detectors.catalogue import BACKGROUND, TRANSFORMERS_HUB, UNUSED, DetectorError, elsewhere
-from attacks.detectors.weights import FrozenDetector, in_a_line
+from attacks.detectors.weights import FrozenModel, in_a_line
 from mi_splat.errors import install
 
 os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")  # before the package is imported
@@ -60,7 +60,7 @@ _ARCHITECTURES: Mapping[str, tuple[Any, Any, Callable[[Tensor], Tensor]]] = {
 """Model, image processor, and how (B, Q, L) scores come from logits, by the library's name of the architecture."""
 
 
-class TransformersDetector(FrozenDetector):
+class TransformersDetector(FrozenModel):
     """A frozen DETR or RT-DETR behind the `Detector` interface.
 
     Attributes:

@@ -27,7 +27,7 @@ from attacks.detectors.catalogue import (
     DetectorError,
     elsewhere,
 )
-from attacks.detectors.weights import FrozenDetector, apply_weights, in_a_line, read_weights
+from attacks.detectors.weights import FrozenModel, apply_weights, in_a_line, read_weights
 from mi_splat.errors import install
 
 # Before the package is imported, which would otherwise write settings into the home and ask a server for news.
@@ -67,7 +67,7 @@ _NAME = re.compile(r"(?P<family>yolov?\d+)(?P<size>[nsmlx]?)")
 """How the library names a family of architectures (yolov3, yolov8, yolo11), and a size of it if there are several."""
 
 
-class YOLODetector(FrozenDetector):
+class YOLODetector(FrozenModel):
     """A frozen detector of the library behind the `Detector` interface.
 
     Attributes:

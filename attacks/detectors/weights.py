@@ -1,4 +1,4 @@
-"""Weights from files, read without running code from them; their fingerprint; detectors that keep them frozen."""
+"""Weights from files, read without running code from them; their fingerprint; models that keep them frozen."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from attacks.detectors.catalogue import DetectorError
 from mi_splat.io.noted_tensors import not_finite
 
-_Self = TypeVar("_Self", bound="FrozenDetector")
+_Self = TypeVar("_Self", bound="FrozenModel")
 SUFFIXES = (".safetensors", ".pth", ".pt")
 _SHOWN = 4
 _UNREADABLE = (
@@ -132,11 +132,11 @@ def apply_weights(model: nn.Module, state: Mapping[str, Tensor], source: object)
         )
 
 
-class FrozenDetector:
+class FrozenModel:
     """A torch model in evaluation mode whose weights have no gradients: what all adapters have in common.
 
     Attributes:
-        name: Name in `attacks.detectors.DETECTORS`.
+        name: Name in `attacks.detectors.DETECTORS`, or of a classifier.
         classes: Foreground classes.
         model: The model.
     """

@@ -14,18 +14,24 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol, overload
 
+import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera, View, ViewSet, cameras_of
 from mi_splat.datasets import Dataset
 from mi_splat.datasets.writing import IMAGES, list_transforms, make_folder, picture_name
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_png
 from mi_splat.io.images import to_bytes
 
 OnStep = Callable[[int, int], None]
 """Called after each picture, or each step, with the number finished and the number wanted."""
 
+Masks = Sequence[Tensor] | Callable[[Camera], Tensor]
+"""(H, W) bool masks of the target: one for each view, or a function of the camera (such as `MeshScene.mask`)."""
+
+_ROUNDING = 1e-3
+"""By how much of a step of 1/255 a picture of 8 bits may differ from whole steps in float32."""
 MANIFEST = "poison.json"
 """What was changed in a poisoned set; it stands beside the set, of which a victim knows nothing more."""
 
@@ -167,11 +173,65 @@ def checked_picture(picture: Tensor, before: View, what: str) -> Tensor:
     image = picture.detach().to(before.image).clone()
     if image.shape != before.image.shape:
         expected, got = f"shape {tuple(before.image.shape)}", tuple(image.shape)
-        raise InvalidValueError(message(what, expected, got, "return a picture of the view's size"))
+        raise InvalidValueError.of(what, expected, got, "return a picture of the view's size")
     low, high = float(image.min()), float(image.max())
     if not (low >= 0 and high <= 1):  # nor NaN
-        raise InvalidValueError(message(what, "sRGB in [0, 1]", f"{low:.4g} to {high:.4g}", "clip it"))
+        raise InvalidValueError.of(what, "sRGB in [0, 1]", f"{low:.4g} to {high:.4g}", "clip it")
     return image
+
+
+def within_ball(image: Tensor, clean: Tensor, eps: int | None) -> Tensor:
+    """A picture of 8 bits that is nowhere further from the clean one than the ball allows.
+
+    It is clipped in whole steps of 1/255: a file of 8 bits holds it exactly, and it stays in the ball there, too, even
+    where the clean picture lies between two steps.
+
+    Args:
+        image: (H, W, 3) sRGB.
+        clean: (H, W, 3) sRGB in [0, 1].
+        eps: Radius of the ball in steps of 1/255; None is none.
+    """
+    steps, middle, eps = (image.detach().clamp(0, 1) * 255).round(), clean.to(image) * 255, 255 if eps is None else eps
+    steps = steps.clamp((middle - eps - _ROUNDING).ceil(), (middle + eps + _ROUNDING).floor())
+    return steps.clamp(0, 255) / 255
+
+
+def chosen_views(views: Sequence[View], share: float, seed: int) -> list[int]:
+    """Positions of the pictures to change, rising; those of a smaller share are among those of a larger.
+
+    Raises:
+        InvalidValueError: There are no views.
+    """
+    if not len(views):
+        raise InvalidValueError.of("views", "at least one", "none", "capture views first")
+    order = torch.randperm(len(views), generator=torch.Generator().manual_seed(seed)).tolist()
+    return sorted(order[: round(share * len(views))])
+
+
+def check_masks(masks: Masks | None, views: int) -> None:
+    """Raise unless there is a mask for each view.
+
+    Raises:
+        InvalidValueError: There are more or fewer.
+    """
+    if masks is not None and not callable(masks) and len(masks) != views:
+        raise InvalidValueError.of("masks", f"one for each of {views} views", len(masks), "pass them all")
+
+
+def mask_of(masks: Masks | None, index: int, camera: Camera) -> Tensor:
+    """(H, W) bool mask of one view; None masks everything.
+
+    Raises:
+        InvalidValueError: It has another size, or is not bool.
+    """
+    size = (camera.height, camera.width)
+    if masks is None:
+        return torch.ones(size, dtype=torch.bool)
+    mask = masks(camera) if callable(masks) else masks[index]
+    if tuple(mask.shape) != size or mask.dtype != torch.bool:
+        got = f"{mask.dtype} of shape {tuple(mask.shape)}"
+        raise InvalidValueError.of(f"mask of view {index}", f"bool of shape {size}", got, "make it fit the view")
+    return mask
 
 
 def write_poisoned(folder: Path, clean: Dataset, done: Poisoned) -> None:

@@ -1,16 +1,20 @@
-"""Options of Poison-splat, of its controls and of defences against it; light, for studies and command lines."""
+"""Options of Poison-splat, of its controls and of defences against it, and of M-IFGSM; light, for studies and flags."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Checked, Fraction, Range, Steps, above, at_least, between, check
 
 Variation = Literal["both", "vertical"]
 """Total variation along both axes of a picture, or along its columns alone as the public implementation has it."""
 PictureFilter = Literal["blur", "fourier", "wavelet"]
+
+Paste = Literal["resized", "difference", "none"]
+CLIP_DEVIATION = (0.26862954, 0.26130258, 0.27577711)
+"""Standard deviation of each channel by which CLIP divides, sRGB."""
 
 Eps = Annotated[int, between(0, 255, "steps of 1/255", "8, 16 and 24 are the paper's")]
 StepSize = Annotated[float, above(0, "steps of 1/255", "2 is the paper's")]
@@ -43,7 +47,7 @@ class FilterConfig:
         check(self)
         allowed = _STRENGTHS[self.name][1]
         if self.strength is not None and not allowed.holds(self.strength):
-            raise InvalidValueError(message(f"strength of {self.name}", str(allowed), self.strength, allowed.do))
+            raise InvalidValueError.of(f"strength of {self.name}", str(allowed), self.strength, allowed.do)
 
     @property
     def amount(self) -> float:
@@ -130,3 +134,30 @@ class FrequencyPruningConfig(Checked):
     """
 
     samples: Annotated[float, above(0, "samples", "0.2 is the smallest that Mip-Splatting keeps")] = 0.2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MIFGSMConfig(Checked):
+    """M-IFGSM (arXiv 2412.02803), as published unless told otherwise.
+
+    Attributes:
+        eps: Largest change of a channel, in steps of 1/255; None sets no ball.
+        steps: Along the sign of the gradient.
+        step: Length of each, in units of `deviation`.
+        deviation: Of each channel, sRGB. CLIP's, so that the change is the same whoever is deceived.
+        share: Part of the pictures that is changed, drawn by the seed.
+        paste: "resized": the picture that was changed at the classifier's size, brought back to its own, takes the
+            object's place, as published; a larger picture loses detail there. "difference": only the change is
+            brought back, and added. "none": the picture itself is changed, through the classifier's scaling.
+        target: Class that the object shall be taken for; None is any but its own, as published.
+        least_confidence: Pictures in whose true class the classifier is less confident stay as they are.
+    """
+
+    eps: Eps | None = None
+    steps: Steps = 30
+    step: Annotated[float, above(0, "standard deviations", "0.02 is the paper's")] = 0.02
+    deviation: tuple[float, float, float] = CLIP_DEVIATION
+    share: Fraction = 1.0
+    paste: Paste = "resized"
+    target: str | None = None
+    least_confidence: Fraction = 0.05

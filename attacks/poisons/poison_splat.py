@@ -16,12 +16,12 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
-from attacks.poisons.base import OnStep, Poisoned, poisoned
+from attacks.poisons.base import OnStep, Poisoned, chosen_views, poisoned, within_ball
 from attacks.poisons.config import FilterConfig, PoisonSplatConfig, RaisedVariationConfig, UniformNoiseConfig, Variation
 from attacks.poisons.defences import filtered
 from mi_splat import variant
 from mi_splat.cameras import Camera, View, cameras_of, project_points
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene, check_scene, scene_hash
 from mi_splat.training.config import FitConfig
@@ -29,9 +29,6 @@ from mi_splat.training.loop import densify, differentiate, scene_extent
 from mi_splat.training.losses import photometric_loss
 from mi_splat.training.state import TrainState, check_start
 from mi_splat.training.strategies import ClassicConfig, FixedConfig, StrategyConfig
-
-_ROUNDING = 1e-3
-"""By how much of a step of 1/255 a picture of 8 bits may differ from whole steps in float32."""
 
 
 def total_variation(image: Tensor, variation: Variation = "both") -> Tensor:
@@ -67,22 +64,6 @@ def raised(image: Tensor, clean: Tensor, config: PoisonSplatConfig | RaisedVaria
     return image
 
 
-def within_ball(image: Tensor, clean: Tensor, eps: int | None) -> Tensor:
-    """A picture of 8 bits that is nowhere further from the clean one than the ball allows.
-
-    It is clipped in whole steps of 1/255: a file of 8 bits holds it exactly, and it stays in the ball there, too, even
-    where the clean picture lies between two steps.
-
-    Args:
-        image: (H, W, 3) sRGB.
-        clean: (H, W, 3) sRGB in [0, 1].
-        eps: Radius of the ball in steps of 1/255; None is none.
-    """
-    steps, middle, eps = (image.detach().clamp(0, 1) * 255).round(), clean.to(image) * 255, _radius(eps)
-    steps = steps.clamp((middle - eps - _ROUNDING).ceil(), (middle + eps + _ROUNDING).floor())
-    return steps.clamp(0, 255) / 255
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PoisonSplat:
     """Poison-splat as a poison.
@@ -115,7 +96,7 @@ class PoisonSplat:
             TrainingError: The decoy is no longer finite, or all of it was pruned.
         """
         config = self.config
-        chosen = _chosen(views, config.share, seed)
+        chosen = chosen_views(views, config.share, seed)
         about = _about("poison-splat", config, seed)
         if config.eps == 0 or not chosen:
             return poisoned(views, {}, about)
@@ -166,7 +147,7 @@ class PoisonSplat:
         check_start(self.start, fit)
         if not any(_is_seen(self.start, camera, self.near) for camera in cameras_of(views)):
             expected, do = "Gaussians before some camera of the views", "pass a splat that was trained on these views"
-            raise InvalidValueError(message("start", expected, "none", do))
+            raise InvalidValueError.of("start", expected, "none", do)
         state = TrainState(self.start, fit, scene_extent=scene_extent(views), seed=seed)
         if self.config.densify_every and self.config.prune_large:
             state.strategy_state["opacities_were_reset"][:] = True
@@ -260,21 +241,13 @@ def _one_by_one(
     on_step: OnStep | None,
 ) -> Poisoned:
     """A set of which each chosen picture is changed by itself."""
-    chosen = _chosen(views, config.share, seed) if config.eps else []
+    chosen = chosen_views(views, config.share, seed) if config.eps else []
     pictures = {}
     for number, index in enumerate(chosen, start=1):
         pictures[index] = change(views[index], index)
         if on_step is not None:
             on_step(number, len(chosen))
     return poisoned(views, pictures, _about(kind, config, seed))
-
-
-def _chosen(views: Sequence[View], share: float, seed: int) -> list[int]:
-    """Positions of the pictures to change, rising; those of a smaller share are among those of a larger."""
-    if not len(views):
-        raise InvalidValueError(message("views", "at least one", "none", "capture views first"))
-    order = torch.randperm(len(views), generator=Generator().manual_seed(seed)).tolist()
-    return sorted(order[: round(share * len(views))])
 
 
 def _about(

@@ -18,6 +18,7 @@ _MODULES = {  # whole names, which `mi_splat.import_closure` follows
     "train": "mi_splat.assets.train",
     "suitcase": "mi_splat.assets.suitcase",
     "fire hydrant": "mi_splat.assets.hydrant",
+    "house": "mi_splat.assets.house",
 }
 PAINTED = ("car", "fire hydrant")
 """Assets whose paint can have any colour."""
@@ -32,7 +33,8 @@ def _builder(module: str) -> Callable[..., Asset]:
 
 
 ASSETS: dict[str, Callable[..., Asset]] = {name: _builder(module) for name, module in _MODULES.items()}
-"""COCO name -> function that builds an object of that class from a seed; one of `PAINTED` takes a colour, too."""
+"""Name -> function that builds an object of that class from a seed; one of `PAINTED` takes a colour, too. The names are
+COCO's, but for the house, which COCO does not know."""
 
 
 def build(name: str, seed: int = 0, *, colour: Sequence[float] | None = None) -> Asset:

@@ -162,7 +162,7 @@ def test_seed_decides(name: str) -> None:
 
 
 def test_registry() -> None:
-    assert set(ASSETS) == {*SMALL_CLASSES, "fire hydrant"}
+    assert set(ASSETS) == {*SMALL_CLASSES, "fire hydrant", "house"}
     with pytest.raises(InvalidValueError, match="name: expected one of"):
         build("zebra")
 

