@@ -210,6 +210,10 @@ class StudySteps:
         config = self._step(*cones, layers=layers, seeds=(seed,), training=self._viewed)
         return self._job("layered", config, clean=clean.part(SPLAT), pictures=poisoned.part(_PICTURES))
 
+    def masks(self) -> Job:
+        """Where the object is in the victim's pictures."""
+        return self._job("masks", self._step())
+
     def of_pictures(self, pictures: Job, seed: int) -> Job:
         """A splat of pictures that another kind of job has taken, trained as the study's are."""
         return self._trained(self.study, pictures, seed)

@@ -13,8 +13,12 @@ import torch
 from numpy.typing import NDArray
 
 from attacks.cloak.config import fit_config
+from attacks.cloak.kinds.masks import read_masks
 from attacks.cloak.kinds.parts import SET, StepConfig
-from attacks.poisons.base import MANIFEST, Poisoned, write_poisoned
+from attacks.poisons.base import MANIFEST, PicturePoison, Poisoned, write_poisoned
+from attacks.poisons.classified import checked_classifier
+from attacks.poisons.config import MIFGSMConfig
+from attacks.poisons.mifgsm import MIFGSM
 from attacks.poisons.registry import PoisonConfig, poison_of
 from mi_splat.datasets import load_dataset
 from mi_splat.io import load_splat
@@ -35,19 +39,31 @@ class ChangedConfig(StepConfig):
     Attributes:
         poison: Its kind and settings.
         device: Where it is made, "cpu" or "cuda".
+        classifier: Who is deceived, if the poison deceives anybody.
+        fingerprint: Of its weights and classes.
+        label: The true class of the object.
     """
 
     poison: PoisonConfig
     device: str = "cpu"
+    classifier: str = ""
+    fingerprint: str = ""
+    label: str = ""
 
 
 def run(config: ChangedConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Poison the `pictures`; the decoy of Poison-splat starts as the `splat`."""
+    """Poison the `pictures`; the decoy of Poison-splat starts as the `splat`, and M-IFGSM knows the `masks`."""
     study, background = config.asked, config.asked.scene.background
     views = load_dataset(inputs["pictures"] / SET, split="train", background=background)
-    start, near = load_splat(inputs["splat"]).to(config.device), study.training.near
+    near = study.training.near
     assert near is not None
-    poison = poison_of(config.poison, start=start, near=near, background=background, victim=fit_config(study.training))
+    if isinstance(config.poison, MIFGSMConfig):
+        classifier = checked_classifier(config.classifier, config.fingerprint, config.device)
+        masks = read_masks(inputs["masks"])
+        poison: PicturePoison = MIFGSM(config=config.poison, classifier=classifier, label=config.label, masks=masks)
+    else:
+        start, victim = load_splat(inputs["splat"]).to(config.device), fit_config(study.training)
+        poison = poison_of(config.poison, start=start, near=near, background=background, victim=victim)
     done = poison(views, seed=study.seeds[0], on_step=partial(out.progress, "poisoning"))
     write_poisoned(out / SET, views, done)
     save_json(done.manifest, out / MANIFEST)

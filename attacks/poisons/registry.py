@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from attacks.cloak.config import AttackConfig
-from attacks.poisons.config import PoisonSplatConfig, RaisedVariationConfig, UniformNoiseConfig
+from attacks.poisons.config import MIFGSMConfig, PoisonSplatConfig, RaisedVariationConfig, UniformNoiseConfig
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import check_choice, decode
 
@@ -28,12 +28,13 @@ class CloakConfig:
     attack: tuple[AttackConfig, ...]
 
 
-PoisonConfig = PoisonSplatConfig | UniformNoiseConfig | RaisedVariationConfig | CloakConfig
+PoisonConfig = PoisonSplatConfig | UniformNoiseConfig | RaisedVariationConfig | MIFGSMConfig | CloakConfig
 
 POISONS: dict[str, type[PoisonConfig]] = {
     "poison-splat": PoisonSplatConfig,
     "uniform-noise": UniformNoiseConfig,
     "raised-variation": RaisedVariationConfig,
+    "m-ifgsm": MIFGSMConfig,
     "cloak": CloakConfig,
 }
 """Settings of each kind of poison."""
@@ -63,7 +64,7 @@ def poison_of(
     background: tuple[float, float, float],
     victim: FitConfig,
 ) -> PicturePoison:
-    """The poison of settings, CLOAK's apart, which needs the meshes.
+    """The poison of settings; those of M-IFGSM and CLOAK need more than a splat.
 
     Args:
         config: The settings.
@@ -81,4 +82,5 @@ def poison_of(
             return RaisedVariation(config=config)
         case PoisonSplatConfig():
             return PoisonSplat(config=config, start=start, near=near, background=background, victim=victim)
-    raise InvalidValueError(message("poison", "one of pictures alone", type(config).__name__, "run it as a study"))
+    expected, do = "one that needs no more than a splat", "run it as a study"
+    raise InvalidValueError(message("poison", expected, type(config).__name__, do))

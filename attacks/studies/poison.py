@@ -27,19 +27,23 @@ import shutil
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import polars as pl
 from scipy.special import stdtrit
 
+from attacks.classifiers.base import Classifier
+from attacks.classifiers.registry import load_classifier
 from attacks.cloak.config import CameraConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig
 from attacks.cloak.kinds.parts import SET, Pose
 from attacks.cloak.steps import NO_ATTACK, StudySteps
-from attacks.observe.rows import ATTACKED, CLEAN, ROWS, SUFFIX, by_camera, frame_of, write_rows
+from attacks.observe.rates import Measure, count
+from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, ROWS, SUFFIX, by_camera, frame_of, write_rows
 from attacks.poisons.changed import SHEET, ChangedConfig
-from attacks.poisons.config import FilterConfig, FrequencyPruningConfig
+from attacks.poisons.classified import ClassifiedConfig
+from attacks.poisons.config import FilterConfig, FrequencyPruningConfig, MIFGSMConfig
 from attacks.poisons.filtered import FilteredConfig
 from attacks.poisons.measured import CENTRES, COUNT, SPEED, MeasuredConfig
 from attacks.poisons.pruned import PrunedConfig
@@ -50,11 +54,11 @@ from attacks.studies.study_file import Point, Settings, Study, with_none
 from attacks.tables import Column, Table, sections
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.fields import Checked, Seed, above, check, decode
+from mi_splat.fields import Checked, Seed, above, check, check_choice, decode
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
-from mi_splat.ledger import Done, Job
+from mi_splat.ledger import Done, Job, Part
 from mi_splat.ledger.plans import Result
 from mi_splat.training.resume import SPLAT
 
@@ -63,6 +67,8 @@ _KINDS = "attacks.poisons"
 _SEED = "seed"
 DEFENDED = "defended"
 """Condition of rows of a splat whose victim defends itself."""
+TRAINING, HELD_OUT, PHOTOGRAPH = "training cameras", "held-out cameras", "photograph"
+"""Conditions of what classifiers see of a splat, or of pictures, from the cameras of the training or others."""
 _OWN_NAME = "the study"
 
 
@@ -111,6 +117,8 @@ class PoisonPoint:
         evaluation: Its `cameras` are those that no training used.
         poison: The attack; None leaves the set as it is.
         defence: What the victim does against it; None is nothing.
+        deceive: Classifier that M-IFGSM deceives.
+        classifiers: Who says what the object is, in pictures and on splats.
     """
 
     seed: Seed = 0
@@ -122,6 +130,8 @@ class PoisonPoint:
     evaluation: EvaluationConfig = field(default_factory=lambda: EvaluationConfig(cameras=60))
     poison: PoisonConfig | None = None
     defence: Defence | None = None
+    deceive: str = ""
+    classifiers: tuple[str, ...] = ()
 
     def study(self, training: TrainingConfig) -> StudyConfig:
         """Scene, cameras and a training, in which no look is hidden."""
@@ -136,6 +146,12 @@ class PoisonPoint:
         )
 
 
+@cache
+def classifier_of(name: str) -> Classifier:
+    """A classifier with its usual weights, loaded once."""
+    return load_classifier(name)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrainedVictim:
     """A splat of a point, and who measures it.
@@ -145,12 +161,14 @@ class TrainedVictim:
         defended: Whether the victim defends itself.
         trained: The training.
         measured: What looks at the result.
+        looks: Of classifiers, by what they look at.
     """
 
     splat: str
     defended: bool
     trained: Job
     measured: Job
+    looks: Mapping[str, Sequence[Job]]
 
 
 class Attempt:
@@ -203,15 +221,56 @@ class Attempt:
         asked, study = self.asked, self._steps.study
         if isinstance(poison, CloakConfig):
             return replace(self._steps, study=replace(study, attack=poison.attack)).poisoned(asked.seed)
-        start = (
-            clean
-            if asked.attacker is None
-            else self._trained("clean pictures, by the attacker", self.pictures, asked.attacker)
-        )
+        if isinstance(poison, MIFGSMConfig):
+            return self._misread(poison)
+        start, by = clean, "clean pictures, by the attacker"
+        if asked.attacker is not None:
+            start = self._trained(by, self.pictures, asked.attacker)
         step = self._step(asked.attacker or asked.training)
         config = ChangedConfig(**step, poison=poison, device=asked.victim.device)
         inputs = {"pictures": self.pictures.part(f"{SET}/*"), "splat": start.part(SPLAT)}
         return Job(kind=f"{_KINDS}.changed", config=config, inputs=inputs)
+
+    def _misread(self, poison: MIFGSMConfig) -> Job:
+        """The set in which each picture by itself deceives a classifier."""
+        asked = self.asked
+        if not asked.deceive:
+            do = 'write deceive = "prototypes"'
+            raise InvalidValueError(message(self.title, "a classifier that M-IFGSM deceives", "none", do))
+        masks, who = self._made("drawing masks", self._steps.masks()), self._who(asked.deceive)
+        config = ChangedConfig(**self._step(TrainingConfig()), poison=poison, **who)
+        inputs = {"pictures": self.pictures.part(f"{SET}/*"), "masks": masks.part("*.png")}
+        return Job(kind=f"{_KINDS}.changed", config=config, inputs=inputs)
+
+    def _who(self, name: str) -> dict[str, Any]:
+        """A classifier, which has to know the object's class."""
+        label, classifier = self.asked.scene.class_name, classifier_of(name)
+        check_choice(f"class for {name}", label, classifier.classes)
+        device = self.asked.victim.device
+        return {"classifier": name, "fingerprint": classifier.fingerprint, "label": label, "device": device}
+
+    def _looks(self, splat: str, finished: Job) -> dict[str, list[Job]]:
+        """Every classifier's looks: at a splat from training and held-out cameras, and at pictures of the same."""
+        setup, pictures = self._steps.setup, self.pictures if splat == CLEAN else self.poisoned
+        poses = {TRAINING: setup.training_cameras, HELD_OUT: setup.held_out_cameras}
+        seen: dict[str, tuple[dict[str, Part], tuple[Pose, ...]]] = {
+            condition: ({"splat": finished.part(SPLAT)}, tuple(map(Pose.of, cameras)))
+            for condition, cameras in poses.items()
+        }
+        if pictures is not None:
+            seen[f"{PHOTOGRAPH}, {TRAINING}"] = ({"set": pictures.part(f"{SET}/*")}, ())
+        if splat == CLEAN:
+            true = self._steps.true_pictures(setup.held_out_cameras)
+            seen[f"{PHOTOGRAPH}, {HELD_OUT}"] = ({"pictures": true.part("*.png")}, ())
+        looks: dict[str, list[Job]] = {}
+        for name in self.asked.classifiers:
+            step = {**self._step(TrainingConfig()), **self._who(name)}
+            for condition, (inputs, cameras) in seen.items():
+                config = ClassifiedConfig(**step, poses=cameras)
+                job = Job(kind=f"{_KINDS}.classified", config=config, inputs=inputs)
+                label = f"{name} looks at the {splat} splat, {condition}"
+                looks.setdefault(condition, []).append(self._made(label, job))
+        return looks
 
     def _step(self, training: TrainingConfig) -> dict[str, Any]:
         """The part of a configuration that a training, or what renders its splat, depends on."""
@@ -259,7 +318,8 @@ class Attempt:
         inputs = {"splat": finished.part(SPLAT), "pictures": true.part("*.png")}
         label = f"measuring the {splat} splat{', defended' * defended}"
         job = self._made(label, Job(kind=f"{_KINDS}.measured", config=config, inputs=inputs))
-        return TrainedVictim(splat=splat, defended=defended, trained=trained, measured=job)
+        looks = {} if defended else self._looks(splat, finished)
+        return TrainedVictim(splat=splat, defended=defended, trained=trained, measured=job, looks=looks)
 
 
 class PoisonWork(Work):
@@ -279,20 +339,21 @@ class PoisonWork(Work):
         """As in `Work`."""
         labelled = {job.identity: results.get(label) for label, job in self.jobs().items()}
         done = {identity: result for identity, result in labelled.items() if isinstance(result, Done)}
-        victims, rows, paths = list[dict[str, Any]](), list[dict[str, Any]](), list[Path]()
+        victims, paths = list[dict[str, Any]](), list[Path]()
+        rows: dict[str, list[dict[str, Any]]] = {FIDELITY: [], ROWS: []}
         for attempt in self.attempts:
             for victim in attempt.victims:
                 if {victim.trained.identity, victim.measured.identity} <= done.keys():
-                    told, of_victim = _told(attempt, victim, done)
-                    victims.append(told)
-                    rows += of_victim
+                    victims.append(_told(attempt, victim, done))
+                    for name, of_victim in _rows(attempt, victim, done):
+                        rows[name] += of_victim
             paths += _pictures(attempt, done, out / PICTURES)
-        table = by_camera(frame_of(rows))
+        tables = {name: by_camera(frame_of(of_table)) for name, of_table in rows.items() if of_table}
         named = {"study": self.study.kind, "name": self.study.name, "question": self.study.question}
         record = {"story": STORY, **named, "victims": victims, **provenance.origin()}
-        record |= figures(record, {ROWS: table})
-        paths.append(write_rows(table, out / f"{ROWS}{SUFFIX}"))
-        save_text(sections(tables(record)), out / TABLE)
+        record |= figures(record, tables)
+        paths += [write_rows(table, out / f"{name}{SUFFIX}") for name, table in tables.items()]
+        save_text(sections(summary_tables(record)), out / TABLE)
         save_text(self.study.text, out / STUDY_FILE)
         save_json(record, out / RECORD)
         return [*paths, *(out / name for name in (TABLE, STUDY_FILE, RECORD))]
@@ -314,17 +375,25 @@ def point_of(settings: Settings, name: str) -> PoisonPoint:
     return replace(decode(PoisonPoint, values, name), poison=poison)
 
 
-def _told(
-    attempt: Attempt, victim: TrainedVictim, done: Mapping[str, Done]
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """What is known of a victim, and its rows."""
+def _told(attempt: Attempt, victim: TrainedVictim, done: Mapping[str, Done]) -> dict[str, Any]:
+    """What is known of a victim, its rows apart."""
     trained, measured = done[victim.trained.identity], done[victim.measured.identity]
     named = {"part": attempt.part, "value": attempt.value, "seed": attempt.asked.seed, "splat": victim.splat}
     told = {**named, "defended": victim.defended, **read_json(measured.folder / COUNT)}
-    told |= {**read_json(trained.folder / COST), **read_json(measured.folder / SPEED)}
-    cells = {"attack": attempt.title, "seed": attempt.asked.seed, "splat": victim.splat}
-    cells["condition"] = DEFENDED if victim.defended else None
-    return told, [{**cells, **row} for row in measured.rows]
+    return {**told, **read_json(trained.folder / COST), **read_json(measured.folder / SPEED)}
+
+
+def _rows(
+    attempt: Attempt, victim: TrainedVictim, done: Mapping[str, Done]
+) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    """How true a victim's splat is, and what classifiers take its object for; by the table that they belong to."""
+    cells: dict[str, Any] = {"attack": attempt.title, "seed": attempt.asked.seed, "splat": victim.splat}
+    condition = DEFENDED if victim.defended else None
+    yield FIDELITY, [{**cells, "condition": condition, **row} for row in done[victim.measured.identity].rows]
+    for condition, looks in victim.looks.items():
+        for look in looks:
+            if look.identity in done:
+                yield ROWS, [{**cells, "condition": condition, **row} for row in done[look.identity].rows]
 
 
 def _pictures(attempt: Attempt, done: Mapping[str, Done], folder: Path) -> list[Path]:
@@ -354,9 +423,9 @@ def figures(record: Record, tables: Mapping[str, pl.DataFrame]) -> dict[str, Any
 
     Args:
         record: result.json; costs are taken from its `victims`.
-        tables: Its tables; PSNR is taken from the rows.
+        tables: Its tables: how true each splat is, and what classifiers saw.
     """
-    truth = tables[ROWS].with_columns(pl.col("condition").is_not_null().alias("defended"))
+    truth = tables[FIDELITY].with_columns(defended=pl.col("condition").is_not_null())
     means = truth.group_by("attack", "seed", "splat", "defended").agg(pl.col("psnr").mean(), pl.col("ssim").mean())
     quality = {tuple(row[:4]): {"psnr": row[4], "ssim": row[5]} for row in means.iter_rows()}
     groups: dict[tuple[str, str], dict[tuple[int, str, bool], dict[str, Any]]] = {}
@@ -365,7 +434,34 @@ def figures(record: Record, tables: Mapping[str, pl.DataFrame]) -> dict[str, Any
         key = (victim["seed"], victim["splat"], victim["defended"])
         of_value = groups.setdefault((victim["part"], victim["value"]), {})
         of_value[key] = {**victim, **quality.get((title, *key), {})}
-    return {"values": [_value(part, value, victims) for (part, value), victims in groups.items()]}
+    values = [_value(part, value, victims) for (part, value), victims in groups.items()]
+    told: dict[str, Any] = {"values": values, "classified": [], "pooled": []}
+    if ROWS not in tables:
+        return told
+    parts = {f"{value['part']}: {value['value']}": value["part"] for value in values}
+    looked = tables[ROWS].with_columns(part=pl.col("attack").replace_strict(parts))
+    told["classified"] = _classified(looked, "attack")
+    if len(set(parts.values())) < len(parts):
+        told["pooled"] = _classified(looked, "part", clusters=("attack",))
+    return told
+
+
+def _classified(rows: pl.DataFrame, which: str, clusters: Sequence[str] | None = None) -> list[dict[str, Any]]:
+    """For each value, or part, how often the object is named rightly, by classifier and splat, and how confidently.
+
+    Args:
+        rows: What classifiers saw.
+        which: Column of the value or the part.
+        clusters: See `count`.
+    """
+    by = (which, "detector", "splat", "condition")
+    rates = count(rows, {"right": Measure(holds=~pl.col("success"))}, by, clusters=clusters)
+    means = rows.group_by(by).agg(pl.col("original_score").mean())
+    confidence = {row[:-1]: row[-1] for row in means.iter_rows()}
+    return [
+        {**dict(zip(by, key, strict=True)), "right": told["right"].as_dict(), "confidence": confidence[key]}
+        for key, told in rates.items()
+    ]
 
 
 def _value(part: str, value: str, victims: Mapping[tuple[int, str, bool], Record]) -> dict[str, Any]:
@@ -405,7 +501,7 @@ def _spread(values: Sequence[float | None]) -> dict[str, Any] | None:
     return {"mean": mean, "least": min(known), "most": max(known), "interval": interval, "count": len(known)}
 
 
-def tables(record: Record) -> Iterator[Table]:
+def summary_tables(record: Record) -> Iterator[Table]:
     """For each part a table of costs, and one of what the splats are worth.
 
     Args:
@@ -423,6 +519,12 @@ def tables(record: Record) -> Iterator[Table]:
             for name, splat in value["splats"].items()
         ]
         yield Table.of(f"{title[0].upper()}{title[1:]}", _COLUMNS, lines)
+    for which, caption, lines in (
+        ("part", "All values together; in intervals they are drawn anew", record["pooled"]),
+        ("attack", "How often the object is named rightly", record["classified"]),
+    ):
+        if lines:
+            yield Table.of(caption, {"what": which, **_NAMED}, lines)
 
 
 def _number(key: str, digits: int) -> Column[Any]:
@@ -438,6 +540,13 @@ def _number(key: str, digits: int) -> Column[Any]:
     return text
 
 
+_NAMED: dict[str, Column[Any]] = {
+    "classifier": "detector",
+    "splat": "splat",
+    "seen": "condition",
+    "top-1 right": "right",
+    "confidence in the true class": lambda line: f"{line['confidence']:.2f}",
+}
 _COLUMNS: dict[str, Column[Any]] = {
     "value": "value",
     "splat": "splat",

@@ -202,10 +202,20 @@ def write_poison_study(folder: Path) -> Path:
         speed = {"cpu_seconds": many / 20, "peak_megabytes": 500.0, "milliseconds": 2.0, "device": "cpu"}
         victims.append({"part": "by eps", "value": "16", **named, "defended": False, **cost, **speed})
         rows += [{"attack": "by eps: 16", **named, "view": view, "psnr": 30.0 + view, "ssim": 0.9} for view in (0, 1)]
-    table = frame_of([{**row, "condition": None} for row in rows])
+    look: dict[str, Any] = {
+        "attack": "by eps: 16",
+        "seed": 0,
+        "condition": "held-out cameras",
+        "detector": "toy",
+        "view": 0,
+    }
+    seen = {"clean": False, "attacked": True}
+    looks = [{**look, "splat": splat, "success": wrong, "original_score": 0.4} for splat, wrong in seen.items()]
+    tables = {"fidelity": frame_of([{**row, "condition": None} for row in rows]), "rows": frame_of(looks)}
     record = {"story": "poison-study", "study": "poison", "name": "toy", "question": "", "victims": victims}
-    write_rows(table, folder / "rows.csv.gz")
-    save_json({**record, **poison_figures(record, {"rows": table}), **provenance.origin()}, folder / "result.json")
+    for name, table in tables.items():
+        write_rows(table, folder / f"{name}.csv.gz")
+    save_json({**record, **poison_figures(record, tables), **provenance.origin()}, folder / "result.json")
     write_manifest(folder)
     return folder
 

@@ -6,7 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
+from torch import Tensor
 
+from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
 from attacks.cli import main
 from attacks.observe.rows import rows
 from attacks.poisons.victim import peak_memory
@@ -61,7 +64,7 @@ def test_a_study_is_done_and_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     paid = next(victim for victim in record["victims"] if victim["splat"] == "attacked")
     assert paid["peak_megabytes"] > 100
     assert 0 < paid["cpu_seconds"] < 100
-    table = rows(folder)
+    table = rows(folder, "fidelity")
     assert set(table["condition"].to_list()) == {None, "defended"}
     views = 4 * len(record["victims"])
     assert len(table) == views
@@ -127,3 +130,45 @@ def test_the_peak_is_that_since_it_was_asked_for() -> None:
     before = peak()
     block = bytearray(b"x") * 64_000_000
     assert peak() - before > 0.9 * len(block) / 1e6 - 1 or before > 1000
+
+
+class Toy:
+    """Takes what is red for a tv."""
+
+    name, classes, fingerprint, size = "toy", ("tv", "car"), "0123456789abcdef", 16
+
+    def scores(self, images: Tensor) -> Tensor:
+        """Logits."""
+        red = images[..., 0].mean((1, 2)) - images[..., 2].mean((1, 2))
+        return 20 * torch.stack([red + 0.35, -red - 0.35], 1)
+
+
+def test_who_is_deceived_and_who_looks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = ClassifierSpec(name="toy", load=lambda network, weights, classes: Toy(), origin="", licence="")
+    monkeypatch.setitem(CLASSIFIERS, "toy", spec)
+    monkeypatch.chdir(tmp_path)
+    head, *_ = SMALL.partition("[[case]]")
+    more = 'deceive = "toy"\nclassifiers = ["toy"]\npoison = { kind = "m-ifgsm", steps = 4, step = 0.2 }\n'
+    Path("misread.toml").write_text(head + more)
+    assert main(["study", "run", "misread.toml", "--workers", "0"]) == 0
+    told = read_json(Path("out/studies/misread/result.json"))["classified"]
+    seen = {(line["splat"], line["condition"]): line["confidence"] for line in told}
+    photograph = "photograph, training cameras"
+    assert {*seen} >= {("clean", "held-out cameras"), ("attacked", "training cameras"), ("clean", photograph)}
+    assert seen["attacked", photograph] < seen["clean", photograph] - 0.02
+    assert (
+        len(rows("out/studies/misread")) == 3 * (6 + 4) + 6
+    )  # clean: splat, photographs; attacked: splat, poisoned ones
+    assert main(["artifact-check", "out/studies/misread"]) == 0
+
+
+def test_a_classifier_has_to_be_there_and_to_know_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = ClassifierSpec(name="toy", load=lambda network, weights, classes: Toy(), origin="", licence="")
+    monkeypatch.setitem(CLASSIFIERS, "toy", spec)
+    poison = {"kind": "m-ifgsm"}
+    with pytest.raises(InvalidValueError, match="a classifier that M-IFGSM deceives, got none"):
+        work(poison=poison)
+    with pytest.raises(InvalidValueError, match="class for toy: expected one of tv, car, got bird"):
+        work(poison=poison, deceive="toy", scene={"object": "bird"})
+    with pytest.raises(InvalidValueError, match=r"classifier: expected .*toy"):
+        work(classifiers=["toys"])

@@ -9,7 +9,7 @@ from typing import Any
 from attacks.observe.rows import ATTACKED, CLEAN
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Section
 from attacks.report.wording import listed, plain, versions_of
-from attacks.studies.poison import PICTURES, tables
+from attacks.studies.poison import PICTURES, summary_tables
 
 KIND = "Poisoned training pictures"
 _MOST_PICTURES = 12
@@ -50,7 +50,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
             for path in sorted((folder / PICTURES).glob("*.png"))[:_MOST_PICTURES]
         ],
         charts=[_chart(attacked)],
-        tables=tuple(tables(record)),
+        tables=tuple(summary_tables(record)),
         configuration=(("question", plain(record["question"])), ("device", devices)),
         versions=versions_of(record),
     )

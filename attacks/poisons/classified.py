@@ -1,0 +1,93 @@
+"""A kind of job: what a classifier takes the object for, on a splat or in pictures that are there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from attacks.classifiers.base import Classifier
+from attacks.classifiers.looking import classified
+from attacks.classifiers.registry import load_classifier
+from attacks.cloak.kinds.parts import SET, Pose, StepConfig
+from attacks.cloak.kinds.rendering import settings_of
+from attacks.cloak.kinds.true_pictures import read_pictures
+from mi_splat.datasets import load_dataset
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io import load_splat
+from mi_splat.io.images import through_png
+from mi_splat.rendering import Renderer
+
+if TYPE_CHECKING:
+    from mi_splat.ledger import Out
+
+LOADS = ("attacks.classifiers.prototypes", "attacks.classifiers.torchvision")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClassifiedConfig(StepConfig):
+    """Who looks, and from where.
+
+    Attributes:
+        classifier: Name of the classifier.
+        fingerprint: Of its weights and classes.
+        label: The true class of the object.
+        poses: Cameras of a splat; none where there are pictures.
+        device: "cpu" or "cuda".
+    """
+
+    classifier: str
+    fingerprint: str
+    label: str
+    poses: tuple[Pose, ...] = ()
+    device: str = "cpu"
+
+
+def run(config: ClassifiedConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
+    """A row for each picture of a `splat`, of a `set`, or of `pictures`."""
+    classifier = checked_classifier(config.classifier, config.fingerprint, config.device)
+    pictures = list(_pictures(config, inputs))
+    rows = []
+    for view, row in enumerate(classified(classifier, pictures, config.label)):
+        cells = {"view": view, "detector": config.classifier, "original": config.label, "label": row["top1"]}
+        rows.append({**cells, "original_score": row["confidence"], "success": not row["right"]})
+        out.progress(f"{config.classifier} looks", view + 1, len(pictures))
+    return rows
+
+
+def _pictures(config: ClassifiedConfig, inputs: Mapping[str, Path]) -> Iterator[Tensor]:
+    """The pictures as files of 8 bits have them."""
+    if "set" in inputs:
+        views = load_dataset(inputs["set"] / SET, split="train", background=config.asked.scene.background)
+        yield from (view.image for view in views)
+    elif "pictures" in inputs:
+        yield from read_pictures(inputs["pictures"]).images
+    else:
+        cuda = config.device == "cuda"
+        settings = settings_of(config.asked)
+        render = Renderer(replace(settings, variant="cuda_ad_rgb") if cuda else settings)
+        scene = load_splat(inputs["splat"]).to(config.device)
+        for pose in config.poses:
+            with torch.no_grad():
+                yield through_png(render(scene, pose.camera))
+
+
+def checked_classifier(name: str, fingerprint: str, device: str) -> Classifier:
+    """The classifier of a job, on a device.
+
+    Raises:
+        InvalidValueError: It has other weights or classes than those that were asked for.
+        DetectorError: It cannot be loaded.
+    """
+    classifier = load_classifier(name)
+    if classifier.fingerprint != fingerprint:
+        do = "get the weights that the study began with, or begin it anew"
+        raise InvalidValueError(message(f"weights of {name}", fingerprint, classifier.fingerprint, do))
+    model = getattr(classifier, "model", None)
+    if isinstance(model, torch.nn.Module):
+        model.to(device)
+    return classifier
