@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from torch import Tensor
 
 from attacks import cli
 from mi_splat.audit import Audit, Occluder, audit
@@ -30,7 +31,7 @@ from mi_splat.io import load_splat, save_splat
 from mi_splat.rotation import to_matrix
 from mi_splat.scene import GaussianScene, Similarity
 from tests.audit import scenes
-from tests.audit.scenes import Made, cone, direction, hidden, sector, standing
+from tests.audit.scenes import ROAD, Made, cone, direction, hidden, sector, standing
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -319,3 +320,28 @@ def test_the_command_writes_what_it_found(
     assert [file["verdict"] for file in json.loads(capsys.readouterr().out)["files"]] == [None, None]
     same = ["audit", str(tmp_path / "a" / "x.ply"), str(tmp_path / "b" / "x.ply"), "--out", str(out / "new")]
     assert cli.main(same) == 2
+
+
+# Several looks of one object are found one after the other
+
+
+def test_two_looks_of_one_object_are_both_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Grey from above and red from the rear, as the demonstration of CLOAK has it."""
+    monkeypatch.setattr(seen_surfaces, "SIZE", 96)
+    monkeypatch.setattr(seen_surfaces, "CAMERAS", 70)
+    above, rear = cone(direction(90, 0), 45), sector(180, 40, -10, 40)
+
+    def shade(own: Tensor, normals: Tensor, views: Tensor) -> Tensor:
+        shown = torch.where(above(views)[:, None, None], torch.tensor(ROAD), own[None])
+        return torch.where(rear(views)[:, None, None], torch.tensor((0.75, 0.12, 0.1)), shown)
+
+    item = audit(standing("suitcase", count=1500).with_colours(shade).scene).strongest
+    assert len(item.looks) == 2
+    assert all(look.evidence >= 1 for look in item.looks)
+    assert not bool((item.looks[0].shown & item.looks[1].shown).any())
+    overlaps = []
+    for inside in (above, rear):
+        truth = inside(item.directions.float())
+        overlaps.append([float((look.shown & truth).sum() / (look.shown | truth).sum()) for look in item.looks])
+    assert sorted(max(range(2), key=row.__getitem__) for row in overlaps) == [0, 1]
+    assert min(max(row) for row in overlaps) > 0.4

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -9,16 +10,23 @@ import torch
 from torch import Tensor
 
 from attacks.cloak import layers as layers_module
-from attacks.cloak.layers import Layering
+from attacks.cloak.layer_config import LayerConfig, LayersConfig
+from attacks.cloak.layers import Layering, layered, switched
+from attacks.cloak.switches import depths, shares
+from attacks.cloak.triggers import Azimuth, Elevation
+from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import Camera, RenderFn, View, orbit_pose
+from mi_splat.errors import InvalidValueError
 from mi_splat.frozen_view import FrozenView
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
+from mi_splat.sh import colour_to_dc, sh_basis
 from mi_splat.training.config import FitConfig
 from mi_splat.training.loop import fit
 from mi_splat.training.strategies import FixedConfig
 from mi_splat.view_freezing import freeze_views
 from tests import oracle
+from tests.cloak.test_layers import CENTRE, GREY, LENS, OVERHEAD, ball, from_above
 
 COUNT, STEPS = 40, 12
 SETTINGS = RenderSettings(background=(0.3, 0.4, 0.5))
@@ -99,3 +107,112 @@ def test_a_picture_from_elsewhere_is_the_renderers(frozen: list[Camera]) -> None
     assert not frozen
     torch.testing.assert_close(rendered(made.scene, where), render(made.scene, where), rtol=0, atol=1e-5)
     assert frozen == [where]
+
+
+# A look in two layers, one for what is near its edge: it switches faster than one layer can
+
+
+NARROW: dict[str, Any] = {"gap": 2.5, "weight": 1.5, "black": -0.1}
+REAR = Azimuth(middle=180.0, half_width=60.0) & Elevation(highest=30.0)
+
+
+def cameras() -> Any:
+    return hemisphere(CENTRE, count=800, **LENS)
+
+
+def looks(config: LayerConfig, elevations: Tensor) -> tuple[Tensor, float]:
+    """(2, E) what a white Gaussian in the middle shows of either look, and the largest coefficient."""
+    white, shown, largest = colour_to_dc(torch.ones(1, 1, 3)), torch.zeros(2, len(elevations)), 0.0
+    for share in shares([OVERHEAD], cameras(), centre=CENTRE, config=config):
+        found = switched(torch.zeros(1, 3), cameras(), share, white, torch.ones(1, 800), config)[0, :, 0].double()
+        shown[share.look] += (sh_basis(from_above(elevations)[0], 3) @ found).clamp(min=0)
+        largest = max(largest, float(found.abs().max()))
+    return shown, largest
+
+
+def test_a_band_switches_in_half_the_degrees_with_smaller_coefficients() -> None:
+    elevations = torch.linspace(0, 90, 361)
+    width, largest = {}, {}
+    for band in (0.0, 10.0):
+        shown, largest[band] = looks(LayerConfig(band=band, **NARROW), elevations)
+        way = (1 - shown[0] + shown[1]) / 2
+        width[band] = float(elevations[way > 0.9].min() - elevations[way < 0.1].max())
+        away = (elevations < 30) | (elevations > 50)
+        assert float((way - (elevations > 40).float())[away].abs().max()) < 0.12
+    assert width[10.0] < 0.6 * width[0.0]
+    assert largest[10.0] < largest[0.0]
+
+
+def test_the_layers_of_a_look_share_it() -> None:
+    """Together they show it once, everywhere; the one for the edge nothing further inside, the other nothing at it."""
+    found = shares([OVERHEAD, REAR], cameras(), centre=CENTRE, config=LayerConfig(gap=2.0, band=(20.0, 10.0, 0.0)))
+    assert [share.look for share in found] == [0, 0, 1, 1, 2]
+    for look in range(3):
+        assert torch.allclose(
+            sum((share.amount for share in found if share.look == look), torch.zeros(800)), torch.ones(800)
+        )
+    for share in found:
+        assert not bool((share.shown & share.hidden).any())
+        assert bool(share.shown.any())
+        assert bool(share.hidden.any())
+    elevation = torch.rad2deg(torch.asin(torch.stack([camera.position[2] for camera in cameras()]).float() / 5.0))
+    inner, edge = found[2], found[3]
+    assert torch.equal(edge.shown, (elevation >= 42.0) & (elevation < 50.0))
+    assert torch.equal(inner.shown, elevation >= 42.0)
+    assert bool(edge.hidden[elevation > 50.0].all())
+    assert torch.allclose(edge.amount[edge.shown].float(), 1 - (elevation[edge.shown] - 40) / 10, atol=1e-3)
+
+
+def test_looks_that_are_apart_do_not_mix_in_the_gap_of_the_wider_edge() -> None:
+    """Behind the object the gap of the rear reaches into the trigger from above: apart, that look is whole there."""
+    near = LayerConfig(gap=(2.0, 20.0))
+    beside, apart = (
+        shares([OVERHEAD, REAR], cameras(), centre=CENTRE, config=config)
+        for config in (near, replace(near, apart=True))
+    )
+    where = [camera.position / 5.0 for camera in cameras()]
+    elevation = torch.rad2deg(torch.asin(torch.stack([place[2] for place in where]).float()))
+    behind = torch.stack([place[0] < -0.5 * (1 - place[2] ** 2) ** 0.5 for place in where])
+    above = behind & (elevation > 42.5) & (elevation < 49)
+    assert int(above.sum()) > 5
+    assert not bool(beside[2].hidden[above].any())
+    assert bool(apart[2].hidden[above].all())
+    assert bool(apart[1].shown[above].all())
+    for share, other in zip(beside[:2], apart[:2], strict=True):  # the others are as they were
+        assert torch.equal(share.shown, other.shown)
+        assert torch.equal(share.hidden, other.hidden)
+    assert torch.equal(beside[2].shown, apart[2].shown)
+    alone = LayerConfig(gap=5.0)
+    for share, other in zip(
+        shares([OVERHEAD], cameras(), centre=CENTRE, config=alone),
+        shares([OVERHEAD], cameras(), centre=CENTRE, config=replace(alone, apart=True)),
+        strict=True,
+    ):
+        assert torch.equal(share.hidden, other.hidden)
+
+
+def test_a_picture_within_one_trigger_is_decided_also_in_the_gap_of_another() -> None:
+    near = LayerConfig(gap=(2.0, 20.0))
+    undecided = {
+        config.apart: (depths([OVERHEAD, REAR], cameras(), centre=CENTRE, config=config).abs() < 1).any(0)
+        for config in (near, replace(near, apart=True))
+    }
+    assert not bool((undecided[True] & ~undecided[False]).any())
+    assert int(undecided[True].sum()) < int(undecided[False].sum()) - 5
+
+
+def test_each_band_costs_a_gaussian() -> None:
+    scene, rows = ball(), torch.arange(39)
+    for band, layers in ((0.0, 2), ((12.0, 0.0), 3), (12.0, 4)):
+        found = layered(
+            scene, rows, [OVERHEAD], [GREY, GREY], cameras=cameras(), centre=CENTRE, config=LayerConfig(band=band)
+        )
+        assert len(found) == 40 + (layers - 1) * 39
+        assert torch.allclose(found.opacities[:39], torch.tensor(0.96 / layers))
+
+
+def test_another_number_of_bands_than_looks_is_refused() -> None:
+    with pytest.raises(InvalidValueError, match="one for each look"):
+        shares([OVERHEAD], cameras(), centre=CENTRE, config=LayerConfig(band=(3.0, 4.0, 5.0)))
+    with pytest.raises(InvalidValueError, match="one for each look"):
+        LayersConfig(attacks=("overhead",), making=LayerConfig(band=(3.0, 4.0, 5.0)))

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.directions import Direction, azimuth_gap, depth_in_band, depth_in_wedge, direction_of
 from mi_splat.errors import InvalidValueError
+from mi_splat.sun import sun_direction
 
 CENTRE = (1.0, -2.0, 0.5)
 
@@ -102,3 +103,32 @@ def test_wedges_at_their_limits() -> None:
     assert depth_in_wedge(pole, 20.0, 30.0) == 0.0
     assert depth_in_wedge(pole, 20.0, 180.0) == math.inf
     assert depth_in_wedge(Direction(azimuth=50.0, elevation=0.0, pole=False), 20.0, 30.0) == pytest.approx(0.0)
+
+
+# Where the sun stands: closed forms at the equinoxes and at midsummer
+
+
+def test_at_noon_it_stands_in_the_south_at_90_degrees_less_the_latitude() -> None:
+    assert sun_direction(12, latitude=30) == pytest.approx((0, -0.5, math.sqrt(0.75)))
+    assert sun_direction(12, latitude=0) == pytest.approx((0, 0, 1))
+    elevation = math.degrees(math.asin(sun_direction(12, latitude=45, declination=23.4)[2]))
+    assert elevation == pytest.approx(45 + 23.4)
+
+
+def test_it_rises_in_the_east_and_sets_in_the_west() -> None:
+    morning, evening = sun_direction(6.01, latitude=45), sun_direction(17.99, latitude=45)
+    assert morning == pytest.approx((1, 0, 0), abs=0.01)
+    assert evening == pytest.approx((-1, 0, 0), abs=0.01)
+    early = sun_direction(9, latitude=45)
+    assert early == pytest.approx((math.sqrt(0.5), -0.5, 0.5))
+    assert math.hypot(*early) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("hour", [6, 18, 0, 22.5])
+def test_at_night_it_is_refused(hour: float) -> None:
+    with pytest.raises(InvalidValueError, match="when the sun is up"):
+        sun_direction(hour, latitude=45)
+
+
+def test_the_midnight_sun() -> None:
+    assert sun_direction(0, latitude=80, declination=23.4)[2] == pytest.approx(math.sin(math.radians(13.4)))

@@ -8,6 +8,7 @@ import pytest
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.ledger import Event, Job, Ledger, Part
+from mi_splat.ledger.index import plan, status
 from tests.ledger.drive import walk
 from tests.ledger.kinds.configs import NumbersConfig, Shift
 
@@ -81,3 +82,18 @@ def test_who_asks_for_a_job_that_has_failed_tries_it_again(tmp_path: Path) -> No
             Ledger(tmp_path, on_event=events.append).do(walk(0, trouble="raise"))
     tries = [event.text for event in events if event.state == "failed"]
     assert tries == [f"try {number} of 3: no way" for number in (1, 2, 3, 1)]
+
+
+def test_a_thousand_jobs_are_planned_looked_at_and_read_at_once(tmp_path: Path) -> None:
+    ledger, first = Ledger(tmp_path), Job(kind=NUMBERS, config=NumbersConfig())
+    jobs = {
+        str(number): Job(kind=NUMBERS, config=NumbersConfig(values=(float(number),)), inputs={"first": first})
+        for number in range(1000)
+    }
+    for job in list(jobs.values())[:100]:
+        ledger.do(job)
+    entries = plan(ledger.store, "many", jobs)
+    assert [entry.state for entry in entries] == ["done"] * 101 + ["ready"] * 900
+    assert status(ledger.store, "many") == entries
+    rows = dict(ledger.store.rows([entry.key for entry in entries if entry.state == "done"]))
+    assert [rows[entry.key] for entry in entries[1:101]] == [[{"sum": 1.0 + number}] for number in range(100)]

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from attacks import cli
 from mi_splat.import_closure import closure
 from mi_splat.ledger.slurm import JOBS, export
 from tests.project.layers import PACKAGES, ROOT
@@ -46,3 +47,63 @@ def test_jobs_load_no_code_that_is_not_in_their_keys(tmp_path: Path) -> None:
     kinds = {job.kind for job in jobs}
     assert len(loaded) > 80
     assert loaded - set(closure(*kinds)) <= set(closure("mi_splat.ledger.slurm")), "name it in the kind's module"
+
+
+# Jobs with the shipped detector: their code is known, and a study runs in processes of its own
+
+
+CODE = """
+import sys
+from pathlib import Path
+from attacks.dagger.config import DaggerConfig
+from attacks.objectives import Relabel
+from attacks.studies import attack
+from attacks.studies.scenes import scene_files
+from mi_splat.import_closure import closure
+from mi_splat.ledger.job import Out
+
+def strange(kind):
+    known = (*closure(kind), "mi_splat.import_closure", "attacks.studies.look")
+    ours = [name for name in sys.modules if name.startswith(("attacks.", "mi_splat."))]
+    return [name for name in ours if name not in known and not name.startswith("mi_splat.ledger")]
+
+scene, folder = scene_files(Path(sys.argv[1])), Path(sys.argv[2])
+folder.mkdir()
+out = Out(files=folder, kept=folder / "partial", progress=lambda *_: None)
+detector = "fasterrcnn_small"
+config = DaggerConfig(steps=1, noise_draws=0)
+made = attack.FixedAttack(object="car", objective=Relabel(label="person"), detectors=(detector,), attack=config)
+attack.run(made, scene, out)
+found = strange("attacks.studies.attack")
+from attacks.studies import look
+seen = dict(object="car", target="person", detector=detector, attributes=("sh",), norm="l2", seed=0, eps=(5.0,))
+look.run(look.Look(**seen, condition=".spz"), {**scene, "attacked": folder / "object.ply"}, out)
+print([*found, *strange("attacks.studies.look")])
+"""
+STUDY = """
+study = "dagger"
+scene = "scenes/car_street.xml"
+object = "car"
+target = "person"
+attack = { steps = 1, noise_draws = 1 }
+[matrix]
+seed = [0, 1]
+[judge]
+condition = "ray"
+"""
+
+
+def test_the_code_that_a_job_loads_is_in_its_key(tmp_path: Path) -> None:
+    """What the import closure of its module does not know could change without a change of the key."""
+    words = [sys.executable, "-c", CODE, str(write_toy(tmp_path)), str(tmp_path / "out")]
+    assert subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip() == "[]"
+
+
+@pytest.mark.nightly
+def test_a_study_runs_in_two_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    (tmp_path / "small.toml").write_text(STUDY)
+    words = ["study", "run", str(tmp_path / "small.toml"), "--store", str(tmp_path / "store"), "--workers", "2"]
+    assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
+    record = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert (len(record["attacks"]), len(record["looks"])) == (2, 1)
