@@ -114,15 +114,15 @@ class Bench:
         self._tasks.append(task)
 
     def turn(self) -> bool:
-        """Do what waits, and hear what work says; whether anything changed."""
-        changed = bool(self._tasks)
-        while self._tasks:
+        """Do what waits, and hear what work says; whether anything changed. What is asked for meanwhile waits."""
+        waiting = len(self._tasks)
+        for _ in range(waiting):
             task = self._tasks.popleft()
             try:
                 task()
             except (MiSplatError, OSError) as error:
                 self.lines = (str(error),)
-        return self._listen() or changed
+        return self._listen() or waiting > 0
 
     def pick(self, click: Click) -> None:
         """Pick what is at a pixel.

@@ -93,6 +93,19 @@ def test_a_box_keeps_a_part_of_what_was_picked() -> None:
     assert work.picked.command == whole.command
 
 
+def test_what_is_asked_for_meanwhile_waits_for_a_picture() -> None:
+    """A slider that is moved all the time must not keep pictures from being made."""
+    work, done = bench(), list[int]()
+
+    def again() -> None:
+        done.append(len(done))
+        work.later(again)
+
+    work.later(again)
+    assert [work.turn(), work.turn()] == [True, True]
+    assert done == [0, 1]
+
+
 def test_tinted_gaussians_are_half_of_another_colour_from_everywhere() -> None:
     scene = ball((0.2, 0.4, 0.6)).with_degree(1)
     scene = GaussianScene(*scene.tensors()[:4], scene.sh + 0.01)
