@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from attacks.classifiers.catalogue import GET_PROTOTYPES, features_file
-from mi_splat.errors import InvalidValueError, nearest
+from mi_splat.errors import InvalidValueError, install, nearest
 
 if TYPE_CHECKING:
     from attacks.classifiers.base import Classifier
@@ -60,6 +60,25 @@ def _torchvision(network: str, weights: Path | None, classes: Sequence[str] | No
     return load(network, weights, classes)
 
 
+def _clip(network: str, weights: Path | None, classes: Sequence[str] | None) -> Classifier:
+    from attacks.classifiers.clip import load_clip
+
+    return load_clip(weights, _named("clip", classes))
+
+
+def _open_clip(network: str, weights: Path | None, classes: Sequence[str] | None) -> Classifier:
+    from attacks.classifiers.clip import load_open_clip
+
+    return load_open_clip(network, weights, _named("open_clip", classes))
+
+
+def _named(name: str, classes: Sequence[str] | None) -> Sequence[str]:
+    """The classes of a zero-shot classifier, which has no usual ones."""
+    if classes is None:
+        raise InvalidValueError.of(f"classes of {name}", "a list of names", "none", "say what it shall tell apart")
+    return classes
+
+
 CLASSIFIERS = {
     spec.name: spec
     for spec in (
@@ -78,6 +97,23 @@ CLASSIFIERS = {
             licence="BSD-3-Clause",
             networks="resnet50 or another of torchvision.models.list_models()",
             advice="downloaded when first used, or name a file",
+        ),
+        ClassifierSpec(
+            name="clip",
+            load=_clip,
+            origin="a folder of your own, of CLIP in the form of transformers",
+            licence="its own",
+            advice=f"name a folder, and {install('transformers')}",
+            requires=("transformers",),
+        ),
+        ClassifierSpec(
+            name="open_clip",
+            load=_open_clip,
+            origin="a file of your own, of CLIP in the form of open_clip",
+            licence="its own",
+            networks="ViT-B-16 or another of open_clip.list_models()",
+            advice=f"name a file, and {install('clip')}",
+            requires=("open_clip",),
         ),
     )
 }

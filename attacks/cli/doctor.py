@@ -288,6 +288,7 @@ GROUPS: dict[str, tuple[Probe, ...]] = {
 }
 EXTRAS = {
     "cluster": ("distributed",),
+    "clip": ("open_clip",),
     "colmap": ("pycolmap",),
     "meshes": ("trimesh",),
     "report": ("jinja2", "matplotlib"),

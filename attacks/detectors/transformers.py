@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.overrides import TorchFunctionMode
 from torchvision.ops import box_convert
 
 from attacks.detectors.base import Candidates, Detections, check_images, eight_bits
 from attacks.detectors.catalogue import BACKGROUND, TRANSFORMERS_HUB, UNUSED, DetectorError, elsewhere
-from attacks.detectors.weights import FrozenModel, in_a_line
+from attacks.detectors.weights import FrozenModel, in_a_line, keep_gradients_right
 from mi_splat.errors import install
 
 os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")  # before the package is imported
@@ -147,23 +147,6 @@ class _WholeGradient(TorchFunctionMode):
         return args[0] if func is Tensor.detach else func(*args, **(kwargs or {}))
 
 
-def keep_gradients_right(model: nn.Module) -> None:
-    """Bring the gradient into contiguous order before it enters any BatchNorm2d of `model`; the forward pass stays.
-
-    On the CPU (seen with torch 2.15), the backward pass of `BatchNorm2d` takes the values of the gradient in a wrong
-    order if the batch is one picture, the input is contiguous, and the gradient comes in the order of tokens,
-    (B, H * W, C), as from the attention of a transformer. There is no error; the gradient is another one.
-    """
-    for part in model.modules():
-        if isinstance(part, nn.BatchNorm2d):
-            part.register_forward_hook(_order_gradient)
-
-
-def _order_gradient(module: nn.Module, inputs: Any, output: Tensor) -> None:
-    if output.requires_grad:
-        output.register_hook(Tensor.contiguous)  # type: ignore[no-untyped-call]
-
-
 def _labels(names: Mapping[int, str]) -> tuple[str, ...]:
     """What the label numbers 0, 1, ... mean, by COCO's names."""
     return tuple(_COCO_NAMES.get(names[number], names[number]) for number in sorted(names))
@@ -184,25 +167,25 @@ def load(name: str, weights: Path | None = None) -> TransformersDetector:
     if weights is None:
         where: dict[str, Any] = {"pretrained_model_name_or_path": hub.repository, "revision": hub.revision}
     else:
-        where = {"pretrained_model_name_or_path": _folder(Path(weights)), "local_files_only": True}
+        where = {"pretrained_model_name_or_path": model_folder(Path(weights)), "local_files_only": True}
     source = name if weights is None else weights
     model_class, processor_class, _ = _ARCHITECTURES[hub.architecture]
-    with _loading(source):
+    with loading(source):
         config = AutoConfig.from_pretrained(**where)
     if config.model_type != hub.architecture:
         raise DetectorError.of(
             f"weights of {source}", f"a {hub.architecture}", f"a {config.model_type}", f"pass a folder of {name}"
         )
-    with _loading(source):
+    with loading(source):
         processor = processor_class.from_pretrained(**where)
         model, report = model_class.from_pretrained(
             **where, config=config, dtype=torch.float32, output_loading_info=True
         )
-    _require_all(report, source)
+    require_all(report, source)
     return TransformersDetector(name, model, processor)
 
 
-def _folder(path: Path) -> Path:
+def model_folder(path: Path) -> Path:
     """The folder that a path names, or that holds the file that it names."""
     if not path.exists():
         raise DetectorError.of(f"weights {path}", f"a folder of {_FILES}", "nothing there", "check the path")
@@ -215,7 +198,7 @@ def _folder(path: Path) -> Path:
     return folder
 
 
-def _require_all(report: Mapping[str, Any], source: object) -> None:
+def require_all(report: Mapping[str, Any], source: object) -> None:
     """Raise unless every tensor of the model came from the file; what else is in the file does not matter."""
     flaws = (("missing", "missing_keys"), ("of another shape", "mismatched_keys"))
     tensors = {flaw: sorted(map(str, report.get(key) or ())) for flaw, key in flaws}
@@ -226,7 +209,7 @@ def _require_all(report: Mapping[str, Any], source: object) -> None:
 
 
 @contextmanager
-def _loading(source: object) -> Iterator[None]:
+def loading(source: object) -> Iterator[None]:
     """No progress bars meanwhile, and whatever the library raises told in a line."""
     shown = library_logging.is_progress_bar_enabled()
     library_logging.disable_progress_bar()

@@ -25,7 +25,7 @@ from mi_splat.rendering import Renderer
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
-LOADS = ("attacks.classifiers.prototypes", "attacks.classifiers.torchvision")
+LOADS = ("attacks.classifiers.prototypes", "attacks.classifiers.torchvision", "attacks.classifiers.clip")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

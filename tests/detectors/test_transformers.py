@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from attacks.detectors import DetectorError, load_detector
 from attacks.detectors.catalogue import COCO_CLASSES
+from attacks.detectors.weights import keep_gradients_right
 from tests.detectors.contract import (
     each_picture_has_its_own_gradient,
     holds_the_protocol,
@@ -96,7 +97,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
                 for _ in range(4):
                     model(pixel_values=torch.randn(2, 3, 64, 64))
         found[kind] = tmp_path_factory.mktemp(kind)
-        with adapter._loading("a test"):
+        with adapter.loading("a test"):
             model.eval().save_pretrained(found[kind])
         processor.save_pretrained(found[kind])
     return found
@@ -265,7 +266,7 @@ def test_the_gradient_is_the_scale_of_each_channel(batch: int, layout: str) -> N
     variance = torch.rand(5, generator=generator) + 0.5
     norm.running_var = variance
     nn.init.uniform_(norm.weight, 0.5, 2, generator=generator)
-    adapter.keep_gradients_right(nn.Sequential(norm))
+    keep_gradients_right(nn.Sequential(norm))
     picture = torch.randn(batch, 5, 3, 4, generator=generator).requires_grad_()
     gradient = torch.randn(batch, 5, 3, 4, generator=generator)
     expected = gradient * (norm.weight / torch.sqrt(variance + norm.eps)).view(5, 1, 1)
@@ -281,6 +282,6 @@ def test_the_forward_pass_stays_and_needs_no_gradient() -> None:
     norm = nn.BatchNorm2d(5).eval()
     picture = torch.randn(1, 5, 3, 4, generator=torch.Generator().manual_seed(0))
     before = norm(picture).detach()
-    adapter.keep_gradients_right(norm)
+    keep_gradients_right(norm)
     with torch.no_grad():
         assert torch.equal(norm(picture), before)

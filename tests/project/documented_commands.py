@@ -25,6 +25,7 @@ FAST = {
         "artifact-check",
         "audit",
         "capture",
+        "classifiers",
         "compare",
         "convert",
         "dagger",

@@ -23,7 +23,7 @@ else:
     import tomli as tomllib
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-ALSO = {"PIL": "pillow", "imageio_ffmpeg": "imageio-ffmpeg", "pxr": "usd-core"}
+ALSO = {"PIL": "pillow", "imageio_ffmpeg": "imageio-ffmpeg", "open_clip": "open_clip_torch", "pxr": "usd-core"}
 """Modules that are not called as their package is."""
 MODULES = [module for modules in EXTRAS.values() for module in modules]
 
