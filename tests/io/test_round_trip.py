@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import math
+import re
 import tracemalloc
 from pathlib import Path
 
@@ -15,7 +17,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from torch import Tensor
 
+from mi_splat.errors import InvalidValueError
 from mi_splat.io import from_raw_parameters, load_splat, save_splat, to_raw_parameters
+from mi_splat.io.parameters import activate
+from mi_splat.io.ply.rows import file_names, file_record
 from mi_splat.rotation import normalise
 from mi_splat.scene import ATTRIBUTES, LARGEST, GaussianScene, scene_hash
 from tests.gaussians import columns, ply_bytes, random_scene, splat_names, splat_rows
@@ -226,3 +231,80 @@ def test_memory_stays_near_the_size_of_the_scene(tmp_path: Path) -> None:
         _, peak = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         assert peak < most * size  # in blocks, one for each thread, whatever the size of the scene
+
+
+# The parametrisation of splat files as differentiable functions
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_ends_of_the_opacities_are_exact_in_both_dtypes(dtype: torch.dtype) -> None:
+    scene = random_scene(3, dtype=dtype)
+    opacities = torch.tensor([0.0, 1.0, 0.5], dtype=dtype)
+    values = to_raw_parameters(scene.replace(opacities=opacities))
+    assert values["opacities"].dtype == dtype
+    assert torch.isfinite(values["opacities"]).all()
+    assert torch.equal(from_raw_parameters(values).opacities, opacities)
+
+
+def test_both_directions_are_differentiable() -> None:
+    scene = random_scene(3, 1, dtype=torch.float64)
+    leaves = [value.clone().requires_grad_() for value in scene.tensors()]
+
+    def there(*tensors: Tensor) -> tuple[Tensor, ...]:
+        return tuple(to_raw_parameters(GaussianScene.unchecked(*tensors)).values())
+
+    def back(*tensors: Tensor) -> tuple[Tensor, ...]:
+        return activate(dict(zip(ATTRIBUTES, tensors, strict=True)))
+
+    assert torch.autograd.gradcheck(there, leaves)
+    values = [value.detach().clone() for value in there(*leaves)]
+    values[2] *= torch.tensor([[0.5], [2.0], [3.0]])  # away from unit length, where the bits are kept
+    assert torch.autograd.gradcheck(back, [value.requires_grad_() for value in values])
+
+
+def test_gradients_at_the_ends_are_zero_not_nan() -> None:
+    opacities = torch.tensor([0.0, 1.0, 0.5], requires_grad=True)
+    scene = random_scene(3).replace(opacities=opacities)
+    (gradient,) = torch.autograd.grad(to_raw_parameters(scene)["opacities"].sum(), opacities)
+    torch.testing.assert_close(gradient, torch.tensor([0.0, 0.0, 4.0]))
+
+
+def test_largest_scales_stay_finite() -> None:
+    for dtype in (torch.float32, torch.float64):
+        scene = random_scene(1, dtype=dtype)
+        means, _, *others = scene.tensors()
+        big = GaussianScene.unchecked(means, torch.full((1, 3), torch.finfo(dtype).max, dtype=dtype), *others)
+        assert torch.isfinite(activate(to_raw_parameters(big))[1]).all()
+
+
+@pytest.mark.parametrize(("log_scale", "got"), [(89.0, "inf"), (-120.0, "0"), (math.nan, "nan")])
+def test_log_scales_out_of_range_are_refused(log_scale: float, got: str) -> None:
+    values = to_raw_parameters(random_scene(2))
+    values["scales"] = torch.full((2, 3), log_scale)
+    with pytest.raises(
+        InvalidValueError, match=rf"^scales: expected finite values > 0 up to 1e\+09, got {got} in row 0"
+    ):
+        from_raw_parameters(values)
+
+
+def test_names_must_be_the_five() -> None:
+    values = to_raw_parameters(random_scene(2))
+    with pytest.raises(InvalidValueError, match=re.escape("values: expected the names ('means'")):
+        from_raw_parameters({name: values[name] for name in ATTRIBUTES[1:]})
+
+
+def test_a_file_is_read_to_the_bit_as_torch_would(tmp_path: Path) -> None:
+    count, generator = 2000, torch.Generator().manual_seed(0)
+    widths = {"means": (3,), "scales": (3,), "rotations": (4,), "opacities": (), "sh": (1, 3)}
+    values = {name: 3 * torch.randn(count, *width, generator=generator) for name, width in widths.items()}
+    values["opacities"][:6] = torch.tensor([-104.0, -30.0, -1e-8, 0.0, 17.5, 88.0])
+    values["rotations"][:2] = torch.tensor([[1.0, 0.0, 0.0, 0.0], [0.5, -0.5, 0.5, 0.5000001]])
+    rows = np.zeros(count, file_record(0))
+    for name in ("means", "scales", "rotations", "opacities"):
+        rows[name] = values[name].numpy()
+    properties = "".join(f"property float {name}\n" for name in file_names(0))
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n{properties}end_header\n"
+    (tmp_path / "a.ply").write_bytes(head.encode() + rows.tobytes())
+    found = load_splat(tmp_path / "a.ply")
+    for value, wanted in zip(found.tensors()[:4], activate(values)[:4], strict=True):
+        assert torch.equal(value, wanted)

@@ -6,14 +6,18 @@ from pathlib import Path
 
 import pytest
 import torch
+import torch.nn.functional as functional
+from torch import Tensor
 
 from mi_splat.cameras import project_points
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
+from mi_splat.metrics import ssim as reported_ssim
 from mi_splat.sh import colour_to_dc
 from mi_splat.training.initialization import from_points, random_points, spacing, thinned, with_outliers
 from mi_splat.training.loop import scene_extent
+from mi_splat.training.losses import blur, photometric_loss
 from tests.training.sets import views_of, write_set
 
 
@@ -110,3 +114,103 @@ def test_a_thinned_cloud_keeps_its_order_and_colours() -> None:
     assert torch.equal(few.points, thinned(cloud, 40, seed=1).points)
     assert not torch.equal(few.points, thinned(cloud, 40, seed=2).points)
     assert thinned(cloud, 100) is cloud
+
+
+# The loss that training descends
+
+
+def pictures(seed: int, height: int = 24, width: int = 30) -> tuple[Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    first = torch.rand(height, width, 3, generator=generator, dtype=torch.float64)
+    return first, (first + 0.2 * torch.rand(first.shape, generator=generator, dtype=torch.float64)).clamp(0, 1)
+
+
+def ssim(image: Tensor, reference: Tensor) -> Tensor:
+    return 1 - photometric_loss(image, reference, lambda_dssim=1)
+
+
+def test_the_loss_has_its_derivative() -> None:
+    image, reference = pictures(0, 13, 17)
+    assert torch.autograd.gradcheck(lambda x: 3 * photometric_loss(x, reference), image.requires_grad_(True))
+
+
+def composed(image: Tensor, reference: Tensor) -> Tensor:
+    """The loss from torch's operations, one after another, for autograd to differentiate."""
+    taps = torch.exp(-0.5 * (torch.arange(-5, 6, dtype=image.dtype) / 1.5) ** 2)
+    window = (torch.outer(taps, taps) / taps.sum() ** 2).expand(3, 1, 11, 11)
+    x, y = (picture.permute(2, 0, 1) for picture in (image, reference))
+    mx, my, xx, yy, xy = (
+        functional.conv2d(planes, window, padding=5, groups=3) for planes in (x, y, x * x, y * y, x * y)
+    )
+    luminance = (2 * mx * my + 0.01**2) / (mx**2 + my**2 + 0.01**2)
+    structure = (2 * (xy - mx * my) + 0.03**2) / (xx - mx**2 + yy - my**2 + 0.03**2)
+    return 0.8 * (image - reference).abs().mean() + 0.2 * (1 - (luminance * structure).mean())
+
+
+@pytest.mark.parametrize("size", [(24, 32), (21, 25)])
+def test_the_fast_loss_of_single_numbers_is_that_of_doubles_by_autograd(size: tuple[int, int]) -> None:
+    image, reference = pictures(6, *size)
+    (truth,) = torch.autograd.grad(composed(image.requires_grad_(True), reference), image)
+    single = image.detach().float().requires_grad_(True)
+    loss = photometric_loss(single, reference.float())
+    (gradient,) = torch.autograd.grad(loss, single)
+    assert float(loss.detach()) == pytest.approx(float(composed(image.detach(), reference)), rel=1e-6)
+    assert torch.allclose(gradient.double(), truth, rtol=0, atol=5e-6 * float(truth.abs().max()))
+    before = torch.get_num_threads()
+    torch.set_num_threads(1 if before > 1 else 2)
+    assert torch.equal(torch.autograd.grad(photometric_loss(single, reference.float()), single)[0], gradient)
+    torch.set_num_threads(before)
+
+
+def test_ssim_is_that_of_the_library_away_from_the_rim() -> None:
+    image, reference = (p.float() for p in pictures(1, 200, 200))
+    assert float(ssim(image, reference)) == pytest.approx(float(reported_ssim(image, reference)), abs=5e-3)
+    assert float(ssim(image, image)) == pytest.approx(1.0, abs=1e-6)
+
+
+def slow_ssim(image: Tensor, reference: Tensor) -> float:
+    """Pixel by pixel: window of 11 x 11 and sigma 1.5, zeros outside, constants of Wang et al. 2004."""
+    taps = torch.exp(-0.5 * (torch.arange(-5, 6, dtype=torch.float64) / 1.5) ** 2)
+    window = torch.outer(taps, taps) / taps.sum() ** 2
+    x, y = (functional.pad(picture.permute(2, 0, 1), (5, 5, 5, 5)) for picture in (image, reference))
+    total = 0.0
+    for row in range(image.shape[0]):
+        for column in range(image.shape[1]):
+            a, b = (picture[:, row : row + 11, column : column + 11] for picture in (x, y))
+            mean_a, mean_b, aa, bb, ab = ((window * v).sum((1, 2)) for v in (a, b, a * a, b * b, a * b))
+            luminance = (2 * mean_a * mean_b + 0.01**2) / (mean_a**2 + mean_b**2 + 0.01**2)
+            spread = (2 * (ab - mean_a * mean_b) + 0.03**2) / (aa - mean_a**2 + bb - mean_b**2 + 0.03**2)
+            total += float((luminance * spread).mean())
+    return total / (image.shape[0] * image.shape[1])
+
+
+def test_ssim_is_its_definition() -> None:
+    image, reference = pictures(4, 14, 17)
+    assert float(ssim(image, reference)) == pytest.approx(slow_ssim(image, reference), abs=1e-12)
+
+
+def test_the_weight_of_dssim_is_a_fifth() -> None:
+    image, reference = pictures(5)
+    assert torch.equal(photometric_loss(image, reference), photometric_loss(image, reference, lambda_dssim=0.2))
+
+
+def test_blur_is_its_own_adjoint() -> None:
+    generator = torch.Generator().manual_seed(3)
+    a, b = (torch.randn(2, 14, 19, 3, generator=generator, dtype=torch.float64) for _ in range(2))
+    assert float((blur(a) * b).sum()) == pytest.approx(float((a * blur(b)).sum()), rel=1e-12)
+    assert float(blur(torch.ones(1, 30, 30, 1))[0, 15, 15]) == pytest.approx(1.0)
+    assert torch.allclose(blur(a.float()), blur(a).float(), atol=1e-6)
+
+
+def test_photometric_weighs_its_two_terms() -> None:
+    image, reference = pictures(2)
+    plain = (image - reference).abs().mean()
+    assert torch.equal(photometric_loss(image, reference, lambda_dssim=0), plain)
+    both = photometric_loss(image, reference, lambda_dssim=0.25)
+    assert float(both) == pytest.approx(float(0.75 * plain + 0.25 * (1 - ssim(image, reference))))
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (8, 9, 3)])
+def test_ssim_of_unlike_pictures_is_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(InvalidValueError, match="image: expected shape"):
+        ssim(torch.zeros(shape), torch.zeros(8, 8, 3))

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import math
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from PIL import Image
+from torch import Tensor
 
 from attacks.transformations.config import CameraRegion, PictureChanges
-from attacks.transformations.draws import draw_camera
+from attacks.transformations.draws import PictureChange, change_picture, draw_camera, draw_change
 from mi_splat.cameras import Camera, look_at, project_points
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
@@ -129,3 +132,102 @@ def test_a_reference_in_the_middle_of_the_object_gives_no_unit() -> None:
     inside = dataclasses.replace(REFERENCE, to_world=look_at(CENTRE, (5, 5, 5)))
     with pytest.raises(InvalidValueError, match="distance_unit"):
         draw_camera(CameraRegion(), np.random.default_rng(0), centre=CENTRE, radius=1.0, reference=inside)
+
+
+# Changes of pictures: each against what it means, derivatives, and draws by seed
+
+
+CHANGES = PictureChanges(exposure=1.0, white_balance=0.2, gamma=0.3, blur=2.0, resize=0.5, noise=0.1, jpeg=30)
+
+
+def picture(*, dtype: torch.dtype = torch.float32) -> Tensor:
+    generator = torch.Generator().manual_seed(3)
+    return 0.1 + 0.8 * torch.rand(12, 16, 3, generator=generator, dtype=dtype)
+
+
+def test_no_change_is_the_same_bits() -> None:
+    assert torch.equal(change_picture(picture(), PictureChange()), picture())
+    drawn = draw_change(PictureChanges(), np.random.default_rng(1))
+    assert drawn == PictureChange(noise_seed=drawn.noise_seed)
+    assert PictureChanges().are_none
+    assert not CHANGES.are_none
+
+
+def test_a_stop_doubles_the_light() -> None:
+    grey = torch.full((2, 2, 3), 0.2)
+    after = change_picture(grey, PictureChange(gains=(2.0, 2.0, 2.0)))
+    # sRGB 0.2 is 0.033105 in linear light, and twice as much light is sRGB 0.28538.
+    assert after.flatten().tolist() == pytest.approx([0.28538] * 12, abs=1e-4)
+
+
+def test_white_balance_and_gamma() -> None:
+    after = change_picture(picture(), PictureChange(gains=(1.1, 1.0, 0.9)))
+    assert bool((after[..., 0] > picture()[..., 0]).all() and (after[..., 2] < picture()[..., 2]).all())
+    torch.testing.assert_close(after[..., 1], picture()[..., 1], atol=1e-5, rtol=0)
+    torch.testing.assert_close(change_picture(picture(), PictureChange(gamma=2.0)), picture() ** 2)
+
+
+def test_blur_spreads_a_point_as_a_gaussian() -> None:
+    point = torch.zeros(31, 31, 3)
+    point[15, 15] = 1.0
+    after = change_picture(point, PictureChange(blur=2.0))[..., 0].double()
+    places = torch.arange(31, dtype=torch.float64) - 15
+    assert float(after.sum()) == pytest.approx(1.0, abs=1e-5)
+    assert float((after.sum(0) * places**2).sum()) == pytest.approx(4.0, rel=0.05)
+
+
+def test_resizing_keeps_the_size_and_loses_detail() -> None:
+    after = change_picture(picture(), PictureChange(resize=0.25))
+    assert after.shape == picture().shape
+    assert float(after.var()) < 0.5 * float(picture().var())
+    flat = torch.full((12, 16, 3), 0.3)
+    torch.testing.assert_close(change_picture(flat, PictureChange(resize=0.25)), flat)
+
+
+def test_noise_has_its_size_and_is_the_seed_s() -> None:
+    grey = torch.full((64, 64, 3), 0.5)
+    first, again, other = (change_picture(grey, PictureChange(noise=0.1, noise_seed=seed)) for seed in (1, 1, 2))
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+    assert float((first - grey).std()) == pytest.approx(0.1, rel=0.05)
+
+
+def test_jpeg_is_the_real_one_and_passes_the_gradient() -> None:
+    leaf = picture().requires_grad_(True)
+    after = change_picture(leaf, PictureChange(jpeg=40))
+    buffer = io.BytesIO()
+    Image.fromarray((picture() * 255).round().to(torch.uint8).numpy()).save(buffer, format="JPEG", quality=40)
+    expected = np.asarray(Image.open(buffer).convert("RGB"), dtype=np.float32) / 255
+    assert torch.equal(after.detach(), torch.from_numpy(expected))
+    assert not torch.equal(after.detach(), picture())
+    (gradient,) = torch.autograd.grad((after * torch.arange(3.0)).sum(), [leaf])
+    assert torch.equal(gradient, torch.arange(3.0).expand_as(gradient))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"gains": (1.2, 1.1, 0.9)}, {"gamma": 1.3}, {"blur": 1.0}, {"resize": 0.6}, {"noise": 0.02}],
+    ids=lambda change: next(iter(change)),
+)
+def test_derivatives_are_those_of_finite_differences(change: dict[str, Any]) -> None:
+    leaf = picture(dtype=torch.float64)[:5, :6].clone().requires_grad_(True)
+    assert torch.autograd.gradcheck(lambda x: change_picture(x, PictureChange(**change)), (leaf,), atol=1e-6)
+
+
+def test_draws_are_in_their_intervals_and_pure() -> None:
+    found = [draw_change(CHANGES, np.random.default_rng((7, index))) for index in range(200)]
+    assert found == [draw_change(CHANGES, np.random.default_rng((7, index))) for index in range(200)]
+    for name, low, high in (("blur", 0, 2), ("resize", 0.5, 1), ("noise", 0, 0.1), ("jpeg", 30, 95)):
+        values = [getattr(change, name) for change in found]
+        assert low <= min(values) < low + 0.1 * (high - low)
+        assert high - 0.1 * (high - low) < max(values) <= high
+    light = [change.gains[1] for change in found]
+    assert 0.5 <= min(light) < 0.6
+    assert 1.8 < max(light) <= 2.0
+    assert len({change.noise_seed for change in found}) == 200
+
+
+def test_changed_pictures_stay_in_range() -> None:
+    for index in range(10):
+        after = change_picture(picture(), draw_change(CHANGES, np.random.default_rng((2, index))))
+        assert 0 <= float(after.min()) <= float(after.max()) <= 1
