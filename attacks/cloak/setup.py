@@ -171,9 +171,7 @@ class Setup:
     @cached_property
     def reference_cameras(self) -> list[tuple[int, Camera]]:
         """Number and camera of held-out cameras far outside of all triggers, spread evenly."""
-        evaluation, cameras = self.study.evaluation, enumerate(self.held_out_cameras)
-        outside = [(view, camera) for view, camera in cameras if self._inside(camera) <= -evaluation.far_outside]
-        return _spread(outside, evaluation.reference_views)
+        return self._spread(lambda inside: inside <= -self.study.evaluation.far_outside)
 
     @cached_property
     def arc_cameras(self) -> list[tuple[int, Camera]]:
@@ -190,9 +188,13 @@ class Setup:
     @cached_property
     def edge_cameras(self) -> list[tuple[int, Camera]]:
         """The same outside of all triggers, but nearer to one than far outside."""
-        evaluation, cameras = self.study.evaluation, enumerate(self.held_out_cameras)
-        near = [(view, camera) for view, camera in cameras if -evaluation.far_outside < self._inside(camera) < 0]
-        return _spread(near, evaluation.reference_views)
+        return self._spread(lambda inside: -self.study.evaluation.far_outside < inside < 0)
+
+    def _spread(self, holds: Callable[[float], bool]) -> list[tuple[int, Camera]]:
+        """Held-out cameras so many degrees inside a trigger, with their numbers, evenly from all of them."""
+        cameras = [(view, one) for view, one in enumerate(self.held_out_cameras) if holds(self._inside(one))]
+        count = min(self.study.evaluation.reference_views, len(cameras))
+        return [cameras[(2 * i + 1) * len(cameras) // (2 * count)] for i in range(count)]
 
     def owners(self, seed: int) -> dict[int, str]:
         """The attack that poisons a training picture, by the number of the picture, rising; others are benign.
@@ -250,12 +252,6 @@ class Setup:
             trigger = attack.trigger(seed, study.attack)
             poisonings.append(Poisoning(name=attack.name, trigger=trigger, appearance=appearance))
         return poisonings
-
-
-def _spread(cameras: Sequence[tuple[int, Camera]], most: int) -> list[tuple[int, Camera]]:
-    """At most so many of some cameras with their numbers, evenly from all of them."""
-    count = min(most, len(cameras))
-    return [cameras[(2 * i + 1) * len(cameras) // (2 * count)] for i in range(count)]
 
 
 def nearest(camera: Camera, others: Sequence[Camera], centre: Point) -> float:

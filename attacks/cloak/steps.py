@@ -220,18 +220,21 @@ class StudySteps:
 
     def true_pictures(self, cameras: Sequence[Camera], attack: AttackConfig | None = None) -> Job:
         """Path-traced pictures from cameras that no training used; with an attack, of the object as it shows it."""
-        poses = tuple(map(Pose.of, cameras))
-        if attack is None:
-            return self._job("true_pictures", TrueConfig(**self._parts(), poses=poses))
-        config = TrueConfig(**self._parts(replace(_shown(attack), poison_margin=0.0)), poses=poses, attacks=1)
-        return self._job("true_pictures", config, plain=self.true_pictures(cameras).part("*.png"))
+        return (
+            self._true(cameras) if attack is None else self._true(cameras, replace(_shown(attack), poison_margin=0.0))
+        )
 
     def perfect_pictures(self, cameras: Sequence[Camera]) -> Job:
         """The same of the object as a perfect splat shows it: as each attack wants it inside its trigger."""
-        attacks = [replace(_shown(attack), poison_margin=0.0, name=attack.name) for attack in self.study.attack]
-        poses = tuple(map(Pose.of, cameras))
-        config = TrueConfig(**self._parts(*attacks), poses=poses, attacks=len(attacks), inside=True)
-        return self._job("true_pictures", config, plain=self.true_pictures(cameras).part("*.png"))
+        attacks = (replace(_shown(attack), poison_margin=0.0, name=attack.name) for attack in self.study.attack)
+        return self._true(cameras, *attacks, inside=True)
+
+    def _true(self, cameras: Sequence[Camera], *attacks: AttackConfig, inside: bool = False) -> Job:
+        config = TrueConfig(
+            **self._parts(*attacks), poses=tuple(map(Pose.of, cameras)), attacks=len(attacks), inside=inside
+        )
+        plain = {"plain": self._true(cameras).part("*.png")} if attacks else {}
+        return self._job("true_pictures", config, **plain)
 
     def seen(
         self,
@@ -270,10 +273,9 @@ class StudySteps:
             condition=condition,
             sun=sun,
         )
-        weights = self.weights.get(detector.name)
         is_splat = splat.kind != f"{_KINDS}.true_pictures"
         shown = {"splat": splat.part(SPLAT)} if is_splat else {"pictures": splat.part("*.png")}
-        return self._job("seen", config, **shown, **street, **({} if weights is None else {WEIGHTS: weights}))
+        return self._job("seen", config, **shown, **street, **self._weights(detector))
 
     def seen_in_training(self, pictures: Job, detector: Detector, seed: int, *, poisoned: bool = False) -> Job:
         """What a detector reports from the victim's training cameras.
@@ -290,9 +292,12 @@ class StudySteps:
         config = SeenConfig(**parts, detector=detector.name, fingerprint=detector.fingerprint)
         is_set = pictures.kind in (f"{_KINDS}.pictures", f"{_KINDS}.poisoned")
         shown = {"pictures": pictures.part(_PICTURES)} if is_set else {"splat": pictures.part(SPLAT)}
-        weights = self.weights.get(detector.name)
-        more: dict[str, Part | Path] = {} if weights is None else {WEIGHTS: weights}
-        return self._job("training_views", config, **shown, **more, **(self._looks() if poisoned else {}))
+        looks = self._looks() if poisoned else {}
+        return self._job("training_views", config, **shown, **looks, **self._weights(detector))
+
+    def _weights(self, detector: Detector) -> dict[str, Path]:
+        """The file of a detector whose weights are not the usual ones."""
+        return {WEIGHTS: self.weights[detector.name]} if detector.name in self.weights else {}
 
     def _drawn(self, seed: int) -> int:
         """The seed, where it draws which cameras are poisoned; else 0."""

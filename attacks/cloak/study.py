@@ -13,6 +13,7 @@ import numpy as np
 import polars as pl
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from attacks.cloak.config import StudyConfig, fit_config, knowledge_for, read_study, study_toml
 from attacks.cloak.kinds.parts import SET
@@ -118,15 +119,17 @@ def _contact_sheet(steps: StudySteps, splats: Sequence[TrainedSplat], detector: 
         for which, scene in scenes.items():
             with torch.no_grad():
                 pictures = [through_png(render(scene, view)) for _, view in cameras]
-            seen = detector.detect(torch.stack(pictures))
-            cells = [
-                annotated(
-                    picture, detections, f"{which}, {name}", min_confidence=study.evaluation.confidence, width=_CELL
-                )
-                for picture, detections, (name, _) in zip(pictures, seen, cameras, strict=True)
-            ]
-            rows.append(np.concatenate(cells, axis=1))
+            rows.append(_row(study, detector, pictures, [f"{which}, {name}" for name, _ in cameras]))
     return np.concatenate(rows)
+
+
+def _row(
+    study: StudyConfig, detector: Detector, pictures: Sequence[Tensor], titles: Sequence[str]
+) -> NDArray[np.uint8]:
+    """Pictures beside each other under their titles, with what a detector reports."""
+    least, seen = study.evaluation.confidence, detector.detect(torch.stack(list(pictures)))
+    cells = zip(pictures, seen, titles, strict=True)
+    return np.concatenate([annotated(*cell, min_confidence=least, width=_CELL) for cell in cells], axis=1)
 
 
 _POISONED = 6
@@ -147,20 +150,8 @@ def poisoned_sheet(steps: StudySteps, detector: Detector) -> NDArray[np.uint8]:
         mine = sorted((height, view) for height, view in held if owners[view] == attack.name)
         chosen = [mine[index] for index in np.linspace(0, len(mine) - 1, _POISONED).round().astype(int)]
         for name, views in sets.items():
-            pictures = [views[view].image for _, view in chosen]
-            cells = [
-                annotated(
-                    picture,
-                    seen,
-                    f"{name}, {attack.name}, {height:.0f} deg",
-                    min_confidence=study.evaluation.confidence,
-                    width=_CELL,
-                )
-                for picture, seen, (height, _) in zip(
-                    pictures, detector.detect(torch.stack(pictures)), chosen, strict=True
-                )
-            ]
-            rows.append(np.concatenate(cells, axis=1))
+            titles = [f"{name}, {attack.name}, {height:.0f} deg" for height, _ in chosen]
+            rows.append(_row(study, detector, [views[view].image for _, view in chosen], titles))
     return np.concatenate(rows)
 
 
