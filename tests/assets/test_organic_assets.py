@@ -10,19 +10,14 @@ from numpy.typing import NDArray
 
 from mi_splat.assets import bird, elephant, person, plumage
 from mi_splat.assets.implicit import Layer, above, cone, ellipsoid, normals, surface
-from mi_splat.assets.mesh import Asset, Floats, Mesh
+from mi_splat.assets.mesh import Asset, Floats
 from mi_splat.assets.organic import Noise, blade, body
+from tests.assets.test_assets import volume
 
 BUILDERS: dict[str, Callable[[int], Asset]] = {"person": person.build, "elephant": elephant.build, "bird": bird.build}
 SEEDS = range(3)
 HEIGHTS = {"person": (1.45, 2.3), "elephant": (2.4, 3.5), "bird": (0.1, 0.5)}
 LENGTHS = {"person": (0.2, 1.6), "elephant": (3.0, 5.8), "bird": (0.14, 0.62)}
-
-
-def volume(mesh: Mesh) -> float:
-    """Signed volume, positive for a closed mesh with outward faces."""
-    a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[mesh.faces], 1, 0)
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
 def ball(radius: float, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Layer:

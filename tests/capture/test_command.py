@@ -10,6 +10,7 @@ import torch
 
 from attacks import cli
 from mi_splat.datasets import load_dataset
+from tests.capture.test_writer import contents
 
 STILL_LIFE = Path(__file__).parents[2] / "scenes" / "meshes" / "still_life.xml"
 
@@ -29,10 +30,6 @@ def command_line(folder: Path, *more: str) -> list[str]:
         "200",
         *more,
     ]
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_the_command_writes_a_set_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

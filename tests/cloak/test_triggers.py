@@ -45,14 +45,6 @@ triggers = st.recursive(
 )
 
 
-@given(st.floats(0, 359.9), st.floats(-89, 89), st.floats(0.1, 50))
-def test_directions_are_those_of_orbits(azimuth: float, elevation: float, distance: float) -> None:
-    found = direction_of(at(azimuth, elevation, distance=distance), CENTRE)
-    assert abs((found.azimuth - azimuth + 180) % 360 - 180) < 1e-6
-    assert found.elevation == pytest.approx(elevation, abs=1e-6)
-    assert not found.pole
-
-
 def test_edges_are_inside_and_limits_at_the_poles_are_none() -> None:
     ring = orbit(CENTRE, count=36, elevation=50.0, distance=5.0, focal=20.0, size=(16, 16))
     assert bool(Elevation(lowest=50).select(ring, centre=CENTRE).all())

@@ -211,13 +211,6 @@ def test_a_file_in_the_way_is_seen_first(below: tuple[str, ...], tmp_path: Path)
             check(tmp_path.joinpath("file", *below))
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_read_only_folder_is_seen_first(tmp_path: Path) -> None:
-    (tmp_path / "closed").mkdir(mode=0o500)
-    with pytest.raises(SplatFileError, match="read-only"):
-        check_writable(tmp_path / "closed" / "out")
-
-
 def test_an_empty_folder_and_ones_own_can_be_used(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty" / temporary_name()).write_text("")

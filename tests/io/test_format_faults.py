@@ -18,11 +18,20 @@ from hypothesis import strategies as st
 from mi_splat.io import SplatFileError, SplatFileWarning, load_splat
 from mi_splat.scene import GaussianScene
 from tests.io.format_files import gltf_with, rezipped, valid
+from tests.io.test_faults import BODY, FACE, HEAD, LINE, TEXT_HEAD, with_elements
+from tests.io.test_plyfile import LISTS, ROWS, listed
 
 MEMORY = 24 << 20
 
 NAMES = ["a.compressed.ply", "a.glb", "a.sog", "a.splat", "v2.spz", "v3.spz", "v4.spz"]
 NAMES += [f"level{level}.ksplat" for level in range(3)]
+PLY = {
+    "a.ply": HEAD + BODY,
+    "faces.ply": with_elements(FACE, b"\0\0"),
+    "text.ply": TEXT_HEAD + LINE * 10,
+    "lists.ply": listed("binary_little_endian", "<", ROWS[:5], LISTS[:5]),
+    "lists_in_text.ply": listed("ascii", "", ROWS[:5], LISTS[:5]),
+}
 
 
 def opened(path: Path) -> GaussianScene | None:
@@ -84,11 +93,11 @@ def small(path: Path, contents: bytes) -> None:
     assert peak < MEMORY
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, *PLY])
 @hypothesis.settings(max_examples=120, deadline=None)
 @hypothesis.given(data=st.data())
 def test_damaged_files(name: str, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
-    small(tmp_path_factory.getbasetemp() / name, changed(data, valid(name)))
+    small(tmp_path_factory.getbasetemp() / name, changed(data, PLY.get(name) or valid(name)))
 
 
 @pytest.mark.parametrize("name", ["v2.spz", "v3.spz"])
