@@ -14,7 +14,7 @@ import operator
 import os
 import types
 import typing
-from collections.abc import Collection, Hashable, Iterable, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from numbers import Real
@@ -88,6 +88,19 @@ class Called:
     """
 
     name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """A tuple, or a table, that is one word of the command line.
+
+    Attributes:
+        read: Makes the value of the word; raises ValueError, and says what it expected.
+        write: The word for a value.
+    """
+
+    read: Callable[[str], Any]
+    write: Callable[[Any], str]
 
 
 def at_least(low: float, unit: str = "", do: str = "change it") -> Range:

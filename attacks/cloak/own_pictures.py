@@ -23,10 +23,9 @@ from attacks.cloak.retouching import Inpaint, grown
 from attacks.cloak.triggers import Azimuth, Cap, Elevation, Trigger
 from attacks.poisons.base import OnStep, Poisoned
 from mi_splat.cameras import Camera, View, ViewSet, cameras_of
-from mi_splat.datasets import Dataset
 from mi_splat.directions import Direction, direction_of
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.images import quantise, to_bytes
+from mi_splat.io.images import to_bytes
 from mi_splat.io.picture_files import load_picture
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, Similarity
@@ -209,28 +208,6 @@ def hide(
 def directions_of(done: Poisoned) -> list[Direction]:
     """Where each camera of a poisoned set stands, seen from the object."""
     return [direction_of(camera, done.poison["centre"]) for camera in done.views.cameras]
-
-
-def counting(views: Dataset, index: int, changed: Tensor | None) -> Tensor | None:
-    """What of a picture counts for who trains on it: as it was, and all that was changed.
-
-    Args:
-        views: The set.
-        index: Of the picture.
-        changed: (H, W, 3), what takes its place; None if it stays.
-
-    Returns:
-        (H, W) in [0, 1]; None where all of it counts.
-    """
-    if views.frames[index].mask is None and views.frames[index].lens is None:
-        return None  # without reading the picture once more
-    mask = views.loss_mask(index)
-    if mask is None or changed is None:
-        return mask
-    known = views.loss_mask(index, files=False)  # what no photograph shows cannot count
-    differs = quantise(changed) != quantise(views[index].image)  # as files have them
-    counted = torch.where(differs.any(-1), 1.0, mask)
-    return counted if known is None else counted * known
 
 
 def before_and_after(done: Poisoned) -> NDArray[np.uint8]:

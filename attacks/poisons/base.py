@@ -8,21 +8,15 @@ module) are three of them. What comes after, the training and who looks, is shar
 from __future__ import annotations
 
 import hashlib
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any, Protocol, overload
 
 import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera, View, ViewSet, cameras_of
-from mi_splat.datasets import Dataset
-from mi_splat.datasets.writing import IMAGES, list_transforms, make_folder, picture_name
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.documents import save_png
-from mi_splat.io.images import to_bytes
 
 OnStep = Callable[[int, int], None]
 """Called after each picture, or each step, with the number finished and the number wanted."""
@@ -232,26 +226,6 @@ def mask_of(masks: Masks | None, index: int, camera: Camera) -> Tensor:
         got = f"{mask.dtype} of shape {tuple(mask.shape)}"
         raise InvalidValueError.of(f"mask of view {index}", f"bool of shape {size}", got, "make it fit the view")
     return mask
-
-
-def write_poisoned(folder: Path, clean: Dataset, done: Poisoned) -> None:
-    """Write a poisoned set; pictures that stayed keep their bytes.
-
-    Args:
-        folder: For the set.
-        clean: The untouched set, of files of 8 bits.
-        done: The same after the poison.
-    """
-    images = make_folder(folder / IMAGES)
-    listing = []
-    for index, (source, camera) in enumerate(zip(clean.paths, clean.cameras, strict=True)):
-        name = picture_name("train", index)
-        if index in done.views.replaced:
-            save_png(to_bytes(done.views[index].image), images / name)
-        else:
-            shutil.copyfile(source, images / name)
-        listing.append((name, camera))
-    list_transforms(folder, {"train": listing}, clean.points)
 
 
 def _digest(image: Tensor) -> str:

@@ -8,28 +8,23 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-import torch
-from numpy.typing import NDArray
-
 from attacks.cloak.config import fit_config
 from attacks.cloak.kinds.masks import read_masks
 from attacks.cloak.kinds.parts import SET, StepConfig
-from attacks.poisons.base import MANIFEST, PicturePoison, Poisoned, write_poisoned
+from attacks.poisons.base import MANIFEST, PicturePoison
 from attacks.poisons.classified import checked_classifier
 from attacks.poisons.config import MIFGSMConfig
 from attacks.poisons.mifgsm import MIFGSM
 from attacks.poisons.registry import PoisonConfig, poison_of
+from attacks.poisons.writing import difference_sheet, write_poisoned
 from mi_splat.datasets import load_dataset
 from mi_splat.io import load_splat
 from mi_splat.io.documents import save_json, save_png
-from mi_splat.io.images import quantise, to_bytes
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
 SHEET = "poisoned.png"
-_SHOWN, _TIMES = 5, 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,14 +63,3 @@ def run(config: ChangedConfig, inputs: Mapping[str, Path], out: Out) -> None:
     write_poisoned(out / SET, views, done)
     save_json(done.manifest, out / MANIFEST)
     save_png(difference_sheet(done), out / SHEET)
-
-
-def difference_sheet(done: Poisoned) -> NDArray[np.uint8]:
-    """(H, W, 3) sheet of some pictures: as they were, as they are now, and ten times the difference on grey."""
-    changes = [change.index for change in done.changes if change.pixels_changed] or [0]
-    chosen = sorted({changes[i] for i in np.linspace(0, len(changes) - 1, _SHOWN).round().astype(int)})
-    columns = []
-    for index in chosen:
-        before, after = (quantise(views[index].image) for views in (done.views.untouched, done.views))
-        columns.append(torch.cat([before, after, (0.5 + _TIMES * (after - before)).clamp(0, 1)]))
-    return to_bytes(torch.cat(columns, 1))

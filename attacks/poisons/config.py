@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, cast
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Checked, Fraction, Range, Steps, above, at_least, between, check
+from mi_splat.fields import Called, Checked, Fraction, Range, Steps, Word, above, at_least, between, check, check_choice
 
 Variation = Literal["both", "vertical"]
 """Total variation along both axes of a picture, or along its columns alone as the public implementation has it."""
@@ -55,6 +55,20 @@ class FilterConfig:
         return _STRENGTHS[self.name][0] if self.strength is None else self.strength
 
 
+def _filter_of(word: str) -> FilterConfig:
+    name, _, strength = word.partition(":")
+    check_choice("filter", name, tuple(_STRENGTHS))
+    return FilterConfig(name=cast(PictureFilter, name), strength=float(strength) if strength else None)
+
+
+Through = Annotated[
+    FilterConfig | None,
+    Word(_filter_of, lambda config: f"{config.name}:{config.amount:g}"),
+    Called("FILTER[:STRENGTH]"),
+]
+"""A filter, on the command line blur, fourier or wavelet:24 for instance."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UniformNoiseConfig(Checked):
     """Noise that raises nothing on purpose.
@@ -86,7 +100,7 @@ class RaisedVariationConfig(Checked):
     variation: Variation = "both"
     variation_steps: Steps = 15
     step_size: StepSize = 2.0
-    through: FilterConfig | None = None
+    through: Through = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,7 +135,7 @@ class PoisonSplatConfig(Checked):
     densify_every: Annotated[int, at_least(0, "steps", "0 never does it")] = 100
     prune_large: bool = True
     max_gaussians: Annotated[int, at_least(1, "Gaussians", "leave it out for no limit")] | None = None
-    through: FilterConfig | None = None
+    through: Through = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

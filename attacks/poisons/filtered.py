@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from attacks.cloak.kinds.parts import SET, StepConfig
-from attacks.poisons.base import poisoned, write_poisoned
+from attacks.poisons.base import poisoned
 from attacks.poisons.config import FilterConfig
 from attacks.poisons.defences import filtered
+from attacks.poisons.writing import write_poisoned
 from mi_splat.datasets import load_dataset
 
 if TYPE_CHECKING:

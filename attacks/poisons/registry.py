@@ -59,7 +59,7 @@ def poison_config(table: Mapping[str, Any], where: str) -> PoisonConfig:
 def poison_of(
     config: PoisonConfig,
     *,
-    start: GaussianScene,
+    start: GaussianScene | None,
     near: float,
     background: tuple[float, float, float],
     victim: FitConfig,
@@ -68,10 +68,13 @@ def poison_of(
 
     Args:
         config: The settings.
-        start: Splat of the clean pictures.
+        start: Splat of the clean pictures; only Poison-splat needs one.
         near: Near plane of the victim's renderer, world units.
         background: sRGB behind the splat.
         victim: How the victim trains.
+
+    Raises:
+        InvalidValueError: Settings are CLOAK's, or those of Poison-splat without a start.
     """
     from attacks.poisons.poison_splat import PoisonSplat, RaisedVariation, UniformNoise
 
@@ -80,7 +83,7 @@ def poison_of(
             return UniformNoise(config=config)
         case RaisedVariationConfig():
             return RaisedVariation(config=config)
-        case PoisonSplatConfig():
+        case PoisonSplatConfig() if start is not None:
             return PoisonSplat(config=config, start=start, near=near, background=background, victim=victim)
     expected, do = "one that needs no more than a splat", "run it as a study"
     raise InvalidValueError(message("poison", expected, type(config).__name__, do))

@@ -16,15 +16,20 @@ import shutil
 import sys
 import textwrap
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 from mi_splat.cli.console import UsageError
+<<<<<<< HEAD
 from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.fields import Called, FieldError, Range, taken, type_hints, unwrapped
+=======
+from mi_splat.errors import InvalidValueError, message, nearest
+from mi_splat.fields import Called, FieldError, Range, Word, taken, type_hints, unwrapped
+>>>>>>> d361aef8 (wip)
 
 _Type = TypeVar("_Type")
 
@@ -56,19 +61,6 @@ Positional = Annotated[_Type, Flag(positional=True)]
 """A field that is given by its position."""
 Unprefixed = Annotated[_Type, Flag(prefixed=False)]
 """A dataclass whose flags stand for themselves."""
-
-
-@dataclass(frozen=True, slots=True)
-class Word:
-    """A tuple that is one word of the command line.
-
-    Attributes:
-        read: Makes the value of the word; raises ValueError, and says what it expected.
-        write: The word for a value.
-    """
-
-    read: Callable[[str], Any]
-    write: Callable[[Any], str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,7 +171,7 @@ class Option:
             try:
                 return taken(self.hint, word.read(words[0]), flag)
             except ValueError as error:
-                raise error if isinstance(error, FieldError) else UsageError(f"{flag}: {error}") from None
+                raise error.at(flag) if isinstance(error, FieldError) else UsageError(f"{flag}: {error}") from None
         is_tuple = typing.get_origin(kind) is tuple
         if self.count == "*" and list(words) == [NONE]:
             return ()

@@ -20,7 +20,8 @@ from attacks.cloak.kinds.rendering import renderer_of
 from attacks.cloak.mesh_scene import camera_number
 from attacks.cloak.poisoning import Cloak
 from attacks.cloak.setup import Setup
-from attacks.poisons.base import MANIFEST, write_poisoned
+from attacks.poisons.base import MANIFEST
+from attacks.poisons.writing import write_poisoned
 from mi_splat.cameras import Camera, RenderFn, View
 from mi_splat.capture.path_tracer import tracing_variant
 from mi_splat.datasets import load_dataset

@@ -13,7 +13,27 @@ from attacks.report.wording import listed, plural, settings
 from attacks.tables import Table
 from mi_splat.datasets.writing import picture_name
 
-_SETTINGS = ("set", "splat", "selection", "gaussians", "hide_from", "margin", "look", "reach", "up", "downscale")
+_RESULTS = ("views", "changed", "changes", "directions", "poisonings", "centre", "versions", "command")
+"""Of a record, what is no setting."""
+_WAYS = {
+    "cloak": (
+        "hide the object from there",
+        "They show something else in the object's place",
+    ),
+    "poison-splat": (
+        "take more Gaussians, memory and time",
+        "A splat that learned pictures of more total variation was the model for them (Poison-splat)",
+    ),
+    "uniform-noise": (
+        "be a little worse, and not much larger: this is a control",
+        "Evenly drawn noise was added to them",
+    ),
+    "raised-variation": (
+        "grow less than with Poison-splat, for which this is a control",
+        "The total variation of each was raised by itself",
+    ),
+}
+"""What each kind may do to a splat, and what it does to pictures."""
 
 
 def read(folder: Path, record: Mapping[str, Any]) -> Section:

@@ -1,0 +1,166 @@
+"""A poisoned set as files: pictures that stayed keep their bytes, changed ones their alpha and their masks."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import pad
+
+from attacks.poisons.base import Change, Poisoned, PoisonedViews
+from mi_splat.cameras import View
+from mi_splat.datasets import Dataset
+from mi_splat.datasets.writing import IMAGES, MASKS, list_transforms, make_folder, picture_name
+from mi_splat.io.documents import save_png
+from mi_splat.io.images import quantise, to_bytes
+
+_ROUNDING = 1e-3
+"""By how much of a step of 1/255 a difference of 8 bits may fall short of whole steps in float32."""
+_SHOWN, _TIMES, _LARGEST = 5, 10.0, 320
+"""Pictures on a sheet, how much their difference is enlarged, and the most rows and columns that are shown of each."""
+
+
+def write_poisoned(
+    folder: Path, clean: Dataset, done: Poisoned, *, held_out: Dataset | None = None, changes_count: bool = False
+) -> None:
+    """Write a poisoned set: transforms files, PNG pictures, masks, points.
+
+    A picture that stayed keeps its bytes if it is a PNG file that is read as it is, and its pixels otherwise.
+
+    Args:
+        folder: For the set.
+        clean: The untouched set.
+        done: The same after the poison, see `as_files_hold`.
+        held_out: Pictures for tests, which stay as they are.
+        changes_count: Whether what was changed counts for who trains, even where a mask of the set leaves it out.
+
+    Raises:
+        DatasetError: A picture or its mask cannot be read.
+        SplatFileError: A file cannot be written.
+    """
+    images = make_folder(folder / IMAGES)
+    parts: dict[str, tuple[Dataset, Mapping[int, View]]] = {"train": (clean, done.views.replaced)}
+    if held_out is not None:
+        parts["test"] = (held_out, {})
+    listing = {}
+    for split, (views, replaced) in parts.items():
+        listing[split] = [(picture_name(split, index), camera) for index, camera in enumerate(views.cameras)]
+        for index, (name, _) in enumerate(listing[split]):
+            if index not in replaced and _is_its_file(views, index):
+                shutil.copyfile(views.paths[index], images / name)
+            else:
+                save_png(_pixels(views, index, replaced.get(index)), images / name)
+            mask = _counting(views, index, replaced.get(index) if changes_count else None)
+            if mask is not None:
+                save_png(to_bytes(mask), make_folder(folder / MASKS) / name)
+    list_transforms(folder, listing, clean.points)
+
+
+def as_files_hold(done: Poisoned, clean: Dataset) -> Poisoned:
+    """A poisoned set as its files can hold it: pictures with alpha keep it, and nothing changes where they are clear.
+
+    There the colour of the file is moved by whole steps of 1/255, as many as do not go beyond what was asked for. Other
+    pictures, and what is said of them, stay as they are.
+
+    Args:
+        done: After the poison, whose pictures are blended with the background.
+        clean: The untouched set.
+
+    Raises:
+        DatasetError: A picture cannot be read.
+    """
+    replaced, changes = dict(done.views.replaced), list[Change]()
+    for change in done.changes:
+        before, alpha = clean[change.index], clean.alpha(change.index)
+        if alpha is None:
+            changes.append(change)
+            continue
+        opacity = alpha[..., None]
+        behind = (1 - opacity) * torch.tensor(clean.background)
+        steps = (replaced[change.index].image - before.image) / opacity.clamp(min=1 / 255) * 255
+        whole = torch.where(opacity > 0, steps.sign() * (steps.abs() + _ROUNDING).floor(), 0.0)
+        colour = ((_straight(before.image, alpha, behind) * 255).round() + whole).clamp(0, 255) / 255
+        image = torch.where(whole == 0, before.image, colour * opacity + behind)
+        replaced[change.index] = View(before.camera, image)
+        measured = Change.between(change.index, before, replaced[change.index])
+        changes.append(replace(change, **asdict(measured)))
+    return replace(done, views=PoisonedViews(done.views.untouched, replaced), changes=tuple(changes))
+
+
+def difference_sheet(done: Poisoned) -> NDArray[np.uint8]:
+    """(H, W, 3) sheet of some pictures: as they were, as they are now, and ten times the difference on grey.
+
+    Of a large picture a part is shown, around the middle of what was changed.
+    """
+    changes = [change.index for change in done.changes if change.pixels_changed] or [0]
+    chosen = sorted({changes[i] for i in np.linspace(0, len(changes) - 1, _SHOWN).round().astype(int)})
+    columns = []
+    for index in chosen:
+        before, after = (quantise(views[index].image) for views in (done.views.untouched, done.views))
+        rows, across = (_part((before != after).any(-1).any(axis)) for axis in (1, 0))
+        before, after = before[rows, across], after[rows, across]
+        columns.append(torch.stack([before, after, (0.5 + _TIMES * (after - before)).clamp(0, 1)]))
+    tallest = max(column.shape[1] for column in columns)
+    padded = [pad(column, (0, 0, 0, 0, 0, tallest - column.shape[1]), value=1.0) for column in columns]
+    return to_bytes(torch.cat([*torch.cat(padded, 2)]))
+
+
+def _part(changed: Tensor) -> slice:
+    """What is shown along an axis of a picture.
+
+    Args:
+        changed: (N,) bool, whether something changed in each row or column.
+    """
+    count, places = len(changed), changed.nonzero().flatten().tolist()
+    middle = (places[0] + places[-1]) // 2 if places else count // 2
+    start = max(0, min(middle - _LARGEST // 2, count - _LARGEST))
+    return slice(start, start + _LARGEST)
+
+
+def _is_its_file(views: Dataset, index: int) -> bool:
+    """Whether a picture is what a PNG file holds, neither shrunk, turned nor undistorted."""
+    frame = views.frames[index]
+    as_it_is = frame.lens is None and not frame.upright and frame.shrunk == views.downscale
+    return as_it_is and frame.path.suffix == ".png"
+
+
+def _pixels(views: Dataset, index: int, new: View | None) -> NDArray[np.uint8]:
+    """(H, W, 3) or, with alpha, (H, W, 4) of a picture's file."""
+    image, alpha = (new or views[index]).image, views.alpha(index)
+    if alpha is None:
+        return to_bytes(image)
+    behind = (1 - alpha[..., None]) * torch.tensor(views.background)
+    return to_bytes(torch.cat([_straight(image, alpha, behind), alpha[..., None]], -1))
+
+
+def _straight(image: Tensor, alpha: Tensor, behind: Tensor) -> Tensor:
+    """(H, W, 3) colour of the file, out of the one that is blended with what is behind."""
+    return ((image - behind) / alpha.clamp(min=1 / 255)[..., None]).clamp(0, 1)
+
+
+def _counting(views: Dataset, index: int, changed: View | None) -> Tensor | None:
+    """What of a picture counts for who trains on it: as it was, and all that was changed.
+
+    Args:
+        views: The set.
+        index: Of the picture.
+        changed: What takes its place; None if it stays, or where changes do not count of themselves.
+
+    Returns:
+        (H, W) in [0, 1]; None where all of it counts.
+    """
+    if views.frames[index].mask is None and views.frames[index].lens is None:
+        return None  # without reading the picture once more
+    mask = views.loss_mask(index)
+    if mask is None or changed is None:
+        return mask
+    known = views.loss_mask(index, files=False)  # what no photograph shows cannot count
+    differs = quantise(changed.image) != quantise(views[index].image)  # as files have them
+    counted = torch.where(differs.any(-1), 1.0, mask)
+    return counted if known is None else counted * known
