@@ -42,7 +42,7 @@ COMMANDS = {
     "evaluate": "how often an object is found, missed or misread, clean and attacked",
     "study": "many attacks and what they hang on, from one TOML file: plan, run, status",
     "dagger-sanity": "whether DAGGER is a sane attack on an object and a detector, line by line",
-    "poison": "change the pictures of a set, so that a splat of them hides an object, or costs more",
+    "poison": "change the pictures of a set, so that a splat of them hides an object, costs more, or is misread",
     "cloak": "poison training pictures, train on them, and measure who sees what (CLOAK)",
     "artifact": "pack a finished result with its raw rows, so that others can check its figures",
     "artifact-check": "derive every figure of artifacts again from their rows, or score their splats again",

@@ -23,13 +23,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 from mi_splat.cli.console import UsageError
-<<<<<<< HEAD
 from mi_splat.errors import InvalidValueError, nearest
-from mi_splat.fields import Called, FieldError, Range, taken, type_hints, unwrapped
-=======
-from mi_splat.errors import InvalidValueError, message, nearest
 from mi_splat.fields import Called, FieldError, Range, Word, taken, type_hints, unwrapped
->>>>>>> d361aef8 (wip)
 
 _Type = TypeVar("_Type")
 

@@ -14,15 +14,9 @@ from pathlib import Path
 from typing import Annotated
 
 from mi_splat.cli.console import UsageError
-<<<<<<< HEAD
-from mi_splat.cli.flags import Flag, Word
-from mi_splat.errors import nearest
-from mi_splat.fields import Called, Folder, Length, Range, between
-=======
 from mi_splat.cli.flags import Flag
-from mi_splat.errors import message, nearest
+from mi_splat.errors import nearest
 from mi_splat.fields import Called, Folder, Length, Range, Word, between
->>>>>>> d361aef8 (wip)
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _AXIS = re.compile(r"[+-]?[xyz]")

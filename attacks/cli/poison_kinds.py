@@ -1,0 +1,216 @@
+"""Kinds of `mi-splat poison`: the options of each, and what it does to the pictures of a set; light, for --help."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+from attacks.poisons.config import MIFGSMConfig, PoisonSplatConfig, RaisedVariationConfig, UniformNoiseConfig
+from mi_splat.cli.console import UsageError
+from mi_splat.cli.flags import Unprefixed
+from mi_splat.cli.options import Direction, axis_name
+from mi_splat.errors import InvalidValueError
+from mi_splat.fields import Called, at_least, between
+from mi_splat.selection.config import Selection
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from attacks.poisons.base import OnStep, Poisoned
+    from mi_splat.cameras import Camera
+    from mi_splat.datasets import Dataset
+    from mi_splat.scene import GaussianScene
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectConfig:
+    """An object of the pictures.
+
+    Attributes:
+        selection: Which Gaussians of the splat are the object.
+        picture: Which of the pictures for training --click is on, in their order.
+    """
+
+    selection: Unprefixed[Selection] = field(default_factory=Selection)
+    picture: Annotated[int, at_least(0), Called("NUMBER")] = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class HidingConfig(ObjectConfig):
+    """CLOAK on a set of pictures.
+
+    Attributes:
+        hide_from: Where the object is hidden, seen from its middle, in degrees: elevation:LOW-HIGH, azimuth:LOW-HIGH or
+            cone:AZIMUTH,ELEVATION,HALF_ANGLE, which is around a direction; of several, from where all of them hold.
+        margin: Degrees around it in which pictures are changed, too.
+        look: What is shown in its place: remove (the picture around it goes on), or a picture file.
+        reach: Pixels around the object that change, too.
+        up: Direction that is up in the set's world: an axis, or three numbers; sets of COLMAP often have -y.
+    """
+
+    hide_from: tuple[Annotated[str, Called("REGION")], ...] = ("elevation:50-90",)
+    margin: Annotated[float, between(0, 90, "degrees", "7 hides more, and begins to show before")] = 0.0
+    look: Annotated[str, Called("LOOK")] = "remove"
+    reach: Annotated[int, between(0, 100, "pixels")] = 3
+    up: Direction = (0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MisreadingConfig(ObjectConfig):
+    """M-IFGSM on a set of pictures.
+
+    Attributes:
+        classifier: Who shall misread the object: prototypes, or torchvision:NETWORK.
+        label: The object's true class, by a name that the classifier knows.
+        attack: How the object's pixels are changed.
+    """
+
+    classifier: Annotated[str, Called("CLASSIFIER")] = "prototypes"
+    label: Annotated[str | None, Called("CLASS")] = None
+    attack: Unprefixed[MIFGSMConfig] = field(default_factory=MIFGSMConfig)
+
+
+class Outcome(NamedTuple):
+    """A poisoned set, what else its record says, and in words what the user should know."""
+
+    done: Poisoned
+    record: dict[str, Any]
+    lines: Sequence[str] = ()
+    warnings: Sequence[str] = ()
+
+
+Work = Callable[["Dataset", "GaussianScene | None", "OnStep"], Outcome]
+"""Makes it of the pictures for training, of the splat if the kind needs one, and of whom to tell of the progress."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """A kind of poison.
+
+    Attributes:
+        config: Its options.
+        begun: Checks options, and gives the work that is done with them and a seed.
+        needs_splat: Whether there is no work without a splat.
+        replaces: Whether something else is shown, which counts for who trains even where a mask left the object out;
+            else pictures are changed a little.
+    """
+
+    config: Any
+    begun: Callable[[Any, int], Work]
+    needs_splat: bool = True
+    replaces: bool = False
+
+
+def _hiding(config: HidingConfig, seed: int) -> Work:
+    """CLOAK, which draws nothing."""
+    import torch
+
+    from attacks.cloak.own_pictures import appearance_of, directions_of, hide, trigger_of
+    from mi_splat.rotation import from_z
+
+    trigger = trigger_of(config.hide_from, margin=config.margin)
+    appearance = appearance_of(config.look, config.reach)
+
+    def hidden(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
+        assert splat is not None
+        rows, near, selected = _object(config, views, splat)
+        turn = from_z(torch.tensor(config.up)).T
+        done = hide(views, splat, rows, trigger, appearance, near=near, turn=turn, on_step=on_step)
+        asked = {
+            "hide_from": list(config.hide_from),
+            "margin": config.margin,
+            "look": config.look,
+            "reach": config.reach,
+            "up": list(config.up),
+            "directions": [[one.azimuth, one.elevation] for one in directions_of(done)],
+        }
+        idle = sum(not change.pixels_changed for change in done.changes)
+        said = f"{idle} pictures from where it is to be hidden do not show the object, and stay as they are"
+        return Outcome(done, {**selected, **asked}, [f"up is {axis_name(config.up)}"], [said] * (idle > 0))
+
+    return hidden
+
+
+def _misreading(config: MisreadingConfig, seed: int) -> Work:
+    """M-IFGSM."""
+    from attacks.classifiers.frozen import class_number
+    from attacks.classifiers.registry import load_classifier
+
+    label, target = config.label, config.attack.target
+    if label is None:
+        raise UsageError.of("--label", "the class of the object", "none", "add it")
+    classifier = load_classifier(config.classifier)
+    class_number(classifier, label, "--label")
+    if target is not None:
+        class_number(classifier, target, "--target")
+
+    def misread(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
+        from attacks.poisons.mifgsm import MIFGSM
+        from mi_splat.rendering import Renderer, RenderSettings
+        from mi_splat.selection.select import SEEN
+        from mi_splat.selection.visibility import object_weight
+
+        assert splat is not None
+        rows, near, selected = _object(config, views, splat)
+        render = Renderer(RenderSettings(near=near))
+
+        def mask(camera: Camera) -> Tensor:
+            seen = object_weight(splat, rows, camera, render) >= SEEN
+            if not bool(seen.any()):
+                name = next(path for path, one in zip(views.paths, views.cameras, strict=True) if one is camera)
+                do = "select all of the object, or leave the picture out of the set"
+                raise InvalidValueError.of(str(name), "some pixels of the object", "none", do)
+            return seen
+
+        poison = MIFGSM(config=config.attack, classifier=classifier, label=label, masks=mask)
+        done = poison(views, seed=seed, on_step=on_step)
+        sure, skipped = config.attack.least_confidence, len(done.poison["skipped"])
+        said = f"in {skipped} pictures {config.classifier} is less than {sure:.0%} confident of {label}; they stay"
+        return Outcome(done, selected, warnings=[said] * (skipped > 0))
+
+    return misread
+
+
+def _pictures(config: PoisonSplatConfig | UniformNoiseConfig | RaisedVariationConfig, seed: int) -> Work:
+    """A poison that asks for no object."""
+
+    def changed(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
+        from attacks.poisons.registry import poison_of
+        from mi_splat.bounds import near_plane
+        from mi_splat.training.config import FitConfig
+
+        near = 0.0 if splat is None else near_plane(splat, views.cameras)
+        poison = poison_of(config, start=splat, near=near, background=views.background, victim=FitConfig())
+        done = poison(views, seed=seed, on_step=on_step)
+        grown, start = (done.poison.get(f"{name}_gaussians") for name in ("decoy", "start"))
+        lines = [f"the decoy has {grown:,} Gaussians, the splat has {start:,}"] if grown else []
+        return Outcome(done, {}, lines)
+
+    return changed
+
+
+KINDS = {
+    "cloak": Kind(config=HidingConfig(), begun=_hiding, replaces=True),
+    "poison-splat": Kind(config=PoisonSplatConfig(), begun=_pictures),
+    "uniform-noise": Kind(config=UniformNoiseConfig(), begun=_pictures, needs_splat=False),
+    "raised-variation": Kind(config=RaisedVariationConfig(), begun=_pictures, needs_splat=False),
+    "m-ifgsm": Kind(config=MisreadingConfig(), begun=_misreading),
+}
+
+
+def _object(config: ObjectConfig, views: Dataset, splat: GaussianScene) -> tuple[Tensor, float, dict[str, Any]]:
+    """(N,) bool, the object's Gaussians, the near plane of the splat, and what the record says of these."""
+    from mi_splat.bounds import near_plane
+    from mi_splat.rendering import Renderer, RenderSettings
+    from mi_splat.scene import scene_hash
+    from mi_splat.selection.select import select
+
+    if config.picture >= len(views):
+        do = "count from 0"
+        raise InvalidValueError.of("--picture", f"a number below {len(views)}", config.picture, do)
+    near = near_plane(splat, views.cameras)
+    camera, render = views.cameras[config.picture], Renderer(RenderSettings(near=near))
+    rows = select(splat, config.selection, camera=camera, render=render)
+    selected = {"selection": config.selection.as_dict(), "scene_hash": scene_hash(splat), "gaussians": int(rows.sum())}
+    return rows, near, selected

@@ -1,0 +1,146 @@
+"""`mi-splat poison` with kinds other than CLOAK: what changes on the disk, what stays, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from attacks import cli
+from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
+from attacks.report.results import read_section
+from mi_splat.camera_sets import orbit
+from mi_splat.cameras import View
+from mi_splat.datasets import Dataset, load_dataset, write_transforms
+from mi_splat.io import save_splat
+from mi_splat.io.picture_files import load_picture
+from mi_splat.rendering import Renderer, RenderSettings
+from tests import oracle
+from tests.classifiers.made import toy_classifier
+
+SPLAT = oracle.random_scene(30, degree=1, seed=9)
+CAMERAS = orbit((0.0, 0.0, 0.0), count=5, elevation=20.0, distance=4.0, focal=24.0, size=(20, 16))
+NONE = ("--eps", "0")
+SMALL = {
+    "poison-splat": ("--steps", "3", "--variation-steps", "2", "--through", "blur"),
+    "uniform-noise": (),
+    "raised-variation": ("--variation-steps", "2"),
+    "m-ifgsm": ("--classifier", "toy", "--label", "car", "--cluster", "1", "--steps", "3", "--least-confidence", "0"),
+}
+
+
+@pytest.fixture(scope="module")
+def names(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """A set whose pictures have masks, and are clear on the left; its PNG files are of another writer."""
+    folder, render = tmp_path_factory.mktemp("set"), Renderer(RenderSettings(near=0.1))
+    with torch.no_grad():
+        views = [View(camera, render(SPLAT, camera).clamp(0, 1)) for camera in CAMERAS]
+    alpha, mask = torch.ones(16, 20), torch.ones(16, 20)
+    alpha[:, :4], alpha[:, 4:8], mask[12:] = 0, 0.4, 0
+    write_transforms(folder / "set", views[:4], test=views[4:], alphas=[alpha] * 5, masks=[mask] * 5)
+    for file in (folder / "set" / "images").iterdir():
+        load_picture(file).save(file, compress_level=0)
+    save_splat(SPLAT, folder / "splat.ply")
+    return [str(folder / "set"), str(folder / "splat.ply")]
+
+
+@pytest.fixture(autouse=True)
+def toy(monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = ClassifierSpec(name="toy", load=lambda network, weights, classes: toy_classifier(), origin="", licence="")
+    monkeypatch.setitem(CLASSIFIERS, "toy", spec)
+
+
+def poison(folder: Path, names: list[str], kind: str, *more: str) -> dict[str, Any]:
+    wanted = names if "noise" not in kind else names[:1]
+    assert cli.main(["poison", *wanted, "--kind", kind, *SMALL[kind], *more, "--out", str(folder)]) == 0
+    record: dict[str, Any] = json.loads((folder / "poison.json").read_text())
+    return record
+
+
+def files(folder: str | Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in sorted((Path(folder) / "images").iterdir())}
+
+
+def both(names: list[str], folder: Path, split: Any = "train") -> tuple[Dataset, Dataset]:
+    return load_dataset(names[0], split=split), load_dataset(folder, split=split)
+
+
+@pytest.mark.parametrize("kind", SMALL)
+def test_without_a_budget_every_file_keeps_its_bytes(kind: str, names: list[str], tmp_path: Path) -> None:
+    record = poison(tmp_path / "out", names, kind, *NONE)
+    assert record["changed"] == 0
+    assert files(tmp_path / "out") == files(names[0])
+    assert read_section(tmp_path / "out").done.startswith("0 of 4 training pictures")
+
+
+@pytest.mark.parametrize("kind", SMALL)
+def test_pictures_change_within_the_ball_and_keep_alpha_and_masks(kind: str, names: list[str], tmp_path: Path) -> None:
+    record = poison(tmp_path / "out", names, kind, "--eps", "8", "--share", "0.5", "--seed", "3")
+    assert {"kind": kind, "eps": 8, "seed": 3}.items() <= record.items()
+    changes = {change["index"]: change for change in record["changes"]}
+    assert len(changes) == 2
+    before, after = both(names, tmp_path / "out")
+    for index, (old, new) in enumerate(zip(before, after, strict=True)):
+        for plane in (Dataset.alpha, Dataset.loss_mask):
+            kept, keeps = plane(before, index), plane(after, index)
+            assert kept is not None
+            assert keeps is not None
+            assert torch.equal(kept, keeps)
+        difference = (old.image - new.image).abs()
+        assert (difference[:, :4] == 0).all()  # where it is clear
+        told = changes.get(index, {"largest": 0.0, "pixels_changed": 0})
+        assert float(difference.max()) == pytest.approx(told["largest"], abs=1e-6)
+        assert int((difference.amax(-1) > 0).sum()) == told["pixels_changed"]
+        assert told["largest"] <= 8 / 255 + 1e-6
+    assert sum(change["pixels_changed"] for change in changes.values()) > 0
+    stayed = [f"train_{i:05d}.png" for i in range(4) if i not in changes] + ["test_00000.png"]
+    (clean, poisoned), section = (files(names[0]), files(tmp_path / "out")), read_section(tmp_path / "out")
+    assert all(clean[name] == poisoned[name] for name in stayed)
+    assert load_picture(tmp_path / "out" / "before_and_after.png").size == (40, 48)
+    assert section.figures[1].words == f"{round(255 * max(c['largest'] for c in changes.values()))} of 255"
+    assert not section.charts
+
+
+def test_only_the_object_is_misread(names: list[str], tmp_path: Path) -> None:
+    record = poison(tmp_path / "out", names, "m-ifgsm", "--eps", "16", "--target", "tv")
+    assert (record["label"], record["target"], record["classifier"]) == ("car", "tv", "toy")
+    assert 0 < record["gaussians"] < len(SPLAT)
+    assert all(0 < change["pixels_changed"] < change["pixels"] / 2 for change in record["changes"])
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        (["--kind", "poison-splat"], "arguments: expected SPLAT, got none"),
+        (["--kind", "poison-spat"], "did you mean poison-splat?"),
+        (["SPLAT", "--kind", "poison-splat", "--through", "blurr"], "--through: expected one of blur"),
+        (["--kind", "uniform-noise", "--steps", "3"], "got --steps"),
+        (["SPLAT", "--kind", "m-ifgsm"], "--label: expected the class of the object, got none"),
+        (["SPLAT", "--kind", "m-ifgsm", "--classifier", "toy", "--label", "cat"], "one of car, bird, tv, got 'cat'"),
+        (["SPLAT", "--kind", "m-ifgsm", "--classifier", "toys", "--label", "cat"], "classifier: expected"),
+    ],
+)
+def test_what_is_refused(
+    more: list[str], told: str, names: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [names[1] if word == "SPLAT" else word for word in more]
+    assert cli.main(["poison", names[0], *words, "--out", str(tmp_path / "out")]) in (1, 2)
+    assert told in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_picture_without_the_object_is_named(
+    names: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pictures = [
+        CAMERAS[0],
+        *orbit((90.0, 0.0, 0.0), count=1, elevation=0, distance=4.0, focal=24.0, size=(20, 16), start=180),
+    ]
+    write_transforms(tmp_path / "set", [View(camera, torch.full((16, 20, 3), 0.5)) for camera in pictures])
+    words = [str(tmp_path / "set"), names[1], "--kind", "m-ifgsm", *SMALL["m-ifgsm"]]
+    assert cli.main(["poison", *words, "--out", str(tmp_path / "out")]) == 1
+    assert "train_00001.png: expected some pixels of the object" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
