@@ -424,7 +424,7 @@ class StudyConfig:
         return next((attack for attack in self.attack if attack.azimuth is None and attack.elevation[1] >= 90), None)
 
     @property
-    def hiding(self) -> AttackConfig | None:
+    def switching(self) -> AttackConfig | None:
         """The attack whose transition is measured: that from overhead, or the first that hides within a sector."""
         sided = (attack for attack in self.attack if attack.azimuth is not None and attack.target_class is None)
         return self.overhead or next(sided, None)

@@ -285,7 +285,7 @@ def meridians(study: StudyConfig, tables: Tables) -> list[float | None]:
 
 def transition(study: StudyConfig, tables: Tables, splat: str = ATTACKED) -> Transition | None:
     """The transition of all seeds and arcs together: over elevation from overhead, over depth in a sector's trigger."""
-    if study.hiding is None:
+    if study.switching is None:
         return None
     blends = tables[TRANSITION].filter(splat=splat)
     places = [round(place, 3) for place in blends[place_of(study)]]
@@ -301,7 +301,7 @@ def place_of(study: StudyConfig) -> str:
 
 def depth_of(study: StudyConfig) -> str:
     """The column that says how deep in the trigger of the hiding attack a picture was taken, degrees."""
-    attack = study.hiding
+    attack = study.switching
     return DEPTH if attack is None else f"{DEPTH}{attack.name}"
 
 
@@ -321,7 +321,7 @@ def stealth(study: StudyConfig, tables: Tables) -> dict[str, Any] | None:
     object, against true pictures; results of before it was measured have none. `stealthy`: whether no drop is larger
     than `STEALTHY` and `STEALTHY_ON_OBJECT`.
     """
-    if study.hiding is None:
+    if study.switching is None:
         return None
     deep = pl.col(depth_of(study)) >= 0
     inside = {NAMES[splat]: tables[TRANSITION].filter(deep, splat=splat) for splat in NAMES}

@@ -152,7 +152,7 @@ class Setup:
         From overhead they are meridians from the horizon to straight above, each at an azimuth of its own. Into a
         sector they are parallels from `BESIDE` degrees beside it to its middle, in the lower half of its elevations.
         """
-        attack, evaluation = self.study.hiding, self.study.evaluation
+        attack, evaluation = self.study.switching, self.study.evaluation
         if attack is None:
             return []
         step, count, arcs = evaluation.meridian_step, evaluation.meridians, []
@@ -177,7 +177,7 @@ class Setup:
     def arc_cameras(self) -> list[tuple[int, Camera]]:
         """Number of the arc and camera, away from the triggers of other attacks; none without a transition."""
         centre, inside = self.study.centre, self.study.evaluation.well_inside
-        others = [attack for attack in self.study.attack if attack is not self.study.hiding]
+        others = [attack for attack in self.study.attack if attack is not self.study.switching]
         return [
             (number, camera)
             for number, arc in enumerate(self.arcs)

@@ -305,7 +305,7 @@ class StudySteps:
 
     def compared(self, splat: Job) -> Job:
         """How true a splat's pictures are."""
-        study, setup, attack = self.study, self.setup, self.study.hiding
+        study, setup, attack = self.study, self.setup, self.study.switching
         evaluation = replace(
             study.evaluation,
             **{name: getattr(EvaluationConfig(), name) for name in ("detectors", "confidence", "true_pictures")},

@@ -61,7 +61,7 @@ def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
     beside = zip(setup.edge_cameras, edge.images, edge.masks, strict=True)
     fidelity += [compared(*at, true, mask) for at, true, mask in beside if bool(mask.any())]
     write_rows(frame_with(fidelity, FIDELITY_COLUMNS), out / f"{FIDELITY}{SUFFIX}")
-    attack, transition = study.hiding, list[Row]()
+    attack, transition = study.switching, list[Row]()
     if attack is not None:
         benign, hidden = (read_pictures(inputs[name]) for name in ("benign", "hidden"))
         arc = zip(setup.arc_cameras, benign.images, hidden.images, benign.masks, strict=True)
