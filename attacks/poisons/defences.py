@@ -5,6 +5,7 @@ Filters are differentiable, so that an attacker may look through them. None chan
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import torch
@@ -42,10 +43,8 @@ def blurred(image: Tensor, sigma: float = 1.5) -> Tensor:
         image: The picture.
         sigma: Standard deviation, pixels.
     """
-    offsets = torch.arange(-_BLUR_RADIUS, _BLUR_RADIUS + 1, dtype=image.dtype, device=image.device)
-    window = torch.softmax(-0.5 * (offsets / sigma) ** 2, 0)
-    planes = F.pad(image.permute(2, 0, 1)[:, None], (_BLUR_RADIUS,) * 4, mode="replicate")
-    return _separable(planes, window)[:, 0].permute(1, 2, 0)
+    taps = [math.exp(-0.5 * (k / sigma) ** 2) for k in range(-_BLUR_RADIUS, _BLUR_RADIUS + 1)]
+    return _smoothed(image, [tap / sum(taps) for tap in taps])
 
 
 def low_frequencies(image: Tensor, share: float = 0.5) -> Tensor:
@@ -77,15 +76,12 @@ def shrunk_detail(image: Tensor, steps: float = 16.0) -> Tensor:
         image: The picture.
         steps: Up to this size detail goes, and what is larger shrinks by as much; steps of 1/255. 255 takes all of it.
     """
-    window = image.new_tensor([0.25, 0.5, 0.25])
-    coarse = image.permute(2, 0, 1)[:, None]
-    detail = torch.zeros_like(coarse)
+    coarse, detail = image, torch.zeros_like(image)
     for level in range(_LEVELS):
-        apart = 2**level
-        smoother = _separable(F.pad(coarse, (apart,) * 4, mode="replicate"), window, dilation=apart)
+        smoother = _smoothed(coarse, [0.25, 0.5, 0.25], apart=2**level)
         detail = detail + F.softshrink(coarse - smoother, steps / 255)
         coarse = smoother
-    return (coarse + detail)[:, 0].permute(1, 2, 0)
+    return coarse + detail
 
 
 def finest_samples(scene: GaussianScene, cameras: Sequence[Camera], *, near: float) -> Tensor:
@@ -134,10 +130,21 @@ def frequency_pruned(
     return scene.select(kept)
 
 
-def _separable(planes: Tensor, window: Tensor, *, dilation: int = 1) -> Tensor:
-    """Planes (C, 1, H, W), padded, under one window along columns and rows."""
-    columns = F.conv2d(planes, window.view(1, 1, -1, 1), dilation=dilation)
-    return F.conv2d(columns, window.view(1, 1, 1, -1), dilation=dilation)
+def _smoothed(image: Tensor, taps: Sequence[float], *, apart: int = 1) -> Tensor:
+    """A picture (H, W, 3) under one window along columns and rows; its rim goes on outside.
+
+    Args:
+        image: The picture.
+        taps: The window, an odd number.
+        apart: Pixels between two of them.
+    """
+    margin, (height, width, _) = apart * (len(taps) // 2), image.shape
+    padded = F.pad(image.permute(2, 0, 1), (margin,) * 4, mode="replicate")
+    rows = sum(tap * padded[:, k * apart : k * apart + height] for k, tap in enumerate(taps))
+    assert isinstance(rows, Tensor)
+    columns = sum(tap * rows[:, :, k * apart : k * apart + width] for k, tap in enumerate(taps))
+    assert isinstance(columns, Tensor)
+    return columns.permute(1, 2, 0)
 
 
 _FILTERS: dict[PictureFilter, Callable[[Tensor, float], Tensor]] = {
