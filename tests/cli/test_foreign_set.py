@@ -1,8 +1,11 @@
-"""A set as phones and COLMAP leave it through every command: a lens that bends, pictures that are missing, y down."""
+"""Foreign sets through every command: as phones and COLMAP leave one, with a lens that bends, pictures that are
+missing and y down; and a video of a path-traced object.
+"""
 
 from __future__ import annotations
 
 import importlib.util
+import json
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +19,8 @@ from mi_splat.cameras import Camera, View
 from mi_splat.datasets import DatasetWarning, PointCloud, load_dataset, write_colmap
 from mi_splat.datasets.distortion import Intrinsics
 from mi_splat.io import load_splat
+from mi_splat.io.picture_files import load_picture
+from mi_splat.io.pictures import save_animation
 from mi_splat.placement import turn_of
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, Similarity
@@ -35,6 +40,27 @@ LENS = Intrinsics(
 MODEL = "1 FULL_OPENCV 40 32 40 40 20 16 -0.15 0.02 0.002 -0.001 0 0.1 0 0\n"
 BALL = "--box -0.4 -1 -0.4 0.4 -0.2 0.4"
 """Where the ball is with y down."""
+TRAINED = "train set --out run --iterations 20 --max-gaussians 1300 --sh-degree 1"
+SCENE = """
+<scene version="3.0.0">
+    <integrator type="splat_tile"/>
+    <shape type="gaussians" id="ball"><string name="filename" value="ball.ply"/></shape>
+    <shape type="gaussians" id="plane"><string name="filename" value="plane.ply"/></shape>
+    <sensor type="perspective" id="front">
+        <float name="fov" value="45"/>
+        <transform name="to_world"><lookat origin="2, -1.5, 1" target="0, -0.4, 0" up="0, -1, 0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="48"/><integer name="height" value="48"/></film>
+    </sensor>
+</scene>
+"""
+STUDY = """
+study = "dagger"
+scene = "scene.xml"
+object = "ball"
+target = "person"
+detectors = "fake_colour"
+attack = { eps = 5.0, steps = 1, noise_draws = 0 }
+"""
 
 
 def photograph(scene: GaussianScene, camera: Camera) -> np.ndarray:
@@ -86,7 +112,7 @@ def test_a_set_of_photographs_through_every_command(walk: Walk, monkeypatch: pyt
     for view in seen:  # as without the lens
         assert float((Renderer()(scene, view.camera).clamp(0, 1) - view.image).abs().mean()) < 0.02
 
-    trained = walk.json("train set --out run --iterations 20 --max-gaussians 1300 --sh-degree 1")
+    trained = walk.json(TRAINED)
     assert trained["psnr"] > 22
     walk("render run --cameras set --out pictures")
     assert len(list(Path("pictures").glob("*.png"))) == 24
@@ -123,3 +149,44 @@ def test_a_set_of_photographs_through_every_command(walk: Walk, monkeypatch: pyt
         assert Path("upright.ply.png").read_bytes() == Path("upright.usdc.png").read_bytes()
         walk("select upright.usdc --box -0.4 -0.4 0.2 0.4 0.4 1 --out again.npy")
         assert int(np.load("again.npy").sum()) == int(np.load("ball.npy").sum())
+
+
+@pytest.mark.nightly
+@pytest.mark.filterwarnings("ignore::mi_splat.datasets.DatasetWarning")
+def test_its_splat_is_compared_and_studied(walk: Walk, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_photographs(Path("set"))
+    register(monkeypatch, {"fake_colour": ColourDetector()})
+    walk(TRAINED)
+    compared = walk.json("compare run --cameras orbit:2@30 --up -y --size 48 --rounds 0 --no-gradients --out compared")
+    assert compared["pairs"][0]["psnr"] > 20
+    walk(f"select run {BALL} --out ball.ply")
+    walk("select run --box -9 -0.2 -9 9 9 9 --out plane.ply")
+    Path("scene.xml").write_text(SCENE)
+    Path("study.toml").write_text(STUDY)
+    walk("study run study.toml --store store --out studied --workers 0")
+    assert json.loads(Path("studied/result.json").read_text())["attacks"]
+
+
+@pytest.mark.nightly
+def test_a_video_of_path_traced_pictures_through_every_command(walk: Walk, monkeypatch: pytest.MonkeyPatch) -> None:
+    for package, extra in (("pycolmap", "colmap"), ("imageio_ffmpeg", "video")):
+        pytest.importorskip(package, reason=f"the extra {extra} is not installed")
+    register(monkeypatch, {"fake_colour": ColourDetector()})
+    walk("capture car:900004 --ground asphalt --cameras orbit:24@25 --size 960x720 --samples 8 --out frames")
+    frames = [load_picture(file) for file in sorted(Path("frames/images").rglob("*.png"))]
+    save_animation([np.asarray(frame.convert("RGB")) for frame in frames], Path("walk.mp4"), fps=1)
+    prepared = walk.json("prepare walk.mp4 --features 2048 --out set")
+    assert sum(row["part"] != "none" for row in prepared["pictures"]) >= 22
+    assert walk.json("train set --out run --iterations 40 --downscale 8")["psnr"] > 15
+    walk("render run --cameras set --out pictures")
+    low, high = walk.json("info run --up z")["height"]
+    assert low < high
+    assert walk.json("select run --cluster 1 --out object.npy")["gaussians"] > 100
+    walk("audit run --only lint")
+    aim = "--mask object.npy --size 64 --detectors fake_colour"
+    walk(f"dagger run {aim} --objective untargeted --noise-draws 0 --steps 1 --cameras set --out attacked")
+    walk(f"evaluate run attacked {aim} --original car --cameras orbit:2@30 --out judged")
+    walk("detect attacked --cameras orbit:2@30 --size 64 --detectors fake_colour --out seen")
+    walk("compare run --cameras orbit:1@30 --size 64 --rounds 0 --no-gradients --out compared")
+    walk("poison set run --mask object.npy --hide-from elevation:10-90 --downscale 8 --out poisoned")
+    walk("view run --size 32 --views 3 1 --export view.html")
