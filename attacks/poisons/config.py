@@ -164,6 +164,8 @@ class MIFGSMConfig(Checked):
             object's place, as published; a larger picture loses detail there. "difference": only the change is
             brought back, and added. "none": the picture itself is changed, through the classifier's scaling.
         target: Class that the object shall be taken for; None is any but its own, as published.
+        through: A filter through which the classifier is shown the picture while it is changed, for instance one that
+            a victim is known to use, or a blur: what survives it survives a training better. None is as published.
         least_confidence: Pictures in whose true class the classifier is less confident stay as they are.
     """
 
@@ -174,4 +176,5 @@ class MIFGSMConfig(Checked):
     share: Fraction = 1.0
     paste: Paste = "resized"
     target: str | None = None
+    through: FilterConfig | None = None
     least_confidence: Fraction = 0.05

@@ -18,6 +18,7 @@ from attacks.classifiers.base import Classifier
 from attacks.classifiers.frozen import class_number
 from attacks.poisons.base import Masks, OnStep, Poisoned, check_masks, chosen_views, mask_of, poisoned, within_ball
 from attacks.poisons.config import MIFGSMConfig
+from attacks.poisons.defences import filtered
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
 
@@ -109,7 +110,8 @@ class MIFGSM:
         for _ in range(config.steps):
             picture = picture.detach().requires_grad_(True)
             # in 64 bits, for a confidence that rounds to 1 has no gradient
-            loss = cross_entropy(self.classifier.scores(picture[None]).to(number.device).double(), number)
+            seen = picture if config.through is None else filtered(picture, config.through)
+            loss = cross_entropy(self.classifier.scores(seen[None]).to(number.device).double(), number)
             (gradient,) = torch.autograd.grad(loss, picture)
             picture = torch.minimum(torch.maximum(picture + step * gradient.sign(), low), high)
         return picture.detach()

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from attacks.classifiers.looking import classified
 from attacks.poisons.base import PicturePoison
-from attacks.poisons.config import MIFGSMConfig
+from attacks.poisons.config import FilterConfig, MIFGSMConfig
+from attacks.poisons.defences import filtered
 from attacks.poisons.mifgsm import MIFGSM
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, View
@@ -84,6 +85,16 @@ def test_steps_at_the_size_of_the_classifier_are_those_of_a_loop(views: list[Vie
         (slope,) = torch.autograd.grad(-torch.log_softmax(CLASSIFIER.scores(wanted[None]), 1)[0, 0], wanted)
         wanted = (wanted.detach() + 0.02 * torch.tensor([0.1, 0.2, 0.3]) * slope.sign()).clamp(0, 1)
     assert (done.views[0].image - wanted).abs().max() < 0.51 / 255
+
+
+def test_what_is_found_through_a_blur_is_there_after_it(views: list[View]) -> None:
+    blur = FilterConfig(name="blur", strength=1.5)
+
+    def left(through: FilterConfig | None) -> float:
+        done = attack(replace(ANY, paste="none", eps=16, through=through))(views)
+        return sum(confidences([View(view.camera, filtered(view.image, blur)) for view in done.views], "car"))
+
+    assert left(blur) < 0.95 * left(None)
 
 
 def test_what_leaves_the_set_as_it_is(views: list[View]) -> None:
