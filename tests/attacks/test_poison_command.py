@@ -11,6 +11,8 @@ import torch
 
 from attacks import cli
 from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
+from attacks.cli.poison_kinds import KINDS
+from attacks.poisons.registry import POISONS
 from attacks.report.results import read_section
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import View
@@ -66,6 +68,10 @@ def files(folder: str | Path) -> dict[str, bytes]:
 
 def both(names: list[str], folder: Path, split: Any = "train") -> tuple[Dataset, Dataset]:
     return load_dataset(names[0], split=split), load_dataset(folder, split=split)
+
+
+def test_kinds_are_those_of_studies() -> None:
+    assert {*KINDS} == {*SMALL, "cloak"} == {*POISONS}
 
 
 @pytest.mark.parametrize("kind", SMALL)

@@ -14,8 +14,12 @@ from attacks.report.wording import listed, plural, settings
 from attacks.tables import Table
 from mi_splat.datasets.writing import picture_name
 
-_ORIGIN = ("command", "versions", "variant", "commit", "torch")
-_NO_SETTINGS = ("views", "changed", "changes", "directions", "poisonings", "centre", "skipped", *_ORIGIN)
+_NO_SETTINGS = (
+    *("views", "changed", "changes", "directions", "poisonings", "centre", "skipped"),
+    *("scene_hash", "start", "start_gaussians", "decoy_gaussians"),
+    *("command", "versions", "variant", "commit", "torch"),
+)
+"""What a record holds besides what was asked for."""
 _WAYS = {
     "poison-splat": (
         "The model for them was a splat that had learned pictures of more total variation (Poison-splat).",
@@ -31,7 +35,7 @@ _WAYS = {
     ),
     "m-ifgsm": (
         "In each an object was changed so that a classifier misreads it (M-IFGSM).",
-        "may be misread by this classifier, or show nothing of it: pictures of different cameras were changed apart",
+        "may be misread by this classifier, or may show nothing of it: each picture was changed by itself",
     ),
 }
 """What each kind but CLOAK does to pictures, and what may come of it in a splat that is trained on them."""
