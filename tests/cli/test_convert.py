@@ -16,8 +16,7 @@ from mi_splat.cameras import Camera, look_at
 from mi_splat.io import load_splat, save_splat
 from mi_splat.placement import Up, turn_of
 from mi_splat.rendering import Renderer
-from tests.io.closeness import assert_close, tame_scene
-from tests.io.format_files import WRITTEN
+from tests.io.format_files import WRITTEN, assert_close, tame_scene
 
 
 @pytest.fixture

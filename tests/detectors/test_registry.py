@@ -25,7 +25,7 @@ from attacks.detectors.catalogue import (
 from attacks.detectors.registry import _REGISTRY
 from attacks.detectors.torchvision import published_weights
 from attacks.detectors.weights import FrozenModel, apply_weights, fingerprint, read_weights
-from tests.detectors.random_weights import random_detector
+from tests.detectors.made import random_detector
 from tests.fakes import ColourDetector
 
 SPEC = DetectorSpec(

@@ -45,7 +45,7 @@ from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.capture.path_tracer import daylight, photograph
 from mi_splat.errors import InvalidValueError
 from tests.detectors.contract import each_picture_has_its_own_gradient, holds_the_protocol, slope_is_the_gradient
-from tests.detectors.random_weights import random_detector, warm_up
+from tests.detectors.made import random_detector, warm_up
 
 LIGHT = ("fasterrcnn_small", "fasterrcnn_mobilenet_v3_large_320_fpn")
 

@@ -50,8 +50,7 @@ from tests.detectors.graphs.packages import WEIGHTS as TOY_WEIGHTS
 from tests.detectors.test_training import PLAIN, Noting
 from tests.fakes import camera
 from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SOG, Document
-from tests.io.closeness import tame_scene
-from tests.io.format_files import valid
+from tests.io.format_files import tame_scene, valid
 from tests.report.results import MAKERS
 from tests.training.sets import SHORT, scene_and_views
 

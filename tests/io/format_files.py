@@ -5,12 +5,16 @@ from __future__ import annotations
 import gzip
 import io
 import json
+import math
 import struct
 import zipfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+import torch
+from torch import Tensor
 
 from mi_splat.io.formats.compressed_ply import write_compressed_ply
 from mi_splat.io.formats.gltf import write_glb
@@ -19,7 +23,10 @@ from mi_splat.io.formats.splat32 import write_splat
 from mi_splat.io.formats.spz import write_spz
 from mi_splat.io.formats.table import FORMATS
 from mi_splat.io.formats.usd import write_usd
-from tests.io.closeness import tame_scene
+from mi_splat.rotation import multiply
+from mi_splat.scene import GaussianScene
+from mi_splat.sh import colour_to_dc, dc_to_colour
+from tests.gaussians import random_scene
 
 DATA = Path(__file__).parent / "data"
 WRITTEN = [entry.suffix for entry in FORMATS if entry.writes and entry.suffix != ".usdc"]
@@ -68,3 +75,42 @@ def gltf_with(change: Callable[[dict[str, Any]], None]) -> bytes:
     text += b" " * (-len(text) % 4)
     body = struct.pack("<I4s", len(text), b"JSON") + text + whole[20 + size :]
     return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+
+
+def tame_scene(count: int, degree: int, *, seed: int = 0) -> GaussianScene:
+    """Random Gaussians without any symmetry, whose values lie in the ranges of every format."""
+    scene = random_scene(count, degree, seed=seed)
+    generator = torch.Generator().manual_seed(seed + 1)
+    sh = torch.rand(count, (degree + 1) ** 2, 3, generator=generator) * 1.8 - 0.9
+    sh[:, 0] = colour_to_dc(torch.rand(count, 3, generator=generator))
+    return scene.replace(sh=sh, opacities=scene.opacities.clamp(0.01, 0.99))
+
+
+def degrees(one: Tensor, two: Tensor) -> Tensor:
+    """(N,) angles between rotations of ellipsoids, which half turns about their own axes leave as they are."""
+    first, second = one.double(), two.double()
+    half_turns = torch.cat([torch.eye(4, dtype=torch.float64), -torch.eye(4, dtype=torch.float64)])
+    chords = torch.stack([(first - multiply(second, turn)).norm(dim=1) for turn in half_turns])
+    return (chords.amin(dim=0) / 2).clamp(max=1).asin() * 4 * 180 / math.pi
+
+
+def differences(one: GaussianScene, two: GaussianScene) -> dict[str, Tensor]:
+    """Absolute differences by name, row by row: of logarithms for scales, degrees for rotations, colours for dc."""
+    return {
+        "means": (one.means.double() - two.means.double()).abs(),
+        "scales": (one.scales.double().log() - two.scales.double().log()).abs(),
+        "rotations": degrees(one.rotations, two.rotations),
+        "opacities": (one.opacities.double() - two.opacities.double()).abs(),
+        "colours": (dc_to_colour(one.sh[:, 0].double()) - dc_to_colour(two.sh[:, 0].double())).abs(),
+        "sh": (one.sh[:, 1:].double() - two.sh[:, 1:].double()).abs(),
+    }
+
+
+def assert_close(one: GaussianScene, two: GaussianScene, **tolerances: float) -> None:
+    """Raise unless all differences are within their tolerances, 2e-5 where none is given (0.05 degrees)."""
+    assert len(one) == len(two)
+    assert one.degree == two.degree
+    limits = {"rotations": 0.05, **tolerances}
+    worst = {name: float(value.max()) for name, value in differences(one, two).items() if value.numel()}
+    wrong = {name: value for name, value in worst.items() if value > limits.get(name, 2e-5)}
+    assert not wrong, f"too far apart: {wrong}, all: {worst}"

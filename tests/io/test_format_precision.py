@@ -21,8 +21,7 @@ from mi_splat.io.splat_files import write_splat_file
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.sh import colour_to_dc, dc_to_colour
 from tests.gaussians import random_scene
-from tests.io.closeness import assert_close, differences, tame_scene
-from tests.io.format_files import WRITTEN
+from tests.io.format_files import WRITTEN, assert_close, differences, tame_scene
 from tests.io.test_round_trip import scenes as wild_scenes
 from tests.project.layers import ROOT
 

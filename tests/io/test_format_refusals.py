@@ -14,8 +14,7 @@ import pytest
 from mi_splat.io import SplatFileError, SplatFileWarning, load_splat, save_splat
 from mi_splat.io.formats.sog_files import picture_bytes
 from mi_splat.io.formats.splat32 import RECORD
-from tests.io.closeness import tame_scene
-from tests.io.format_files import gltf_with, rezipped, valid
+from tests.io.format_files import gltf_with, rezipped, tame_scene, valid
 
 
 def sog_with(**contents: bytes | None) -> bytes:

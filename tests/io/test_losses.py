@@ -19,8 +19,7 @@ from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import LARGEST, GaussianScene, Similarity
 from mi_splat.sh import colour_to_dc
 from tests.gaussians import ply_bytes, random_scene, splat_rows
-from tests.io.closeness import assert_close, tame_scene
-from tests.io.format_files import WRITTEN, gltf_with
+from tests.io.format_files import WRITTEN, assert_close, gltf_with, tame_scene
 
 
 def changed(scene: GaussianScene, attribute: str, value: float, *columns: int) -> GaussianScene:

@@ -29,7 +29,7 @@ from mi_splat.io.formats import half_turns
 from mi_splat.io.splat_files import write_splat_file
 from mi_splat.rotation import normalise, to_matrix
 from mi_splat.scene import GaussianScene, Similarity
-from tests.io.closeness import assert_close, tame_scene
+from tests.io.format_files import assert_close, tame_scene
 
 BINARY = os.environ.get("SPLAT_TRANSFORM") or shutil.which("splat-transform")
 TURN = to_matrix(normalise(torch.tensor([0.8, -0.4, 0.3, 0.5], dtype=torch.float64)))

@@ -13,7 +13,7 @@ from attacks import cli
 from mi_splat.io import SplatFileError, SplatFileWarning, load_splat, save_splat
 from mi_splat.scene import GaussianScene, Similarity
 from tests.gaussians import random_scene
-from tests.io.closeness import assert_close
+from tests.io.format_files import assert_close
 
 pytest.importorskip("pxr", reason="usd-core is not installed: pip install -e '.[usd]'")
 

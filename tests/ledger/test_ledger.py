@@ -2,15 +2,32 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib.util
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.ledger import Event, Job, Ledger, Part
+from mi_splat.ledger import Event, Job, Ledger, Part, Store
+from mi_splat.ledger.child import Limits
+from mi_splat.ledger.cluster import Cluster
+from mi_splat.ledger.engines import InProcess, Processes
 from mi_splat.ledger.index import plan, status
-from tests.ledger.drive import walk
+from mi_splat.ledger.job import EngineError
+from mi_splat.ledger.plans import Driver, grid
+from tests.ledger.drive import two_levels, walk
 from tests.ledger.kinds.configs import NumbersConfig, Shift
+from tests.ledger.test_engines import bytes_of
+from tests.project.layers import ROOT
 
 NUMBERS = "tests.ledger.kinds.numbers"
 
@@ -97,3 +114,163 @@ def test_a_thousand_jobs_are_planned_looked_at_and_read_at_once(tmp_path: Path) 
     assert status(ledger.store, "many") == entries
     rows = dict(ledger.store.rows([entry.key for entry in entries if entry.state == "done"]))
     assert [rows[entry.key] for entry in entries[1:101]] == [[{"sum": 1.0 + number}] for number in range(100)]
+
+
+# Killed at random: children, drivers, workers and schedulers of Dask. What is left is what an unkilled run leaves
+
+
+DASK = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="Dask distributed is not installed")
+QUIET = ["-W", "ignore", "-m"]
+
+
+def children_of(process: int) -> list[int]:
+    """Numbers of the processes that a process has started, and of those that they have."""
+    shown = subprocess.run(["ps", "-e", "-o", "pid=,ppid="], capture_output=True, text=True, check=True).stdout
+    pairs = [tuple(map(int, line.split())) for line in shown.splitlines()]
+    family = [process]
+    for number in family:
+        family += [child for child, parent in pairs if parent == number]
+    return family[1:]
+
+
+class Killing:
+    """Processes that are started again when they are not there, and killed at random."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = random.Random(seed)
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self.kills = dict.fromkeys(("driver", "child", "scheduler", "worker"), 0)
+
+    def keep(self, name: str, *words: str) -> subprocess.Popen[bytes]:
+        """A process of a name, started if it is not there."""
+        process = self._running.get(name)
+        if process is None or process.poll() is not None:
+            nowhere = subprocess.DEVNULL
+            process = subprocess.Popen([sys.executable, *words], cwd=ROOT, stdout=nowhere, stderr=nowhere)
+            self._running[name] = process
+        return process
+
+    def kill(self) -> None:
+        """Kill a process that was started here, or one that such a process has started."""
+        targets = []
+        for name, process in self._running.items():
+            if process.poll() is None:
+                targets += [(name, process.pid)]
+                targets += [("child" if name == "driver" else name, child) for child in children_of(process.pid)] * 2
+        if targets:
+            name, number = self._random.choice(targets)
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(number, signal.SIGKILL)
+                self.kills[name] += 1
+
+    def wait(self, seconds: float) -> None:
+        """Some time, up to twice as long as is said."""
+        time.sleep(self._random.uniform(0, 2 * seconds))
+
+    def end(self) -> None:
+        """Kill all, and those that they have started."""
+        for process in self._running.values():
+            left = [*children_of(process.pid), process.pid] if process.poll() is None else []
+            for number in left:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(number, signal.SIGKILL)
+            process.wait()
+
+
+@contextlib.contextmanager
+def killing(seed: int) -> Iterator[Killing]:
+    processes = Killing(seed)
+    try:
+        yield processes
+    finally:
+        processes.end()
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def run_killed(folder: Path, count: int, kills: int, *, seed: int, dask: bool, every: float) -> Killing:
+    """Do a plan with a driver that is started again until all is done, and kill something every now and then."""
+    port = free_port()
+    address = f"tcp://127.0.0.1:{port}"
+    with killing(seed) as processes:
+        while True:
+            if dask:
+                quiet = ["--no-dashboard"]
+                processes.keep("scheduler", *QUIET, "distributed.cli.dask_scheduler", "--port", str(port), *quiet)
+                words = [address, "--nworkers", "2", "--nthreads", "1", "--death-timeout", "5", *quiet]
+                processes.keep("worker", *QUIET, "distributed.cli.dask_worker", *words)
+            engine = address if dask else "2"
+            driver = processes.keep("driver", "-m", "tests.ledger.drive", str(folder), str(count), engine, "0.02")
+            processes.wait(every)
+            if driver.poll() == 0:
+                return processes
+            for path in folder.glob("failed/*"):  # a job that was hit three times is tried again
+                Store(folder).forgive(path.stem)
+            if sum(processes.kills.values()) < kills:
+                processes.kill()
+
+
+def unkilled(folder: Path, count: int) -> dict[str, object]:
+    Driver(folder, Processes(folder, workers=2)).run([two_levels(count)])
+    return bytes_of(folder)
+
+
+def test_a_run_with_kills_leaves_the_bytes_of_one_without(tmp_path: Path) -> None:
+    processes = run_killed(tmp_path / "killed", 24, 15, seed=1, dask=False, every=0.3)
+    check(tmp_path, 24, processes, 5)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("dask", [False, pytest.param(True, marks=DASK)])
+def test_200_kills(dask: bool, tmp_path: Path) -> None:
+    count = 1800  # so many that an idle machine is not through with them before the last kill
+    processes = run_killed(tmp_path / "killed", count, 200, seed=3, dask=dask, every=1.5 if dask else 0.4)
+    check(tmp_path, count, processes, 200)
+
+
+def check(folder: Path, count: int, processes: Killing, least: int) -> None:
+    assert sum(processes.kills.values()) >= least, processes.kills
+    assert bytes_of(folder / "killed") == unkilled(folder / "whole", count)
+    assert not (folder / "killed" / "different").exists()
+    Store(folder / "killed").sweep()
+    assert not [*(folder / "killed" / "tmp").iterdir(), *(folder / "killed" / "partial").iterdir()]
+
+
+@pytest.fixture(scope="module")
+def scheduler() -> Iterator[str]:
+    """Address of a scheduler with two workers."""
+    with killing(0) as processes:
+        port = free_port()
+        quiet = ["--no-dashboard"]
+        processes.keep("scheduler", *QUIET, "distributed.cli.dask_scheduler", "--port", str(port), *quiet)
+        address = f"tcp://127.0.0.1:{port}"
+        words = [address, "--nworkers", "2", "--nthreads", "1", *quiet]
+        processes.keep("worker", *QUIET, "distributed.cli.dask_worker", *words)
+        yield address
+
+
+@DASK
+def test_dask_does_a_plan_and_blames_the_poisoned_alone(scheduler: str, tmp_path: Path) -> None:
+    jobs = {str(number): walk(number, steps=1) for number in range(40)}
+    for number in range(3):
+        jobs[f"poisoned {number}"] = walk(number, trouble="kill")
+    limits = Limits(seconds=20.0)
+    results = Driver(tmp_path, Cluster(tmp_path, scheduler, limits=limits)).run([grid(jobs)])
+    assert {label for label, result in results.items() if isinstance(result, str)} == {
+        f"poisoned {number}" for number in range(3)
+    }
+    assert results["poisoned 0"] == "ended by SIGSEGV"
+    whole = Driver(tmp_path / "whole", InProcess(tmp_path / "whole")).run([two_levels(6, seconds=0.0)])
+    again = Driver(tmp_path / "dask", Cluster(tmp_path / "dask", scheduler)).run([two_levels(6, seconds=0.0)])
+    assert whole.keys() == again.keys()
+    assert bytes_of(tmp_path / "whole") == bytes_of(tmp_path / "dask")
+
+
+@DASK
+def test_a_scheduler_that_is_not_there_is_told(tmp_path: Path) -> None:
+    with pytest.raises(EngineError, match="expected a Dask scheduler"):
+        Cluster(tmp_path, f"tcp://127.0.0.1:{free_port()}", timeout=0.5)
