@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,12 @@ from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
 from attacks.cli import main
 from attacks.observe.rows import rows
 from attacks.poisons.victim import peak_memory
-from attacks.studies.poison import PoisonWork, point_of
-from attacks.studies.study_file import study_of
+from attacks.studies.poison import PoisonWork, classifier_of, point_of
+from attacks.studies.study_file import read_study, study_of
+from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.parsing import read_json
+from tests.project.layers import ROOT
 
 SMALL = """
 study = "poison"
@@ -135,7 +138,8 @@ def test_the_peak_is_that_since_it_was_asked_for() -> None:
 class Toy:
     """Takes what is red for a tv."""
 
-    name, classes, fingerprint, size = "toy", ("tv", "car"), "0123456789abcdef", 16
+    name, fingerprint, size = "toy", "0123456789abcdef", 16
+    classes: tuple[str, ...] = ("tv", "car")
 
     def scores(self, images: Tensor) -> Tensor:
         """Logits."""
@@ -172,3 +176,21 @@ def test_a_classifier_has_to_be_there_and_to_know_the_object(monkeypatch: pytest
         work(poison=poison, deceive="toy", scene={"object": "bird"})
     with pytest.raises(InvalidValueError, match=r"classifier: expected .*toy"):
         work(classifiers=["toys"])
+
+
+@pytest.mark.parametrize(
+    ("name", "sets", "victims"), [("poison_splat", 30, 60), ("m_ifgsm", 80, 100), ("poison_demo", 2, 3)]
+)
+def test_the_shipped_studies_can_be_done(name: str, sets: int, victims: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    toy = Toy()
+    toy.classes = tuple(ASSETS)
+    spec = ClassifierSpec(name="prototypes", load=lambda network, weights, classes: toy, origin="", licence="")
+    monkeypatch.setitem(CLASSIFIERS, "prototypes", spec)
+    classifier_of.cache_clear()
+    jobs = {
+        job.identity: job
+        for job in PoisonWork(read_study(ROOT / "scenes" / "studies" / f"{name}.toml")).jobs().values()
+    }
+    classifier_of.cache_clear()
+    kinds = Counter(job.kind.rsplit(".", 1)[1] for job in jobs.values())
+    assert (kinds["changed"], kinds["victim"]) == (sets, victims)
