@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -73,12 +74,13 @@ def run(config: MeasuredConfig, inputs: Mapping[str, Path], out: Out) -> list[di
 
 
 def centres(scene: GaussianScene, camera: Camera) -> NDArray[np.uint8]:
-    """(S, S, 3) picture of where the Gaussians of a splat are: a dot for each in its own colour, on black."""
+    """(H, W, 3) picture of where the Gaussians of a splat are: a dot for each in its own colour, on black."""
     pixels, depth = project_points(scene.means, camera)
     scale = _SIZE / camera.width
     columns, rows = (pixels * scale).floor().long().unbind(1)
     height = round(camera.height * scale)
-    keep = (depth > 0) & (columns >= 0) & (columns < _SIZE) & (rows >= 0) & (rows < height)
-    picture = torch.zeros(height, _SIZE, 3)
-    picture[rows[keep], columns[keep]] = dc_to_colour(scene.sh[keep, 0]).clamp(0.15, 1).float()
+    keep = (depth > 0) & (columns >= 0) & (columns < _SIZE - 1) & (rows >= 0) & (rows < height - 1)
+    colours, picture = dc_to_colour(scene.sh[keep, 0]).clamp(0.15, 1).float(), torch.zeros(height, _SIZE, 3)
+    for down, across in itertools.product((0, 1), repeat=2):
+        picture[rows[keep] + down, columns[keep] + across] = colours
     return to_bytes(picture)

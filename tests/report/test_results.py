@@ -54,7 +54,7 @@ def said(section: Section) -> str:
 
 
 LINE = ["mi-splat", "some command", "a b.ply", "--out", "x"]
-UNCONTROLLED = {"poison-study", "dagger-sanity", "compare", "detect", "audit", "train", "poison"}
+UNCONTROLLED = {"dagger-sanity", "compare", "detect", "audit", "train", "poison"}
 """Kinds without a control."""
 
 

@@ -1,18 +1,23 @@
-"""What `mi-splat study run` leaves of a study of poisoned training pictures: what the victim pays and sees."""
+"""What `mi-splat study run` leaves of a study of poisoned training pictures: what the victim pays, and what it sees."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from attacks.observe.rows import ATTACKED, CLEAN
+from attacks.rate import Rate
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Section
 from attacks.report.wording import listed, plain, versions_of
-from attacks.studies.poison import PICTURES, summary_tables
+from attacks.studies.poison import HELD_OUT, PICTURES, summary_tables
 
 KIND = "Poisoned training pictures"
 _MOST_PICTURES = 12
+_LARGER = "most Gaussians of a poisoned splat, times the clean one's"
+_NAMED = "the object is named rightly on the poisoned splat, from held-out cameras"
+
+Value = Mapping[str, Any]
 
 
 def read(folder: Path, record: Mapping[str, Any]) -> Section:
@@ -22,12 +27,12 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         folder: Where it lies.
         record: Its result.json.
     """
-    values = record["values"]
-    attacked = [value for value in values if ATTACKED in value["splats"]]
-    most = max(attacked, key=lambda value: _times(value, ATTACKED), default=None)
-    ended = [value["value"] for value in values for splat in value["splats"].values() if splat["stopped"]]
-    figures = [_figure(value) for value in attacked]
-    devices = listed(sorted({victim["device"] for victim in record["victims"]}))
+    attacked = [value for value in record["values"] if ATTACKED in value["splats"]]
+    seen = [line for line in record["classified"] if line["condition"] == HELD_OUT]
+    named = {splat: _named(line for line in seen if line["splat"] == splat) for splat in (CLEAN, ATTACKED)}
+    ended = [value["value"] for value in record["values"] if any(s["stopped"] for s in value["splats"].values())]
+    most = max(attacked, key=_times, default=None)
+    larger = Figure(label=_LARGER, words="-") if most is None else _figure(most, label=_LARGER)
     return Section(
         kind=KIND,
         title=str(record["name"]),
@@ -36,40 +41,52 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
             "one. Nothing else differs."
         ),
         conclusion=(
-            "Look at the times of the clean splat first, and at the PSNR beside them: a victim sees the cost, not the "
-            "attack. A defence counts only with what it takes from clean pictures."
+            "A poison of photographs counts only if the splat keeps it: compare the poisoned splat with the clean "
+            "splat, and not with the photographs."
+            if seen
+            else "Look at the times of the clean splat first, and at the PSNR beside them: a victim sees the cost, not "
+            "the attack. A defence counts only with what it takes from clean pictures."
         ),
-        headline=Figure(label="most Gaussians of a poisoned splat, times the clean one's", words="-")
-        if most is None
-        else _figure(most, label="most Gaussians of a poisoned splat, times the clean one's"),
-        counting="splats",
-        figures=figures,
+        headline=Figure(label=_NAMED, rate=named[ATTACKED]) if seen else larger,
+        control=Figure(label="the same on the clean splat", rate=named[CLEAN]) if seen else None,
+        counting="pictures" if seen else "splats",
+        figures=[*([larger] if seen else ()), *map(_figure, attacked)],
         warnings=[f"The victim could afford no more and ended early: {listed(ended)}."] if ended else [],
         pictures=[
             Picture(path=path, caption=_caption(path), large=path.stem.endswith("poisoned"))
             for path in sorted((folder / PICTURES).glob("*.png"))[:_MOST_PICTURES]
         ],
-        charts=[_chart(attacked)],
+        charts=[_named_chart(seen), _chart(attacked)],
         tables=tuple(summary_tables(record)),
-        configuration=(("question", plain(record["question"])), ("device", devices)),
+        configuration=(
+            ("question", plain(record["question"])),
+            ("device", listed(sorted({victim["device"] for victim in record["victims"]}))),
+        ),
         versions=versions_of(record),
     )
 
 
-def _times(value: Mapping[str, Any], splat: str) -> float:
-    spread = value["splats"].get(splat, {}).get("times", {}).get("gaussians")
+def _named(lines: Iterable[Value]) -> Rate:
+    """How often the object is named rightly, over all values and classifiers."""
+    rates = [Rate.of(line["right"]) for line in lines]
+    return Rate(successes=sum(rate.successes for rate in rates), total=sum(rate.total for rate in rates))
+
+
+def _times(value: Value) -> float:
+    spread = value["splats"][ATTACKED]["times"]["gaussians"]
     return 0.0 if spread is None else float(spread["mean"])
 
 
-def _figure(value: Mapping[str, Any], label: str = "") -> Figure:
-    splat = value["splats"][ATTACKED]
-    spread, psnr, control = splat["times"]["gaussians"], splat["psnr"], value["splats"][CLEAN]["psnr"]
-    words = "-" if spread is None else f"{spread['mean']:.2f}"
-    note = "" if spread is None or spread["count"] == 1 else f"{spread['least']:.2f} to {spread['most']:.2f} over seeds"
+def _figure(value: Value, label: str = "") -> Figure:
+    splat, clean = value["splats"][ATTACKED], value["splats"].get(CLEAN, {})
+    spread, psnr, control = splat["times"]["gaussians"], splat["psnr"], clean.get("psnr")
+    notes = [f"{value['part']}: {value['value']}"] if label else []
+    if spread is not None and spread["count"] > 1:
+        notes.append(f"{spread['least']:.2f} to {spread['most']:.2f} over seeds")
     if psnr is not None and control is not None:
-        note += f"{'; ' * bool(note)}{psnr['mean']:.2f} dB held out, clean {control['mean']:.2f}"
-    named = f"{value['part']}: {value['value']}"
-    return Figure(label=label or named, words=words, note=f"{named}; {note}" if label else note)
+        notes.append(f"{psnr['mean']:.2f} dB held out, clean {control['mean']:.2f}")
+    words = "-" if spread is None else f"{spread['mean']:.2f}"
+    return Figure(label=label or f"times, {value['part']}: {value['value']}", words=words, note="; ".join(notes))
 
 
 def _caption(path: Path) -> str:
@@ -78,7 +95,24 @@ def _caption(path: Path) -> str:
     return f"{path.stem}: a dot where each Gaussian has its middle."
 
 
-def _chart(values: Sequence[Mapping[str, Any]]) -> Chart:
+def _named_chart(seen: Sequence[Value]) -> Chart:
+    values = tuple(dict.fromkeys(line["attack"] for line in seen))
+    rates = {
+        splat: [_named(one for one in seen if (one["attack"], one["splat"]) == (value, splat)) for value in values]
+        for splat in (CLEAN, ATTACKED)
+    }
+    lines = (Line.of("clean splat", "control", rates[CLEAN]), Line.of("poisoned splat", "attack", rates[ATTACKED]))
+    return Chart(
+        title="The object is named rightly, from held-out cameras",
+        x_label="what is shown",
+        y_label="pictures",
+        lines=lines,
+        ticks=values,
+        connected=False,
+    )
+
+
+def _chart(values: Sequence[Value]) -> Chart:
     spreads = [value["splats"][ATTACKED]["times"]["gaussians"] for value in values]
     points = tuple(
         Point(x, spread["mean"], spread["least"], spread["most"])
