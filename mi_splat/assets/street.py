@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from mi_splat.assets import textures
 from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, transform, translation
 from mi_splat.assets.primitives import box, ellipsoid, extrude, quad, sheet, sweep
+from mi_splat.fields import check_choice
 
 REACH = 45.0
 """Half of the length of a street, metres."""
@@ -182,8 +183,20 @@ def park(seed: int = 0, *, clearance: float = 8.0) -> Asset:
     return Asset("park", tuple(parts))
 
 
-def plain(seed: int = 0) -> Asset:
-    """Open ground of one kind: asphalt, a car park, paving, sand, earth, snow, concrete, grass."""
+GROUNDS = ("asphalt", "car park", "paving", "sand", "earth", "snow", "concrete", "grass")
+"""Kinds of open ground."""
+
+
+def plain(seed: int = 0, kind: str | None = None) -> Asset:
+    """Open ground of one kind.
+
+    Args:
+        seed: Which ground.
+        kind: One of `GROUNDS`; None is one by chance.
+
+    Raises:
+        InvalidValueError: There is no such kind.
+    """
     rng = np.random.default_rng([seed, 0x91])
     tone = rng.uniform(0.8, 1.15)
     makers: tuple[Callable[[], Floats], ...] = (
@@ -196,8 +209,11 @@ def plain(seed: int = 0) -> Asset:
         lambda: textures.speckle((256, 256), np.array((0.6, 0.6, 0.58)) * tone, rng, grain=0.05, patch=0.2),
         lambda: textures.grass(256, seed),
     )
-    kind = int(rng.integers(len(makers)))
-    return Asset("ground", (ground(260, makers[kind](), tile=7.0 if kind == 1 else rng.uniform(2.5, 6)),))
+    number = int(rng.integers(len(makers)))
+    if kind is not None:
+        check_choice("kind", kind, GROUNDS)
+        number = GROUNDS.index(kind)
+    return Asset("ground", (ground(260, makers[number](), tile=7.0 if number == 1 else rng.uniform(2.5, 6)),))
 
 
 def room(seed: int = 0, *, size: float = 14.0) -> Asset:

@@ -72,7 +72,10 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "subset": ("attacks.gaussian_subset",),
     "transformations": ("attacks.transformations",),
     "observation": ("attacks.observe",),
-    "training of detectors": ("attacks.detectors.training", "attacks.detectors.evaluation"),
+    "training of networks": (
+        *("attacks.detectors.training", "attacks.detectors.evaluation"),
+        *(f"attacks.classifiers.image_text_{n}" for n in ("pictures", "evaluation", "training")),
+    ),
     "attacks": ("attacks.dagger", "attacks.cloak", "attacks.poisons", "attacks.audits"),
     "studies": ("attacks.studies",),
     "reports": ("attacks.report",),

@@ -11,6 +11,7 @@ import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -173,14 +174,21 @@ def _radius(asset: Asset) -> float:
     return float(np.linalg.norm((high - low)[:2])) / 2
 
 
-def _camera(points: Floats, rng: Generator, config: PictureSetConfig) -> Camera:
-    """A camera in which the longer side of the box around `points` is 20 to 100 % of the picture."""
+def framing_camera(points: Floats, rng: Generator, config: PictureSetConfig, *, smallest: float = 0.2) -> Camera:
+    """A camera in which the longer side of the box around some points is a fraction of the picture's side, up to all.
+
+    Args:
+        points: (N, 3), world units.
+        rng: What is drawn.
+        config: Size of the picture, elevation and distance of the camera.
+        smallest: Of these fractions.
+    """
     size = config.size
     low, high = points.min(0), points.max(0)
     centre, half = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
     azimuth, elevation = float(rng.uniform(0, 360)), float(rng.uniform(*config.elevation))
     focal = size / 2 / math.tan(math.radians(rng.uniform(22, 60)) / 2)
-    extent = size * math.exp(rng.uniform(math.log(0.2), 0.0))
+    extent = size * math.exp(rng.uniform(math.log(smallest), 0.0))
     cloud = torch.from_numpy(np.ascontiguousarray(points, np.float64))
     distance = 2 * half * focal / extent
     for _ in range(4):
@@ -260,7 +268,7 @@ class SceneRenderer:
             points = assets[int(rng.integers(len(assets)))].body.vertices
         else:
             points = np.concatenate([asset.body.vertices for asset in assets])
-        return _camera(points, rng, self._config)
+        return framing_camera(points, rng, self._config)
 
     def _outlines(self, camera: Camera) -> list[tuple[Mask, Mask]]:
         """(H, W) masks for each object: where it is seen, and where it would be seen if it were alone."""
@@ -323,13 +331,14 @@ def background_pictures(kind: str, number: int, config: BackgroundConfig) -> lis
     around = of_kind(kind, int(rng.integers(low, high)), rng, _OBJECT_RADIUS)
     with tracing_variant(FEW_PICTURES):
         scene = scene_dict([], light=daylight(int(rng.integers(1 << 30))), backdrop=around)
-        cameras = [_background_camera(rng, config.size) for _ in range(config.shots)]
+        cameras = [background_camera(rng, config.size) for _ in range(config.shots)]
         views = capture(scene, cameras, samples=config.samples, seed=int(rng.integers(1 << 28)))
     nothing = torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64)
     return [LabelledPicture(_in_bytes(view.image), *nothing) for view in views]
 
 
-def _background_camera(rng: Generator, size: int) -> Camera:
+def background_camera(rng: Generator, size: int) -> Camera:
+    """A camera that looks at a point near the origin, where objects stand in other pictures."""
     target = (float(rng.normal(0, 0.5)), float(rng.normal(0, 0.5)), float(rng.uniform(0.5, 1.2)))
     focal = size / 2 / math.tan(math.radians(rng.uniform(22, 60)) / 2)
     pose = orbit_pose(
@@ -356,28 +365,31 @@ def splat_pictures(
     with tracing_variant(FEW_PICTURES):
         tests = [renderer.choose_camera() for _ in range(config.pictures)]
         views = [renderer.render(renderer.choose_camera()) for _ in range(config.views)]
-    splat = splat_of(renderer, views, config, render)
+    splat = splat_of(renderer.scene, renderer.contents, views, config, render)
     with torch.no_grad():
         pictures = [render(splat, camera) for camera in tests]
     with tracing_variant(FEW_PICTURES):
         return [renderer.label(camera, picture) for camera, picture in zip(tests, pictures, strict=True)]
 
 
-def splat_of(renderer: SceneRenderer, views: Sequence[View], config: SplatConfig, render: RenderFn) -> GaussianScene:
+def splat_of(
+    scene: dict[str, Any], contents: PictureScene, views: Sequence[View], config: SplatConfig, render: RenderFn
+) -> GaussianScene:
     """A splat of a path-traced scene: objects, surroundings and sky.
 
     Args:
-        renderer: The scene, and what is in it.
+        scene: For Mitsuba.
+        contents: What is in it.
         views: Path-traced pictures of it, from which the colours come.
         config: How many Gaussians and steps of refinement.
         render: What the refinement differentiates.
     """
     cameras = [view.camera for view in views]
-    depths = depth_maps(renderer.scene, cameras)
-    contents = renderer.contents
+    depths = depth_maps(scene, cameras)
     dome = Asset("sky", (ellipsoid((440.0, 440.0, 440.0), (0.6, 0.7, 0.8), segments=48),))
     wanted = [(asset, config.objects, 0.62) for asset in contents.assets]
-    wanted += [(contents.surroundings, config.surroundings, 0.62), (dome, config.sky, 0.9)]
+    wanted += [(contents.surroundings, config.surroundings, 0.62)] if contents.surroundings.meshes else []
+    wanted += [(dome, config.sky, 0.9)]
     parts = []
     for asset, count, overlap in wanted:
         density = nearness(cameras, closest=0.3) if asset is contents.surroundings else None
