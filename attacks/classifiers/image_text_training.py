@@ -187,7 +187,7 @@ def run(options: Options, show: Callable[[str], object]) -> None:
         "training": asdict(config),
         "sets": {name: figures(weights, shown) for name, shown in sets.items()},
     }
-    save_json(found, weights.with_suffix(".json"))
+    save_json(found, weights.with_suffix(".json"), indent=None)
     save_text(card(found), weights.with_suffix(".md"))
 
 

@@ -40,8 +40,8 @@ def save_text(text: str, path: Path) -> None:
     save_bytes(text.encode(), path)
 
 
-def save_json(values: Any, path: Path, *, indent: int = 2) -> None:
-    """Write a JSON file.
+def save_json(values: Any, path: Path, *, indent: int | None = 2) -> None:
+    """Write a JSON file; without an indent on one line.
 
     Raises:
         SplatFileError: The file cannot be written.
