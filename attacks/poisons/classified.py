@@ -25,7 +25,12 @@ from mi_splat.rendering import Renderer
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
-LOADS = ("attacks.classifiers.prototypes", "attacks.classifiers.torchvision", "attacks.classifiers.clip")
+LOADS = (
+    "attacks.classifiers.prototypes",
+    "attacks.classifiers.image_text",
+    "attacks.classifiers.torchvision",
+    "attacks.classifiers.clip",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
