@@ -212,7 +212,7 @@ class StudySteps:
 
     def masks(self) -> Job:
         """Where the object is in the victim's pictures."""
-        return self._job("masks", self._step())
+        return Job(kind="attacks.poisons.masks", config=self._step(), inputs=self._mesh)
 
     def of_pictures(self, pictures: Job, seed: int) -> Job:
         """A splat of pictures that another kind of job has taken, trained as the study's are."""

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from attacks.cloak.config import fit_config
-from attacks.cloak.kinds.masks import read_masks
 from attacks.cloak.kinds.parts import SET, StepConfig
 from attacks.poisons.base import MANIFEST, PicturePoison
 from attacks.poisons.classified import checked_classifier
 from attacks.poisons.config import MIFGSMConfig
+from attacks.poisons.masks import read_masks
 from attacks.poisons.mifgsm import MIFGSM
 from attacks.poisons.registry import PoisonConfig, poison_of
 from attacks.poisons.writing import difference_sheet, write_poisoned

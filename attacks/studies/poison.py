@@ -349,7 +349,8 @@ class PoisonWork(Work):
                         rows[name] += of_victim
             paths += _pictures(attempt, done, out / PICTURES)
         tables = {name: by_camera(frame_of(of_table)) for name, of_table in rows.items() if of_table}
-        named = {"study": self.study.kind, "name": self.study.name, "question": self.study.question}
+        named: dict[str, Any] = {"study": self.study.kind, "name": self.study.name, "question": self.study.question}
+        named["seeds"] = sorted({victim["seed"] for victim in victims})
         record = {"story": STORY, **named, "victims": victims, **provenance.origin()}
         record |= figures(record, tables)
         paths += [write_rows(table, out / f"{name}{SUFFIX}") for name, table in tables.items()]

@@ -16,6 +16,7 @@ from PIL import Image
 from attacks.cloak.config import read_study
 from attacks.cloak.rates import RATES
 from attacks.observe.rows import read_rows
+from attacks.poisons.base import MANIFEST
 from attacks.report.checking import check_result, flat, pack, read_result
 from attacks.report.rescoring import rescore
 from attacks.report.results import read_section, story_of
@@ -157,7 +158,7 @@ def test_another_fraction_needs_no_new_picture(finished: Path) -> None:
     assert set(said) == {"poisoning"}
     assert other.do(other.look(study.attack[0]), "").key == usual.do(usual.look(overhead), "").key
     assert poisoned.content != usual.do(usual.poisoned(0), "").content
-    manifest = json.loads((poisoned.folder / "manifest.json").read_text())
+    manifest = json.loads((poisoned.folder / MANIFEST).read_text())
     assert len(manifest["changes"]) < len(json.loads((finished / "poison.json").read_text())["changes"])
 
 

@@ -25,6 +25,7 @@ from attacks.cloak.steps import StudySteps
 from attacks.cloak.transition import transition_fraction
 from attacks.cloak.triggers import Elevation
 from attacks.observe.rows import read_rows
+from attacks.poisons.base import MANIFEST
 from mi_splat.assets import build, textures
 from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset
@@ -100,7 +101,7 @@ def test_a_surrogate_of_the_attacker_s_own_corrects_the_poison(finished: Path) -
     corrected = steps.do(steps.poisoned(0), "poisoning")
     assert list(dict.fromkeys(said)) == ["surrogate 1", "surrogate 2", "poisoning"]
     plain = usual.do(usual.poisoned(0), "")
-    manifest = json.loads((corrected.folder / "manifest.json").read_text())
+    manifest = json.loads((corrected.folder / MANIFEST).read_text())
     names = {change["appearance"] for change in manifest["changes"]}
     assert all(name.count("corrected by 1 times") == 2 for name in names)
     sets = [load_dataset(pictures.folder / "set") for pictures in (plain, corrected)]
