@@ -29,7 +29,7 @@ from attacks.report.stories import (
 )
 from attacks.report.stories.detectors import held_out, pictures
 from attacks.report.wording import sentence, versions_of
-from attacks.studies.poison import figures as poison_figures
+from attacks.studies.poison_figures import figures as poison_figures
 from attacks.studies.result import figures as study_figures
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.folders import RECORD

@@ -21,25 +21,19 @@ What is not the scene's, the cameras' or the training's stands in `PoisonPoint`.
 
 from __future__ import annotations
 
-import math
 import re
 import shutil
-import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import polars as pl
-from scipy.special import stdtrit
-
 from attacks.classifiers.base import Classifier
 from attacks.classifiers.registry import load_classifier
 from attacks.cloak.config import CameraConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig
 from attacks.cloak.kinds.parts import SET, Pose
 from attacks.cloak.steps import NO_ATTACK, StudySteps
-from attacks.observe.rates import Measure, count
 from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, ROWS, SUFFIX, by_camera, frame_of, write_rows
 from attacks.poisons.changed import SHEET, ChangedConfig
 from attacks.poisons.classified import ClassifiedConfig
@@ -50,10 +44,11 @@ from attacks.poisons.pruned import PrunedConfig
 from attacks.poisons.registry import CloakConfig, PoisonConfig, poison_config
 from attacks.poisons.victim import COST, VictimConfig
 from attacks.studies.plan import Work
+from attacks.studies.poison_figures import figures, summary_tables
 from attacks.studies.study_file import Point, Settings, Study, with_none
-from attacks.tables import Column, Table, sections
+from attacks.tables import sections
 from mi_splat import provenance
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Checked, Seed, above, check, check_choice, decode
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD
@@ -100,7 +95,7 @@ class Defence(Checked):
         given = [name for name in ("filter", "limit", "prune") if getattr(self, name) is not None]
         if len(given) != 1:
             do = "make each a case of its own"
-            raise InvalidValueError(message("defence", "one of filter, limit and prune", given or "none", do))
+            raise InvalidValueError.of("defence", "one of filter, limit and prune", given or "none", do)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -236,7 +231,7 @@ class Attempt:
         asked = self.asked
         if not asked.deceive:
             do = 'write deceive = "prototypes"'
-            raise InvalidValueError(message(self.title, "a classifier that M-IFGSM deceives", "none", do))
+            raise InvalidValueError.of(self.title, "a classifier that M-IFGSM deceives", "none", do)
         masks, who = self._made("drawing masks", self._steps.masks()), self._who(asked.deceive)
         config = ChangedConfig(**self._step(TrainingConfig()), poison=poison, **who)
         inputs = {"pictures": self.pictures.part(f"{SET}/*"), "masks": masks.part("*.png")}
@@ -332,7 +327,7 @@ class PoisonWork(Work):
     def __init__(self, study: Study) -> None:
         self.study = study
         if study.judges or any(point.bisected for point in study.points):
-            raise InvalidValueError(message(study.name, "no judge and no bisect", "one", "leave it out"))
+            raise InvalidValueError.of(study.name, "no judge and no bisect", "one", "leave it out")
         self.attempts: list[Attempt] = [Attempt(point, study.name) for point in study.points]
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
@@ -411,153 +406,3 @@ def _pictures(attempt: Attempt, done: Mapping[str, Done], folder: Path) -> list[
             to = folder / (re.sub(r"[^0-9A-Za-z.]+", "-", f"{attempt.title} {name}") + ".png")
             paths.append(Path(shutil.copyfile(done[job.identity].folder / file, to)))
     return paths
-
-
-Record = Mapping[str, Any]
-
-COSTS = ("gaussians", "cpu_seconds", "seconds", "peak_megabytes", "gpu_megabytes", "milliseconds")
-"""What a victim pays, of which the poisoned one's is divided by the clean one's."""
-
-
-def figures(record: Record, tables: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
-    """Every figure of a study: for each value how many times the costs are, and how true its splats are.
-
-    Args:
-        record: result.json; costs are taken from its `victims`.
-        tables: Its tables: how true each splat is, and what classifiers saw.
-    """
-    truth = tables[FIDELITY].with_columns(defended=pl.col("condition").is_not_null())
-    means = truth.group_by("attack", "seed", "splat", "defended").agg(pl.col("psnr").mean(), pl.col("ssim").mean())
-    quality = {tuple(row[:4]): {"psnr": row[4], "ssim": row[5]} for row in means.iter_rows()}
-    groups: dict[tuple[str, str], dict[tuple[int, str, bool], dict[str, Any]]] = {}
-    for victim in record["victims"]:
-        title = f"{victim['part']}: {victim['value']}"
-        key = (victim["seed"], victim["splat"], victim["defended"])
-        of_value = groups.setdefault((victim["part"], victim["value"]), {})
-        of_value[key] = {**victim, **quality.get((title, *key), {})}
-    values = [_value(part, value, victims) for (part, value), victims in groups.items()]
-    told: dict[str, Any] = {"values": values, "classified": [], "pooled": []}
-    if ROWS not in tables:
-        return told
-    parts = {f"{value['part']}: {value['value']}": value["part"] for value in values}
-    looked = tables[ROWS].with_columns(part=pl.col("attack").replace_strict(parts))
-    told["classified"] = _classified(looked, "attack")
-    if len(set(parts.values())) < len(parts):
-        told["pooled"] = _classified(looked, "part", clusters=("attack",))
-    return told
-
-
-def _classified(rows: pl.DataFrame, which: str, clusters: Sequence[str] | None = None) -> list[dict[str, Any]]:
-    """For each value, or part, how often the object is named rightly, by classifier and splat, and how confidently.
-
-    Args:
-        rows: What classifiers saw.
-        which: Column of the value or the part.
-        clusters: See `count`.
-    """
-    by = (which, "detector", "splat", "condition")
-    rates = count(rows, {"right": Measure(holds=~pl.col("success"))}, by, clusters=clusters)
-    means = rows.group_by(by).agg(pl.col("original_score").mean())
-    confidence = {row[:-1]: row[-1] for row in means.iter_rows()}
-    return [
-        {**dict(zip(by, key, strict=True)), "right": told["right"].as_dict(), "confidence": confidence[key]}
-        for key, told in rates.items()
-    ]
-
-
-def _value(part: str, value: str, victims: Mapping[tuple[int, str, bool], Record]) -> dict[str, Any]:
-    """The figures of one value over its seeds, of each splat that it has."""
-    seeds = sorted({seed for seed, _, _ in victims})
-    told: dict[str, Any] = {"part": part, "value": value, "seeds": seeds, "splats": {}}
-    for splat, defended in sorted({(splat, defended) for _, splat, defended in victims}):
-        mine = {seed: victims[seed, splat, defended] for seed in seeds if (seed, splat, defended) in victims}
-        clean = {seed: victims[seed, CLEAN, False] for seed in mine if (seed, CLEAN, False) in victims}
-        name = f"{splat}, defended" if defended else splat
-        told["splats"][name] = {
-            "gaussians": _spread([one["gaussians"] for one in mine.values()]),
-            "psnr": _spread([one.get("psnr") for one in mine.values()]),
-            "ssim": _spread([one.get("ssim") for one in mine.values()]),
-            "stopped": sum(bool(one["stopped"]) for one in mine.values()),
-            "times": {
-                cost: _spread([_ratio(one.get(cost), clean.get(seed, {}).get(cost)) for seed, one in mine.items()])
-                for cost in COSTS
-            },
-        }
-    return told
-
-
-def _ratio(value: float | None, clean: float | None) -> float | None:
-    return value / clean if value is not None and clean else None
-
-
-def _spread(values: Sequence[float | None]) -> dict[str, Any] | None:
-    """Mean, least and most over the seeds, and the 95 % interval of the mean (Student's t) from two seeds on."""
-    known = [value for value in values if value is not None]
-    if not known:
-        return None
-    mean, interval = statistics.fmean(known), None
-    if len(known) > 1:
-        half = float(stdtrit(len(known) - 1, 0.975)) * statistics.stdev(known) / math.sqrt(len(known))
-        interval = [mean - half, mean + half]
-    return {"mean": mean, "least": min(known), "most": max(known), "interval": interval, "count": len(known)}
-
-
-def summary_tables(record: Record) -> Iterator[Table]:
-    """For each part a table of costs, and one of what the splats are worth.
-
-    Args:
-        record: result.json.
-    """
-    parts: dict[str, list[Record]] = {}
-    for value in record["values"]:
-        parts.setdefault(value["part"], []).append(value)
-    for part, values in parts.items():
-        title = part.replace("_", " ")
-        lines = [
-            {"value": value["value"], "splat": name, "seeds": len(value["seeds"]), **splat, **splat["times"]}
-            | {"count": splat["gaussians"], "times": splat["times"]["gaussians"]}
-            for value in values
-            for name, splat in value["splats"].items()
-        ]
-        yield Table.of(f"{title[0].upper()}{title[1:]}", _COLUMNS, lines)
-    for which, caption, lines in (
-        ("part", "All values together; in intervals they are drawn anew", record["pooled"]),
-        ("attack", "How often the object is named rightly", record["classified"]),
-    ):
-        if lines:
-            yield Table.of(caption, {"what": which, **_NAMED}, lines)
-
-
-def _number(key: str, digits: int) -> Column[Any]:
-    """The mean over seeds and, of several, its ends."""
-
-    def text(line: Record) -> str:
-        spread = line.get(key)
-        if spread is None:
-            return "-"
-        mean, ends = f"{spread['mean']:,.{digits}f}", [f"{spread[end]:,.{digits}f}" for end in ("least", "most")]
-        return mean if spread["count"] == 1 else f"{mean} ({ends[0]} to {ends[1]})"
-
-    return text
-
-
-_NAMED: dict[str, Column[Any]] = {
-    "classifier": "detector",
-    "splat": "splat",
-    "seen": "condition",
-    "top-1 right": "right",
-    "confidence in the true class": lambda line: f"{line['confidence']:.2f}",
-}
-_COLUMNS: dict[str, Column[Any]] = {
-    "value": "value",
-    "splat": "splat",
-    "seeds": "seeds",
-    "Gaussians": _number("count", 0),
-    "times the clean splat's": _number("times", 2),
-    "CPU time": _number("cpu_seconds", 2),
-    "wall time": _number("seconds", 2),
-    "memory": _number("peak_megabytes", 2),
-    "time of a picture": _number("milliseconds", 2),
-    "PSNR, held out, dB": _number("psnr", 2),
-    "ended early": lambda line: line["stopped"] or "-",
-}

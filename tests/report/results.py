@@ -21,7 +21,7 @@ from attacks.objectives import relabel
 from attacks.observe.rows import frame_of, write_rows
 from attacks.rate import Rate
 from attacks.studies.audit import figures as audit_figures
-from attacks.studies.poison import figures as poison_figures
+from attacks.studies.poison_figures import figures as poison_figures
 from mi_splat import provenance
 from mi_splat.audit.files import write as write_files
 from mi_splat.io import save_splat
