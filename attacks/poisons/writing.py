@@ -27,7 +27,13 @@ _SHOWN, _TIMES, _LARGEST = 5, 10.0, 320
 
 
 def write_poisoned(
-    folder: Path, clean: Dataset, done: Poisoned, *, held_out: Dataset | None = None, changes_count: bool = False
+    folder: Path,
+    clean: Dataset,
+    done: Poisoned,
+    *,
+    held_out: Dataset | None = None,
+    changes_count: bool = False,
+    keeps_alpha: bool = False,
 ) -> None:
     """Write a poisoned set: transforms files, PNG pictures, masks, points.
 
@@ -39,6 +45,8 @@ def write_poisoned(
         done: The same after the poison, see `as_files_hold`.
         held_out: Pictures for tests, which stay as they are.
         changes_count: Whether what was changed counts for who trains, even where a mask of the set leaves it out.
+        keeps_alpha: Whether changed pictures stay transparent where they were, and so cannot change there; else they
+            are opaque.
 
     Raises:
         DatasetError: A picture or its mask cannot be read.
@@ -55,7 +63,11 @@ def write_poisoned(
             if index not in replaced and _is_its_file(views, index):
                 shutil.copyfile(views.paths[index], images / name)
             else:
-                save_png(_pixels(views, index, replaced.get(index)), images / name)
+                new = replaced.get(index)
+                if new is not None and not keeps_alpha:
+                    save_png(to_bytes(new.image), images / name)
+                else:
+                    save_png(_pixels(views, index, new), images / name)
             mask = _counting(views, index, replaced.get(index) if changes_count else None)
             if mask is not None:
                 save_png(to_bytes(mask), make_folder(folder / MASKS) / name)

@@ -12,13 +12,16 @@ from torch import Tensor
 
 from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
 from attacks.cli import main
+from attacks.cloak.config import SceneConfig
 from attacks.observe.rows import rows
 from attacks.poisons.victim import peak_memory
 from attacks.studies.poison import PoisonWork, classifier_of, point_of
 from attacks.studies.study_file import read_study, study_of
 from mi_splat.assets import ASSETS
+from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.parsing import read_json
+from mi_splat.ledger import Ledger
 from tests.project.layers import ROOT
 
 SMALL = """
@@ -75,6 +78,27 @@ def test_a_study_is_done_and_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert {"kinds-noise-poisoned", "defended-defended-attacked-defended-centres"} <= names
     assert main(["artifact-check", str(folder)]) == 0
     assert main(["report", str(folder), "--out", "page.html"]) == 0
+
+
+def test_poison_is_written_where_clean_pictures_are_clear(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    noisy = work(
+        scene={"object": "tv", "ground": "nothing"},
+        cameras={"train": 2, "size": 16, "samples": 1, "points": 20},
+        training={"iterations": 1, "sh_degree": 0},
+        poison={"kind": "uniform-noise", "eps": 16},
+    ).attempts[0]
+    assert noisy.poisoned is not None
+    ledger = Ledger(Path("store"))
+    clean, changed = (
+        load_dataset(ledger.do(job).folder / "set", split="train", background=SceneConfig().background)
+        for job in (noisy.pictures, noisy.poisoned)
+    )
+    alpha = clean.alpha(0)
+    assert alpha is not None
+    difference = (changed[0].image - clean[0].image).abs().amax(-1)
+    assert float(difference[alpha == 0].mean()) > 8 / 255
+    assert float(difference.max()) <= 16.01 / 255
 
 
 def test_which_jobs_share_their_work() -> None:
