@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from attacks.poisons.base import OnStep, Poisoned
+    from attacks.poisons.decoy import Decoy
     from mi_splat.cameras import Camera
     from mi_splat.datasets import Dataset
     from mi_splat.scene import GaussianScene
@@ -163,7 +164,8 @@ def _misreading(config: MisreadingConfig, seed: int) -> Work:
                 raise InvalidValueError.of(str(name), "some pixels of the object", "none", do)
             return seen
 
-        poison = MIFGSM(config=config.attack, classifier=classifier, label=label, masks=mask)
+        decoy = _decoy(splat, views) if config.attack.decoy_steps else None
+        poison = MIFGSM(config=config.attack, classifier=classifier, label=label, masks=mask, decoy=decoy)
         done = poison(views, seed=seed, on_step=on_step)
         sure, skipped = config.attack.least_confidence, len(done.poison["skipped"])
         said = f"in {skipped} pictures {config.classifier} is less than {sure:.0%} confident of {label}; they stay"
@@ -177,11 +179,8 @@ def _pictures(config: PoisonSplatConfig | UniformNoiseConfig | RaisedVariationCo
 
     def changed(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
         from attacks.poisons.registry import poison_of
-        from mi_splat.bounds import near_plane
-        from mi_splat.training.config import FitConfig
 
-        near = 0.0 if splat is None else near_plane(splat, views.cameras)
-        poison = poison_of(config, start=splat, near=near, background=views.background, victim=FitConfig())
+        poison = poison_of(config, None if splat is None else _decoy(splat, views))
         done = poison(views, seed=seed, on_step=on_step)
         grown, start = (done.poison.get(f"{name}_gaussians") for name in ("decoy", "start"))
         lines = [f"the decoy has {grown:,} Gaussians, the splat has {start:,}"] if grown else []
@@ -197,6 +196,14 @@ KINDS = {
     "raised-variation": Kind(config=RaisedVariationConfig(), begun=_pictures, needs_splat=False),
     "m-ifgsm": Kind(config=MisreadingConfig(), begun=_misreading),
 }
+
+
+def _decoy(splat: GaussianScene, views: Dataset) -> Decoy:
+    """A decoy that starts as the splat; the victim is taken to train as usual."""
+    from attacks.poisons.decoy import Decoy
+    from mi_splat.bounds import near_plane
+
+    return Decoy(start=splat, near=near_plane(splat, views.cameras), background=views.background)
 
 
 def _object(config: ObjectConfig, views: Dataset, splat: GaussianScene) -> tuple[Tensor, float, dict[str, Any]]:

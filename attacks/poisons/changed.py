@@ -13,6 +13,7 @@ from attacks.cloak.kinds.parts import SET, StepConfig
 from attacks.poisons.base import MANIFEST, PicturePoison
 from attacks.poisons.classified import checked_classifier
 from attacks.poisons.config import MIFGSMConfig
+from attacks.poisons.decoy import Decoy
 from attacks.poisons.masks import read_masks
 from attacks.poisons.mifgsm import MIFGSM
 from attacks.poisons.registry import PoisonConfig, poison_of
@@ -47,18 +48,23 @@ class ChangedConfig(StepConfig):
 
 
 def run(config: ChangedConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Poison the `pictures`; the decoy of Poison-splat starts as the `splat`, and M-IFGSM knows the `masks`."""
+    """Poison the `pictures`; a decoy starts as the `splat`, and M-IFGSM knows the `masks`."""
     study, background = config.asked, config.asked.scene.background
     views = load_dataset(inputs["pictures"] / SET, split="train", background=background)
-    near = study.training.near
-    assert near is not None
+    decoy = None
+    if "splat" in inputs:
+        near = study.training.near
+        assert near is not None
+        start, victim = load_splat(inputs["splat"]).to(config.device), fit_config(study.training)
+        decoy = Decoy(start=start, near=near, background=background, victim=victim)
     if isinstance(config.poison, MIFGSMConfig):
         classifier = checked_classifier(config.classifier, config.fingerprint, config.device)
-        masks = read_masks(inputs["masks"])
-        poison: PicturePoison = MIFGSM(config=config.poison, classifier=classifier, label=config.label, masks=masks)
+        masks, label = read_masks(inputs["masks"]), config.label
+        poison: PicturePoison = MIFGSM(
+            config=config.poison, classifier=classifier, label=label, masks=masks, decoy=decoy
+        )
     else:
-        start, victim = load_splat(inputs["splat"]).to(config.device), fit_config(study.training)
-        poison = poison_of(config.poison, start=start, near=near, background=background, victim=victim)
+        poison = poison_of(config.poison, decoy)
     done = poison(views, seed=study.seeds[0], on_step=partial(out.progress, "poisoning"))
     write_poisoned(out / SET, views, done)
     save_json(done.manifest, out / MANIFEST)

@@ -167,6 +167,9 @@ class MIFGSMConfig(Checked):
         through: A filter through which the classifier is shown the picture while it is changed, for instance one that
             a victim is known to use, or a blur: what survives it survives a training better. None is as published.
         least_confidence: Pictures in whose true class the classifier is less confident stay as they are.
+        decoy_steps: A decoy, a splat of the clean pictures, looks at so many cameras; the steps along the gradient
+            begin at its picture, it learns where they end, and its pictures take the object's place. So the changes of
+            all cameras agree. 0 is as published: each picture by itself.
     """
 
     eps: Eps | None = None
@@ -178,3 +181,4 @@ class MIFGSMConfig(Checked):
     target: str | None = None
     through: FilterConfig | None = None
     least_confidence: Fraction = 0.05
+    decoy_steps: Annotated[int, at_least(0, "steps", "600 is usual; 0 is without a decoy")] = 0

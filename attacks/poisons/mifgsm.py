@@ -2,12 +2,13 @@
 
 Zeybey, Ergezen and Nguyen, "Gaussian Splatting Under Attack", arXiv 2412.02803: the masked iterative fast gradient sign
 method. Of each picture on its own, the pixels of the object are moved by steps of one length along the sign of the
-gradient of the cross-entropy of its true class, which rises. Nothing holds the pictures of different cameras together.
+gradient of the cross-entropy of its true class, which rises. Nothing holds the pictures of different cameras together,
+unless a decoy does, which is new here: a splat that learns the changed pictures. The victim gets the decoy's own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import torch
@@ -18,9 +19,11 @@ from attacks.classifiers.base import Classifier
 from attacks.classifiers.frozen import class_number
 from attacks.poisons.base import Masks, OnStep, Poisoned, check_masks, chosen_views, mask_of, poisoned, within_ball
 from attacks.poisons.config import MIFGSMConfig
+from attacks.poisons.decoy import Decoy
 from attacks.poisons.defences import filtered
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
+from mi_splat.scene import GaussianScene
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,17 +38,22 @@ class MIFGSM:
     than the classifier's loses the finest part of the change, and one larger gets a smooth one. The result is rounded
     to 8 bits inside the mask; outside, not a bit differs.
 
+    With `MIFGSMConfig.decoy_steps` the steps begin, at each visit of a camera, at the picture of a decoy instead of the
+    clean one, and the decoy learns where they end. Its picture takes the object's place in the end.
+
     Attributes:
         config: How.
         classifier: Who shall be deceived.
         masks: Where the object is; None is everywhere.
         label: Its true class.
+        decoy: Where a decoy begins; None is without one.
     """
 
     config: MIFGSMConfig
     classifier: Classifier
     label: str
     masks: Masks | None = None
+    decoy: Decoy | None = None
 
     def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
         """The set with the chosen pictures changed, but for those that the classifier misreads already.
@@ -64,48 +72,80 @@ class MIFGSM:
         goal = true if config.target is None else class_number(self.classifier, config.target, "target")
         if config.target == self.label:
             raise InvalidValueError.of("target", "another class than the label", self.label, "choose another")
+        if (self.decoy is None) != (config.decoy_steps == 0):
+            got = f"{config.decoy_steps} steps of a decoy {'without' if self.decoy is None else 'beside'} one"
+            raise InvalidValueError.of("decoy", "one if it shall take steps", got, "pass one, or no decoy_steps")
         check_masks(self.masks, len(views))
-        pictures, skipped = {}, list[int]()
         chosen = chosen_views(views, config.share, seed) if config.eps != 0 else []
-        for number, index in enumerate(chosen, start=1):
-            view = views[index]
-            mask = mask_of(self.masks, index, view.camera)
-            if not mask.any():
-                do = "leave the view out, or correct the mask"
-                raise InvalidValueError.of(f"mask of view {index}", "some pixels of the object", "none", do)
-            if self._confidence(view.image, true) < config.least_confidence:
-                skipped.append(index)
-            else:
-                pictures[index] = self._changed(view.image, mask.to(view.image.device), goal)
-            if on_step is not None:
-                on_step(number, len(chosen))
+        masks = {index: self._mask(index, views[index]) for index in chosen}
+        unsure = config.least_confidence
+        skipped = [index for index in chosen if self._confidence(views[index].image, true) < unsure]
+        pictures = {index: views[index].image for index in chosen if index not in skipped}
+        if self.decoy is not None and pictures:
+            decoy = self._learned(self.decoy, views, masks, goal, seed, on_step)
+            for index, clean in pictures.items():
+                own = within_ball(self.decoy.picture(decoy, views[index].camera), clean, config.eps)
+                pictures[index] = torch.where(masks[index], own.to(clean), clean)
+        else:
+            for number, (index, clean) in enumerate(pictures.items(), start=1):
+                pictures[index] = self._changed(clean, clean, masks[index], goal)
+                if on_step is not None:
+                    on_step(number, len(pictures))
         about = {"kind": "m-ifgsm", "label": self.label, "seed": seed, **asdict(config), "skipped": skipped}
         who = {"classifier": self.classifier.name, "fingerprint": self.classifier.fingerprint}
         return poisoned(views, pictures, {**about, **who})
+
+    def _mask(self, index: int, view: View) -> Tensor:
+        """(H, W, 1) bool, on the device of the picture."""
+        mask = mask_of(self.masks, index, view.camera)
+        if not mask.any():
+            do = "leave the view out, or correct the mask"
+            raise InvalidValueError.of(f"mask of view {index}", "some pixels of the object", "none", do)
+        return mask[..., None].to(view.image.device)
+
+    def _learned(
+        self,
+        decoy: Decoy,
+        views: Sequence[View],
+        masks: Mapping[int, Tensor],
+        goal: int,
+        seed: int,
+        on_step: OnStep | None,
+    ) -> GaussianScene:
+        """The decoy after its steps; it learns the clean picture where nothing is to change."""
+
+        def target(image: Tensor, index: int) -> Tensor:
+            clean = views[index].image.to(image.device)
+            if index not in masks:
+                return clean
+            return self._changed(image.detach().clamp(0, 1), clean, masks[index].to(image.device), goal)
+
+        return decoy.learn(views, target, steps=self.config.decoy_steps, seed=seed, on_step=on_step)
 
     def _confidence(self, picture: Tensor, number: int) -> float:
         """Confidence in a class."""
         with torch.no_grad():
             return float(torch.softmax(self.classifier.scores(picture[None])[0].double(), 0)[number])
 
-    def _changed(self, clean: Tensor, mask: Tensor, goal: int) -> Tensor:
-        """(H, W, 3) picture in which the object is misread."""
+    def _changed(self, begin: Tensor, clean: Tensor, mask: Tensor, goal: int) -> Tensor:
+        """(H, W, 3) picture in which the object is misread, from a picture to begin with."""
         paste, full = self.config.paste, (clean.shape[0], clean.shape[1])
         scale = 1.0 if paste == "none" else self.classifier.size / min(full)
         size = (max(1, round(full[0] * scale)), max(1, round(full[1] * scale)))
-        start = _scaled(clean, size)
-        changed = self._steps(start, adaptive_max_pool2d(mask[None].float(), size)[0, ..., None], goal)
+        start = _scaled(begin, size)
+        changed = self._steps(
+            start, _scaled(clean, size), adaptive_max_pool2d(mask[None, ..., 0].float(), size)[0, ..., None], goal
+        )
         if paste == "difference":
-            changed = clean + _scaled(changed - start, full)
-        inside = within_ball(_scaled(changed, full), clean, self.config.eps)
-        return torch.where(mask[..., None], inside, clean)
+            changed = begin + _scaled(changed - start, full)
+        return torch.where(mask, within_ball(_scaled(changed, full), clean, self.config.eps), clean)
 
-    def _steps(self, start: Tensor, mask: Tensor, goal: int) -> Tensor:
-        """The iterated steps, (h, w, 3) in [0, 1] and in the ball around the start, inside the mask (h, w, 1)."""
+    def _steps(self, start: Tensor, clean: Tensor, mask: Tensor, goal: int) -> Tensor:
+        """The iterated steps, (h, w, 3) in [0, 1] and in the ball around the clean one, inside the mask (h, w, 1)."""
         config = self.config
         step = config.step * start.new_tensor(config.deviation) * mask * (1 if config.target is None else -1)
         radius = 1.0 if config.eps is None else config.eps / 255
-        low, high = (start - radius).clamp(min=0), (start + radius).clamp(max=1)
+        low, high = (clean - radius).clamp(min=0), (clean + radius).clamp(max=1)
         number, picture = torch.tensor([goal], device=start.device), start
         for _ in range(config.steps):
             picture = picture.detach().requires_grad_(True)

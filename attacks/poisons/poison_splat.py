@@ -18,17 +18,11 @@ from torch import Generator, Tensor
 
 from attacks.poisons.base import OnStep, Poisoned, chosen_views, poisoned, within_ball
 from attacks.poisons.config import FilterConfig, PoisonSplatConfig, RaisedVariationConfig, UniformNoiseConfig, Variation
+from attacks.poisons.decoy import Decoy
 from attacks.poisons.defences import filtered
-from mi_splat import variant
-from mi_splat.cameras import Camera, View, cameras_of, project_points
-from mi_splat.errors import InvalidValueError
-from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
-from mi_splat.scene import GaussianScene, check_scene, scene_hash
-from mi_splat.training.config import FitConfig
-from mi_splat.training.loop import densify, differentiate, scene_extent
-from mi_splat.training.losses import photometric_loss
-from mi_splat.training.state import TrainState, check_start
-from mi_splat.training.strategies import ClassicConfig, FixedConfig, StrategyConfig
+from mi_splat.cameras import View
+from mi_splat.scene import GaussianScene, scene_hash
+from mi_splat.training.strategies import ClassicConfig, StrategyConfig
 
 
 def total_variation(image: Tensor, variation: Variation = "both") -> Tensor:
@@ -64,24 +58,18 @@ def raised(image: Tensor, clean: Tensor, config: PoisonSplatConfig | RaisedVaria
     return image
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoisonSplat:
     """Poison-splat as a poison.
 
     Attributes:
         config: How.
-        start: The victim's splat of the clean pictures, or the attacker's own; the decoy is where its tensors are.
-        near: Near plane of the victim's renderer, world units.
-        background: sRGB behind the splat.
-        victim: How the victim trains: learning rates of the decoy are the victim's first ones, and thresholds of
-            densification those of its classic strategy, or the published ones if it has another.
+        begun: Where the decoy begins. Thresholds of its densification are those of the victim's classic strategy, or
+            the published ones if the victim has another.
     """
 
     config: PoisonSplatConfig
-    start: GaussianScene
-    near: float
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    victim: FitConfig = field(default_factory=FitConfig)
+    begun: Decoy
 
     def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
         """The poisoned set; with eps or a share of 0 it is the untouched one, picture for picture.
@@ -95,68 +83,38 @@ class PoisonSplat:
             InvalidValueError: There are no views, or no Gaussian of the start is in any of them.
             TrainingError: The decoy is no longer finite, or all of it was pruned.
         """
-        config = self.config
+        config, begun = self.config, self.begun
         chosen = chosen_views(views, config.share, seed)
         about = _about("poison-splat", config, seed)
         if config.eps == 0 or not chosen:
             return poisoned(views, {}, about)
         decoy = self.decoy(views, seed=seed, on_step=on_step)
-        about |= {"start": scene_hash(self.start), "start_gaussians": len(self.start), "decoy_gaussians": len(decoy)}
-        render, pictures = self._renderer(), {}
-        with torch.no_grad():
-            for index in chosen:
-                view = views[index]
-                pictures[index] = within_ball(render(decoy, view.camera), view.image, config.eps)
+        about |= {"start": scene_hash(begun.start), "start_gaussians": len(begun.start), "decoy_gaussians": len(decoy)}
+        pictures = {}
+        for index in chosen:
+            view = views[index]
+            pictures[index] = within_ball(begun.picture(decoy, view.camera), view.image, config.eps)
         return poisoned(views, pictures, about)
 
     def decoy(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> GaussianScene:
         """The splat whose pictures the victim gets; arguments and errors are those of a call."""
-        config, state = self.config, self._begun(views, seed)
-        look = _through(config.through)
-        screen_gradients = ScreenGradients() if config.densify_every else None
-        render = self._renderer(screen_gradients)
-        while state.iteration < config.steps:
-            view = views[state.next_view(len(views))]
-            scene = state.scene()
-            image = render(scene, view.camera)
-            target = raised(image, view.image.to(image.device), config)
-            loss = photometric_loss(look(image), look(target), lambda_dssim=state.config.lambda_dssim)
-            differentiate(state, loss, scene)
-            state.iteration += 1
-            if state.iteration % config.decoy_every == 0:
-                state.descend()
-                state.optimiser.zero_grad(set_to_none=True)
-            if state.iteration < config.steps:
-                densify(state, screen_gradients)
-            if on_step is not None:
-                on_step(state.iteration, config.steps)
-        return state.result()
-
-    def _begun(self, views: Sequence[View], seed: int) -> TrainState:
-        """The decoy before its first step."""
-        check_scene("start", self.start)
-        fit = replace(
-            self.victim,
-            iterations=self.config.steps,
+        config = self.config
+        return self.begun.learn(
+            views,
+            lambda image, index: raised(image, views[index].image.to(image.device), config),
+            steps=config.steps,
+            every=config.decoy_every,
             strategy=self._strategy(),
-            sh_degree=self.start.degree,
-            sh_degree_interval=0,
-            lr_means_final=self.victim.lr_means,  # the public implementation lowers none
-            lr_sh_final=None,
+            prune_large=config.prune_large,
+            look=_through(config.through),
+            seed=seed,
+            on_step=on_step,
         )
-        check_start(self.start, fit)
-        if not any(_is_seen(self.start, camera, self.near) for camera in cameras_of(views)):
-            expected, do = "Gaussians before some camera of the views", "pass a splat that was trained on these views"
-            raise InvalidValueError.of("start", expected, "none", do)
-        state = TrainState(self.start, fit, scene_extent=scene_extent(views), seed=seed)
-        if self.config.densify_every and self.config.prune_large:
-            state.strategy_state["opacities_were_reset"][:] = True
-        return state
 
-    def _strategy(self) -> StrategyConfig:
-        config, victims = self.config, self.victim.strategy
+    def _strategy(self) -> StrategyConfig | None:
+        config, victims = self.config, self.begun.victim.strategy
         if not config.densify_every:
-            return FixedConfig()
+            return None
         return replace(
             victims if isinstance(victims, ClassicConfig) else ClassicConfig(),
             densify_from=0,
@@ -165,11 +123,6 @@ class PoisonSplat:
             opacity_reset_interval=0,
             max_gaussians=config.max_gaussians,
         )
-
-    def _renderer(self, screen_gradients: ScreenGradients | None = None) -> Renderer:
-        name = "cuda_ad_rgb" if self.start.means.is_cuda else variant.DEFAULT_VARIANT
-        settings = RenderSettings(background=self.background, near=self.near, variant=name)
-        return Renderer(settings, screen_gradients=screen_gradients)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -264,10 +217,3 @@ def _radius(eps: int | None) -> int:
 def _through(config: FilterConfig | None) -> Callable[[Tensor], Tensor]:
     """What a victim sees of a picture."""
     return (lambda image: image) if config is None else (lambda image: filtered(image, config))
-
-
-def _is_seen(scene: GaussianScene, camera: Camera, near: float) -> bool:
-    """Whether a mean lies inside a camera's picture."""
-    pixels, depths = project_points(scene.means.detach().cpu(), camera)
-    inside = ((pixels >= 0) & (pixels <= pixels.new_tensor([camera.width, camera.height]))).all(1)
-    return bool((inside & (depths > near)).any())

@@ -13,8 +13,7 @@ from mi_splat.fields import check_choice, decode
 
 if TYPE_CHECKING:
     from attacks.poisons.base import PicturePoison
-    from mi_splat.scene import GaussianScene
-    from mi_splat.training.config import FitConfig
+    from attacks.poisons.decoy import Decoy
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,25 +55,15 @@ def poison_config(table: Mapping[str, Any], where: str) -> PoisonConfig:
     return decode(POISONS[table["kind"]], {key: value for key, value in table.items() if key != "kind"}, where)
 
 
-def poison_of(
-    config: PoisonConfig,
-    *,
-    start: GaussianScene | None,
-    near: float,
-    background: tuple[float, float, float],
-    victim: FitConfig,
-) -> PicturePoison:
-    """The poison of settings; those of M-IFGSM and CLOAK need more than a splat.
+def poison_of(config: PoisonConfig, decoy: Decoy | None) -> PicturePoison:
+    """The poison of settings; those of M-IFGSM and CLOAK need more than a decoy.
 
     Args:
         config: The settings.
-        start: Splat of the clean pictures; only Poison-splat needs one.
-        near: Near plane of the victim's renderer, world units.
-        background: sRGB behind the splat.
-        victim: How the victim trains.
+        decoy: Where one begins; only Poison-splat needs one.
 
     Raises:
-        InvalidValueError: Settings are CLOAK's, or those of Poison-splat without a start.
+        InvalidValueError: Settings are CLOAK's or M-IFGSM's, or those of Poison-splat without a decoy.
     """
     from attacks.poisons.poison_splat import PoisonSplat, RaisedVariation, UniformNoise
 
@@ -83,7 +72,7 @@ def poison_of(
             return UniformNoise(config=config)
         case RaisedVariationConfig():
             return RaisedVariation(config=config)
-        case PoisonSplatConfig() if start is not None:
-            return PoisonSplat(config=config, start=start, near=near, background=background, victim=victim)
+        case PoisonSplatConfig() if decoy is not None:
+            return PoisonSplat(config=config, begun=decoy)
     expected, do = "one that needs no more than a splat", "run it as a study"
     raise InvalidValueError(message("poison", expected, type(config).__name__, do))

@@ -217,25 +217,34 @@ class Attempt:
         if isinstance(poison, CloakConfig):
             return replace(self._steps, study=replace(study, attack=poison.attack)).poisoned(asked.seed)
         if isinstance(poison, MIFGSMConfig):
-            return self._misread(poison)
-        start, by = clean, "clean pictures, by the attacker"
-        if asked.attacker is not None:
-            start = self._trained(by, self.pictures, asked.attacker)
-        step = self._step(asked.attacker or asked.training)
-        config = ChangedConfig(**step, poison=poison, device=asked.victim.device)
-        inputs = {"pictures": self.pictures.part(f"{SET}/*"), "splat": start.part(SPLAT)}
+            return self._misread(poison, clean)
+        config = ChangedConfig(**self._attackers_step, poison=poison, device=asked.victim.device)
+        inputs = {"pictures": self.pictures.part(f"{SET}/*"), "splat": self._start(clean)}
         return Job(kind=f"{_KINDS}.changed", config=config, inputs=inputs)
 
-    def _misread(self, poison: MIFGSMConfig) -> Job:
-        """The set in which each picture by itself deceives a classifier."""
+    def _start(self, clean: Job) -> Part:
+        """The splat that a decoy starts as: the victim's, or the attacker's if they train otherwise."""
+        asked = self.asked
+        if asked.attacker is None:
+            return clean.part(SPLAT)
+        return self._trained("clean pictures, by the attacker", self.pictures, asked.attacker).part(SPLAT)
+
+    @property
+    def _attackers_step(self) -> dict[str, Any]:
+        return self._step(self.asked.attacker or self.asked.training)
+
+    def _misread(self, poison: MIFGSMConfig, clean: Job) -> Job:
+        """The set whose pictures deceive a classifier."""
         asked = self.asked
         if not asked.deceive:
             do = 'write deceive = "prototypes"'
             raise InvalidValueError.of(self.title, "a classifier that M-IFGSM deceives", "none", do)
         masks, who = self._made("drawing masks", self._steps.masks()), self._who(asked.deceive)
-        config = ChangedConfig(**self._step(TrainingConfig()), poison=poison, **who)
         inputs = {"pictures": self.pictures.part(f"{SET}/*"), "masks": masks.part("*.png")}
-        return Job(kind=f"{_KINDS}.changed", config=config, inputs=inputs)
+        if poison.decoy_steps:
+            inputs["splat"] = self._start(clean)
+        step = self._attackers_step if poison.decoy_steps else self._step(TrainingConfig())
+        return Job(kind=f"{_KINDS}.changed", config=ChangedConfig(**step, poison=poison, **who), inputs=inputs)
 
     def _who(self, name: str) -> dict[str, Any]:
         """A classifier, which has to know the object's class."""

@@ -13,12 +13,14 @@ from torch import Tensor
 from attacks.classifiers.looking import classified
 from attacks.poisons.base import PicturePoison
 from attacks.poisons.config import FilterConfig, MIFGSMConfig
+from attacks.poisons.decoy import Decoy
 from attacks.poisons.defences import filtered
 from attacks.poisons.mifgsm import MIFGSM
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, View
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import to_bytes
+from tests import oracle
 from tests.classifiers.made import CLASSES, SIZE, toy_classifier
 
 CAMERAS = orbit((0.0, 0.0, 0.0), count=3, elevation=20.0, distance=4.0, focal=24.0, size=(40, 32))
@@ -97,6 +99,23 @@ def test_what_is_found_through_a_blur_is_there_after_it(views: list[View]) -> No
     assert left(blur) < 0.95 * left(None)
 
 
+def test_a_decoy_changes_all_cameras_alike() -> None:
+    """The victim gets the picture of one splat, which is misread, inside the mask and the ball."""
+    splat, cameras = oracle.random_scene(30, degree=1, seed=9), CAMERAS[:2]
+    decoy = Decoy(start=splat, near=0.1)
+    views = [View(camera, (decoy.picture(splat, camera).clamp(0, 1) * 255).round() / 255) for camera in cameras]
+    poison = attack(replace(ANY, steps=3, paste="none", eps=24, decoy_steps=200), decoy=decoy)
+    done = poison(views, seed=1)
+    for before, after in zip(confidences(views, "car"), confidences(done.views, "car"), strict=True):
+        assert after < 0.9 * before
+    for index, view in enumerate(views):
+        mask, picture = mask_of(view.camera), done.views[index].image
+        assert torch.equal(picture[~mask], view.image[~mask])
+        assert 0 < (picture - view.image).abs().max() < 24.01 / 255
+    again = [view.image for view in poison(views, seed=1).views]
+    assert all(torch.equal(view.image, other) for view, other in zip(done.views, again, strict=True))
+
+
 def test_what_leaves_the_set_as_it_is(views: list[View]) -> None:
     for config in (replace(ANY, eps=0), replace(ANY, share=0.0)):
         done = attack(config)(views)
@@ -119,5 +138,7 @@ def test_bad_input(views: list[View]) -> None:
         attack(masks=empty)(views)
     with pytest.raises(InvalidValueError, match="masks: expected one for each of 3 views"):
         attack(masks=empty[:2])(views)
+    with pytest.raises(InvalidValueError, match="decoy: expected one if it shall take steps, got 5 steps of a decoy"):
+        attack(replace(ANY, decoy_steps=5))(views)
     with pytest.raises(InvalidValueError, match="eps"):
         MIFGSMConfig(eps=-1)
