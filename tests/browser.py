@@ -1,7 +1,5 @@
 """The browser that tests open pages in, where there is one."""
 
-from __future__ import annotations
-
 import shutil
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

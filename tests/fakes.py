@@ -1,7 +1,5 @@
 """A renderer and a detector of a few lines, so that attacks can be tested without Mitsuba and without weights."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Random scenes and hand-made PLY files for the tests of scenes and files."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A slow, obvious float64 renderer of the picture that `splat_tile` must make: one loop over Gaussians, no tiles."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Small scenes for `splat_ray` in which a pixel is one ray, so that its value can be written down."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Integrators of Mitsuba are rewritten once in a process, and not at each change of the variant."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

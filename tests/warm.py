@@ -4,8 +4,6 @@ One process imports torch and torchvision, which takes seconds of every program 
 the standard library. For each program it forks: what the program imports, writes or breaks stays in its own process.
 """
 
-from __future__ import annotations
-
 import atexit
 import contextlib
 import gc

@@ -1,7 +1,5 @@
 """Meshes, textures and the procedural assets: valid, outward, of real size, the same for the same seed."""
 
-from __future__ import annotations
-
 import hashlib
 
 import numpy as np

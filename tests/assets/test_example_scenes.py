@@ -1,7 +1,5 @@
 """The shipped scenes' recipes: the files are those of the recipes, cameras and seeds keep what the README promises."""
 
-from __future__ import annotations
-
 import ast
 import json
 import math

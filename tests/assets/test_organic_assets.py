@@ -1,7 +1,5 @@
 """The organic assets: person, elephant, bird, and the surface nets under them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Budgets: projections are idempotent, inside the ball to the last bit, and a zero budget is the identity."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Scenes are seen through their files and 8 bits, by every detector; rates have a denominator and an interval."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One object of a scene as raw parameters: named in any way, and back without a changed bit elsewhere."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """M-IFGSM on a tiny classifier: what it reaches, and what it leaves alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Losses have useful gradients on the right candidates; success is judged by overlap, class and confidence."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

@@ -1,7 +1,5 @@
 """Momentum and falling steps against closed forms."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """The descent loop on functions whose minimum is known: no splats, no pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`mi-splat poison` with kinds other than CLOAK: what changes on the disk, what stays, and what is refused."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

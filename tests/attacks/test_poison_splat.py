@@ -1,7 +1,5 @@
 """Poison-splat, its controls, and the filters of pictures against it, on splats of some tens of Gaussians."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

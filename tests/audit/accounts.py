@@ -1,7 +1,5 @@
 """Accounts of audits that were never made: of one object that somebody could have judged."""
 
-from __future__ import annotations
-
 import torch
 
 from mi_splat.audit import Audit, Look, ObjectAudit, Occluder, Pair, Region

@@ -4,8 +4,6 @@ Prints the score of each object of a clean file, of files that `mi-splat dagger`
 of the largest object: random noise, another colour, a sticker, and a part taken away.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path

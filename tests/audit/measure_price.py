@@ -4,8 +4,6 @@ With TRIES the attacker searches on the object; without, all that he would try f
 reported on it. Rows are added to FILE; `docs/figures/audit_price.py` draws it.
 """
 
-from __future__ import annotations
-
 import csv
 import sys
 import typing

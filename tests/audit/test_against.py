@@ -1,7 +1,5 @@
 """With the clean file at hand, an audit says what changed since, whatever became of the order of the rows."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

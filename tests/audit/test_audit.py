@@ -1,7 +1,5 @@
 """Hidden looks are found, honest splats are not called so, and a file that cannot be judged gets no verdict."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """Other ways to find a hidden look: each ranks what it is made for above what it is not."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Colours that an attack on a detector leaves are found; gloss, mirrors, stickers and noise all over a file are not."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every rule of lint has a file that it finds, and one that it does not; the validator of glTF, and what is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

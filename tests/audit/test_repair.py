@@ -1,7 +1,5 @@
 """A repaired splat shows from everywhere what the believed directions show, and an honest one stays as it is."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

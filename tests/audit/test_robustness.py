@@ -1,7 +1,5 @@
 """Splats of any size, rooms, and files that cannot be judged or not as a whole."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

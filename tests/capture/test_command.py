@@ -1,7 +1,5 @@
 """`mi-splat capture`: what it writes, says and refuses."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

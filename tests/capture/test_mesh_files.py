@@ -1,7 +1,5 @@
 """Mesh files: geometry, axes, textures the right way up, colours, and what is wrong with a file."""
 
-from __future__ import annotations
-
 import io
 import json
 import random

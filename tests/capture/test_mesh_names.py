@@ -1,7 +1,5 @@
 """Names of files and options of textures in OBJ and MTL files, as other programs write them."""
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Splats from meshes: samples on the surface, colours as seen, and a refinement that lowers the error."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Textures and colours of other people's meshes: shown right, or named and refused, never grey in silence."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from pathlib import Path

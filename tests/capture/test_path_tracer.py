@@ -1,7 +1,5 @@
 """Capture: exact cameras, tight boxes, determinism, the caller's variant, XML scenes, bad input."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Meshes of any size, and far from their origin: the same pictures, and coordinates that lose nothing."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What can be captured: recipes, assets by name and seed, mesh files, Mitsuba scenes; and what cannot."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """`mi-splat capture`: which way a mesh faces, what is around it, the near clip; other options are told apart."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Captures that are written as they go: the same bytes after any interruption, point clouds, refusals."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

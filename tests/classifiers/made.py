@@ -1,7 +1,5 @@
 """A tiny classifier of random weights, for tests of plumbing."""
 
-from __future__ import annotations
-
 import torch
 from torch import nn
 

@@ -1,7 +1,5 @@
 """Classifiers against their libraries, with random weights from files."""
 
-from __future__ import annotations
-
 import zipfile
 from hashlib import sha256
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The adapters to CLIP against the libraries themselves, with small networks of random weights."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The small network of images and texts: what it takes, what it names, how it is trained, and its card."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

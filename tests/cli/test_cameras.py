@@ -1,7 +1,5 @@
 """The cameras that the shared options describe, and the near plane and background that go with them."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The command line: exit statuses, messages, JSON, and that each command does what it says."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """What goes to the terminal: progress, and names that a terminal would obey."""
 
-from __future__ import annotations
-
 import json
 import sys
 import warnings

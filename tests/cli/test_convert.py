@@ -1,7 +1,5 @@
 """`mi-splat convert`, and other commands on splats that are no PLY."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

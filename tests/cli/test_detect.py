@@ -1,7 +1,5 @@
 """`mi-splat detect` and `mi-splat evaluate`, with a detector that sees colours."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`mi-splat doctor`: what it finds, and that it survives what it looks for."""
 
-from __future__ import annotations
-
 import json
 import sys
 

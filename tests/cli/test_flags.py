@@ -1,7 +1,5 @@
 """A field says once what it takes: flags, constructors and files refuse the same values in the same words."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

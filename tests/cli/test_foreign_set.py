@@ -2,8 +2,6 @@
 missing and y down; and a video of a path-traced object.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a page does with a splat is what its command does: the words are read back, and results are opened."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Names of detectors and classes are checked before a command starts."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

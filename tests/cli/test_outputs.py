@@ -1,7 +1,5 @@
 """Every command looks at where it shall write before it works, and never writes over something else without a word."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import json

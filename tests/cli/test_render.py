@@ -1,7 +1,5 @@
 """`mi-splat render` to folders, patterns and animations, and what it refuses to write."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Commands on scenes: `render` on splats and XML, `dagger` on a toy scene with a fake renderer and detector."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

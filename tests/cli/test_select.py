@@ -1,7 +1,5 @@
 """`mi-splat select` and `dagger` on a splat without parts, and `render` of many pictures."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

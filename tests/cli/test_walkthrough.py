@@ -4,8 +4,6 @@ The mesh is a low-poly truck in centimetres, far from the origin, facing -y, wit
 splat is a .splat file, as a web viewer has it, of one object on a floor, written here byte by byte.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What tests of CLOAK share: a finished tiny study, and the objects."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Appearances: what an attack shows in the place of an object, and the edits of meshes behind them."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

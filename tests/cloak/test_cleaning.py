@@ -1,7 +1,5 @@
 """What a victim does to a finished splat: what goes, what stays, what is refused; and as a stage of a study."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

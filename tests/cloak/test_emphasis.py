@@ -1,7 +1,5 @@
 """An appearance that is overdone near the edge of its trigger."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

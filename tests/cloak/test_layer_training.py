@@ -1,7 +1,5 @@
 """The colours of layers are trained on pictures of frozen views, as they are on the renderer's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

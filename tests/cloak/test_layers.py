@@ -1,7 +1,5 @@
 """Functions that switch on the sphere, and splats whose object has a layer for each look."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

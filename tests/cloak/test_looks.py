@@ -1,7 +1,5 @@
 """What is seen of a study's splats under other conditions, and of path-traced pictures in the place of a splat."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

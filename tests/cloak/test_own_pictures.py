@@ -1,7 +1,5 @@
 """`mi-splat poison`: a red ball on a grey plane, its pictures, and the splat that they were taken of."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

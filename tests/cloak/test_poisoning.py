@@ -1,7 +1,5 @@
 """Equation (1) as a property, manifests, overlaps, and what the appearances show."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

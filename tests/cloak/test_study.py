@@ -1,7 +1,5 @@
 """A tiny study from its file to its summary, with a detector of a few lines."""
 
-from __future__ import annotations
-
 import filecmp
 import json
 import shutil

@@ -1,7 +1,5 @@
 """What an attacker of a study may do besides poison: train surrogates of his own, or change the finished file."""
 
-from __future__ import annotations
-
 import filecmp
 import json
 import statistics

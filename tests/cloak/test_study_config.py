@@ -1,7 +1,5 @@
 """The file of a CLOAK study: what it may say, and what is refused before anything is done."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which jobs of a study depend on one of its fields, and that what they left is used only as it was left."""
 
-from __future__ import annotations
-
 import functools
 import typing
 from dataclasses import fields, is_dataclass, replace

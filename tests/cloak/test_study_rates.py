@@ -1,7 +1,5 @@
 """Which pictures a rate of a CLOAK study counts."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The transition on blends with known answers; the monotone fit against SciPy."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

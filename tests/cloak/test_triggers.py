@@ -1,7 +1,5 @@
 """Triggers: edges, wrap-around, poles, De Morgan, fractions, and depths against a dense grid of directions."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

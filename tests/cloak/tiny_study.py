@@ -1,7 +1,5 @@
 """A study of CLOAK that is done in seconds, and a detector of a few lines."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`mi-splat compare`, end to end on a shipped scene, and what it refuses before it works."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

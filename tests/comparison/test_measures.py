@@ -1,7 +1,5 @@
 """Distances of pictures and of gradients: known values, equal inputs, and what cannot be measured."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

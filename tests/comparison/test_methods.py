@@ -1,7 +1,5 @@
 """Methods by name, folders of pictures, and the comparison of a few of them on fakes."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from types import SimpleNamespace

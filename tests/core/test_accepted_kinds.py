@@ -1,7 +1,5 @@
 """Arrays of NumPy, lists, and single values where tensors and sequences are usual; all else is refused in words."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """Near planes: 3DGS's on usual scenes, and such on small ones that nothing of them is lost."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Camera sets from a short text."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

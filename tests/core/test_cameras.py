@@ -1,7 +1,5 @@
 """Cameras: poses, intrinsics, projection."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Directions of cameras and their depths in bands and wedges, against a brute-force search over the sphere."""
 
-from __future__ import annotations
-
 import math
 
 import hypothesis

@@ -1,7 +1,5 @@
 """What an error says fits Python and the command line; only the command line adds the names of its flags."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The digest of the code that a piece of work runs: what changes it, what does not, and that nothing is forgotten."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from importlib.metadata import version

@@ -1,7 +1,5 @@
 """GaussianScene: what it refuses, and that its methods do what they say."""
 
-from __future__ import annotations
-
 import dataclasses
 import pickle
 import re

@@ -1,7 +1,5 @@
 """Spherical harmonics against SciPy's complex ones, and their rotation against its meaning."""
 
-from __future__ import annotations
-
 import math
 
 import hypothesis

@@ -1,7 +1,5 @@
 """DAGGER on fakes: a table of attacks, what may not move, budgets, controls and warnings."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The paper's six pairs on the shipped scenes and the shipped detector: the attack works, random noise does not."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """DAGGER on distributions of views, on fakes: what holds on held-out views, what may not move, controls, warnings."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

@@ -1,7 +1,5 @@
 """Several detectors at once: the loss of all, a verdict of each, and one detector as if there were no ensemble."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A search over SH takes its pictures from frozen views, and finds what it finds without them."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

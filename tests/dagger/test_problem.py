@@ -1,7 +1,5 @@
 """The problem of an attack: gradients at the clamp, several views, what is judged."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

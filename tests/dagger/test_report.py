@@ -1,7 +1,5 @@
 """What an attack writes: pictures that show the change, a splat that loads, a JSON that explains itself."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A search that was interrupted goes on to the same bits; a checkpoint of another attack is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The sanity suite: green on the attack of this project, and red on attacks that are broken on purpose."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

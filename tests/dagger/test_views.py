@@ -1,7 +1,5 @@
 """Views of a distribution: pure functions of seed and number, the object in all of them."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import Counter
 

@@ -1,7 +1,5 @@
 """Warnings: signs that a success or a failure is not what it looks like."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

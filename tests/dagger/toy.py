@@ -1,7 +1,5 @@
 """A toy object, its views and a quick attack on fakes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from attacks.dagger.attack import attack_views

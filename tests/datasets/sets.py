@@ -1,7 +1,5 @@
 """A small set of noisy pictures, and writers of it, for the tests of both formats."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Picture sets: both formats there and back, poses, intrinsics, binary models."""
 
-from __future__ import annotations
-
 import json
 import math
 import shutil

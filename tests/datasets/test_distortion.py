@@ -1,7 +1,5 @@
 """Lenses with distortion: the pinhole camera that comes of one, and its picture."""
 
-from __future__ import annotations
-
 import json
 import math
 import struct

@@ -1,7 +1,5 @@
 """What is wrong with a picture set is said in one line that names the file."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import struct

@@ -1,7 +1,5 @@
 """What every adapter of a detector keeps to, whatever the library behind it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

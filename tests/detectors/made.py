@@ -1,7 +1,5 @@
 """Labelled pictures that need no renderer, detections on them, and what is measured of these."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The cards of the shipped detectors say what was measured, and of the weights that are shipped."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import runpy

@@ -1,7 +1,5 @@
 """How detections compare with labelled pictures, and the tables and commands that show it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Labelled pictures: functions of their configuration, kept whole on disk, changed at random for training."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

@@ -1,7 +1,5 @@
 """Which detectors there are, how one of a user's own becomes one of them, and weights that no detector can have."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The adapters to torchvision's detectors against the library itself, and what holds for every detector."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from functools import cache

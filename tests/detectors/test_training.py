@@ -1,7 +1,5 @@
 """Trainings of the small detectors: to the same bits when interrupted, by the losses of each, and by the command."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The adapter to DETR and RT-DETR against the library itself, with small networks of random weights."""
 
-from __future__ import annotations
-
 import copy
 import json
 import shutil

@@ -1,7 +1,5 @@
 """The adapter to YOLOv3, YOLOv5, YOLOv8 and YOLO11 against the library itself, with random weights."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The service of carla-canvas answers its own client stubs with pictures of our splats (docs/examples)."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

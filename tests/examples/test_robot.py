@@ -1,7 +1,5 @@
 """The robot of docs/examples: it stops before what it sees, hits what it does not see, and refuses nonsense."""
 
-from __future__ import annotations
-
 import json
 import runpy
 from dataclasses import dataclass

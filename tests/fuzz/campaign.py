@@ -4,8 +4,6 @@ Prints each failure as a line of JSON: the kind and the number of the mutant, wh
 was raised in the place of a value or a MiSplatError; then for each kind how many mutants were read.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -1,7 +1,5 @@
 """The JSON inside of files."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct

@@ -1,7 +1,5 @@
 """Every kind of file that is read: a small valid one, and what reads it."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.util
 import json

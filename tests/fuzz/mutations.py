@@ -1,7 +1,5 @@
 """Damages files: bytes, words, and the structure of JSON inside of them; the same for the same random numbers."""
 
-from __future__ import annotations
-
 import copy
 import json
 import re

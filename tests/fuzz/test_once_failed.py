@@ -1,7 +1,5 @@
 """Files that were once answered by a traceback, made again by recipes: each is refused in words."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """Small valid files of every format, and some with other contents, for the tests of damaged files."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json

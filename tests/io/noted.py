@@ -1,7 +1,5 @@
 """Changes a checkpoint: its tensors and its notes."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Saves that fail leave the old file, and none beside it."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

@@ -1,7 +1,5 @@
 """Bad splat files: one error type that says what was expected, found and to do, and no large allocation."""
 
-from __future__ import annotations
-
 import os
 import re
 import socket

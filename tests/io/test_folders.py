@@ -1,7 +1,5 @@
 """Folders of results: checked first, whole or not at all, never over something else; leftovers of kills are swept."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import json

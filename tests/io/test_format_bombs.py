@@ -1,7 +1,5 @@
 """Small files that claim, or expand to, gigabytes: refused in a process that grows by less than 100 MB."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct

@@ -1,7 +1,5 @@
 """Damaged files of every format: a valid scene or our one error, never another exception and never much memory."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import re

@@ -1,7 +1,5 @@
 """Each format keeps what the table of formats says, for any scene, and a second round trip loses nothing more."""
 
-from __future__ import annotations
-
 import gzip
 import warnings
 from pathlib import Path

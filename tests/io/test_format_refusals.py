@@ -1,7 +1,5 @@
 """What is refused, and what its message says to do."""
 
-from __future__ import annotations
-
 import gzip
 import struct
 import sys

@@ -1,7 +1,5 @@
 """What a format cannot hold is warned of with numbers, and nothing else is."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Literal

@@ -9,8 +9,6 @@ Without the variable it is looked for on the path. What is not there is skipped.
 it has decoded; the scenes have no symmetry, so that an axis, a sign or an order that differs shows.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import os

@@ -1,7 +1,5 @@
 """JSON and TOML within bounds: a value, or an error that names the file, the place in it and what to do."""
 
-from __future__ import annotations
-
 import io
 import json
 import random

@@ -1,7 +1,5 @@
 """Pictures of unknown origin: the number of pixels is limited before decoding, and whatever is broken is said so."""
 
-from __future__ import annotations
-
 import io
 import random
 import struct

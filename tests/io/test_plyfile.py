@@ -1,7 +1,5 @@
 """Text and rows with lists, which plyfile reads behind our bounds; and everything else without it."""
 
-from __future__ import annotations
-
 import struct
 import sys
 import tracemalloc

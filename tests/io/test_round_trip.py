@@ -1,7 +1,5 @@
 """Splat files there and back: nothing lost, nothing drifting, and other programs read the same."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import re

@@ -1,7 +1,5 @@
 """Scene files of unknown origin: what would end the process or fill the memory is refused before Mitsuba reads it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Pictures that Mitsuba decodes: their number of pixels is read from their headers."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """OpenUSD: exact there and back, files by hand as the schema says, transforms, and files that mean harm."""
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Splat files as other programs write them: every one of them is the same scene."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A driver as a process of its own: `python -m tests.ledger.drive STORE JOBS ENGINE SECONDS` does a plan of walks."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

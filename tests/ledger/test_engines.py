@@ -1,7 +1,5 @@
 """Plans and what runs them: order, failures, limits, two drivers, plans that go on with results."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

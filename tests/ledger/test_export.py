@@ -1,7 +1,5 @@
 """Jobs as arrays of SLURM, run here by a stand-in for `sbatch`; and results that are taken over to new code."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import subprocess

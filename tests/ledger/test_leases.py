@@ -1,7 +1,5 @@
 """Who does a job: told by the system on the same machine, and elsewhere by signs of life and one's own clock."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

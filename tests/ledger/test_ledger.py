@@ -1,7 +1,5 @@
 """Jobs in one process: done once, found again, made anew when anything that counts has changed, and looked at."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import os

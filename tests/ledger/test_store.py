@@ -1,7 +1,5 @@
 """The folder of results: a second result, what varies, a full disk, what a killed process leaves."""
 
-from __future__ import annotations
-
 import builtins
 import contextlib
 import dataclasses

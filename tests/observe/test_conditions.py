@@ -1,7 +1,5 @@
 """The conditions under which splats are judged."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

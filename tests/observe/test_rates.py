@@ -1,7 +1,5 @@
 """Rates counted from rows: what counts, what holds, and what belongs together."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

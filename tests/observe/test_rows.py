@@ -1,7 +1,5 @@
 """Rows go through files unchanged, and what is no table of the schema is refused in words."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import re

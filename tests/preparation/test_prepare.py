@@ -1,7 +1,5 @@
 """Photographs and videos become sets that load: what was placed, what was not, and errors that leave nothing behind."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections.abc import Callable, Sequence

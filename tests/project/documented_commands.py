@@ -4,8 +4,6 @@ A command of `mi-splat` that is in no table here fails test_docs.py: whoever wri
 run. Pages are run line by line in a folder of their own, so a page can use what its earlier lines have made.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Callable, Iterator

@@ -4,8 +4,6 @@ A module may import from its own layer and from those below it; no two modules m
 others. `python -m tests.project.layers` writes the picture of it, docs/structure.md.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from functools import cache

@@ -4,8 +4,6 @@ Each page has a folder of its own within FOLDER. What a line needs and no earlie
 first, mostly by a command, too (`GIVEN`). Exit status 1, and what failed on stderr, if a command fails.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import io

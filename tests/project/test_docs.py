@@ -1,7 +1,5 @@
 """The documentation is true: the site is built without a warning, its pages ask no other host, its commands run."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util

@@ -4,8 +4,6 @@ Each command that needs an extra is run in a process that does not have it: one 
 anything is written.
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import sys

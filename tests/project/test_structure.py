@@ -1,7 +1,5 @@
 """The shape of the project: layers, light packages, what the wheel holds, sizes, names."""
 
-from __future__ import annotations
-
 import ast
 import re
 import shutil

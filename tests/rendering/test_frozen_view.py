@@ -1,7 +1,5 @@
 """FrozenView beside Renderer: pictures, gradients of SH, subsets of rows, determinism, memory and bad input."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Finding a libLLVM that works, and saying what to do where there is none."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

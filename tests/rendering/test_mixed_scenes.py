@@ -1,7 +1,5 @@
 """Scene files of `splat_ray`: among meshes they are rendered as they are, alone they are read as values."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

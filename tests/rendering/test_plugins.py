@@ -1,7 +1,5 @@
 """`gaussians` and `splat_tile` through Mitsuba's own front door: XML, dicts, traverse, render, gradients, errors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

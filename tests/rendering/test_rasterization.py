@@ -1,7 +1,5 @@
 """The rasteriser against the float64 oracle, its gradients against central finite differences, and its determinism."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`splat_ray` among surfaces and lights, against values that can be written down."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The ray tracer of splats against a float64 oracle, and its gradients against finite differences of that oracle."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """What makes Dr.Jit record a stage again: new shapes do, values and the place of borrowed memory do not."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Any

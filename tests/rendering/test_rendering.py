@@ -1,7 +1,5 @@
 """Renderer as a torch function: batches, bad input, sizes, and memory."""
 
-from __future__ import annotations
-
 import math
 import resource
 from pathlib import Path

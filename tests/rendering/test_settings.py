@@ -1,7 +1,5 @@
 """The settings of `splat_tile`: given by XML, dict, attribute or `mi.traverse`, checked, seen by the next picture."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

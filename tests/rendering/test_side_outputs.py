@@ -1,7 +1,5 @@
 """Depths and the anti-aliased filter of the rasteriser against the float64 oracle; numbers that are not finite."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

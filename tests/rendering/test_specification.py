@@ -1,7 +1,5 @@
 """The numbers of the specification one by one, with scenes so small that the right value follows by hand."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A folder of every kind of result that a page can show, written by the library's own code or copied from docs."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

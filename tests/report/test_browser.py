@@ -3,8 +3,6 @@
 Needs Chromium (Debian's package `chromium`) and Playwright (of the extra `dev`).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Whoever edits, cuts or breaks a result is found out, and told in words."""
 
-from __future__ import annotations
-
 import csv
 import gzip
 import json

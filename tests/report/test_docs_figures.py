@@ -1,7 +1,5 @@
 """The generated tables of the documentation, and sentences that tell of results, are what the raw rows give."""
 
-from __future__ import annotations
-
 import re
 import runpy
 from collections import Counter

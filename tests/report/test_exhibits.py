@@ -1,7 +1,5 @@
 """Results of attacks as exhibits: both splats, the cameras and numbers of the result, words where one is broken."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import shutil

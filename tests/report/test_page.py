@@ -1,7 +1,5 @@
 """The page as a text: everything is in it, nothing is asked for, nothing that a result says becomes markup."""
 
-from __future__ import annotations
-
 import json
 import re
 from html.parser import HTMLParser

@@ -1,7 +1,5 @@
 """Scoring again needs the splats, cameras.json and a detector."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Sequence

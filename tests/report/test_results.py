@@ -1,7 +1,5 @@
 """Every kind of result becomes a section: its figures are those of its files, its command is the one that made it."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """A splat without parts, as a trainer writes it: two shipped objects on a ground, rows shuffled."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

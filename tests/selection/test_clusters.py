@@ -1,7 +1,5 @@
 """Neighbours, planes and connected components, against plain references."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """From selectors to Gaussians: on a toy, and on a splat of shipped objects without parts."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

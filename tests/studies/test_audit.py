@@ -1,7 +1,5 @@
 """`study = "audit"`: what counts as hiding something, that a control counts once, and the figures of what is found."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import asdict, replace

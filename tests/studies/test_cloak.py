@@ -1,7 +1,5 @@
 """`study = "cloak"`: what a point is, that points share what they can, and the tables of what they find."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import asdict

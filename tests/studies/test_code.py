@@ -1,7 +1,5 @@
 """The code in a job's key is all that the job loads: nothing is loaded by a name that its module does not have."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

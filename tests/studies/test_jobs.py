@@ -1,7 +1,5 @@
 """Jobs of attacks and looks: everything that a result depends on is in its key, and nothing else is."""
 
-from __future__ import annotations
-
 import dataclasses
 import threading
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Scenes, renderers and conditions of studies: what the attacker sees, and what those who judge see."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Studies of poisoned training pictures: which jobs there are, what they leave, and what is refused."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 from typing import Any

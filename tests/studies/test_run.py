@@ -1,7 +1,5 @@
 """`mi-splat study` on a toy scene: what it writes, what its tables count, and what it does with what it keeps."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

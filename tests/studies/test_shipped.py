@@ -1,7 +1,5 @@
 """The studies in scenes/studies can be done, and ask what they always asked."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterator

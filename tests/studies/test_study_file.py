@@ -1,7 +1,5 @@
 """Study files: what varies becomes points, and what cannot be is refused."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A toy scene as files, studies of it, and what does them in this process."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A small splat, pictures of it, and settings that train it in a second."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Runs on the disk: what is written is what goes on, to the bit."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

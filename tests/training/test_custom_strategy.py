@@ -1,7 +1,5 @@
 """A strategy that the library has never heard of: trained with, taken up again, and named on the command line."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path

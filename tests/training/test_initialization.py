@@ -1,7 +1,5 @@
 """Starting points."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

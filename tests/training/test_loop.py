@@ -1,7 +1,5 @@
 """The loop: what it descends, what it leaves alone, and what it refuses."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

@@ -1,7 +1,5 @@
 """What the papers fix: settings of 3DGS (Kerbl et al. 2023) and of MCMC (Kheradmand et al. 2024), and what they do."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

@@ -1,7 +1,5 @@
 """Training folders that go on where they stopped."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

@@ -1,7 +1,5 @@
 """What one call of each strategy does to the tensors."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

@@ -1,7 +1,5 @@
 """`mi-splat train`."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import shutil

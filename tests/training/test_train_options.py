@@ -1,7 +1,5 @@
 """`mi-splat train` on other people's sets: small scenes, masks, transparent pictures, too many points, longer runs."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

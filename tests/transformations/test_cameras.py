@@ -1,7 +1,5 @@
 """Cameras of a region: every number in its interval, drawn by seed, nothing else changed."""
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import math

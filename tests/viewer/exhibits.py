@@ -1,7 +1,5 @@
 """Small exhibits and somebody who looks at their pictures, for the tests of the page."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path

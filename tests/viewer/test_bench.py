@@ -1,7 +1,5 @@
 """Objects are picked where one clicks, and work is one job at a time, whose result is shown; without a browser."""
 
-from __future__ import annotations
-
 import io
 import shlex
 import time

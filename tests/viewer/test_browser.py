@@ -3,8 +3,6 @@
 Needs Chromium (Debian's package `chromium`) and Playwright (of the extra `dev`).
 """
 
-from __future__ import annotations
-
 import re
 import threading
 from dataclasses import replace

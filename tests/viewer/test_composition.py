@@ -1,7 +1,5 @@
 """Pictures beside each other, split, and their difference."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """The page in one file: whole, alone, and true to what was seen."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

@@ -3,8 +3,6 @@
 Needs Chromium (Debian's package `chromium`) and Playwright (of the extra `dev`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Who may see the page."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Lines in the world come out where the camera sees them."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from PIL import Image, ImageDraw

@@ -1,7 +1,5 @@
 """A page that follows a training changes nothing of it, shows where it stands, stops it and lets it go on."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import signal

@@ -1,7 +1,5 @@
 """Orbits: the camera of sliders and mouse is the one that `mi-splat render` takes, and none gets lost on the way."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The server of the page, over HTTP and a websocket, without a browser."""
 
-from __future__ import annotations
-
 import html
 import re
 import socket

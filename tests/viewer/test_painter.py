@@ -1,7 +1,5 @@
 """The picture of the page: everything asked for is in it, and what is inspected is the picture that is said."""
 
-from __future__ import annotations
-
 import shlex
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Data sets on a page: their cameras as they are, rolled ones too, and photographs beside what a splat shows there."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """Which picture is due: coarse ones while the camera moves, a full one at rest, then what was found in it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

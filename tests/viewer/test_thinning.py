@@ -1,7 +1,5 @@
 """Fewer and larger Gaussians: they look like all, only pictures of a moving camera have them, and these say so."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

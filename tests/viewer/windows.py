@@ -1,7 +1,5 @@
 """Windows of a real browser on pages."""
 
-from __future__ import annotations
-
 import io
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """A page that is served, and a browser of a few lines: what viser's page says and hears over its websocket."""
 
-from __future__ import annotations
-
 import io
 import threading
 import time

@@ -1,7 +1,5 @@
 """A laboratory that does nothing, in threads in the place of processes, for the tests of the page."""
 
-from __future__ import annotations
-
 import multiprocessing.dummy
 import threading
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Small graph models, written as TensorFlow.js writes them, and TensorFlow's definitions as loops over numbers."""
 
-from __future__ import annotations
-
 import base64
 import json
 import math

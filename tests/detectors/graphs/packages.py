@@ -1,7 +1,5 @@
 """A small graph model in a package of npm, and a program that is called npm."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

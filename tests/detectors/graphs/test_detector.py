@@ -1,7 +1,5 @@
 """The adapters of the detectors that others trained on photographs; those that need the weights run where these are."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Graph models: their files, how they are made ready, and what is said of those that cannot be."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

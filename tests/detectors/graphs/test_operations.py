@@ -1,7 +1,5 @@
 """Each operation of the reader against its definition, with tensors kept as the graph has them and otherwise."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Detectors of others are got whole or not at all, and of a package nothing is read whose hash is not right."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import os

@@ -1,7 +1,5 @@
 """TFLite files: what becomes of them, and what is said of those that are broken or of another kind."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import tarfile

@@ -1,7 +1,5 @@
 """A small TFLite file with all operations that are read, written by the schema package; a setting can be wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Configurations of the kinds of jobs that tests run."""
 
-from __future__ import annotations
-
 import enum
 from dataclasses import dataclass, field
 
