@@ -25,7 +25,7 @@ from attacks.cloak.config import (
 )
 from attacks.cloak.kinds.parts import MESH, SET, Pose, StepConfig
 from attacks.cloak.kinds.rendering import renderer_of
-from attacks.cloak.kinds.seen import WEIGHTS, SeenConfig
+from attacks.cloak.kinds.seen import NO_ATTACK, WEIGHTS, SeenConfig
 from attacks.cloak.kinds.training_views import LOOK
 from attacks.cloak.kinds.true_pictures import TrueConfig
 from attacks.cloak.rates import CLOAKED
@@ -54,6 +54,8 @@ from mi_splat.training.resume import SPLAT
 
 _KINDS = "attacks.cloak.kinds"
 _PICTURES = f"{SET}/*"
+_SETS = (f"{_KINDS}.pictures", f"{_KINDS}.poisoned", "attacks.poisons.changed")
+"""Kinds of jobs that leave a set of pictures, which somebody may look at."""
 ROW_NAMES = {CLEAN: CLEAN, CLOAKED: ATTACKED}
 """Splats as the steps call them, and as rows do."""
 
@@ -290,8 +292,7 @@ class StudySteps:
         scene = replace(self._scene, label=self.study.scene.class_name)
         parts = self._parts(*regions, scene=scene, training=self._viewed, seeds=(self._drawn(seed),))
         config = SeenConfig(**parts, detector=detector.name, fingerprint=detector.fingerprint)
-        is_set = pictures.kind in (f"{_KINDS}.pictures", f"{_KINDS}.poisoned")
-        shown = {"pictures": pictures.part(_PICTURES)} if is_set else {"splat": pictures.part(SPLAT)}
+        shown = {"pictures": pictures.part(_PICTURES)} if pictures.kind in _SETS else {"splat": pictures.part(SPLAT)}
         looks = self._looks() if poisoned else {}
         return self._job("training_views", config, **shown, **looks, **self._weights(detector))
 
@@ -451,10 +452,6 @@ class StudySteps:
         """A job of a kind; who knows the scene reads its mesh file, too."""
         mesh = {} if kind == "cleaned" else self._mesh
         return Job(kind=f"{_KINDS}.{kind}", config=config, inputs={**inputs, **mesh})
-
-
-NO_ATTACK = (AttackConfig(name="none", elevation=(1.0, 90.0)),)
-"""The attacks of a job in which none has a part."""
 
 
 def _shown(attack: AttackConfig) -> AttackConfig:

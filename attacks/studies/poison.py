@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -33,8 +33,10 @@ from attacks.classifiers.base import Classifier
 from attacks.classifiers.registry import load_classifier
 from attacks.cloak.config import CameraConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig
 from attacks.cloak.kinds.parts import SET, Pose
-from attacks.cloak.steps import NO_ATTACK, StudySteps
-from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, ROWS, SUFFIX, by_camera, frame_of, write_rows
+from attacks.cloak.kinds.seen import NO_ATTACK, SeenConfig, loaded
+from attacks.cloak.steps import Look, StudySteps
+from attacks.observe.measures import reported
+from attacks.observe.rows import ATTACKED, CLEAN, DETECTIONS, FIDELITY, ROWS, SUFFIX, by_camera, frame_of, write_rows
 from attacks.poisons.changed import SHEET, ChangedConfig
 from attacks.poisons.classified import ClassifiedConfig
 from attacks.poisons.config import FilterConfig, FrequencyPruningConfig, MIFGSMConfig
@@ -48,6 +50,7 @@ from attacks.studies.poison_figures import figures, summary_tables
 from attacks.studies.study_file import Point, Settings, Study, with_none
 from attacks.tables import sections
 from mi_splat import provenance
+from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Checked, Seed, above, check, check_choice, decode
 from mi_splat.io.documents import save_json, save_text
@@ -59,11 +62,12 @@ from mi_splat.training.resume import SPLAT
 
 STORY, STUDY_FILE, TABLE, PICTURES = "poison-study", "study.toml", "table.md", "pictures"
 _KINDS = "attacks.poisons"
+CLASSIFIED = f"{_KINDS}.classified"
 _SEED = "seed"
 DEFENDED = "defended"
 """Condition of rows of a splat whose victim defends itself."""
 TRAINING, HELD_OUT, PHOTOGRAPH = "training cameras", "held-out cameras", "photograph"
-"""Conditions of what classifiers see of a splat, or of pictures, from the cameras of the training or others."""
+"""Conditions of what is seen of a splat, or of pictures, from the cameras of the training or others."""
 _OWN_NAME = "the study"
 
 
@@ -109,11 +113,12 @@ class PoisonPoint:
         training: How the victim trains.
         attacker: How the splat is trained that the attacker starts from; None is as the victim does.
         victim: What it trains on, and can afford.
-        evaluation: Its `cameras` are those that no training used.
+        evaluation: Its `cameras` are those that no training used; of its `confidence` on, a detection counts.
         poison: The attack; None leaves the set as it is.
         defence: What the victim does against it; None is nothing.
         deceive: Classifier that M-IFGSM deceives.
         classifiers: Who says what the object is, in pictures and on splats.
+        detectors: Who looks for it there.
     """
 
     seed: Seed = 0
@@ -127,6 +132,7 @@ class PoisonPoint:
     defence: Defence | None = None
     deceive: str = ""
     classifiers: tuple[str, ...] = ()
+    detectors: tuple[str, ...] = ()
 
     def study(self, training: TrainingConfig) -> StudyConfig:
         """Scene, cameras and a training, in which no look is hidden."""
@@ -156,14 +162,14 @@ class TrainedVictim:
         defended: Whether the victim defends itself.
         trained: The training.
         measured: What looks at the result.
-        looks: Of classifiers, by what they look at.
+        looks: Of classifiers and detectors.
     """
 
     splat: str
     defended: bool
     trained: Job
     measured: Job
-    looks: Mapping[str, Sequence[Job]]
+    looks: Sequence[Look]
 
 
 class Attempt:
@@ -253,28 +259,45 @@ class Attempt:
         device = self.asked.victim.device
         return {"classifier": name, "fingerprint": classifier.fingerprint, "label": label, "device": device}
 
-    def _looks(self, splat: str, finished: Job) -> dict[str, list[Job]]:
-        """Every classifier's looks: at a splat from training and held-out cameras, and at pictures of the same."""
+    def _looks(self, splat: str, finished: Job, *, defended: bool) -> Iterator[Look]:
+        """Everybody's looks: at a splat from training and held-out cameras, and at undefended pictures of the same."""
         setup, pictures = self._steps.setup, self.pictures if splat == CLEAN else self.poisoned
-        poses = {TRAINING: setup.training_cameras, HELD_OUT: setup.held_out_cameras}
-        seen: dict[str, tuple[dict[str, Part], tuple[Pose, ...]]] = {
-            condition: ({"splat": finished.part(SPLAT)}, tuple(map(Pose.of, cameras)))
-            for condition, cameras in poses.items()
+        shown: dict[str, tuple[str, Job, Sequence[Camera]]] = {
+            TRAINING: ("splat", finished, setup.training_cameras),
+            HELD_OUT: ("splat", finished, setup.held_out_cameras),
         }
-        if pictures is not None:
-            seen[f"{PHOTOGRAPH}, {TRAINING}"] = ({"set": pictures.part(f"{SET}/*")}, ())
-        if splat == CLEAN:
-            true = self._steps.true_pictures(setup.held_out_cameras)
-            seen[f"{PHOTOGRAPH}, {HELD_OUT}"] = ({"pictures": true.part("*.png")}, ())
-        looks: dict[str, list[Job]] = {}
-        for name in self.asked.classifiers:
-            step = {**self._step(TrainingConfig()), **self._who(name)}
-            for condition, (inputs, cameras) in seen.items():
-                config = ClassifiedConfig(**step, poses=cameras)
-                job = Job(kind=f"{_KINDS}.classified", config=config, inputs=inputs)
-                label = f"{name} looks at the {splat} splat, {condition}"
-                looks.setdefault(condition, []).append(self._made(label, job))
-        return looks
+        if pictures is not None and not defended:
+            shown[f"{PHOTOGRAPH}, {TRAINING}"] = ("set", pictures, ())
+        if splat == CLEAN and not defended:
+            shown[f"{PHOTOGRAPH}, {HELD_OUT}"] = ("pictures", self._steps.true_pictures(setup.held_out_cameras), ())
+        also = f", {DEFENDED}" * defended
+        for condition, (what, job, cameras) in shown.items():
+            looking = {name: self._classified(name, what, job, cameras) for name in self.asked.classifiers}
+            looking |= {name: self._detected(name, job, condition) for name in self.asked.detectors}
+            for name, look in looking.items():
+                label = f"{name} looks at the {splat} splat{also}, {condition}"
+                yield Look(
+                    label=label,
+                    job=self._made(label, look),
+                    splat=splat,
+                    seed=self.asked.seed,
+                    condition=f"{condition}{also}",
+                )
+
+    def _classified(self, name: str, what: str, shown: Job, cameras: Sequence[Camera]) -> Job:
+        """What a classifier takes the object for, on a splat from cameras, in a set, or in pictures."""
+        part = {"splat": SPLAT, "set": f"{SET}/*", "pictures": "*.png"}[what]
+        step = {**self._step(TrainingConfig()), **self._who(name)}
+        config = ClassifiedConfig(**step, poses=tuple(map(Pose.of, cameras)))
+        return Job(kind=CLASSIFIED, config=config, inputs={what: shown.part(part)})
+
+    def _detected(self, name: str, shown: Job, condition: str) -> Job:
+        """What a detector reports, which has to know the object's class."""
+        detector = loaded(name)
+        check_choice(f"class for {name}", self.asked.scene.class_name, detector.classes)
+        if HELD_OUT in condition:
+            return self._steps.seen(shown, detector)
+        return self._steps.seen_in_training(shown, detector, self.asked.seed)
 
     def _step(self, training: TrainingConfig) -> dict[str, Any]:
         """The part of a configuration that a training, or what renders its splat, depends on."""
@@ -322,7 +345,7 @@ class Attempt:
         inputs = {"splat": finished.part(SPLAT), "pictures": true.part("*.png")}
         label = f"measuring the {splat} splat{', defended' * defended}"
         job = self._made(label, Job(kind=f"{_KINDS}.measured", config=config, inputs=inputs))
-        looks = {} if defended else self._looks(splat, finished)
+        looks = list(self._looks(splat, finished, defended=defended))
         return TrainedVictim(splat=splat, defended=defended, trained=trained, measured=job, looks=looks)
 
 
@@ -355,6 +378,8 @@ class PoisonWork(Work):
         tables = {name: by_camera(frame_of(of_table)) for name, of_table in rows.items() if of_table}
         named: dict[str, Any] = {"study": self.study.kind, "name": self.study.name, "question": self.study.question}
         named["seeds"] = sorted({victim["seed"] for victim in victims})
+        looks = [look.job.config for attempt in self.attempts for victim in attempt.victims for look in victim.looks]
+        named["detectors"] = {one.detector: one.fingerprint for one in looks if isinstance(one, SeenConfig)}
         record = {"story": STORY, **named, "victims": victims, **provenance.origin()}
         record |= figures(record, tables)
         paths += [write_rows(table, out / f"{name}{SUFFIX}") for name, table in tables.items()]
@@ -395,10 +420,19 @@ def _rows(
     cells: dict[str, Any] = {"attack": attempt.title, "seed": attempt.asked.seed, "splat": victim.splat}
     condition = DEFENDED if victim.defended else None
     yield FIDELITY, [{**cells, "condition": condition, **row} for row in done[victim.measured.identity].rows]
-    for condition, looks in victim.looks.items():
-        for look in looks:
-            if look.identity in done:
-                yield ROWS, [{**cells, "condition": condition, **row} for row in done[look.identity].rows]
+    for look in victim.looks:
+        if look.job.identity in done:
+            rows = _seen(look, done[look.job.identity], attempt.asked.evaluation.confidence)
+            yield ROWS, [{**cells, "condition": look.condition, **row} for row in rows]
+
+
+def _seen(look: Look, done: Done, confidence: float) -> Iterable[Mapping[str, Any]]:
+    """What was seen, picture by picture; a success is an object that is misread, or reported with less confidence."""
+    if look.job.kind == CLASSIFIED:
+        return done.rows
+    missed = ~reported("original_score", confidence)
+    (table,) = (table for name, table in look.tables(done).items() if name != DETECTIONS)
+    return table.with_columns(success=missed).iter_rows(named=True)
 
 
 def _pictures(attempt: Attempt, done: Mapping[str, Done], folder: Path) -> list[Path]:

@@ -37,22 +37,28 @@ def figures(record: Record, tables: Mapping[str, pl.DataFrame]) -> dict[str, Any
         of_value = groups.setdefault((victim["part"], victim["value"]), {})
         of_value[key] = {**victim, **quality.get((title, *key), {})}
     values = [_value(part, value, victims) for (part, value), victims in groups.items()]
-    told: dict[str, Any] = {"values": values, "classified": [], "pooled": []}
+    empty: dict[str, Any] = {key: [] for key in ("classified", "pooled", "detected", "detected_pooled")}
+    told = {"values": values, **empty}
     if ROWS not in tables:
         return told
     parts = {f"{value['part']}: {value['value']}": value["part"] for value in values}
     looked = tables[ROWS].with_columns(part=pl.col("attack").replace_strict(parts))
-    told["classified"] = _classified(looked, "attack")
-    if len(set(parts.values())) < len(parts):
-        told["pooled"] = _classified(looked, "part", clusters=("attack",))
+    detects = pl.col("detector").is_in([*record.get("detectors", ())])
+    for rows, each, pooled in (
+        (looked.filter(~detects), "classified", "pooled"),
+        (looked.filter(detects), "detected", "detected_pooled"),
+    ):
+        told[each] = _seen(rows, "attack")
+        if len(set(parts.values())) < len(parts):
+            told[pooled] = _seen(rows, "part", clusters=("attack",))
     return told
 
 
-def _classified(rows: pl.DataFrame, which: str, clusters: Sequence[str] | None = None) -> list[dict[str, Any]]:
-    """For each value, or part, how often the object is named rightly, by classifier and splat, and how confidently.
+def _seen(rows: pl.DataFrame, which: str, clusters: Sequence[str] | None = None) -> list[dict[str, Any]]:
+    """For each value, or part, how often the object is named rightly, or found, and how confidently.
 
     Args:
-        rows: What classifiers saw.
+        rows: What classifiers saw, or detectors.
         which: Column of the value or the part.
         clusters: See `count`.
     """
@@ -121,12 +127,14 @@ def summary_tables(record: Record) -> Iterator[Table]:
             for name, splat in value["splats"].items()
         ]
         yield Table.of(f"{title[0].upper()}{title[1:]}", _COLUMNS, lines)
-    for which, caption, lines in (
-        ("part", "All values together; in intervals they are drawn anew", record["pooled"]),
-        ("attack", "How often the object is named rightly", record["classified"]),
+    for which, caption, key, columns in (
+        ("part", "All values together; in intervals they are drawn anew", "pooled", _NAMED),
+        ("attack", "How often the object is named rightly", "classified", _NAMED),
+        ("part", "Detectors, all values together", "detected_pooled", _FOUND),
+        ("attack", "How often the object is found as what it is", "detected", _FOUND),
     ):
-        if lines:
-            yield Table.of(caption, {"what": which, **_NAMED}, lines)
+        if record.get(key):
+            yield Table.of(caption, {"what": which, **columns}, record[key])
 
 
 def _number(key: str, digits: int) -> Column[Any]:
@@ -142,13 +150,10 @@ def _number(key: str, digits: int) -> Column[Any]:
     return text
 
 
-_NAMED: dict[str, Column[Any]] = {
-    "classifier": "detector",
-    "splat": "splat",
-    "seen": "condition",
-    "top-1 right": "right",
-    "confidence in the true class": lambda line: f"{line['confidence']:.2f}",
-}
+_SHOWN: dict[str, Column[Any]] = {"splat": "splat", "seen": "condition"}
+_CONFIDENT: dict[str, Column[Any]] = {"confidence in the true class": lambda line: f"{line['confidence']:.2f}"}
+_NAMED: dict[str, Column[Any]] = {"classifier": "detector", **_SHOWN, "top-1 right": "right", **_CONFIDENT}
+_FOUND: dict[str, Column[Any]] = {"detector": "detector", **_SHOWN, "found": "right", **_CONFIDENT}
 _COLUMNS: dict[str, Column[Any]] = {
     "value": "value",
     "splat": "splat",

@@ -204,13 +204,17 @@ def write_poison_study(folder: Path) -> Path:
         "attack": "by eps: 16",
         "seed": 0,
         "condition": "held-out cameras",
-        "detector": "toy",
         "view": 0,
     }
     seen = {"clean": False, "attacked": True}
-    looks = [{**look, "splat": splat, "success": wrong, "original_score": 0.4} for splat, wrong in seen.items()]
+    looks = [
+        {**look, "detector": who, "splat": splat, "success": wrong, "original_score": 0.4}
+        for who in ("toy", "fake_colour")
+        for splat, wrong in seen.items()
+    ]
     tables = {"fidelity": frame_of([{**row, "condition": None} for row in rows]), "rows": frame_of(looks)}
-    record = {"story": "poison-study", "study": "poison", "name": "toy", "question": "", "victims": victims}
+    record: dict[str, Any] = {"story": "poison-study", "study": "poison", "name": "toy", "question": ""}
+    record |= {"victims": victims, "detectors": {"fake_colour": "0" * 16}}
     for name, table in tables.items():
         write_rows(table, folder / f"{name}.csv.gz")
     save_json({**record, **poison_figures(record, tables), **provenance.origin()}, folder / "result.json")

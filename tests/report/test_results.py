@@ -253,6 +253,24 @@ def test_a_page_calls_only_figures_of_attacks_attacks(folders: dict[str, Path]) 
     assert f"folder <code>{folders['evaluate-detector']}</code>" in page
 
 
+def test_detectors_are_counted_apart_from_classifiers(folders: dict[str, Path]) -> None:
+    section = read_section(folders["poison-study"])
+    rates = {figure.label: figure.rate for figure in section.all_figures if figure.rate is not None}
+    one, none = Rate(successes=1, total=1), Rate(successes=0, total=1)
+    assert section.headline.rate == none
+    assert section.control is not None
+    assert section.control.rate == one
+    assert rates["fake_colour finds the object on the clean splat, from held-out cameras"] == one
+    assert rates["fake_colour finds the object on the poisoned splat, from held-out cameras"] == none
+    seen = [chart.title for chart in section.charts[:2] if chart.lines[0].points]
+    assert [title.partition(",")[0] for title in seen] == [
+        "The object is named rightly",
+        "The object is found as what it is",
+    ]
+    heads = [[column for column in table.head if column in ("classifier", "detector")] for table in section.tables]
+    assert heads == [[], ["classifier"], ["detector"]]
+
+
 def test_a_command_says_what_its_page_says(folders: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
     show_summary(folders["cloak"], as_json=False, tables=1)
     text = capsys.readouterr().out

@@ -11,15 +11,17 @@ from torch import Tensor
 from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
 from attacks.cli import main
 from attacks.cloak.config import SceneConfig
+from attacks.detectors import registry
 from attacks.observe.rows import rows
 from attacks.poisons.victim import peak_memory
 from attacks.studies.poison import PoisonWork, classifier_of, point_of
 from attacks.studies.study_file import read_study, study_of
 from mi_splat.assets import ASSETS
 from mi_splat.datasets import load_dataset
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Ledger
+from tests.cloak.tiny_study import KNOWN
 from tests.project.layers import ROOT
 
 SMALL = """
@@ -186,6 +188,59 @@ def test_who_is_deceived_and_who_looks(tmp_path: Path, monkeypatch: pytest.Monke
         len(rows("out/studies/misread")) == 3 * (6 + 4) + 6
     )  # clean: splat, photographs; attacked: splat, poisoned ones
     assert main(["artifact-check", "out/studies/misread"]) == 0
+
+
+@pytest.mark.usefixtures("scalar")
+def test_what_detectors_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    toy = Toy()
+    toy.classes = ("car", "tv")
+    spec = ClassifierSpec(name="toy", load=lambda network, weights, classes: toy, origin="", licence="")
+    monkeypatch.setitem(CLASSIFIERS, "toy", spec)
+    classifier_of.cache_clear()
+    monkeypatch.setattr(registry, "DETECTORS", {**registry.DETECTORS, **KNOWN})
+    monkeypatch.chdir(tmp_path)
+    Path("seen.toml").write_text("""
+study = "poison"
+detectors = ["redness"]
+deceive = "toy"
+scene = { object = "car" }
+cameras = { train = 6, size = 40, distance = 7.4, samples = 1, points = 600, elevations = [0.0, 20.0] }
+training = { iterations = 12, sh_degree = 0 }
+evaluation = { cameras = 4, confidence = 0.3 }
+poison = { kind = "m-ifgsm", steps = 4, step = 0.5 }
+defence = { filter = { name = "blur" } }
+""")
+    assert main(["study", "run", "seen.toml", "--workers", "0"]) == 0
+    classifier_of.cache_clear()
+    folder = Path("out/studies/seen")
+    table = rows(folder)
+    assert "depth: none" not in table.columns
+    assert set(table["original"]) == {"car"}
+    assert (table["success"] == (table["original_score"] < 0.3)).all()
+    counts = Counter(table.select("splat", "condition").iter_rows())
+    held_out = len(set(rows(folder, "fidelity")["view"]))
+    assert counts == {
+        **{(splat, "photograph, training cameras"): 6 for splat in ("clean", "attacked")},
+        ("clean", "photograph, held-out cameras"): held_out,
+        **{(splat, f"training cameras{how}"): 6 for splat in ("clean", "attacked") for how in ("", ", defended")},
+        **{(s, f"held-out cameras{how}"): held_out for s in ("clean", "attacked") for how in ("", ", defended")},
+    }
+    record = read_json(folder / "result.json")
+    assert record["detectors"] == {"redness": "0" * 16}
+    assert record["classified"] == []
+    seen = {(line["splat"], line["condition"]): line for line in record["detected"]}
+    photograph = "photograph, training cameras"
+    assert seen["clean", photograph]["right"]["successes"] > seen["attacked", photograph]["right"]["successes"]
+    assert "How often the object is found as what it is" in (folder / "table.md").read_text()
+    assert main(["artifact-check", str(folder)]) == 0
+
+
+def test_a_detector_has_to_be_there_and_to_know_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "DETECTORS", {**registry.DETECTORS, **KNOWN})
+    with pytest.raises(InvalidValueError, match="class for redness: expected one of car, stop sign, got tv"):
+        work(detectors=["redness"])
+    with pytest.raises(MiSplatError, match=r"detector: expected .*redness"):
+        work(detectors=["rednes"])
 
 
 def test_a_classifier_has_to_be_there_and_to_know_the_object(monkeypatch: pytest.MonkeyPatch) -> None:

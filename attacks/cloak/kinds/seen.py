@@ -14,7 +14,7 @@ import polars as pl
 import torch
 from torch import Tensor
 
-from attacks.cloak.config import StudyConfig
+from attacks.cloak.config import AttackConfig, StudyConfig
 from attacks.cloak.kinds.parts import StepConfig
 from attacks.cloak.kinds.rendering import settings_of
 from attacks.cloak.kinds.true_pictures import read_pictures
@@ -53,6 +53,8 @@ _NOTHING = GaussianScene(*(torch.zeros(0, *shape) for shape in ((3,), (3,), (4,)
 """The splat of pictures that are there already."""
 WEIGHTS = "weights"
 """Name of the input that is a file of weights; without it a detector has its usual ones."""
+NO_ATTACK = (AttackConfig(name="none", elevation=(1.0, 90.0)),)
+"""The attacks of a job in which none has a part."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,13 +151,14 @@ def observation_cells(study: StudyConfig, seen: ViewDetections, classes: Sequenc
         seen: What a detector reports.
         classes: Those of the detector.
     """
-    centre, wanted = study.centre, {one.name: one.target_class for one in study.attack if one.target_class}
+    attacks = () if study.attack == NO_ATTACK else study.attack
+    centre, wanted = study.centre, {one.name: one.target_class for one in attacks if one.target_class}
     report = report_cells(seen.detections, seen.box, original=study.scene.class_name)
     del report["target"], report["target_score"]
     return {
         **seen_from(centre)(seen),
-        **{f"{DEPTH}{a.name}": a.cone.angle_to_edge(seen.camera, centre=centre) for a in study.attack},
-        **{f"{POISON_DEPTH}{a.name}": a.poisoned_cone.angle_to_edge(seen.camera, centre=centre) for a in study.attack},
+        **{f"{DEPTH}{a.name}": a.cone.angle_to_edge(seen.camera, centre=centre) for a in attacks},
+        **{f"{POISON_DEPTH}{a.name}": a.poisoned_cone.angle_to_edge(seen.camera, centre=centre) for a in attacks},
         **report,
         **{f"{TARGET_SCORE}{name}": seen.confidence_of(label, classes) for name, label in wanted.items()},
     }

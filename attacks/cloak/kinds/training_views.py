@@ -12,7 +12,7 @@ from torch import Tensor
 from attacks.cloak.kinds.parts import SET
 from attacks.cloak.kinds.poisoned import KeptAppearance
 from attacks.cloak.kinds.rendering import renderer_of
-from attacks.cloak.kinds.seen import SeenConfig, checked_detector, observation_cells
+from attacks.cloak.kinds.seen import NO_ATTACK, SeenConfig, checked_detector, observation_cells
 from attacks.cloak.setup import Setup
 from attacks.observe.look import camera_cells
 from attacks.observe.rows import SUFFIX, TRAINING, Cell, frame_of, write_rows
@@ -34,15 +34,16 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Write a row for each camera; its condition is the attack that poisons the picture, empty for a benign one.
 
     Inputs are a `splat`, which is looked at from all training cameras, or `pictures`, a set of which those of poisoned
-    cameras are. With `look of NAME` for each attack, rows have the PSNR on the object against that look, which is what
-    a camera could take of what the attack wants to be seen; None where the two are the same.
+    cameras are, or all where there is no attack. With `look of NAME` for each attack, rows have the PSNR on the object
+    against that look, which is what a camera could take of what the attack wants to be seen; None where the two are the
+    same.
 
     Raises:
         InvalidValueError: The detector has other weights than those that were asked for.
     """
     setup = Setup(config.study(inputs))
     detector, cameras = checked_detector(config, inputs), setup.training_cameras
-    owners = setup.owners(config.asked.seeds[0])
+    owners = {} if config.asked.attack == NO_ATTACK else setup.owners(config.asked.seeds[0])
     chosen, errors = list(range(len(cameras))), dict[int, float | None]()
     if "splat" in inputs:
         scene, render = load_splat(inputs["splat"]), renderer_of(setup.study)
@@ -50,7 +51,7 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     else:
         views = load_dataset(inputs["pictures"] / SET, split="train", background=setup.study.scene.background)
         pictures = [lambda view=view: views[view].image for view in chosen]
-        chosen = sorted(owners)
+        chosen = sorted(owners) or chosen
         looks = {name: inputs[LOOK + name] for name in owners.values() if LOOK + name in inputs}
         with tracing_variant():
             errors = {view: _psnr(setup, views[view], looks[owners[view]]) for view in chosen if looks}

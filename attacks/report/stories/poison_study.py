@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,9 @@ KIND = "Poisoned training pictures"
 _MOST_PICTURES = 12
 _LARGER = "most Gaussians of a poisoned splat, times the clean one's"
 _NAMED = "the object is named rightly on the poisoned splat, from held-out cameras"
+_FOUND = "the object is found as what it is on the poisoned splat, from held-out cameras"
+
+_SHOWN = {CLEAN: "clean splat", ATTACKED: "poisoned splat"}
 
 Value = Mapping[str, Any]
 
@@ -29,8 +32,11 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         record: Its result.json.
     """
     attacked = [value for value in record["values"] if ATTACKED in value["splats"]]
-    seen = [line for line in record["classified"] if line["condition"] == HELD_OUT]
-    named = {splat: _named(line for line in seen if line["splat"] == splat) for splat in (CLEAN, ATTACKED)}
+    named, detected = (
+        [line for line in record.get(key, ()) if line["condition"] == HELD_OUT] for key in ("classified", "detected")
+    )
+    label, seen = (_NAMED, named) if named else (_FOUND, detected)
+    rates = {splat: _rate(line for line in seen if line["splat"] == splat) for splat in (CLEAN, ATTACKED)}
     ended = [value["value"] for value in record["values"] if any(s["stopped"] for s in value["splats"].values())]
     most = max(attacked, key=_times, default=None)
     larger = Figure(label=_LARGER, words="-") if most is None else _figure(most, label=_LARGER)
@@ -48,16 +54,20 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
             else "Look at the times of the clean splat first, and at the PSNR beside them: a victim sees the cost, not "
             "the attack. A defence counts only with what it takes from clean pictures."
         ),
-        headline=Figure(label=_NAMED, rate=named[ATTACKED]) if seen else larger,
-        control=Figure(label="the same on the clean splat", rate=named[CLEAN]) if seen else None,
+        headline=Figure(label=label, rate=rates[ATTACKED]) if seen else larger,
+        control=Figure(label="the same on the clean splat", rate=rates[CLEAN]) if seen else None,
         counting="pictures" if seen else "splats",
-        figures=[*([larger] if seen else ()), *map(_figure, attacked)],
+        figures=[*([larger] if seen else ()), *map(_figure, attacked), *_found(detected)],
         warnings=[f"The victim could afford no more and ended early: {listed(ended)}."] if ended else [],
         pictures=[
             Picture(path=path, caption=_caption(path), large=path.stem.endswith("poisoned"))
             for path in sorted((folder / PICTURES).glob("*.png"))[:_MOST_PICTURES]
         ],
-        charts=[_named_chart(seen), _chart(attacked)],
+        charts=[
+            _seen_chart("The object is named rightly, from held-out cameras", named),
+            _seen_chart("The object is found as what it is, from held-out cameras", detected),
+            _chart(attacked),
+        ],
         tables=tuple(summary_tables(record)),
         configuration=(
             ("question", plain(record["question"])),
@@ -67,10 +77,17 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
     )
 
 
-def _named(lines: Iterable[Value]) -> Rate:
-    """How often the object is named rightly, over all values and classifiers."""
+def _rate(lines: Iterable[Value]) -> Rate:
+    """How often the object is named rightly, or found, over all values and all who look."""
     rates = [Rate.of(line["right"]) for line in lines]
     return Rate(successes=sum(rate.successes for rate in rates), total=sum(rate.total for rate in rates))
+
+
+def _found(lines: Sequence[Value]) -> Iterator[Figure]:
+    """What each detector finds, over all values."""
+    for name, splat in dict.fromkeys((line["detector"], line["splat"]) for line in lines):
+        rate = _rate(line for line in lines if (line["detector"], line["splat"]) == (name, splat))
+        yield Figure(label=f"{name} finds the object on the {_SHOWN[splat]}, from held-out cameras", rate=rate)
 
 
 def _times(value: Value) -> float:
@@ -96,15 +113,18 @@ def _caption(path: Path) -> str:
     return f"{path.stem}: a dot where each Gaussian has its middle."
 
 
-def _named_chart(seen: Sequence[Value]) -> Chart:
+def _seen_chart(title: str, seen: Sequence[Value]) -> Chart:
     values = tuple(dict.fromkeys(line["attack"] for line in seen))
     rates = {
-        splat: [_named(one for one in seen if (one["attack"], one["splat"]) == (value, splat)) for value in values]
+        splat: [_rate(one for one in seen if (one["attack"], one["splat"]) == (value, splat)) for value in values]
         for splat in (CLEAN, ATTACKED)
     }
-    lines = (Line.of("clean splat", "control", rates[CLEAN]), Line.of("poisoned splat", "attack", rates[ATTACKED]))
+    lines = (
+        Line.of(_SHOWN[CLEAN], "control", rates[CLEAN]),
+        Line.of(_SHOWN[ATTACKED], "attack", rates[ATTACKED]),
+    )
     return Chart(
-        title="The object is named rightly, from held-out cameras",
+        title=title,
         x_label="what is shown",
         y_label="pictures",
         lines=lines,
