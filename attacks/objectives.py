@@ -145,13 +145,8 @@ def _suppress(scores: Tensor, overlaps: Tensor, iou: float, top: int) -> Tensor:
     """Mean of -log(1 - p) over the `top` most confident candidates, p their scores summed over the classes given.
 
     In a logit z its derivative is p: full strength while the detector is sure, none once it has let go. The sum makes
-    all classes fall together; one at a time, a softmax would only hand its confidence from one to the next.
-
-    Args:
-        scores: (A, C) of the classes to suppress.
-        overlaps: (A, C) with the object; entries below `iou` are left alone.
-        iou: Overlap from which an entry belongs to the object.
-        top: Number of candidates.
+    all classes fall together; one at a time, a softmax would only hand its confidence from one to the next. Of (A, C)
+    scores those whose overlap with the object is below `iou` are left alone.
     """
     if not len(scores):
         return scores.sum() * 0.0

@@ -334,15 +334,7 @@ def taken(hint: Any, value: Any, name: str, marks: tuple[Any, ...] = (), *, read
 
 
 def _tuple(parts: tuple[Any, ...], value: Any, name: str, marks: tuple[Any, ...], *, read: bool) -> tuple[Any, ...]:
-    """The values of a tuple, of so many or of any number.
-
-    Args:
-        parts: Types of its values.
-        value: What is given.
-        name: For the error.
-        marks: What is said of the values.
-        read: Whether it comes from a file.
-    """
+    """The values of a tuple, of so many or of any number."""
     count = None if parts[-1] is Ellipsis else len(parts)
     alone = count is None and not isinstance(value, Mapping)
     values = several(value) if alone or not read or isinstance(value, list) else None
@@ -372,14 +364,7 @@ def _member(parts: tuple[Any, ...], value: Any) -> Any:
 
 
 def _single(kind: Any, value: Any, name: str, marks: tuple[Any, ...]) -> Any:
-    """One number, text, path or truth; anything else is left alone.
-
-    Args:
-        kind: Its type.
-        value: What is given.
-        name: For the error.
-        marks: What is said of it.
-    """
+    """One number, text, path or truth; anything else is left alone."""
     if kind in (int, float):
         allowed = next((mark for mark in marks if isinstance(mark, Range)), None)
         number = checked_number(name, value, allowed, whole=kind is int)

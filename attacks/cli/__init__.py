@@ -183,13 +183,7 @@ def parser_of(name: str) -> argparse.ArgumentParser:
 
 
 def _command(name: str, module: ModuleType, words: Sequence[str]) -> dict[str, Any]:
-    """What a parser has to know of a command: its options, the one such dataclass in its module, and its help.
-
-    Args:
-        name: Of the command.
-        module: That has it.
-        words: What the user typed after its name.
-    """
+    """What a parser has to know of a command: its options, the one such dataclass in its module, and its help."""
     named = [value for key, value in vars(module).items() if key.endswith("Options")]
     (kind,) = (value for value in named if value.__module__ == module.__name__)
     parts = [
@@ -214,14 +208,7 @@ def _renamed(word: str, aliases: Mapping[str, str]) -> str:
 
 
 def _take_max_pixels(words: list[str]) -> int | None:
-    """The number behind --max-pixels, which every command takes; None if it is not there.
-
-    Args:
-        words: What the user typed; the flag and its number are removed.
-
-    Raises:
-        UsageError: It is no number of pixels.
-    """
+    """The number behind --max-pixels, which every command takes; it leaves the words. None if it is not there."""
     most = None
     for word in [word for word in words if word.partition("=")[0] in ("--max-pixels", "--max_pixels")]:
         index = words.index(word)

@@ -89,13 +89,7 @@ def _reported(row: Mapping[str, Any]) -> str:
 
 
 def _reports(source: Path, detectors: Callable[[], list[Detector]], view: CameraOptions) -> Iterator[Report]:
-    """What every detector reports on a picture, or on a scene from every camera.
-
-    Args:
-        source: A picture, or a scene.
-        detectors: Loads them; they have different names.
-        view: Where a scene is looked at from.
-    """
+    """What every detector reports on a picture, or on a scene from every camera."""
     import torch
 
     from attacks.observe.views import detect_views

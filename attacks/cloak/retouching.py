@@ -147,10 +147,8 @@ def inpainted(picture: Tensor, hole: Tensor) -> Tensor:
 def _guidance(colours: Doubles, hole: NDArray[np.bool_], edge: Indices) -> tuple[Indices, Doubles]:
     """(2, N) numbers of pixels that lie side by side, and the (N, 3) difference that is wanted between them.
 
-    Args:
-        colours: (H, W, 3), with anything in the hole.
-        hole: (H, W).
-        edge: (2, H, W) row and column of the pixel outside of the hole that is nearest to each.
+    Colours (H, W, 3) may be anything in the hole (H, W); `edge` is (2, H, W) row and column of the pixel outside of the
+    hole that is nearest to each.
     """
     size = np.array(hole.shape)[:, None, None]
     mirror = 2 * edge - np.indices(hole.shape)

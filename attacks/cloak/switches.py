@@ -184,13 +184,10 @@ def _minimised(
     cost: Callable[[Tensor, Tensor, Tensor], Tensor],
     pieces: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]],
 ) -> Tensor:
-    """(N, K) coefficients that make convex, piecewise quadratic sums small.
+    """(N, K) coefficients that make convex, piecewise quadratic sums small; the (N, D, K) basis gives values.
 
-    Args:
-        basis: (N, D, K) from coefficients to values.
-        cost: Of (M, K) coefficients, their (M, D) values and the (M,) functions that they are of, the (M,) sums.
-        pieces: Of (M, D) values of (M,) functions, the (M, D) weights of the pieces that they lie on, and these times
-            what is wanted.
+    `cost` tells the (M,) sums of (M, K) coefficients with (M, D) values of (M,) functions. `pieces` tells the (M, D)
+    weights of the pieces that such values lie on, and these times what is wanted.
     """
     count = basis.shape[2]
     coefficients, ridge = (

@@ -220,16 +220,7 @@ def _judged(
     clean: tuple[GaussianScene, Reports],
     drawn: Transformations | None,
 ) -> Result:
-    """What a search has led to, judged beside random noise of the same size.
-
-    Args:
-        problem: What was attacked.
-        config: How.
-        outcome: Of the search.
-        views: Those that judge.
-        clean: The clean splat and what was reported on it.
-        drawn: Where the views are drawn from; None if they are fixed.
-    """
+    """What a search has led to, judged beside random noise of the same size; `drawn` is None for fixed views."""
     subset, budget, reference = problem.subset, config.budget, problem.subset.parameters(config.attributes)
     generator = Generator().manual_seed(config.seed + 1)  # not the draws of the attack's own starting points
     attacked = subset.applied(outcome.parameters)

@@ -88,11 +88,8 @@ class TorchvisionDetector(FrozenModel, ABC):
     def _in_pixels(self, boxes: Tensor, scores: Tensor, inner: tuple[int, int], size: tuple[int, int]) -> Candidates:
         """Boxes in the network's picture, clipped to it, in pixels of the input.
 
-        Args:
-            boxes: (A, C, 4) for each class, or (A, 1, 4) for all of them.
-            scores: (A, C) in [0, 1].
-            inner: Height and width of the network's picture.
-            size: Height and width of the input.
+        They are (A, C, 4) for each class, or (A, 1, 4) for all. Height and width are `inner` in the network's picture,
+        and `size` in the input.
         """
         inside = clip_boxes_to_image(boxes, inner)
         pixels = resize_boxes(inside.reshape(-1, 4), inner, size).reshape(boxes.shape)

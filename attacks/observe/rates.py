@@ -94,10 +94,8 @@ def _resampled(sums: NDArray[np.float64]) -> tuple[float, float]:
 
     Where few blocks were counted, or all are of one kind, drawing them anew says nothing; Wilson's interval with each
     block for one draw stands in. The same of objects that are all of one kind; of few that are not, it is that of as
-    many draws as their spread is worth (Korn and Graubard 1998, "Confidence intervals for proportions").
-
-    Args:
-        sums: (2, blocks, seeds) or (2, objects, blocks, seeds) successes and totals.
+    many draws as their spread is worth (Korn and Graubard 1998, "Confidence intervals for proportions"). `sums` are
+    (2, blocks, seeds) or (2, objects, blocks, seeds) successes and totals.
     """
     axes = range(1, sums.ndim)
     sums = sums[:, sums[1].sum(tuple(axis - 1 for axis in axes if axis > 1)) > 0]

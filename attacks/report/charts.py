@@ -148,15 +148,7 @@ def _short(text: str, most: int) -> str:
 
 
 def _draw_line(axes: Any, line: Line, number: int, shift: float, *, connected: bool) -> None:
-    """Points in the colour of this number, with their intervals: a band where they are connected, bars where not.
-
-    Args:
-        axes: Where.
-        line: Its points.
-        number: Of its colour.
-        shift: By how much it is moved, so that bars do not hide each other.
-        connected: Whether the points belong together.
-    """
+    """Points with their intervals, a band where they are connected, else bars, moved so that none hides another."""
     colour, points = _COLOURS[number], sorted(line.points, key=lambda point: point.x)
     x, y = [point.x + shift for point in points], [point.y for point in points]
     style = {"color": colour, "marker": _MARKERS[number], "markersize": 4, "linewidth": 1.6}

@@ -115,16 +115,7 @@ def _seen_again(
     scenes: Mapping[tuple[str, int], GaussianScene],
     before: pl.DataFrame,
 ) -> Iterator[Row]:
-    """The rows that detectors give to splats today.
-
-    Args:
-        record: Of the result.
-        rescoring: How its kind is scored again.
-        detectors: Those that look.
-        cameras: Where from.
-        scenes: The splats.
-        before: The rows of the views that they are looked at in.
-    """
+    """The rows that detectors give to splats today, in the views of the rows `before`."""
     views, named = before["view"].unique().sort().to_list(), {detector.name: detector for detector in detectors}
     rows = {(row["splat"], row["seed"], row["view"], row["detector"]): row for row in before.iter_rows(named=True)}
     of_view = {key[:3]: row for key, row in rows.items()}
@@ -136,15 +127,7 @@ def _seen_again(
 
 
 def _moved(name: str, then: Rate | None, now: Rate, tolerance: float, other: str) -> Check:
-    """How a rate has moved since the result was made; grey if its rows do not have it.
-
-    Args:
-        name: Of the rate.
-        then: In the rows.
-        now: Today.
-        tolerance: How far it may move.
-        other: What to add where the detector has other weights than it had.
-    """
+    """How a rate moved from `then`, in the rows, to today; grey if they lack it. `other` tells of other weights."""
     if then is None:
         return Check(name=name, words=f"{now.successes}/{now.total}; not in the result", passed=None)
     by = abs(now.fraction - then.fraction) if now.total and then.total else float(now.total != then.total)

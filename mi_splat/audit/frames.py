@@ -220,11 +220,7 @@ def _crowd(rows: Tensor, points: Tensor) -> Target:
 def _up(part: Tensor, centre: Tensor, radius: float, around: Tensor) -> Tensor | None:
     """The normal of the ground of an object, on its side of it; None if it stands on none of the largest planes.
 
-    Args:
-        part: (M, 3) points of the object.
-        centre: (3,) of it.
-        radius: Of it.
-        around: (P, 3) points of what else there is.
+    Its (M, 3) points lie within `radius` of `centre`; (P, 3) points are `around` it.
     """
     near = around[(around - centre).norm(dim=1) < _GROUND * radius]
     near = near[:: max(1, len(near) // _SAMPLE)]

@@ -158,11 +158,7 @@ def _mean(part: GaussianScene, shows: Tensor, eyes: Tensor, trust: Tensor) -> Te
 def _with_neighbours(points: Tensor, colours: Tensor, known: Tensor, unknown: Tensor) -> Tensor:
     """(M, 3) colours, the less known a colour the more of it from its neighbours.
 
-    Args:
-        points: (M, 3) world.
-        colours: (M, 3).
-        known: (M,) pixels that show each colour.
-        unknown: (M,) pixels that show the Gaussian and not that colour.
+    `known` are (M,) pixels that show each colour, `unknown` those that show the Gaussian and not that colour.
     """
     distances, neighbours = nearest_neighbours(points, min(_NEIGHBOURS, max(len(points) - 1, 1)))
     exists = distances.isfinite()

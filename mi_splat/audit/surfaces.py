@@ -268,12 +268,7 @@ def elements(view: Sight, target: Target) -> Elements:
 
 
 def _rims(keys: Tensor, normals: Tensor) -> Tensor:
-    """(E,) bool, pieces that have a neighbour which faces across.
-
-    Args:
-        keys: (E,) voxel and face of each, sorted.
-        normals: (E, 3).
-    """
+    """(E,) bool, pieces that have a neighbour which faces across; sorted keys tell the voxel and face of each."""
     rims, last = torch.zeros(len(keys), dtype=torch.bool), max(len(keys) - 1, 0)
     steps = torch.cartesian_prod(*[torch.arange(-1, 2)] * 3)
     for step in ((steps[:, 0] * 1024 + steps[:, 1]) * 1024 + steps[:, 2]).tolist():

@@ -319,16 +319,7 @@ def _add(parser: Parser, group: Any, options: Sequence[Option], width: int) -> N
 
 
 def _built(kind: type[_Type], options: Sequence[Option], given: Mapping[str, Any]) -> _Type:
-    """A dataclass of what was given, and of defaults.
-
-    Args:
-        kind: The dataclass.
-        options: Those of its fields.
-        given: The user's words by the keys of options.
-
-    Raises:
-        InvalidValueError: A value is none that its field takes, or one is missing.
-    """
+    """A dataclass of what was given, by the keys of options, and of defaults."""
     values: dict[str, Any] = {}
     for option in options:
         words = given.get(option.key)

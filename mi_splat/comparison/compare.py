@@ -137,14 +137,7 @@ def compare(
 
 
 def _picture(name: str, method: Method, scene: GaussianScene, camera: Camera) -> Tensor:
-    """A picture of a method, checked, on the CPU.
-
-    Args:
-        name: Of the method.
-        method: The method.
-        scene: The splat.
-        camera: The camera.
-    """
+    """A picture of a method, checked, on the CPU."""
     with torch.no_grad():
         picture = method.render(scene, camera).cpu()
     expected = (camera.height, camera.width, 3)
@@ -166,15 +159,7 @@ def _agreement(
     config: CompareConfig,
     on_step: Callable[[str], None],
 ) -> dict[tuple[str, str], Agreement]:
-    """How well the gradients of each two methods agree, by attribute.
-
-    Args:
-        scene: The splat.
-        cameras: As in `compare`.
-        methods: As in `compare`.
-        config: As in `compare`.
-        on_step: As in `compare`.
-    """
+    """How well the gradients of each two methods agree, by attribute."""
     agreements: dict[tuple[str, str], Agreement] = {
         names: {attribute: GradientAgreement() for attribute in ATTRIBUTES}
         for names in combinations(_differentiable(methods), 2)
@@ -198,15 +183,7 @@ def _costs(
     config: CompareConfig,
     on_step: Callable[[str], None],
 ) -> dict[str, dict[str, Cost]]:
-    """Time and memory of methods that render.
-
-    Args:
-        scene: The splat.
-        camera: From where.
-        methods: As in `compare`.
-        config: As in `compare`.
-        on_step: As in `compare`.
-    """
+    """Time and memory of methods that render."""
 
     def forward(method: Method) -> Run:
         def run() -> None:

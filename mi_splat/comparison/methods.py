@@ -140,14 +140,7 @@ def load_method(name: str, settings: RenderSettings) -> Method:
 
 
 def _own(settings: RenderSettings, *, method: Way, colour_to_mean: bool = False, antialiased: bool = False) -> Renderer:
-    """The project's own renderer.
-
-    Args:
-        settings: Background and near plane.
-        method: As in `RenderSettings`, like all that follow.
-        colour_to_mean: See `method`.
-        antialiased: See `method`.
-    """
+    """The project's own renderer; see `RenderSettings`."""
     changed = {"method": method, "colour_to_mean": colour_to_mean, "antialiased": antialiased}
     return Renderer(dataclasses.replace(settings, **changed, alpha=False, linear=False))  # type: ignore[arg-type]
 

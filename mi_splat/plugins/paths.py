@@ -97,14 +97,7 @@ def _alone(
 ) -> Any:
     """Radiance in a scene without surfaces: the splats on the ray, and what is behind everything.
 
-    Args:
-        mixed: The scene.
-        ray: Camera rays.
-        far: Their length.
-        first: Colour and transmittance of the splats.
-        gathered: Radiance of a first call, in a replay.
-        settings: What else counts.
-        gradient: For a replay.
+    `first` is colour and transmittance of the splats; `gathered`, in a replay, the radiance of a first call.
     """
     behind = _behind_everything(mixed, ray, settings)
     if gradient is None:
@@ -135,17 +128,10 @@ def _paths(
     settings: PathSettings,
     gradient: Adjoint | None,
 ) -> Any:
-    """Radiance in a scene with surfaces.
+    """Radiance in a scene with surfaces, from the preliminary intersections of camera rays.
 
-    Args:
-        mixed: The scene.
-        sampler: Seeded.
-        ray: Camera rays.
-        hit: Preliminary intersections of them.
-        first: Colour and transmittance of the splats up to there.
-        gathered: Radiance of a first call, in a replay; what this call meets is taken from it.
-        settings: What else counts.
-        gradient: For a replay.
+    `first` is colour and transmittance of the splats up to there. In a replay, what this call meets is taken from the
+    radiance `gathered` by a first call.
     """
     scene, surfaces = mixed.scene, cast(Any, mixed.surfaces)
     replay = gradient is not None

@@ -140,13 +140,9 @@ def _slots(picture: Picture, before: Any) -> tuple[Any, tuple[Any, Any], int]:
 
 
 def _pack(picture: Picture, directions: Any, columns: Any, slots: tuple[Any, tuple[Any, Any], int]) -> FrozenPairs:
-    """Fill the places.
+    """Fill the places that `_slots` has made, with Float directions, 3 a free Gaussian.
 
-    Args:
-        picture: The picture.
-        directions: Float, 3 a free Gaussian.
-        columns: UInt32, the free Gaussian of each pair of the picture, or `_FIXED`.
-        slots: What `_slots` returned.
+    `columns` are UInt32, the free Gaussian of each pair of the picture, or `_FIXED`.
     """
     tiles, ranges, places = slots
     gaussians = len(directions) // 3
@@ -216,12 +212,8 @@ def _walk(
 ) -> None:
     """Walk the lists of tiles as the picture did, and find the pairs to keep.
 
-    Args:
-        picture: The picture.
-        tiles: UInt32, which tiles.
-        columns: UInt32, the free Gaussian of each pair, or `_FIXED`.
-        kept: Buffer of a UInt32 a pair, in which 1 is written for pairs to keep.
-        packed: First place of each tile, and buffers for the weights (16 a place) and columns of kept pairs.
+    `columns` are UInt32, the free Gaussian of each pair, or `_FIXED`. `kept` has a UInt32 a pair, which becomes 1 for
+    those to keep. `packed`: first place of each tile, and buffers for weights (16 a place) and columns of kept pairs.
     """
     state = picture.state
     assert state is not None

@@ -36,16 +36,7 @@ def _add_moments(sums: Sums, peak: Peak, h: Any, active: Any) -> None:
 
 
 def _add_colour(sums: Sums, splats: Splats, peak: Peak, stretch: Stretch, grad_own: Any, *, to_mean: bool) -> Any:
-    """Add what a Gaussian's colour gets, and return that colour (Color3f).
-
-    Args:
-        sums: Buffers.
-        splats: Gaussians.
-        peak: One a lane.
-        stretch: One a lane.
-        grad_own: Color3f, dL/dcolour of the Gaussian.
-        to_mean: See `segments.view_direction`.
-    """
+    """Add dL/dcolour of a Gaussian to `sums`, and return its colour (Color3f); `to_mean`: see `view_direction`."""
     gaussian = gaussian_in(splats, peak.slot)
     sh = coefficients(splats, gaussian)
     direction = view_direction(peak, stretch, to_mean=to_mean)

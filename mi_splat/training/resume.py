@@ -129,13 +129,6 @@ def train(
 def _resumed(folder: Path, config: FitConfig, *, seed: int, digest: str, settings: Mapping[str, object]) -> TrainState:
     """The run that was stopped in a folder; it may go on to more iterations than it began with.
 
-    Args:
-        folder: Where it is.
-        config: As it is to go on, like all that follows.
-        seed: Of everything random.
-        digest: See `_digest`.
-        settings: What else the pictures depend on.
-
     Raises:
         CheckpointError: It is another run.
     """

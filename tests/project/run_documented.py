@@ -237,11 +237,6 @@ def execute(line: Line) -> None:
 def _wait(command: Sequence[str], folder: Path, until: str | None = None) -> None:
     """Run a program to its end; once it has said `until`, it is interrupted as a user would do it.
 
-    Args:
-        command: The program and its arguments.
-        folder: Where it runs.
-        until: What it says when it is ready; None if it ends by itself.
-
     Raises:
         CommandError: It failed, or never said `until`.
     """

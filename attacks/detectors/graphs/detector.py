@@ -84,11 +84,7 @@ def _prepare_standardised(picture: Tensor) -> Tensor:
 
 
 def _decode_centres(outputs: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
-    """All cells of CenterNet, row by row.
-
-    Args:
-        outputs: Scores (1, h, w, 80), and distances (1, h, w, 4) in pixels to the left, upper, right and lower side.
-    """
+    """CenterNet's cells row by row: scores (1, h, w, 80), pixels (1, h, w, 4) to left, upper, right, lower side."""
     scores, distances = outputs
     centres = _STRIDE * _cells(*scores.shape[1:3]).to(scores)
     return _around(centres, distances.reshape(-1, 4)), scores.reshape(-1, scores.shape[-1])
@@ -97,9 +93,7 @@ def _decode_centres(outputs: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
 def _decode_bins(outputs: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
     """The cells of all levels of NanoDet.
 
-    Args:
-        outputs: For each level scores (1, cells, 80) and logits of bins (1, cells, 44): eleven for each of the left,
-            upper, right and lower side.
+    Each level has scores (1, cells, 80), and logits (1, cells, 44): eleven bins for the left, upper, right, lower side.
     """
     boxes, scores = [], []
     for stride, score, logits in zip(_STRIDES, outputs[::2], outputs[1::2], strict=True):
@@ -134,8 +128,7 @@ def anchors() -> NDArray[np.float64]:
 def _decode_anchors(outputs: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
     """The boxes at all anchors of SSD; a class of several labels has the best score of them.
 
-    Args:
-        outputs: Shifts (1, 1917, 4), and logits (1, 1917, 24), the first of which is that of no object.
+    `outputs` are shifts (1, 1917, 4), and logits (1, 1917, 24), the first of which is that of no object.
     """
     shifts, logits = outputs[0][0] / outputs[0].new_tensor(_SHIFTS), outputs[1][0]
     fixed = torch.from_numpy(anchors()).to(shifts)

@@ -141,15 +141,7 @@ def _charts(record: Record) -> Iterator[Chart]:
 
 
 def _chart(title: str, labels: tuple[str, str], lines: Sequence[Record], key: str, ticks: tuple[str, ...]) -> Chart:
-    """Rates beside each other, and those of noise.
-
-    Args:
-        title: Heading.
-        labels: Of both axes.
-        lines: Groups or looks.
-        key: Of their rate.
-        ticks: What they are called.
-    """
+    """Rates of groups or looks beside each other, and those of noise."""
     return Chart(
         title=title,
         x_label=labels[0],

@@ -119,11 +119,9 @@ def _cameras(scene: GaussianScene) -> Iterator[Camera]:
 
 
 def _around(points: Tensor, size: float) -> Iterator[Camera]:
-    """Cameras that look along the main axes of points and along some others, each as near as shows all of them.
+    """Cameras that look along the main axes of (M, 3) points and along some others, each as near as shows them all.
 
-    Args:
-        points: (M, 3) float64.
-        size: Of a usual Gaussian, world units.
+    `size` is that of a usual Gaussian, world units.
     """
     middle = torch.tensor(_ball(points)[0], dtype=torch.float64)
     axes = torch.linalg.eigh((points - middle).T @ (points - middle)).eigenvectors.T

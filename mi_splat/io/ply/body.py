@@ -128,16 +128,8 @@ def _read_with_lists(
 def _row_ends(file: io.FileIO, element: Element, order: str, position: int, size: int, path: str) -> Iterator[int]:
     """Where each row of an element with lists ends: rows have to be visited one by one.
 
-    Args:
-        file: The file.
-        element: The element.
-        order: Byte order, "<" or ">".
-        position: Where its first row begins, bytes from the start of the file.
-        size: Size of the file in bytes.
-        path: For messages.
-
     Raises:
-        SplatFileError: A list length is negative, or the rows end after the file.
+        SplatFileError: A list length is negative, or the rows end after the file, which has `size` bytes.
     """
     if element.count > size - position:
         _mismatch(path, element, f"at least {element.count} bytes", f"{size - position} bytes", "it is truncated")
