@@ -9,11 +9,9 @@ import torch
 from torch import Tensor
 
 from attacks import cli
-from attacks.audits import price
 from attacks.audits.disagreement import AROUND, OVER, Seen, seen_along_paths
 from attacks.audits.hiding import Around, Hiding, Victim, hide, lattice
 from attacks.audits.learnt import attributes, fit
-from attacks.audits.price import TRICKS, Judge, Price, cheapest, search
 from attacks.audits.rivals import BASELINES, band_share, baselines, measured
 from attacks.detectors.base import Candidates, Detections
 from mi_splat.audit import surfaces as seen_surfaces
@@ -22,6 +20,8 @@ from mi_splat.io import save_splat
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, Similarity, merge
 from mi_splat.sh import sh_to_colour
+from tests.audit import measure_price
+from tests.audit.measure_price import TRICKS, Judge, Row, cheapest, hiding_of, search
 from tests.audit.scenes import Made, cone, direction, glossy, hidden, standing
 from tests.fakes import ColourDetector, register
 
@@ -212,41 +212,38 @@ def test_depth_is_that_of_a_cone(victim: Victim) -> None:
     assert float(lattice(50)[:, 2].min()) > 0
 
 
-def point(excess: float, missed: float) -> Price:
-    return Price(
-        hiding=Hiding(), verdict="", excess=excess, missed=missed, kept=1.0, fidelity=30.0, reach=0.5, seconds=1.0
-    )
+def point(excess: float, missed: float, hiding: Hiding = TRICKS["all of the look, by coefficients"]) -> Row:
+    return {**dataclasses.asdict(hiding), "excess": excess, "missed": missed, "reach": 0.5}
 
 
 def test_the_cheapest_are_those_that_nothing_beats() -> None:
     points = [point(0.01, 1.0), point(0.02, 1.0), point(0.002, 0.4), point(0.005, 0.3), point(0.0, 0.0)]
-    assert [(one.excess, one.missed) for one in cheapest(points)] == [(0.0, 0.0), (0.002, 0.4), (0.01, 1.0)]
+    assert [(row["excess"], row["missed"]) for row in cheapest(points)] == [(0.0, 0.0), (0.002, 0.4), (0.01, 1.0)]
 
 
 def test_a_search_tries_the_tricks_and_then_what_is_near_the_cheapest(
     victim: Victim, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def priced(_: Judge, hiding: Hiding) -> Price:
-        return dataclasses.replace(point(hiding.amount * hiding.half_width, hiding.amount), hiding=hiding)
-
-    monkeypatch.setattr(Judge, "price", priced)
+    monkeypatch.setattr(
+        Judge, "price", lambda _, hiding: point(hiding.amount * hiding.half_width, hiding.amount, hiding)
+    )
     judge = Judge(victim=victim, detectors=[])
-    tried = [one.hiding for one in search(judge, tries=len(TRICKS) + 4)]
+    tried = [hiding_of(row) for row in search(judge, tries=len(TRICKS) + 4)]
     assert tried[: len(TRICKS)] == list(TRICKS.values())
     assert len(set(tried)) == len(tried)
-    assert tried == [one.hiding for one in search(judge, tries=len(TRICKS) + 4)]
+    assert tried == [hiding_of(row) for row in search(judge, tries=len(TRICKS) + 4)]
 
 
 def test_a_price_counts_cameras_that_find_the_clean_object(victim: Victim, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(price, "VIEWS", 3)
+    monkeypatch.setattr(measure_price, "VIEWS", 3)
     look = SimpleNamespace(excess=0.25)
     told_by_audit = SimpleNamespace(verdict="suspicious", strongest=SimpleNamespace(look=look))
-    monkeypatch.setattr(price, "audit", lambda _: told_by_audit)
+    monkeypatch.setattr(measure_price, "audit", lambda _: told_by_audit)
     red = victim.scene.replace(sh=torch.where(victim.rows[:, None, None], torch.tensor([1.5, -1.2, -1.2]), 0.0))
     judge = Judge(victim=dataclasses.replace(victim, scene=red, label="car"), detectors=[ColourDetector()])
     told = judge.price(Hiding())
-    assert told.row()["amount"] == 1.0
-    assert (told.excess, told.verdict) == (0.25, "suspicious")
-    assert 0.3 < told.reach < 0.4
-    assert told.fidelity > 25
+    assert told["amount"] == 1.0
+    assert (told["excess"], told["verdict"]) == (0.25, "suspicious")
+    assert 0.3 < told["reach"] < 0.4
+    assert told["fidelity"] > 25
     assert len(judge.clean) == 2
