@@ -150,6 +150,11 @@ class Budget:
         norm = NORMS[self.norm]
         return {name: norm.measure(_difference(value, reference[name])) for name, value in parameters.items()}
 
+    def share(self, parameters: Parameters, reference: Parameters) -> float:
+        """Share of its radius that the perturbation takes, of the attribute that takes most; 0 where none may move."""
+        sizes = self.measure(parameters, reference)
+        return max((size / self.radius[name] for name, size in sizes.items() if self.radius[name]), default=0.0)
+
     def check(self, parameters: Parameters, reference: Parameters) -> None:
         """Refuse parameters outside the budget.
 

@@ -14,9 +14,6 @@ NORM_NAMES: tuple[NormName, ...] = get_args(NormName)
 Schedule = Literal["constant", "linear", "cosine"]
 """How the steps of a search become shorter: not at all, along a line to 0, or along half a cosine to 0."""
 
-OptimiserName = Literal["momentum", "adam"]
-"""What makes a step of the gradients (`attacks.optimisers`)."""
-
 SCHEDULES: tuple[Schedule, ...] = get_args(Schedule)
 
 Radius = Annotated[float, at_least(0, "units of the splat file", "5 is the paper's"), Called("RADIUS")]

@@ -1,14 +1,15 @@
 """Projected gradient descent on a dictionary of tensors. It knows nothing of splats, pictures or detectors.
 
 PGD after Madry et al., "Towards Deep Learning Models Resistant to Adversarial Attacks", ICLR 2018: steps along the
-steepest direction of the ball's norm, each followed by a projection, from one starting point or several. What a step
-does with the gradient is a function that can be exchanged (`Optimiser`).
+steepest direction of the ball's norm, each followed by a projection, from one starting point or several. How the next
+point is chosen is a function that can be exchanged (`Optimiser`), so that every attack of the zoo is this one loop.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -38,6 +39,10 @@ class Ball(Protocol):
         """Direction of steepest ascent, of size 1 for each tensor."""
         ...
 
+    def share(self, parameters: Parameters, reference: Parameters) -> float:
+        """Share of the radius that the change takes, of the tensor that takes most; at most 1 inside."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
@@ -61,7 +66,7 @@ class Evaluation:
 
     Attributes:
         loss: Lower is better for the attacker.
-        gradients: Derivative of the loss by each parameter.
+        gradients: Derivative of the loss by each parameter; empty where nobody asks for it.
         verdict: Of the point; None where a judge looks at some points only.
     """
 
@@ -80,8 +85,9 @@ class Step:
         score: In [0, 1], higher is better for the attacker; `NOT_JUDGED` where nothing judged the point.
         success: Whether the attack has its aim here.
         unambiguous: Whether it has its aim and nothing speaks against it.
-        zero_gradient_fraction: Fraction of the gradient's elements that are exactly zero.
+        zero_gradient_fraction: Fraction of the gradient's elements that are exactly zero; 0 where there is no gradient.
         restart: Number of the run, 0 for the first.
+        share: Share of the radius that the change takes.
     """
 
     index: int
@@ -91,6 +97,7 @@ class Step:
     unambiguous: bool
     zero_gradient_fraction: float
     restart: int = 0
+    share: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -98,7 +105,7 @@ class Outcome:
     """The best point of all runs and how it was found.
 
     Attributes:
-        parameters: The best point: success first, then unambiguous success, then the score, then the loss.
+        parameters: The best point (`rank`).
         best: Its line of the trace.
         trace: Every point in order, the starts included.
         stopped: Whether it was ended before its time by `Hooks.on_step`.
@@ -116,22 +123,41 @@ class OptimiserState:
 
     Attributes:
         index: Number of steps done.
-        velocity: Decaying sum of normalised gradients, by parameter; empty before the first step.
-        square: Decaying sum of their squares (Adam); empty where nothing needs it.
+        restart: Number of the run, 0 for the first.
+        tensors: What has the shape of the parameters, by names of the optimiser's own; empty before the first step.
+        numbers: What is a number, as well; all are finite.
     """
 
     index: int
-    velocity: Parameters
-    square: Parameters = field(default_factory=dict)
+    restart: int = 0
+    tensors: Mapping[str, Parameters] = field(default_factory=dict)
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+    def after(
+        self, *, tensors: Mapping[str, Parameters] | None = None, numbers: Mapping[str, float] | None = None
+    ) -> OptimiserState:
+        """The memory one step later; what is not given stays.
+
+        Args:
+            tensors: All that is remembered.
+            numbers: All that is remembered.
+        """
+        return dataclasses.replace(
+            self,
+            index=self.index + 1,
+            tensors=self.tensors if tensors is None else tensors,
+            numbers=self.numbers if numbers is None else numbers,
+        )
 
 
-START = OptimiserState(index=0, velocity={})
+START = OptimiserState(index=0)
 
 
-Optimiser = Callable[[Parameters, OptimiserState], tuple[Parameters, OptimiserState]]
-"""From the gradients at a point and what a run remembers to the change of the parameters, and what it remembers then.
+Optimiser = Callable[[Parameters, Evaluation, OptimiserState], tuple[Parameters | None, OptimiserState]]
+"""From a point, what is known of it and what a run remembers to the next point, and what the run remembers then.
 
-See `attacks.optimisers`; runs begin with `START`.
+The next point may be outside the ball, into which it is projected; None ends the run. Runs begin with `START` and the
+number of the run. See `attacks.optimisers`.
 """
 
 
@@ -187,19 +213,21 @@ def pgd(
     optimiser: Optimiser,
     starts: Iterable[Parameters] | SearchState | None = None,
     early_stop: bool = True,
+    smallest: bool = False,
     hooks: Hooks | None = None,
 ) -> Outcome:
-    """Descend from every start, project after every step, and keep the best point of all.
+    """Search from every start, project after every step, and keep the best point of all.
 
     Args:
         evaluate: Loss, gradients and verdict at a point; at most steps + 1 calls for each start.
         reference: Centre of the ball, one tensor for each parameter.
         ball: Projection and direction; `Budget` is one.
         steps: Number of steps from each start.
-        optimiser: What makes a step of the gradient (`attacks.optimisers`).
+        optimiser: How the next point is chosen (`attacks.optimisers`).
         starts: First point of each run, taken when the run begins; the reference alone if None; or a search with one
             start that goes on.
         early_stop: End everything at the first unambiguous success; otherwise take all steps from all starts.
+        smallest: Whether the smaller of two successes is the better one, see `rank`.
         hooks: What is called while the search runs.
 
     Raises:
@@ -214,26 +242,27 @@ def pgd(
         begun, starts = starts, None
     best, best_line, trace, stopped = begun.best, begun.best_line, list(begun.trace), False
     for restart, start in enumerate([begun.point] if starts is None else starts):
-        memory = begun.optimiser
-        point = ball.project({name: value.detach().clone() for name, value in start.items()}, reference)
+        memory = dataclasses.replace(begun.optimiser, restart=restart)
+        point = start
         for index in range(memory.index, steps + 1):
+            point = ball.project({name: value.detach().clone() for name, value in point.items()}, reference)
             if hooks.on_state is not None and index > begun.optimiser.index:
                 hooks.on_state(
                     SearchState(point=point, optimiser=memory, best=best, best_line=best_line, trace=tuple(trace))
                 )
-            here = evaluate(point)
+            here = _checked(evaluate(point))
+            following, memory = (None, memory) if index == steps else optimiser(point, here, memory)
             judged, verdict = point, here.verdict if hooks.judge is None else None
-            if hooks.judge is not None and (index == steps or (index and not index % hooks.every)):
+            if hooks.judge is not None and (following is None or (index and not index % hooks.every)):
                 judged, verdict = hooks.judge(point)
-            line = _line(here, verdict, index, restart)
+            line = _line(here, verdict, index, restart, ball.share(judged, reference))
             trace.append(line)
             stopped = bool(hooks.on_step is not None and hooks.on_step(line)) or stopped
-            if verdict is not None and (best_line is None or rank(line) > rank(best_line)):
+            if verdict is not None and (best_line is None or rank(line, smallest) > rank(best_line, smallest)):
                 best_line, best = line, judged
-            if index == steps or (early_stop and _ended(line)) or (stopped and best_line is not None):
+            if following is None or (early_stop and _ended(line)) or (stopped and best_line is not None):
                 break
-            change, memory = optimiser(here.gradients, memory)
-            point = ball.project({name: value + change[name] for name, value in point.items()}, reference)
+            point = following
         if best_line is not None and (stopped or (early_stop and _ended(best_line))):
             break
     if best_line is None:
@@ -242,9 +271,15 @@ def pgd(
     return Outcome(parameters=best, best=best_line, trace=tuple(trace), stopped=stopped)
 
 
-def rank(line: Step) -> tuple[bool, bool, float, float]:
-    """What makes a point better: success, then an unambiguous one, then the score, and the loss only between equals."""
-    return line.success, line.unambiguous, line.score, -line.loss
+def rank(line: Step, smallest: bool = False) -> tuple[bool, bool, float, float]:
+    """What makes a point better: success, then an unambiguous one, then the score, and the loss only between equals.
+
+    Args:
+        line: The point.
+        smallest: Whether of two successes the smaller change is better, whatever their scores.
+    """
+    value = 1.0 - line.share if smallest and line.success else line.score
+    return line.success, line.unambiguous, value, -line.loss
 
 
 def _ended(line: Step) -> bool:
@@ -252,15 +287,20 @@ def _ended(line: Step) -> bool:
     return line.success and line.unambiguous
 
 
-def _line(here: Evaluation, verdict: Verdict | None, index: int, restart: int) -> Step:
-    zeros = total = 0
+def _checked(here: Evaluation) -> Evaluation:
+    """What is known of a point, all of it finite."""
     for name, gradient in here.gradients.items():
         if not bool(torch.isfinite(gradient).all()):
             do = "look at the renderer and the objective"
             raise InvalidValueError.of(f"gradient of {name}", "finite numbers", "NaN or infinity", do)
-        zeros, total = zeros + int((gradient == 0).sum()), total + gradient.numel()
     if not math.isfinite(here.loss):
         raise InvalidValueError.of("loss", "a finite number", here.loss, "look at the objective")
+    return here
+
+
+def _line(here: Evaluation, verdict: Verdict | None, index: int, restart: int, share: float) -> Step:
+    zeros = sum(int((gradient == 0).sum()) for gradient in here.gradients.values())
+    total = sum(gradient.numel() for gradient in here.gradients.values())
     verdict = verdict or Verdict(success=False, score=NOT_JUDGED, unambiguous=False)
     return Step(
         index=index,
@@ -268,6 +308,7 @@ def _line(here: Evaluation, verdict: Verdict | None, index: int, restart: int) -
         score=verdict.score,
         success=verdict.success,
         unambiguous=verdict.unambiguous,
-        zero_gradient_fraction=zeros / total if total else 1.0,
+        zero_gradient_fraction=zeros / total if total else 0.0,
         restart=restart,
+        share=share,
     )

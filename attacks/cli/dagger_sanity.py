@@ -63,12 +63,14 @@ class DaggerSanityOptions(ResultOptions):
     """Radius of the ball over the object's SH coefficients; the checks also take fractions and multiples of it."""
     norm: NormName = "l2"
     """How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian."""
+    optimiser: Annotated[str, Called("OPTIMISER")] = "pgd"
+    """How each attack moves: pgd, fgsm, momentum, adam, apgd, cw, square, random, or one that was registered."""
     steps: Steps = 20
     """Number of steps of an attack."""
     out: Folder = Path("out/sanity")
 
 
-ATTACKS = 13
+ATTACKS = 15
 """Kinds of attacks in the suite, each once a seed; for the progress bar."""
 
 
@@ -125,7 +127,7 @@ def _case(options: DaggerSanityOptions) -> tuple[Case, dict[str, Any]]:
         detector=load_detector(options.detector, weights=options.weights),
         objective=relabel(options.target, confidence=options.confidence),
         render=chosen.render,
-        config=DaggerConfig(eps=(options.eps,), norm=options.norm, steps=options.steps),
+        config=DaggerConfig(eps=(options.eps,), norm=options.norm, steps=options.steps, optimiser=options.optimiser),
         surrogate=_surrogate(options),
     )
     return case, {

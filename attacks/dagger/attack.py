@@ -84,7 +84,9 @@ def attack(
     if config.alone:
         only = GaussianSubset.of(subset.scene.select(subset.rows), slice(None))
         searched = fixed_problem(only, cameras, detectors, objective, render=render)[:2]
+    clock = time.process_time()
     outcome = search_fixed(*searched, config, on_step)
+    spent = time.process_time() - clock
     origin = {
         "detector": " + ".join(detector.name for detector in detectors),
         "detector_fingerprint": " + ".join(detector.fingerprint for detector in detectors),
@@ -92,7 +94,8 @@ def attack(
         **_kept_up(up),
     }
     result = _judged(problem, config, outcome, views, (subset.scene, reports), None)
-    return dataclasses.replace(result, origin=result.origin | origin, seconds=time.perf_counter() - begun)
+    seconds = time.perf_counter() - begun
+    return dataclasses.replace(result, origin=result.origin | origin, seconds=seconds, cpu_seconds=spent)
 
 
 def attack_views(

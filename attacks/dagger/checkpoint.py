@@ -17,8 +17,9 @@ from mi_splat.io.documents import save_bytes
 from mi_splat.io.noted_tensors import NOTES, check_like, read_line, read_noted_tensors
 from mi_splat.io.parsing import DocumentReader
 
-FORMAT = 2
-_GROUPS = ("point", "velocity", "square", "best")
+FORMAT = 3
+_POINT, _BEST, _MEMORY = "point", "best", "memory "
+"""Groups of tensors; what an optimiser remembers has names of its own behind the last."""
 
 
 class CheckpointError(MiSplatError):
@@ -68,16 +69,18 @@ def save_state(kept: KeptSearch, path: Path, *, key: str) -> None:
         SplatFileError: The file cannot be written.
     """
     state = kept.search
-    groups = (state.point, state.optimiser.velocity, state.optimiser.square, state.best)
+    remembered = {f"{_MEMORY}{name}": values for name, values in state.optimiser.tensors.items()}
+    groups = {_POINT: state.point, _BEST: state.best, **remembered}
     tensors = {
         f"{group}/{name}": value.detach().contiguous().clone()
-        for group, values in zip(_GROUPS, groups, strict=True)
+        for group, values in groups.items()
         for name, value in values.items()
     }
     notes = {
         "format": FORMAT,
         "key": key,
         "index": state.optimiser.index,
+        "numbers": dict(state.optimiser.numbers),
         "best_line": None if state.best_line is None else dataclasses.asdict(state.best_line),
         "price": None if kept.price is None else dataclasses.asdict(kept.price),
         "trace": [dataclasses.asdict(line) for line in state.trace],
@@ -103,18 +106,25 @@ def load_state(path: Path, *, key: str) -> KeptSearch | None:
     notes, tensors = read_noted_tensors(path, _READER)
     if notes.values.get("format") != FORMAT or notes.values.get("key") != key:
         raise _READER.broken(f"checkpoint {path}", "one of another", "one of this very attack")
-    point, velocity, square, best = (
-        {name.partition("/")[2]: value for name, value in tensors.items() if name.startswith(f"{group}/")}
-        for group in _GROUPS
-    )
+    groups: dict[str, Parameters] = {}
+    for key, value in tensors.items():
+        group, _, name = key.partition("/")
+        groups.setdefault(group, {})[name] = value
+    point, best = groups.pop(_POINT, {}), groups.pop(_BEST, {})
     check_like(best, point, f"{notes.where}, best", _READER)
-    for group, memory in (("velocity", velocity), ("square", square)):
-        if memory:  # nothing before the first step, or where nothing needs it
-            check_like(memory, point, f"{notes.where}, {group}", _READER)
+    for group, memory in groups.items():
+        if not group.startswith(_MEMORY):
+            raise _READER.broken(notes.where, f"tensors {group}", f"{_POINT}, {_BEST} and what begins with {_MEMORY}")
+        check_like(memory, point, f"{notes.where}, {group}", _READER)
+    numbers = notes.object("numbers")
     line, price = notes.values.get("best_line"), notes.values.get("price")
     search = SearchState(
         point=point,
-        optimiser=OptimiserState(index=notes.whole("index", 0, 1 << 31), velocity=velocity, square=square),
+        optimiser=OptimiserState(
+            index=notes.whole("index", 0, 1 << 31),
+            tensors={group.removeprefix(_MEMORY): memory for group, memory in groups.items()},
+            numbers={name: numbers.number(name) for name in numbers.values},
+        ),
         best=best,
         best_line=None if line is None else read_line(Step, notes.object("best_line")),
         trace=tuple(read_line(Step, entry) for entry in notes.objects("trace")),

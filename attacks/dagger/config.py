@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from attacks.limits import NormName, OptimiserName, Radius, Schedule
+from attacks.limits import NormName, Radius, Schedule
+from attacks.optimisers.registry import OptimiserSpec, optimiser_spec
 from mi_splat.attributes import Attribute
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import (
@@ -44,10 +45,13 @@ class Perturbation:
         norm: How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian.
         steps: Number of steps.
         step_factor: A step is eps * step_factor / steps long.
-        momentum: Share of the earlier gradients that is kept at each step, in [0, 1).
-        schedule: How the steps become shorter.
-        gradient_power: Power of the gradients' absolute values before a step with momentum, in [0, 1]; below 1, small
-            ones count for more (see `attacks.optimisers.momentum`).
+        optimiser: How the next point is chosen: pgd, fgsm, momentum, adam, apgd, cw (with a price of the change),
+            square and random (without gradients), or the name of another that was registered.
+        momentum: Share of the earlier gradients that is kept at each step, in [0, 1); None is the optimiser's own, 0 of
+            pgd.
+        schedule: How the steps become shorter (pgd, momentum, adam).
+        gradient_power: Power of the gradients' absolute values before a step of pgd or momentum, in [0, 1]; below 1,
+            small ones count for more (see `attacks.optimisers.descent.momentum`).
         required_views: Fraction of the views in which the attack has to succeed.
         noise_draws: Draws of random noise of the same size, as a control.
         sh_degree: SH degree of the attacked file, if SH may change.
@@ -62,7 +66,8 @@ class Perturbation:
     norm: NormName = "l2"
     steps: Steps = 11
     step_factor: Annotated[float, above(0, do="2 is the paper's"), Called("FACTOR")] = 2.0
-    momentum: Share = 0.0
+    optimiser: Annotated[str, Called("OPTIMISER")] = "pgd"
+    momentum: Share | None = None
     schedule: Schedule = "constant"
     gradient_power: Fraction = 1.0
     required_views: PositiveFraction = 1.0
@@ -72,6 +77,7 @@ class Perturbation:
 
     def __post_init__(self) -> None:
         check(self)
+        optimiser_spec(self.optimiser)
         if not self.attributes:
             raise InvalidValueError.of("attributes", "at least one", "none", "say what may change")
         if len(self.eps) not in (1, len(self.attributes)) or len(set(self.attributes)) != len(self.attributes):
@@ -88,6 +94,11 @@ class Perturbation:
     def step(self) -> dict[str, float]:
         """Length of a step by attribute, in the norm."""
         return {name: eps * self.step_factor / self.steps for name, eps in self.radius.items()}
+
+    @property
+    def spec(self) -> OptimiserSpec:
+        """The optimiser."""
+        return optimiser_spec(self.optimiser)
 
     @property
     def budget(self) -> Budget:
@@ -140,7 +151,6 @@ class EotConfig(Perturbation):
 
     Attributes:
         step_factor: The first step is eps * step_factor / steps long.
-        optimiser: What makes a step of the gradients: their steepest direction with momentum (MI-FGSM), or Adam.
         batch: Views drawn for each step.
         pool: Number of views that they are drawn from; 0 draws new ones at each step.
         validation: Views, no others, that decide which step was best.
@@ -163,12 +173,12 @@ class EotConfig(Perturbation):
     norm: NormName = "linf"
     steps: Steps = 150
     step_factor: Annotated[float, above(0), Called("FACTOR")] = 13.0
-    momentum: Share = 0.8
+    optimiser: Annotated[str, Called("OPTIMISER")] = "adam"
+    momentum: Share | None = 0.8
     schedule: Schedule = "linear"
     required_views: PositiveFraction = 0.8
     noise_draws: Count = 1
     sh_degree: Degree | None = 1
-    optimiser: OptimiserName = "adam"
     batch: Annotated[int, at_least(1, "views")] = 3
     pool: Annotated[int, at_least(0, "views", "0 draws new ones at each step")] = 200
     validation: Annotated[int, at_least(1, "views")] = 12

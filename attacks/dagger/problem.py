@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from attacks.dagger.config import DaggerConfig, EnsembleLoss
+from attacks.dagger.config import Config, DaggerConfig, EnsembleLoss
 from attacks.dagger.views import View
 from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset
@@ -64,9 +64,11 @@ class Problem:
 
         Views are differentiated one after the other, so that memory does not grow with their number. The loss is the
         mean of the detectors' losses (Liu et al., "Delving into Transferable Adversarial Examples and Black-box
-        Attacks", ICLR 2017), or that of the detector that resists most.
+        Attacks", ICLR 2017), or that of the detector that resists most. Nothing is differentiated for an optimiser
+        that knows the loss alone.
         """
-        each = [self._evaluate(detector, parameters, views) for detector in self.detectors]
+        with torch.set_grad_enabled(config.spec.gradient):
+            each = [self._evaluate(detector, parameters, views) for detector in self.detectors]
         joint = _LOSSES[config.ensemble]([evaluation for evaluation, _ in each])
         return replace(joint, verdict=config.verdict(list(zip(*(verdicts for _, verdicts in each), strict=True))))
 
@@ -75,14 +77,15 @@ class Problem:
     ) -> tuple[Evaluation, list[Verdict]]:
         """Mean loss of one detector over the views, its gradients, and the verdict of each view."""
         loss, verdicts = 0.0, []
-        gradients = {name: torch.zeros_like(value) for name, value in parameters.items()}
+        gradients = (
+            {name: torch.zeros_like(value) for name, value in parameters.items()} if torch.is_grad_enabled() else {}
+        )
         for view in views:
-            leaves = {name: value.detach().requires_grad_(True) for name, value in parameters.items()}
+            leaves = _leaves(parameters)
             picture = bounded(self._differentiable(leaves, view.camera))
             target, candidates = self.target(view, detector), detector.candidates(picture[None])[0]
             here = self.objective(candidates, target) / len(views)
-            parts = torch.autograd.grad(here, list(leaves.values()), materialize_grads=True)
-            for name, gradient in zip(leaves, parts, strict=True):
+            for name, gradient in _gradients(here, leaves).items():
                 gradients[name] += gradient
             loss += float(here.detach())
             far = self.objective.far(candidates, target) if isinstance(self.objective, Relabel) else None
@@ -101,7 +104,9 @@ class Problem:
             return self.render(self.subset.scene_with(parameters), camera)
         return frozen(self.subset.complete(parameters)["sh"])
 
-    def estimate(self, parameters: Parameters, views: Sequence[View], weight: float = 0.0) -> tuple[Evaluation, float]:
+    def estimate(
+        self, parameters: Parameters, views: Sequence[View], config: Config, weight: float = 0.0
+    ) -> tuple[Evaluation, float]:
         """Mean loss over the views of one step and all detectors with its gradients, and the pictures' squared error.
 
         Every picture is rendered once for all detectors, and a detector gets all pictures together.
@@ -109,10 +114,15 @@ class Problem:
         Args:
             parameters: A point of the search.
             views: Those of one step, whose pictures have one size.
+            config: Its optimiser says whether gradients are asked for.
             weight: Of the mean squared error of the pictures, before anything happens to them, in the loss; without
                 it nothing is measured.
         """
-        leaves = {name: value.detach().requires_grad_(True) for name, value in parameters.items()}
+        with torch.set_grad_enabled(config.spec.gradient):
+            return self._estimate(parameters, views, weight)
+
+    def _estimate(self, parameters: Parameters, views: Sequence[View], weight: float) -> tuple[Evaluation, float]:
+        leaves = _leaves(parameters)
         rendered = [bounded(self._differentiable(leaves, view.camera)) for view in views]
         pictures = torch.stack([view.changed(picture) for picture, view in zip(rendered, views, strict=True)])
         total = pictures.new_zeros(())
@@ -125,8 +135,7 @@ class Problem:
             errors = [self._error(picture, view) for picture, view in zip(rendered, views, strict=True)]
             squares = torch.stack(errors).mean()
             total, error = total + weight * squares, float(squares.detach())
-        parts = torch.autograd.grad(total, list(leaves.values()), materialize_grads=True)
-        return Evaluation(loss=float(total.detach()), gradients=dict(zip(leaves, parts, strict=True))), error
+        return Evaluation(loss=float(total.detach()), gradients=_gradients(total, leaves)), error
 
     def error(self, parameters: Parameters, views: Sequence[View]) -> float:
         """Mean squared error of the views' pictures, values in [0, 1], before anything random happens to them."""
@@ -155,6 +164,19 @@ class Problem:
                     for number, view in enumerate(batch)
                 ]
         return rows
+
+
+def _leaves(parameters: Parameters) -> Parameters:
+    """The parameters as what is differentiated by, if anything is."""
+    return {name: value.detach().requires_grad_(torch.is_grad_enabled()) for name, value in parameters.items()}
+
+
+def _gradients(loss: Tensor, leaves: Parameters) -> Parameters:
+    """Derivative of the loss by each parameter; none where nobody asks."""
+    if not torch.is_grad_enabled():
+        return {}
+    parts = torch.autograd.grad(loss, list(leaves.values()), materialize_grads=True)
+    return dict(zip(leaves, parts, strict=True))
 
 
 def check_detectors(detectors: Sequence[Detector], objective: Objective) -> None:

@@ -48,6 +48,7 @@ class Result:
         config: The full configuration.
         origin: Detectors, versions, variant, commit, scene hash.
         seconds: Wall time of the attack.
+        cpu_seconds: CPU time of the search alone, of all threads; None where it may have been taken up again.
         transformations: The distribution that it was made for; None for fixed views.
         judged: The distribution that judged it.
         redraws: Cameras drawn in vain, as they did not show the object: held-out, validation and attacked views.
@@ -71,6 +72,7 @@ class Result:
     config: Config
     origin: dict[str, Any]
     seconds: float
+    cpu_seconds: float | None = None
     transformations: Transformations | None = None
     judged: Transformations | None = None
     redraws: dict[str, int] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""The two searches of DAGGER, both PGD: over fixed views all at once, and over a few drawn views at each step.
+"""The two searches of DAGGER, one loop: over fixed views all at once, and over a few drawn views at each step.
 
 The second is resumable to the bit; some views, no others, judge every few of its steps (Athalye et al., "Synthesizing
 Robust Adversarial Examples", ICML 2018).
@@ -17,7 +17,7 @@ from attacks.dagger.config import Config, DaggerConfig, EotConfig
 from attacks.dagger.image_budget import ImagePrice, fitted, stretched
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import View, ViewDistribution, batch_indices
-from attacks.optimisers import adam, momentum
+from attacks.optimisers.settings import SearchSettings
 from attacks.pgd import Evaluation, Hooks, Optimiser, Outcome, Parameters, SearchState, Step, Verdict, pgd
 from mi_splat.view_freezing import freeze_views
 
@@ -53,9 +53,10 @@ def search_fixed(problem: Problem, views: Sequence[View], config: DaggerConfig, 
             reference,
             budget,
             steps=config.steps,
-            optimiser=_optimiser(config),
+            optimiser=_optimiser(config, problem),
             starts=starts,
             early_stop=config.early_stop,
+            smallest=config.spec.smallest,
             hooks=Hooks(on_step=on_step),
         )
 
@@ -123,7 +124,7 @@ def search_drawn(
         nonlocal index, price
         numbers = batch_indices(index, seed=config.seed, batch=config.batch, pool=config.pool)
         batch = [views.view(config.seed, number, keep=config.pool > 0) for number in numbers]
-        evaluation, error = problem.estimate(point, batch, 0.0 if price is None else price.now)
+        evaluation, error = problem.estimate(point, batch, config, 0.0 if price is None else price.now)
         index, price = index + 1, price and price.after(error)
         return evaluation
 
@@ -138,24 +139,30 @@ def search_drawn(
         reference,
         config.budget,
         steps=config.steps,
-        optimiser=_optimiser(config),
+        optimiser=_optimiser(config, problem),
         starts=kept.search,
         early_stop=config.stop_at is not None,
+        smallest=config.spec.smallest,
         hooks=Hooks(judge=judge, every=config.validate_every, on_step=on_step, on_state=keep),
     )
     return outcome, seconds + time.perf_counter() - clock
 
 
-def _optimiser(config: Config) -> Optimiser:
-    if isinstance(config, EotConfig) and config.optimiser == "adam":
-        return adam(config.step, decay=config.momentum, schedule=config.schedule, steps=config.steps)
-    return momentum(
-        config.budget,
-        config.step,
-        decay=config.momentum,
-        schedule=config.schedule,
-        steps=config.steps,
-        power=config.gradient_power,
+def _optimiser(config: Config, problem: Problem) -> Optimiser:
+    """The optimiser of a configuration, made for the object."""
+    subset, spec = problem.subset, config.spec
+    return spec.make(
+        SearchSettings(
+            ball=config.budget,
+            reference=subset.parameters(config.attributes),
+            positions=subset.clean["means"],
+            step=config.step,
+            steps=config.steps,
+            momentum=spec.momentum if config.momentum is None else config.momentum,
+            schedule=config.schedule,
+            power=config.gradient_power,
+            seed=config.seed,
+        )
     )
 
 

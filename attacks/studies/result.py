@@ -19,6 +19,7 @@ from attacks.observe.rows import ATTACKED, ROWS, SUFFIX, column_of, frame_of, wr
 from attacks.rate import Rate
 from attacks.studies.study_file import Point, Study
 from attacks.studies.table import markdown
+from attacks.studies.zoo import AXIS
 from mi_splat import provenance
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD
@@ -32,6 +33,7 @@ POOLED = ("seed", "pair")
 _STATED = (
     *("steps", "image_psnr", "image", "noise_psnr", "used", "used_in_file", "changed_gaussians", "object_gaussians"),
     *("clamped_fraction", "redraws", "warnings", "seconds", "versions", "variant", "commit"),
+    *("evaluations", "cpu_seconds", "loss"),
 )
 """What an attack says of itself that does not follow from rows."""
 _NAME_DIGITS = 12
@@ -230,6 +232,9 @@ def _group(
     group: dict[str, Any] = {"part": part, "labels": labels, "attacks": len(members)}
     group |= {name: _median(stated, name) for name in ("steps", "image_psnr", "psnr_object", "seconds")}
     group["original_after"] = _median(known, "original_after")
+    if AXIS in labels and _known(stated, "loss"):
+        group |= {name: _median(stated, name) for name in ("loss", "evaluations", "cpu_seconds")}
+        group["optimiser"] = attacks[members[0]]["settings"]["attack"]["optimiser"]
     if "rate" in known[0]:
         rates = _pooled(judged.filter(pl.col("attack").is_in(members)), several=len(members) > 1)
         return {**group, **{key: rates[name].as_dict() for key, name in RATES.items()}}

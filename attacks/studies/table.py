@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from attacks.studies.zoo import comparison
 from attacks.tables import Table, sections
 
 Record = Mapping[str, Any]
@@ -28,6 +29,8 @@ def tables(record: Record) -> Iterator[Table]:
         record: Its result.json.
     """
     for title, groups in by_part(record["groups"]).items():
+        if (compared := comparison(title, groups)) is not None:
+            yield compared
         columns = {**_axes(groups), **(_OF_VIEWS if "rate" in groups[0] else _OF_ATTACKS)}
         yield Table.of(title or "The attacks", columns, groups)
     for title, searched in by_part(record["smallest"]).items():

@@ -8,30 +8,38 @@ from torch import Tensor
 
 from attacks.budgets import Budget
 from attacks.limits import SCHEDULES, Schedule
-from attacks.optimisers import LENGTHS, adam, momentum, normalised
+from attacks.optimisers.descent import adam, momentum
+from attacks.optimisers.settings import LENGTHS, SearchSettings, normalised
 from attacks.pgd import START, Evaluation, Optimiser, OptimiserState, Parameters, Verdict, pgd
 
 BALL = Budget(radius={"sh": 100.0}, norm="linf")
-FALLING: dict[str, Any] = {"decay": 0.8, "schedule": "linear", "steps": 4}
+FALLING: dict[str, Any] = {"momentum": 0.8, "schedule": "linear", "steps": 4}
+
+
+def search(ball: Budget = BALL, *, rows: int = 1, **more: Any) -> SearchSettings:
+    usual = {"reference": {"sh": torch.zeros(rows)}, "positions": torch.zeros(rows, 3), "step": {"sh": 0.5}, "steps": 4}
+    return SearchSettings(**{"ball": ball, **usual, **more})
 
 
 class Run:
-    """An optimiser with its memory."""
+    """An optimiser with its memory, that says how far each gradient moves a point."""
 
     def __init__(self, optimiser: Optimiser, state: OptimiserState = START) -> None:
         self.optimiser, self.state = optimiser, state
 
     def __call__(self, gradient: Tensor) -> Tensor:
-        change, self.state = self.optimiser({"sh": gradient}, self.state)
-        return change["sh"]
+        here = Evaluation(loss=0.0, gradients={"sh": gradient})
+        moved, self.state = self.optimiser({"sh": torch.zeros_like(gradient)}, here, self.state)
+        assert moved is not None
+        return moved["sh"]
 
 
 def descent(**settings: Any) -> Run:
-    return Run(momentum(BALL, {"sh": 0.5}, **{"decay": 0.8, "schedule": "constant", "steps": 4, **settings}))
+    return Run(momentum(search(**{"momentum": 0.8, **settings})))
 
 
 def adams(**settings: Any) -> Run:
-    return Run(adam({"sh": 0.5}, **{"decay": 0.8, "schedule": "linear", "steps": 6, **settings}))
+    return Run(adam(search(**{"momentum": 0.8, "schedule": "linear", "steps": 6, **settings})))
 
 
 def test_schedules_begin_whole_and_fall_to_nothing() -> None:
@@ -42,7 +50,7 @@ def test_schedules_begin_whole_and_fall_to_nothing() -> None:
 
 
 def test_without_memory_the_steps_are_those_of_steepest_descent() -> None:
-    ours = descent(decay=0.0)
+    ours = descent(momentum=0.0)
     for gradient in torch.randn(4, 6, generator=torch.Generator().manual_seed(0)):
         steepest = -0.5 * BALL.steepest({"sh": gradient})["sh"]
         assert torch.equal(steepest, ours(gradient))
@@ -55,12 +63,12 @@ def test_the_velocity_is_the_decaying_sum_of_normalised_gradients() -> None:
         update(gradient)
     units = [gradient / gradient.abs().mean() for gradient in gradients]
     expected = 0.8 * (0.8 * units[0] + units[1]) + units[2]
-    torch.testing.assert_close(update.state.velocity["sh"], expected)
+    torch.testing.assert_close(update.state.tensors["velocity"]["sh"], expected)
     assert update.state.index == 3
 
 
 def test_a_small_gradient_against_the_velocity_does_not_turn_it() -> None:
-    update = descent(decay=0.9)
+    update = descent(momentum=0.9)
     for value in (1.0, 1.0, -1.0):
         change = update(torch.tensor([value]))
     assert change.tolist() == [-0.5]
@@ -81,7 +89,7 @@ def test_a_quadratic_is_descended_in_steps_of_the_schedule_s_length(schedule: Sc
         loss = 0.5 * float((value**2).sum())
         return Evaluation(loss=loss, gradients={"sh": value}, verdict=Verdict(False, 0.0, False))
 
-    optimiser = momentum(BALL, {"sh": 0.5}, decay=0.5, schedule=schedule, steps=steps)
+    optimiser = momentum(search(momentum=0.5, schedule=schedule, steps=steps))
     pgd(evaluate, {"sh": torch.tensor([50.0])}, BALL, steps=steps, optimiser=optimiser)
     way = [50.0 - 0.5 * sum(LENGTHS[schedule](k / steps) for k in range(done)) for done in range(steps + 1)]
     assert reached == pytest.approx(way)
@@ -97,13 +105,13 @@ def test_falling_steps_end_nearer_to_the_minimum_than_constant_ones() -> None:
 
     ends = {}
     for schedule in ("constant", "linear"):
-        optimiser = momentum(BALL, {"sh": 0.5}, decay=0.0, schedule=schedule, steps=20)
+        optimiser = momentum(search(schedule=schedule, steps=20))
         found = pgd(evaluate, {"sh": torch.tensor([1.2])}, BALL, steps=20, optimiser=optimiser)
         ends[schedule] = found.trace[-1].loss
     assert ends["linear"] < 0.05 * ends["constant"]
 
 
-@pytest.mark.parametrize("optimiser", [momentum(BALL, {"sh": 0.5}, **FALLING), adam({"sh": 0.5}, **FALLING)])
+@pytest.mark.parametrize("optimiser", [momentum(search(**FALLING)), adam(search(**FALLING))])
 def test_a_state_goes_on_where_another_run_was(optimiser: Optimiser) -> None:
     gradients = torch.randn(4, 5, generator=torch.Generator().manual_seed(1))
     whole = Run(optimiser)
@@ -129,7 +137,7 @@ def test_adam_is_torch_s_on_normalised_gradients() -> None:
 
 
 def test_adam_moves_a_steady_coefficient_by_the_step_and_a_wavering_one_less() -> None:
-    update = adams(schedule="constant", decay=0.9)
+    update = adams(schedule="constant", momentum=0.9)
     for k in range(40):
         change = update(torch.tensor([1.0, (-1.0) ** k]))
     assert float(change[0]) == pytest.approx(-0.5, rel=1e-4)
@@ -146,7 +154,7 @@ def test_a_power_gives_the_steepest_direction_of_the_norm_between(power: float) 
     generator = torch.Generator().manual_seed(0)
     gradient = torch.randn(50, generator=generator)
     ball = Budget(radius={"sh": 100.0}, norm="l2")
-    update = Run(momentum(ball, {"sh": 1.0}, decay=0.0, schedule="constant", steps=1, power=power))
+    update = Run(momentum(search(ball, step={"sh": 1.0}, power=power)))
     p = 1 + 1 / power
     step = -update(gradient)
     reached = float((step / torch.linalg.vector_norm(step, p)) @ gradient)

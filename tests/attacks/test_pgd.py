@@ -9,7 +9,8 @@ from torch import Tensor
 
 from attacks.budgets import Budget, BudgetError
 from attacks.limits import NormName
-from attacks.optimisers import momentum
+from attacks.optimisers.descent import momentum
+from attacks.optimisers.settings import SearchSettings
 from attacks.pgd import (
     START,
     Evaluation,
@@ -30,9 +31,16 @@ REFERENCE = {"sh": torch.zeros(4, 3)}
 GOAL = torch.tensor([[3.0, 0.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.0]])
 
 
+def settings(ball: Budget, reference: Parameters, **more: Any) -> SearchSettings:
+    """A search over Gaussians in a row."""
+    rows = torch.arange(len(next(iter(reference.values()))), dtype=torch.float32)
+    positions = torch.stack([rows, torch.zeros_like(rows), torch.zeros_like(rows)], 1)
+    return SearchSettings(**{"ball": ball, "reference": reference, "positions": positions, "steps": 1, **more})
+
+
 def pgd(evaluate: Oracle, reference: Parameters, ball: Budget, *, step: Mapping[str, float], **more: Any) -> Outcome:
     """Plain steps of a fixed length."""
-    plain = momentum(ball, step, decay=0.0, schedule="constant", steps=1)
+    plain = momentum(settings(ball, reference, step=step))
     return search(evaluate, reference, ball, optimiser=plain, **more)
 
 
@@ -227,10 +235,11 @@ def test_an_optimiser_of_one_s_own_begins_anew_at_every_start() -> None:
     points: list[Tensor] = []
     plain, budget = bowl(), Budget(radius={"sh": 9.0}, norm="linf")
 
-    def summed(gradients: Parameters, memory: OptimiserState) -> tuple[Parameters, OptimiserState]:
-        total = memory.velocity.get("sh", 0.0) + gradients["sh"] / gradients["sh"].abs().sum()
-        change = {"sh": -0.25 * budget.steepest({"sh": total})["sh"]}
-        return change, OptimiserState(index=memory.index + 1, velocity={"sh": total})
+    def summed(point: Parameters, here: Evaluation, memory: OptimiserState) -> tuple[Parameters | None, OptimiserState]:
+        slope = here.gradients["sh"]
+        total = memory.tensors.get("sum", {"sh": 0.0})["sh"] + slope / slope.abs().sum()
+        moved = {"sh": point["sh"] - 0.25 * budget.steepest({"sh": total})["sh"]}
+        return moved, memory.after(tensors={"sum": {"sh": total}})
 
     def watched(point: Parameters) -> Evaluation:
         points.append(point["sh"])
@@ -296,10 +305,10 @@ def test_a_judge_looks_at_some_points_and_what_it_makes_of_them_is_kept() -> Non
 def test_a_search_goes_on_from_its_state_to_the_same_bits() -> None:
     states: list[SearchState] = []
     budget = Budget(radius={"sh": 2.0})
-    falling = momentum(budget, {"sh": 0.5}, decay=0.8, schedule="linear", steps=6)
+    falling = momentum(settings(budget, REFERENCE, step={"sh": 0.5}, steps=6, momentum=0.8, schedule="linear"))
     whole = search(bowl(), REFERENCE, budget, steps=6, optimiser=falling, hooks=Hooks(on_state=states.append))
     assert [state.optimiser.index for state in states] == [1, 2, 3, 4, 5, 6]
-    assert START.velocity == {}
+    assert not START.tensors
     rest = search(bowl(), REFERENCE, budget, steps=6, optimiser=falling, starts=states[2])
     assert rest.trace == whole.trace
     assert rest.best == whole.best

@@ -17,7 +17,7 @@ from attacks.dagger.result import Result
 from attacks.detectors.base import Candidates, Detector
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import relabel
-from attacks.optimisers import momentum
+from attacks.optimisers.settings import SearchSettings
 from attacks.pgd import Evaluation, pgd
 from mi_splat.cameras import View, look_at
 from mi_splat.datasets import write_transforms
@@ -64,7 +64,15 @@ def test_one_detector_is_attacked_as_without_an_ensemble() -> None:
         reference,
         config.budget,
         steps=config.steps,
-        optimiser=momentum(config.budget, config.step, decay=0.0, schedule="constant", steps=1),
+        optimiser=config.spec.make(
+            SearchSettings(
+                ball=config.budget,
+                reference=reference,
+                positions=subset.clean["means"],
+                step=config.step,
+                steps=config.steps,
+            )
+        ),
         early_stop=False,
     )
     for detectors in (FINE, [FINE]):

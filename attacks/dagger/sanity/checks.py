@@ -17,10 +17,11 @@ from typing import Any
 
 import torch
 
+from attacks.dagger.result import Result
 from attacks.dagger.sanity.gradients import Differentiated, agreement, renderer_alone, whole_chain
 from attacks.dagger.sanity.runs import Runs, Scored
 from attacks.gaussian_subset import GaussianSubset
-from attacks.pgd import rank
+from attacks.pgd import Step, rank
 from attacks.tables import markdown
 from mi_splat import provenance
 from mi_splat.io.documents import save_json, save_text
@@ -184,20 +185,34 @@ def _white_box(runs: Runs) -> Measured:
     return _compared(runs, (attacks, "white box"), (moved, f"attack on {surrogate.name}"))
 
 
-@_check("does at least as well as a random search that looks as often", "gradients are masked or wrong")
+@_check("does at least as well as random points, for as many looks", "gradients are masked or wrong")
 def _random_search(runs: Runs) -> Measured:
-    attacks, drawn = _at_compared(runs), [line for scale in COMPARED for line in runs.random_search(scale)]
-    losses = [min(line.loss for line in result.trace) for result in attacks]
+    return _without_gradients(runs, "random")
+
+
+@_check("does at least as well as random blocks of Gaussians, for as many looks", "gradients are masked or wrong")
+def _square(runs: Runs) -> Measured:
+    return _without_gradients(runs, "square")
+
+
+def _without_gradients(runs: Runs, optimiser: str) -> Measured:
+    """Whether a search that knows the loss alone beats the attack in no run."""
+    attacks = _at_compared(runs)
+    drawn = [
+        result
+        for scale in COMPARED
+        for result in runs.results(scale, optimiser=optimiser, noise_draws=0, early_stop=False)
+    ]
+    losses, theirs = ([min(line.loss for line in result.trace) for result in results] for results in (attacks, drawn))
     beaten = sum(
-        not result.success and (line.success or line.loss < loss)
-        for result, loss, line in zip(attacks, losses, drawn, strict=True)
+        not result.success and (other.success or low < loss)
+        for result, loss, other, low in zip(attacks, losses, drawn, theirs, strict=True)
     )
-    total, successes = len(attacks), {"gradient": _count(attacks), "random_search": _count(drawn)}
-    means = {"gradient": sum(losses) / total, "random_search": sum(line.loss for line in drawn) / total}
+    total, successes = len(attacks), {"attack": _count(attacks), optimiser: _count(drawn)}
+    means = {"attack": sum(losses) / total, optimiser: sum(theirs) / total}
     figures = (
-        f"beaten in {beaten} of {total} runs; with gradients {successes['gradient']}/{total} "
-        f"(mean loss {means['gradient']:.2f}), random search {successes['random_search']}/{len(drawn)} "
-        f"({means['random_search']:.2f})"
+        f"beaten in {beaten} of {total} runs; attack {successes['attack']}/{total} (mean loss {means['attack']:.2f}), "
+        f"{optimiser} {successes[optimiser]}/{total} ({means[optimiser]:.2f})"
     )
     return not beaten, figures, {"beaten": beaten, "runs": total, "successes": successes, "loss": means}
 
@@ -212,8 +227,10 @@ def _more_steps(runs: Runs) -> Measured:
     shorter: dict[str, Any] = {"steps": half, "step_factor": config.step_factor * half / config.steps}
     long = runs.results(scale, noise_draws=0, early_stop=False)
     short = runs.results(scale, noise_draws=0, early_stop=False, **shorter)
-    worse = sum(rank(after.best) < rank(before.best) for before, after in zip(short, long, strict=True))
-    passed_over = sum(any(rank(line) > rank(result.best) for line in result.trace) for _, result in runs.made)
+    worse = sum(_rank(after, after.best) < _rank(after, before.best) for before, after in zip(short, long, strict=True))
+    passed_over = sum(
+        any(_rank(result, line) > _rank(result, result.best) for line in result.trace) for _, result in runs.made
+    )
     apart = max(abs(result.score - result.best.score) for result in (*short, *long))
     return (
         not worse and not passed_over and apart <= SCORE_SLACK,
@@ -223,9 +240,16 @@ def _more_steps(runs: Runs) -> Measured:
     )
 
 
+def _rank(result: Result, line: Step) -> tuple[bool, bool, float, float]:
+    """How good a point is to the attack that has looked at it."""
+    return rank(line, result.config.spec.smallest)
+
+
 @_check("always succeeds where no ball binds it", "the loss does not lead to success, whatever the budget")
 def _unbounded(runs: Runs) -> Measured:
     config = runs.case.config
+    if not config.spec.takes_step:
+        return None, f"the steps of {config.optimiser} are as long as its ball", {}
     steps = 4 * config.steps
     free = runs.results(
         UNBOUNDED,
@@ -298,11 +322,25 @@ def _gradient(runs: Runs) -> Measured:
     return _agreement(runs, whole_chain, CHAIN)
 
 
+@_check("sees the same at the same point twice", "something is random: attack the mean over it (`dagger-eot`)")
+def _repeatable(runs: Runs) -> Measured:
+    config, differences = runs.case.config, list[float]()
+    for seed in range(len(runs.case.cameras)):
+        problem, view = runs.problem(seed)
+        point = problem.subset.parameters(config.attributes)
+        once, again = (problem.evaluate(point, [view], config) for _ in range(2))
+        differences += [abs(once.loss - again.loss), float(once.verdict != again.verdict)]
+    largest = max(differences)
+    return not largest, f"two looks at the clean object differ by {largest:g} in loss", {"difference": largest}
+
+
 @_check(
     f"has gradients of which at most {ZERO_LIMIT:.0%} are exactly zero",
     "most of the object has no gradient: it is out of sight, clamped, or cut off",
 )
 def _zero_gradients(runs: Runs) -> Measured:
+    if not runs.case.config.spec.gradient:
+        return None, f"{runs.case.config.optimiser} looks at no gradient", {}
     traces = [result.trace for result in runs.results(noise_draws=NOISE_DRAWS)]
     shares = [line.zero_gradient_fraction for trace in traces for line in trace]
     least, most = min(shares), max(shares)
@@ -342,6 +380,7 @@ def write_findings(findings: Sequence[Finding], runs: Runs, folder: Path, **more
     surrogate = None if case.surrogate is None else case.surrogate.name
     conditions = (
         f"{case.detector.name} shall report {case.objective.label} at {case.objective.confidence:g} or more. "
+        f"Attack: {config.optimiser}. "
         f"{config.norm} ball of {config.eps[0]:g} over {', '.join(config.attributes)}, {config.steps} steps, "
         f"{len(case.cameras)} seeds, each with its own view. Surrogate: {surrogate or 'none'}. "
         f"{len(runs.made)} attacks were made."
@@ -359,6 +398,7 @@ def write_findings(findings: Sequence[Finding], runs: Runs, folder: Path, **more
         "target": case.objective.label,
         "confidence": case.objective.confidence,
         "seeds": len(case.cameras),
+        "optimiser": config.optimiser,
         "steps": config.steps,
         "eps": list(config.eps),
         "norm": config.norm,

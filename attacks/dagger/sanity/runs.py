@@ -7,9 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from torch import Generator
-
-from attacks.budgets import Budget
 from attacks.dagger.attack import attack, fixed_problem, widened
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.judging import look
@@ -20,7 +17,7 @@ from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.objectives import Relabel
 from attacks.observe.views import as_saved
-from attacks.pgd import Parameters, Step, Verdict
+from attacks.pgd import Verdict
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.scene import GaussianScene
 
@@ -28,7 +25,7 @@ Attack = Callable[..., Result]
 """The attack that is checked: `attacks.dagger.attack.attack`, or one that takes the same arguments."""
 
 
-Scored = Result | Verdict | Step
+Scored = Result | Verdict
 """What a run has reached: whether it has its aim, and a score."""
 
 
@@ -118,34 +115,3 @@ class Runs:
             (seen,) = look([self.case.detector], as_saved(result.scene), [view], problem.render).values()
             verdicts.append(problem.objective.verdict(seen.detections, problem.target(view, self.case.detector)))
         return verdicts
-
-    def random_search(self, scale: float) -> list[Step]:
-        """What a search without gradients has reached, for each seed, that looks as often as the attack may.
-
-        Half of the points are drawn from the whole ball, half lie a step of the attack from the best point so far. It
-        gives the lowest loss, and the success if there was one.
-        """
-        return [self._random_search(seed, scale) for seed in range(len(self.case.cameras))]
-
-    def _random_search(self, seed: int, scale: float) -> Step:
-        config = dataclasses.replace(self.case.config, eps=tuple(scale * radius for radius in self.case.config.eps))
-        (problem, view), generator = self.problem(seed), Generator().manual_seed(1000 + seed)
-        reference = problem.subset.parameters(config.attributes)
-        near = Budget(radius=config.step, norm=config.norm)
-
-        def line(point: Parameters, index: int) -> Step:
-            here = problem.evaluate(point, [view], config)
-            assert here.verdict is not None
-            return Step(index=index, loss=here.loss, zero_gradient_fraction=0.0, **dataclasses.asdict(here.verdict))
-
-        kept, best = reference, line(reference, 0)
-        for index in range(1, config.steps + 1):
-            if index % 2:
-                point = config.budget.uniform(reference, generator)
-            else:
-                point = config.budget.project(near.uniform(kept, generator), reference)
-            here = line(point, index)
-            if (here.success, -here.loss) > (best.success, -best.loss):
-                best, kept = here, point
-        self._on_run()
-        return best

@@ -12,6 +12,7 @@ from attacks.rate import Rate
 from attacks.report.section import Chart, Figure, Line, Section
 from attacks.report.wording import capital, listed, plural, pooled, shared
 from attacks.studies.table import KINDS, by_part, tables, title_of
+from attacks.studies.zoo import doubts
 
 Record = Mapping[str, Any]
 _NUMBER = re.compile(r"\d+(\.\d+)?")
@@ -45,7 +46,7 @@ def read(folder: Path, record: Record) -> Section:
         control=Figure(label="random noise of the same size", rate=noise),
         counting=counting,
         figures=tuple(_figures(record)),
-        warnings=(*_warnings(attacks), *_doubts(record["looks"])),
+        warnings=(*_warnings(attacks), *doubts(record["groups"]), *_doubts(record["looks"])),
         charts=tuple(_charts(record)),
         tables=tuple(tables(record)),
         configuration=shared([*(attack["settings"] for attack in attacks), {"weights": record["detectors"]}]),

@@ -1,0 +1,128 @@
+"""Optimisers by their names; light, so that options can be parsed without torch.
+
+One of your own becomes one of them by `register_optimiser`:
+
+    def make(settings: SearchSettings) -> Optimiser: ...
+
+    register_optimiser(OptimiserSpec(name="mine", make=make, about="what it does, in a line"))
+    attack(..., config=DaggerConfig(optimiser="mine"))
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mi_splat.errors import InvalidValueError
+from mi_splat.fields import check_choice
+
+if TYPE_CHECKING:
+    from attacks.optimisers.settings import SearchSettings
+    from attacks.pgd import Optimiser
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OptimiserSpec:
+    """An optimiser that can be chosen by its name.
+
+    Attributes:
+        name: What it is called, in configurations, studies and `--optimiser`.
+        make: Makes it for one search. Import what is heavy in it, not beside it.
+        about: What it does, in a line.
+        gradient: Whether it looks at gradients; without, none are computed.
+        momentum: Share of the earlier gradients that it keeps where a configuration says nothing.
+        takes_step: Whether its steps are as long as it is told; otherwise their length follows from the radius.
+        smallest: Whether of two successes the smaller change is kept; otherwise it is the one with the higher score.
+    """
+
+    name: str
+    make: Callable[[SearchSettings], Optimiser]
+    about: str
+    gradient: bool = True
+    momentum: float = 0.0
+    takes_step: bool = True
+    smallest: bool = False
+
+
+OPTIMISERS: dict[str, OptimiserSpec] = {}
+"""Every optimiser by its name."""
+
+
+def register_optimiser(spec: OptimiserSpec) -> None:
+    """Make an optimiser known to every configuration of this process.
+
+    Args:
+        spec: The optimiser.
+
+    Raises:
+        InvalidValueError: There is one of this name already.
+    """
+    if spec.name in OPTIMISERS:
+        raise InvalidValueError.of("optimiser", "a name that is free", repr(spec.name), "choose another name")
+    OPTIMISERS[spec.name] = spec
+
+
+def optimiser_spec(name: str) -> OptimiserSpec:
+    """The optimiser of a name.
+
+    Args:
+        name: Key of `OPTIMISERS`.
+
+    Raises:
+        FieldError: There is none of this name.
+    """
+    check_choice("optimiser", name, OPTIMISERS)
+    return OPTIMISERS[name]
+
+
+def _of(module: str, function: str) -> Callable[[SearchSettings], Optimiser]:
+    """The `make` of an optimiser of this package, imported when the first one is made."""
+
+    def make(settings: SearchSettings) -> Optimiser:
+        made: Optimiser = getattr(importlib.import_module(f"attacks.optimisers.{module}"), function)(settings)
+        return made
+
+    return make
+
+
+for _spec in (
+    OptimiserSpec(name="pgd", make=_of("descent", "momentum"), about="steps of fixed length along the steepest slope"),
+    OptimiserSpec(name="fgsm", make=_of("descent", "fgsm"), about="one step, as long as the radius", takes_step=False),
+    OptimiserSpec(
+        name="momentum",
+        make=_of("descent", "momentum"),
+        about="the same steps along a decaying sum of slopes",
+        momentum=0.9,
+    ),
+    OptimiserSpec(name="adam", make=_of("descent", "adam"), about="steps of Adam", momentum=0.9),
+    OptimiserSpec(
+        name="apgd",
+        make=_of("apgd", "apgd"),
+        about="long steps that halve where the loss no longer falls, from the best point",
+        momentum=0.25,
+        takes_step=False,
+    ),
+    OptimiserSpec(
+        name="cw",
+        make=_of("penalty", "cw"),
+        about="steps of Adam on the loss and a price of the change, with a search over the price",
+        momentum=0.9,
+        smallest=True,
+    ),
+    OptimiserSpec(
+        name="square",
+        make=_of("sampling", "square"),
+        about="blocks of neighbouring Gaussians at random, kept where the loss falls",
+        gradient=False,
+        takes_step=False,
+    ),
+    OptimiserSpec(
+        name="random",
+        make=_of("sampling", "random_points"),
+        about="points at random, half of them near the best one",
+        gradient=False,
+    ),
+):
+    register_optimiser(_spec)
