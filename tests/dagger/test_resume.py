@@ -103,7 +103,7 @@ def test_what_is_no_checkpoint_is_refused(tmp_path: Path) -> None:
         (lambda n, t: first(t, "memory velocity/").fill_(torch.inf), "finite numbers in memory velocity/"),
         (lambda n, t: [t.update({k: t[k][:1]}) for k in list(t)], r"checkpoint, point, \w+: expected"),
         (lambda n, t: t.pop(next(k for k in t if k.startswith("best/"))), r"best, \w+: expected .*, got none"),
-        (lambda n, t: t.update({"other/sh": first(t, "point/")}), "got tensors other"),
+        (lambda n, t: t.update({"other/sh": first(t, "point/").clone()}), "got tensors other"),
         (lambda n, t: n.update(numbers={"length": "long"}), "numbers: length: expected a finite number"),
         (lambda n, t: n.update(index=-1), "index: expected a whole number from 0"),
         (lambda n, t: n.update(index=99), "index: expected at most 8 steps, got 99"),

@@ -13,6 +13,7 @@ from attacks.limits import NORM_NAMES
 from attacks.observe.measures import transfer_measures, with_control
 from attacks.observe.rates import count
 from attacks.observe.rows import read_rows
+from attacks.optimisers.registry import OPTIMISERS
 from attacks.rate import Rate
 from attacks.studies import dagger
 from attacks.studies.dagger import DaggerWork
@@ -31,6 +32,7 @@ PAIRS = {
     *(("stop_sign", target) for target in ("tv", "train", "bird")),
 }
 JOBS = {
+    "attack_zoo": (120, 0),
     "between_renderers": (54, 432),
     "coco": (72, 0),
     "coco_demo": (12, 0),
@@ -124,6 +126,15 @@ def test_the_searches_on_coco_detectors_are_the_strong_one() -> None:
             )
             aim = (objective.near, objective.top, objective.tightness, objective.suppression, objective.confidence)
             assert aim == (0.85, 1, 0.0, 0.3, 0.5)
+
+
+def test_the_zoo_compares_every_attack_at_equal_steps_and_those_without_gradients_at_equal_time() -> None:
+    steps, time = part("attack_zoo", "equal steps"), part("attack_zoo", "equal time")
+    assert {config.optimiser for config in steps} == set(OPTIMISERS)
+    assert {config.optimiser for config in time} == {name for name, spec in OPTIMISERS.items() if not spec.gradient}
+    assert {config.steps for config in steps} == {12}
+    assert {config.steps for config in time} == {38}
+    assert not any(config.early_stop for config in (*steps, *time))
 
 
 def test_settings_of_attacks_from_all_around_change_one_at_a_time() -> None:
