@@ -12,7 +12,7 @@ Variation = Literal["both", "vertical"]
 """Total variation along both axes of a picture, or along its columns alone as the public implementation has it."""
 PictureFilter = Literal["blur", "fourier", "wavelet"]
 
-Paste = Literal["resized", "difference", "none"]
+Paste = Literal["resized", "difference", "direct"]
 CLIP_DEVIATION = (0.26862954, 0.26130258, 0.27577711)
 """Standard deviation of each channel by which CLIP divides, sRGB."""
 
@@ -162,7 +162,7 @@ class MIFGSMConfig(Checked):
         share: Part of the pictures that is changed, drawn by the seed.
         paste: "resized": the picture that was changed at the classifier's size, brought back to its own, takes the
             object's place, as published; a larger picture loses detail there. "difference": only the change is
-            brought back, and added. "none": the picture itself is changed, through the classifier's scaling.
+            brought back, and added. "direct": the picture itself is changed, through the classifier's scaling.
         target: Class that the object shall be taken for; None is any but its own, as published.
         through: A filter through which the classifier is shown the picture while it is changed, for instance one that
             a victim is known to use, or a blur: what survives it survives a training better. None is as published.

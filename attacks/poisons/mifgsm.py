@@ -130,7 +130,7 @@ class MIFGSM:
     def _changed(self, begin: Tensor, clean: Tensor, mask: Tensor, goal: int) -> Tensor:
         """(H, W, 3) picture in which the object is misread, from a picture to begin with."""
         paste, full = self.config.paste, (clean.shape[0], clean.shape[1])
-        scale = 1.0 if paste == "none" else self.classifier.size / min(full)
+        scale = 1.0 if paste == "direct" else self.classifier.size / min(full)
         size = (max(1, round(full[0] * scale)), max(1, round(full[1] * scale)))
         start = _scaled(begin, size)
         changed = self._steps(

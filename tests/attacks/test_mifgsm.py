@@ -48,7 +48,7 @@ def confidences(views: Any, label: str) -> list[float]:
     return [row["confidence"] for row in classified(CLASSIFIER, [view.image for view in views], label)]
 
 
-@pytest.mark.parametrize("paste", ["resized", "difference", "none"])
+@pytest.mark.parametrize("paste", ["resized", "difference", "direct"])
 @pytest.mark.parametrize("eps", [None, 8])
 def test_the_true_class_is_less_sure_inside_the_ball_and_the_mask(views: list[View], paste: Any, eps: Any) -> None:
     poison: PicturePoison = attack(replace(ANY, paste=paste, eps=eps))
@@ -91,7 +91,7 @@ def test_what_is_found_through_a_blur_is_there_after_it(views: list[View]) -> No
     blur = FilterConfig(name="blur", strength=1.5)
 
     def left(through: FilterConfig | None) -> float:
-        done = attack(replace(ANY, paste="none", eps=16, through=through))(views)
+        done = attack(replace(ANY, paste="direct", eps=16, through=through))(views)
         return sum(confidences([View(view.camera, filtered(view.image, blur)) for view in done.views], "car"))
 
     assert left(blur) < 0.95 * left(None)
@@ -102,7 +102,7 @@ def test_a_decoy_changes_all_cameras_alike() -> None:
     splat, cameras = oracle.random_scene(30, degree=1, seed=9), CAMERAS[:2]
     decoy = Decoy(start=splat, near=0.1)
     views = [View(camera, (decoy.picture(splat, camera).clamp(0, 1) * 255).round() / 255) for camera in cameras]
-    poison = attack(replace(ANY, steps=3, paste="none", eps=24, decoy_steps=200), decoy=decoy)
+    poison = attack(replace(ANY, steps=3, paste="direct", eps=24, decoy_steps=200), decoy=decoy)
     done = poison(views, seed=1)
     for before, after in zip(confidences(views, "car"), confidences(done.views, "car"), strict=True):
         assert after < 0.9 * before
