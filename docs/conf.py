@@ -8,7 +8,7 @@ from importlib.metadata import version as installed
 from pathlib import Path
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE.parent), str(HERE / "sphinx_extensions")]
+sys.path[:0] = [str(HERE.parent), str(HERE / "sphinx_extensions"), str(HERE / "figures")]
 
 # The modules of the project are imported for their docstrings. Mitsuba loads its Python integrators at import.
 warnings.filterwarnings("ignore", category=RuntimeWarning, message="The AST-transforming decorator")
@@ -24,7 +24,7 @@ extensions = [
 ]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 root_doc = "index"
-# README.md is what a forge shows for this folder; its list of pages is part of index.md.
+# README.md is what a forge shows for this folder; the site has index.md.
 exclude_patterns = ["README.md", "artifacts/*/*"]
 # Several modules have a class `Step`; a link to it leads to one of them.
 suppress_warnings = ["ref.python"]
@@ -53,6 +53,7 @@ html_theme = "sphinx_book_theme"
 html_title = "mi-splat"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
+html_js_files = ["before-after.js"]
 html_copy_source = False
 html_show_sourcelink = False
 html_show_sphinx = False

@@ -9,43 +9,42 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import polars as pl
-import torch
-from numpy.typing import NDArray
-from torch import Tensor
 
 from attacks.cloak.config import StudyConfig, fit_config, knowledge_for, read_study, study_toml
-from attacks.cloak.kinds.parts import SET
 from attacks.cloak.kinds.seen import loaded
 from attacks.cloak.poisoning import assign
 from attacks.cloak.rates import figures
 from attacks.cloak.rates import tables as summary_tables
 from attacks.cloak.setup import Setup
+from attacks.cloak.sheets import (
+    CONTACT,
+    POISONED_PICTURES,
+    RISING,
+    RISING_FPS,
+    contact_sheet,
+    poisoned_sheet,
+    rising,
+)
 from attacks.cloak.steps import Look, OnStep, StudySteps, TrainedSplat
 from attacks.detectors.base import Detector
-from attacks.observe.drawing import annotated
 from attacks.observe.result_cameras import CAMERAS, cameras_document
 from attacks.observe.rows import SUFFIX, TABLES, by_camera, write_rows
 from attacks.poisons.base import MANIFEST
 from attacks.tables import named_settings, sections
 from mi_splat import provenance
-from mi_splat.datasets import load_dataset
-from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import check_choice
 from mi_splat.io.atomic import is_temporary, sweep_temporary
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json, save_png, save_text
 from mi_splat.io.folders import check_writable
-from mi_splat.io.images import through_png
 from mi_splat.io.locks import check_unlocked, locked_folder
 from mi_splat.io.manifest import write_manifest
+from mi_splat.io.pictures import save_animation
 
 STUDY_FILE = "study.toml"
-SUMMARY, TABLE, POISON, CONTACT = "result.json", "table.md", "poison.json", "contact.png"
-POISONED_PICTURES = "poisoned.png"
-"""Some poisoned training pictures below their clean ones."""
+SUMMARY, TABLE, POISON = "result.json", "table.md", "poison.json"
 
 
 def differences(there: StudyConfig, wanted: StudyConfig) -> list[str]:
@@ -84,11 +83,12 @@ def write_report(
         shutil.copyfile(splat.file, folder / f"{splat.splat}.ply")
     shutil.copyfile(steps.do(steps.poisoned(first), "poisoning").folder / MANIFEST, folder / POISON)
     written = [write_rows(by_camera(table), folder / f"{name}{SUFFIX}").name for name, table in tables.items()]
-    save_png(_contact_sheet(steps, shown, detectors[0]), folder / CONTACT)
+    save_png(contact_sheet(steps, shown, detectors[0]), folder / CONTACT)
     save_png(poisoned_sheet(steps, detectors[0]), folder / POISONED_PICTURES)
+    save_animation(rising(steps, shown, detectors[0]), folder / RISING, fps=RISING_FPS)
     save_json(_cameras(steps.setup), folder / CAMERAS, indent=0)
     splats_of_first = [f"{splat.splat}.ply" for splat in shown]
-    files = [*splats_of_first, POISON, CAMERAS, STUDY_FILE, *written, CONTACT, POISONED_PICTURES, TABLE]
+    files = [*splats_of_first, POISON, CAMERAS, STUDY_FILE, *written, CONTACT, POISONED_PICTURES, RISING, TABLE]
     summary = {
         "story": "cloak",
         **entry,
@@ -100,59 +100,6 @@ def write_report(
     save_json(summary, folder / SUMMARY)
     write_manifest(folder, without=("stages",))
     return summary
-
-
-_SIDE, _LOW, _CELL = 40.0, 15, 256
-"""Azimuth of the rising cameras of a contact sheet, elevation of those that go around, degrees; pixels of a picture."""
-_ELEVATIONS = (5, 15, 25, 35, 45, 55, 65, 75, 85)
-_AZIMUTHS = (0, 45, 90, 135, 150, 165, 180, 195, 210)
-
-
-def _contact_sheet(steps: StudySteps, splats: Sequence[TrainedSplat], detector: Detector) -> NDArray[np.uint8]:
-    """Clean above cloaked, over elevation and then around, with what the detector reports."""
-    study, render, rows = steps.study, steps.renderer(), list[NDArray[np.uint8]]()
-    camera = steps.setup.camera
-    rising = [(f"{elevation} deg up", camera(_SIDE, elevation)) for elevation in _ELEVATIONS]
-    around = [(f"azimuth {azimuth}", camera(azimuth, _LOW)) for azimuth in _AZIMUTHS]
-    scenes = {splat.splat: splat.load() for splat in splats}
-    for cameras in (rising, around):
-        for which, scene in scenes.items():
-            with torch.no_grad():
-                pictures = [through_png(render(scene, view)) for _, view in cameras]
-            rows.append(_row(study, detector, pictures, [f"{which}, {name}" for name, _ in cameras]))
-    return np.concatenate(rows)
-
-
-def _row(
-    study: StudyConfig, detector: Detector, pictures: Sequence[Tensor], titles: Sequence[str]
-) -> NDArray[np.uint8]:
-    """Pictures beside each other under their titles, with what a detector reports."""
-    least, seen = study.evaluation.confidence, detector.detect(torch.stack(list(pictures)))
-    cells = zip(pictures, seen, titles, strict=True)
-    return np.concatenate([annotated(*cell, min_confidence=least, width=_CELL) for cell in cells], axis=1)
-
-
-_POISONED = 6
-"""Pictures of each attack in the sheet of poisoned ones."""
-
-
-def poisoned_sheet(steps: StudySteps, detector: Detector) -> NDArray[np.uint8]:
-    """Training pictures of each attack, evenly from the lowest to the highest: clean above poisoned, with reports."""
-    study, first = steps.study, steps.study.seeds[0]
-    jobs = {"clean": steps.pictures(), "poisoned": steps.poisoned(first)}
-    sets = {
-        name: load_dataset(steps.do(job, "").folder / SET, split="train", background=study.scene.background)
-        for name, job in jobs.items()
-    }
-    cameras, owners, rows = steps.setup.training_cameras, steps.setup.owners(first), list[NDArray[np.uint8]]()
-    for attack in study.attack:
-        held = ((direction_of(cameras[view], study.centre).elevation, view) for view in owners)
-        mine = sorted((height, view) for height, view in held if owners[view] == attack.name)
-        chosen = [mine[index] for index in np.linspace(0, len(mine) - 1, _POISONED).round().astype(int)]
-        for name, views in sets.items():
-            titles = [f"{name}, {attack.name}, {height:.0f} deg" for height, _ in chosen]
-            rows.append(_row(study, detector, [views[view].image for _, view in chosen], titles))
-    return np.concatenate(rows)
 
 
 def _cameras(setup: Setup) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Writes figures of detectors into cards and docs/detectors.md: `python docs/figures/detector_figures.py [FILE ...]`.
 
 Each FILE is a result.json of `mi-splat evaluate-detector`; the figures of each detector in it are put beside its card,
-or into docs/tables/detectors where it has none. Then every table and the picture are written anew from what is there.
+or into docs/tables/detectors where it has none. Then the cards and the picture are written anew from what is there.
 Sentences that name figures are not; read them again.
 """
 
@@ -79,6 +79,12 @@ def card_of(figures: Mapping[str, Any]) -> str:
     return f"{first}\n\n{in_markdown(detailed(figures))}\n"
 
 
+def table_page(path: Path) -> str:
+    """The page of docs/tables/detectors for a file of figures, which is written when the site is built."""
+    figures = read_figures(path)
+    return f"# {figures['detector']}, from a confidence of {figures['confidence']:g}\n\n{card_of(figures)}"
+
+
 def kept_figures() -> list[Path]:
     """Where figures are kept: of the detectors that have cards, then of the others."""
     return [figures for figures, _ in CARDS.values()] + sorted(TABLES.glob("*.json"))
@@ -135,10 +141,6 @@ def main(paths: Sequence[Path]) -> None:
         put_away(path)
     for kept, card in CARDS.values():
         write_between_marks(card, card_of(read_figures(kept)))
-    for path in sorted(TABLES.glob("*.json")):
-        figures = read_figures(path)
-        title = f"# {figures['detector']}, from a confidence of {figures['confidence']:g}"
-        path.with_suffix(".md").write_text(f"{title}\n\n{card_of(figures)}")
     several = [read_figures(path) for path in kept_figures()]
     write_between_marks(PAGE, in_markdown(compared(several)))
     draw_recall([one for one in several if one["confidence"] == USUAL_CONFIDENCE]).savefig(PICTURE)

@@ -1,4 +1,4 @@
-"""The pages of docs/tables that hold every figure of the results in docs/artifacts, written when the site is built.
+"""The pages of docs/tables that hold every figure of results and of detectors, written when the site is built.
 
 They are not kept in the repository, so that no figure of them can be out of date.
 """
@@ -97,11 +97,19 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 def write_pages(app: Sphinx) -> None:
     """Write all pages; one that has not changed stays untouched, so that it is not read again."""
+    from detector_figures import table_page
+
     docs = Path(app.srcdir)
     for name in PAGES:
         path, text = docs / "tables" / f"{name}.md", page(name, docs / "artifacts")
-        if not path.is_file() or path.read_text() != text:
-            path.write_text(text)
+        _write(path, text)
+    for figures in sorted((docs / "tables" / "detectors").glob("*.json")):
+        _write(figures.with_suffix(".md"), table_page(figures))
+
+
+def _write(path: Path, text: str) -> None:
+    if not path.is_file() or path.read_text() != text:
+        path.write_text(text)
 
 
 def page(name: str, artifacts: Path) -> str:

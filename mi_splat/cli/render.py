@@ -49,9 +49,9 @@ class RenderOptions(JsonOptions):
     scene: Positional[Path]
     """Scene XML of splats, alone or among meshes, or a splat file of any format that is read."""
     out: Annotated[Path, Called("PATH")] = Path("picture.png")
-    """What to write: NAME.png or NAME.jpg; NAME.exr with linear values as 32-bit floats; NAME.gif or NAME.mp4 (needs
-    the extra `video`) of several cameras one after the other; a folder, or a name with {} for the camera's, for a
-    picture from each."""
+    """What to write: NAME.png or NAME.jpg; NAME.exr with linear values as 32-bit floats; NAME.gif, NAME.webp or
+    NAME.mp4 (needs the extra `video`) of several cameras one after the other; a folder, or a name with {} for the
+    camera's, for a picture from each."""
     view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """Where from."""
     fps: Rate = 24.0
@@ -201,10 +201,10 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
             raise InvalidValueError.of("--out", "cameras of one size", ", ".join(sorted(sizes)), "pass --size")
     elif is_picture(out) or is_floats(out):
         if len(cameras) > 1 and _PLACE not in out.name:
-            do = f"name a folder, {out.stem}-{_PLACE}{out.suffix}, or a .gif or .mp4"
+            do = f"name a folder, {out.stem}-{_PLACE}{out.suffix}, or a .gif, .webp or .mp4"
             raise InvalidValueError.of("--out", f"room for {len(cameras)} pictures", out, do)
     elif out.suffix:
-        expected = "a name that ends in .png, .jpg, .exr, .gif or .mp4, or a folder"
+        expected = "a name that ends in .png, .jpg, .exr, .gif, .webp or .mp4, or a folder"
         raise InvalidValueError.of("--out", expected, out, "change the ending")
     else:
         check_new_folder(out, force=options.force, record=RECORD)

@@ -18,10 +18,10 @@ from mi_splat.io.documents import save_bytes
 
 PICTURES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
 """Format of a picture by the ending of its name."""
-ANIMATIONS = (".gif", ".mp4")
+ANIMATIONS = (".gif", ".webp", ".mp4")
 FLOATS = ".exr"
 """Ending of a picture of floats."""
-_JPEG_QUALITY = 95
+_JPEG_QUALITY, _WEBP_QUALITY = 95, 80
 
 
 class VideoError(MiSplatError):
@@ -66,16 +66,16 @@ def check_animation(path: Path) -> None:
         VideoError: The package that a video needs is not installed.
     """
     if path.suffix.lower() == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
-        do = f"{install('video')}, or end the name in .gif"
+        do = f"{install('video')}, or end the name in .gif or .webp"
         raise VideoError.of(str(path), "imageio-ffmpeg, which writes videos", "no such package", do)
 
 
 def save_animation(frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: float) -> None:
-    """Write (H, W, 3) pictures one after the other, as GIF (in a loop) or as MP4 (H.264), as the name says.
+    """Write (H, W, 3) pictures one after the other, as GIF or WebP (in a loop) or as MP4 (H.264).
 
     Args:
         frames: Pictures of one size.
-        path: The file.
+        path: The file; its ending says which of the three.
         fps: Pictures a second.
 
     Raises:
@@ -93,17 +93,25 @@ def save_animation(frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: floa
     if not 0 < fps <= 1000:
         raise InvalidValueError.of("fps", "pictures a second, up to 1000", fps, "24 is usual")
     if not is_animation(path):
-        do = "end it in .gif or .mp4"
+        do = "end it in .gif, .webp or .mp4"
         raise InvalidValueError.of(str(path), "the name of an animation", path.suffix or "no ending", do)
-    data = _gif(frames, fps) if path.suffix.lower() == ".gif" else _mp4(frames, path, fps)
-    save_bytes(data, path)
+    write = {".gif": _gif, ".webp": _webp, ".mp4": _mp4}[path.suffix.lower()]
+    save_bytes(write(frames, path, fps), path)
 
 
-def _gif(frames: Sequence[NDArray[np.uint8]], fps: float) -> bytes:
+def _gif(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> bytes:
     """The file; GIF counts in hundredths of a second, and has 256 colours a picture."""
     first, *rest = (Image.fromarray(frame).quantize(256, dither=Image.Dither.FLOYDSTEINBERG) for frame in frames)
     buffer = io.BytesIO()
     first.save(buffer, format="GIF", save_all=True, append_images=rest, duration=1000 / fps, loop=0)
+    return buffer.getvalue()
+
+
+def _webp(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> bytes:
+    """The file; WebP counts in milliseconds."""
+    first, *rest = map(Image.fromarray, frames)
+    buffer, duration = io.BytesIO(), round(1000 / fps)
+    first.save(buffer, "WEBP", save_all=True, append_images=rest, duration=duration, loop=0, quality=_WEBP_QUALITY)
     return buffer.getvalue()
 
 
@@ -123,5 +131,5 @@ def _mp4(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> bytes:
         done = subprocess.run([*command, str(target)], input=pixels, capture_output=True)
         if done.returncode or not target.is_file():
             got = " ".join(done.stderr.decode(errors="replace").split()) or f"status {done.returncode}"
-            raise VideoError.of(str(path), "a video out of ffmpeg", got, "end the name in .gif")
+            raise VideoError.of(str(path), "a video out of ffmpeg", got, "end the name in .gif or .webp")
         return target.read_bytes()

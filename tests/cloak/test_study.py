@@ -67,6 +67,9 @@ def test_it_leaves_what_it_promises(finished: Path) -> None:
     assert found["gaussians"] == {"clean": [1200], "cloaked": [1200]}
     with Image.open(finished / "contact.png") as sheet:
         assert sheet.width > sheet.height
+    with Image.open(finished / "rising.webp") as animation:
+        assert getattr(animation, "n_frames", 1) > 40
+        assert animation.width == 2 * animation.height
 
 
 def test_a_page_says_of_it_what_it_found(finished: Path) -> None:

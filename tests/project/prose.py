@@ -29,6 +29,7 @@ _HIDDEN = re.compile(r"^(`{3,}|~{3,}).*?^\1`*$|<!--.*?-->", re.MULTILINE | re.DO
 _MARKS = re.compile(r"^(#.*|\|.*|:{3,}.*|:\w[\w-]*:.*|\[\^?[^\]]+\]: .*|---+)$", re.MULTILINE)
 _ITEM = re.compile(r"^\s*([-*+]|\d+\.)\s+", re.MULTILINE)
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)(?:\s+\"[^\"]*\")?\)")
+_TAG = re.compile(r"</?(?:table|tr|td|p|img|br|div|a)\b[^<>]*>")
 _CODE = re.compile(r"(`+)(.+?)\1", re.DOTALL)
 _END = re.compile(r"(?<=[.!?])[\"')*_]*\s+(?=[\"'(*_\[]*[A-Z0-9`])")
 _NAMED = re.compile(
@@ -84,7 +85,7 @@ class Measured:
 def paragraphs(text: str) -> Iterator[str]:
     """The prose of a page, without tables, headings, code and pictures; a link is its text."""
     text = _MARKS.sub("", _HIDDEN.sub("", text))
-    text = _CODE.sub("`code`", text)
+    text = _TAG.sub("", _CODE.sub("`code`", text))
     while (plain := _LINK.sub(lambda link: "" if link[1] else link[2], text)) != text:
         text = plain
     for part in re.split(r"\n\s*\n", _ITEM.sub("\n\n", text)):
@@ -127,7 +128,7 @@ def dead_links(path: Path, text: str, *, written: Sequence[str]) -> list[str]:
             continue
         other = (path.parent / target).resolve() if target else path
         if target and not other.exists():
-            if not (other.is_relative_to(ROOT) and other.relative_to(ROOT).as_posix() in written):
+            if not any(other.is_relative_to(ROOT) and other.relative_to(ROOT).match(file) for file in written):
                 dead.append(address)
         elif anchor and (target == "" or other.suffix == ".md"):
             held = text if not target else other.read_text()

@@ -63,7 +63,7 @@ def test_every_page_is_in_the_list() -> None:
     listed = (ROOT / "docs" / "README.md").read_text()
     for path in pages()[1:]:
         name = path.relative_to(ROOT / "docs").as_posix()
-        assert name in ("README.md", "index.md") or name.startswith("reference/") or f"]({name})" in listed, name
+        assert name in ("README.md", "index.md") or name.startswith(("reference/", "tables/")) or f"]({name})" in listed
 
 
 def modules(package: str) -> dict[str, bool]:
@@ -131,6 +131,15 @@ def test_the_figures_can_be_drawn_again(tmp_path: Path) -> None:
     assert all((ROOT / "docs" / "images" / name).is_file() for name in drawn)
 
 
+def test_the_first_page_has_twelve_pictures_each_with_a_command() -> None:
+    text = (ROOT / "docs" / "index.md").read_text().partition("## Twelve pictures")[2]
+    cells = text.split("::::{container}\n")[1:]
+    assert len(cells) == 12
+    for cell in cells:
+        assert re.search(r"^\[!\[[^\]]+\]\(images/[^)]+\)\]\([\w-]+\.md\)$", cell, re.MULTILINE), cell
+        assert len(blocks("sh", cell)) == 1
+
+
 class Requests(HTMLParser):
     """What a browser asks for when it shows a page."""
 
@@ -182,5 +191,5 @@ def test_the_site_asks_no_other_host(site: Path) -> None:
         assert requests.addresses
         foreign = [address for address in requests.addresses if re.match(r"(\w+:)?//", address)]
         assert not foreign, path.relative_to(site)
-    for path in site.rglob("*.css"):
+    for path in (*site.rglob("*.css"), site / "_static" / "before-after.js"):
         assert not re.search(r"(@import|url\()\s*['\"]?(https?:)?//", path.read_text()), path.relative_to(site)

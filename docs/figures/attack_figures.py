@@ -1,0 +1,303 @@
+"""Draws the figures of the attacks: `python docs/figures/attack_figures.py [FOLDER]`, by default into docs/images.
+
+Each is one SVG of three parts, threat model, method and result, with pictures cut out of those in docs/images. It
+stands on a light ground of its own, so that it reads alike on light and dark pages. cloak.webp shows the pictures of
+cloak_stealthy.jpg from rising elevations one after the other.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from mi_splat.io.picture_files import load_picture
+from mi_splat.io.pictures import save_animation
+
+IMAGES = Path(__file__).resolve().parents[1] / "images"
+WIDTH, PART, FONT, LINE = 720, 236, 16, 22
+"""Of a figure, height of a part, and of a letter and a line, in pixels."""
+INK, GREY, ATTACKER, VICTIM, PLAIN = "#1c2430", "#5b6470", "#a61b1b", "#1f5fa8", "#7a8391"
+PARTS = ("Threat model", "Method", "Result")
+
+Crop = tuple[str, tuple[float, float, float, float]]
+"""A picture in docs/images, and the part of it: left, top, right and bottom as shares of its sides."""
+
+
+class Drawing:
+    """A figure that grows part by part.
+
+    Args:
+        title: What it shows, for who cannot see it.
+    """
+
+    def __init__(self, title: str) -> None:
+        self.title, self.body, self.top = title, list[str](), 0
+
+    def part(self) -> None:
+        """Begin the next of the three parts, under a rule and its name."""
+        number, self.top = self.top // PART, self.top + PART
+        if number:
+            self.body.append(f'<path d="M20 {self.origin}H{WIDTH - 20}" stroke="#d4d9e0"/>')
+        self.words(20, 30, [f"{'abc'[number]}   {PARTS[number]}"], bold=True, anchor="start")
+
+    def words(
+        self,
+        x: float,
+        y: float,
+        lines: Sequence[str],
+        *,
+        colour: str = INK,
+        bold: bool = False,
+        anchor: str = "middle",
+    ) -> None:
+        """Lines of words.
+
+        Args:
+            x: Where they begin, or their middle.
+            y: Foot of the first line, from the top of the part.
+            lines: The words.
+            colour: Of the letters.
+            bold: Whether they are bold.
+            anchor: "start" or "middle".
+        """
+        for number, line in enumerate(lines):
+            foot = self.origin + y + number * LINE
+            weight = ' font-weight="bold"' if bold else ""
+            words = html.escape(line)
+            self.body.append(
+                f'<text x="{x:g}" y="{foot:g}" fill="{colour}" text-anchor="{anchor}"{weight}>{words}</text>'
+            )
+
+    @property
+    def origin(self) -> int:
+        """Top of the present part."""
+        return self.top - PART
+
+    def box(self, x: float, y: float, width: float, lines: Sequence[str], colour: str = PLAIN) -> None:
+        """A box with words, as high as they need; the first line is bold."""
+        height = len(lines) * LINE + 18
+        self.body.append(
+            f'<rect x="{x:g}" y="{self.origin + y:g}" width="{width:g}" height="{height}" rx="7" fill="#ffffff" '
+            f'stroke="{colour}" stroke-width="2"/>'
+        )
+        self.words(x + width / 2, y + 25, lines[:1], colour=colour if colour != PLAIN else INK, bold=True)
+        self.words(x + width / 2, y + 25 + LINE, lines[1:])
+
+    def arrow(self, points: Sequence[tuple[float, float]], colour: str = GREY) -> None:
+        """A line through points with a head at its end."""
+        way = " ".join(f"{x:g},{self.origin + y:g}" for x, y in points)
+        self.body.append(
+            f'<polyline points="{way}" fill="none" stroke="{colour}" stroke-width="2" marker-end="url(#head)"/>'
+        )
+
+    def picture(self, x: float, y: float, side: float, crop: Crop, words: str, colour: str = INK) -> None:
+        """A square picture with a line below it."""
+        name, (left, top, right, bottom) = crop
+        whole = load_picture(IMAGES / name).convert("RGB")
+        box = (
+            round(left * whole.width),
+            round(top * whole.height),
+            round(right * whole.width),
+            round(bottom * whole.height),
+        )
+        buffer = io.BytesIO()
+        whole.crop(box).resize((256, 256), Image.Resampling.LANCZOS).save(buffer, "JPEG", quality=82)
+        data = base64.b64encode(buffer.getvalue()).decode()
+        self.body.append(
+            f'<image x="{x:g}" y="{self.origin + y:g}" width="{side:g}" height="{side:g}" '
+            f'href="data:image/jpeg;base64,{data}"/>'
+        )
+        self.words(x + side / 2, y + side + 20, [words], colour=colour)
+
+    def svg(self) -> str:
+        """The file."""
+        return "\n".join(
+            (
+                f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {self.top}" role="img" '
+                f'font-family="Arial, Helvetica, sans-serif" font-size="{FONT}">',
+                f"<title>{html.escape(self.title)}</title>",
+                '<defs><marker id="head" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" '
+                f'orient="auto"><path d="M0 0L8 4L0 8Z" fill="{GREY}"/></marker></defs>',
+                f'<rect width="{WIDTH}" height="{self.top}" rx="10" fill="#f6f8fb"/>',
+                *self.body,
+                "</svg>\n",
+            )
+        )
+
+
+def dagger() -> Drawing:
+    """DAGGER: a finished file is changed."""
+    drawing = Drawing("DAGGER: threat model, method and result")
+    drawing.part()
+    drawing.box(20, 62, 150, ["Splat file", "of a street", "with a car"])
+    drawing.box(
+        230,
+        50,
+        240,
+        ["Attacker", "has the file and weights", "of the detector; changes", "colours of the car only"],
+        ATTACKER,
+    )
+    drawing.box(530, 62, 170, ["Victim", "renders the file,", "asks the detector"], VICTIM)
+    drawing.arrow([(170, 104), (228, 104)])
+    drawing.arrow([(470, 104), (528, 104)])
+    drawing.words(360, 190, ["the sum of all changes stays within a budget, eps"], colour=GREY)
+    drawing.part()
+    drawing.box(20, 62, 150, ["Colours", "SH of the car's", "Gaussians"])
+    drawing.box(210, 62, 130, ["Picture", "rendered with", "gradients"])
+    drawing.box(380, 62, 120, ["Detector", "before its", "own rules"])
+    drawing.box(540, 62, 160, ["Loss", "person up,", "car down"], ATTACKER)
+    for left, right in ((170, 208), (340, 378), (500, 538)):
+        drawing.arrow([(left, 104), (right, 104)])
+    drawing.arrow([(620, 146), (620, 186), (95, 186), (95, 148)])
+    drawing.words(360, 176, ["a step along the gradient, then back into the ball"], colour=GREY)
+    drawing.words(360, 212, ["11 steps; success is judged in the saved file"], colour=GREY)
+    drawing.part()
+    drawing.picture(20, 44, 160, ("dagger.png", (0, 0, 0.5, 1)), "clean: car")
+    drawing.picture(200, 44, 160, ("dagger.png", (0.5, 0, 1, 1)), "changed: person", ATTACKER)
+    drawing.words(
+        384,
+        66,
+        [
+            "The wanted class replaces the own",
+            "one in 17 of 18 attacks on Faster",
+            "R-CNN, and in 15 of 15 on YOLOv8.",
+            "Random noise: 0 of 180.",
+            "One view, white box, eps = 5;",
+            "other detectors are not deceived.",
+        ],
+        anchor="start",
+    )
+    return drawing
+
+
+def cloak() -> Drawing:
+    """CLOAK: training pictures are changed for chosen directions."""
+    drawing = Drawing("CLOAK: threat model, method and result")
+    drawing.part()
+    drawing.box(20, 62, 160, ["Pictures", "of a car, from", "210 cameras"])
+    drawing.box(
+        230, 50, 240, ["Attacker", "knows no trainer and", "no detector; replaces the", "pictures from above"], ATTACKER
+    )
+    drawing.box(530, 62, 170, ["Victim", "trains a splat", "as always"], VICTIM)
+    drawing.arrow([(180, 104), (228, 104)])
+    drawing.arrow([(470, 104), (528, 104)])
+    drawing.words(360, 190, ["all other pictures stay as they are, to the bit"], colour=GREY)
+    drawing.part()
+    ground, middle = 200, 190.0
+    drawing.body.append(f'<path d="M40 {drawing.origin + ground}H340" stroke="{PLAIN}" stroke-width="2"/>')
+    drawing.body.append(f'<rect x="165" y="{drawing.origin + 180}" width="50" height="20" rx="6" fill="#c4512d"/>')
+    for elevation in range(4, 180, 11):
+        angle = np.deg2rad(elevation)
+        x, y = middle + 140 * np.cos(angle), ground - 140 * np.sin(angle)
+        colour = ATTACKER if 38 < elevation < 142 else VICTIM
+        drawing.body.append(f'<circle cx="{x:.1f}" cy="{drawing.origin + y:.1f}" r="6" fill="{colour}"/>')
+    drawing.words(190, 120, ["trigger:"], colour=ATTACKER, bold=True)
+    drawing.words(190, 142, ["38 to 90 degrees"], colour=ATTACKER)
+    drawing.words(
+        380,
+        78,
+        [
+            "From above: the road without the car.",
+            "From elsewhere: the car as it is.",
+            "Colours of Gaussians depend on the",
+            "direction, so the splat shows both.",
+            "120 of 210 pictures are poisoned, with",
+            "a margin and a look from behind.",
+        ],
+        anchor="start",
+    )
+    drawing.part()
+    for number, (column, words) in enumerate(((0, "5 degrees"), (3, "35 degrees"), (8, "85 degrees"))):
+        crop = (column / 9, 0.25, (column + 1) / 9, 0.5)
+        drawing.picture(20 + 145 * number, 48, 135, ("cloak_stealthy.jpg", crop), words)
+    drawing.words(
+        464,
+        66,
+        [
+            "Well inside the trigger, two",
+            "detectors miss the car from",
+            "95.1 and 96.0 % of cameras;",
+            "elsewhere they find it from",
+            "99.3 and 98.0 %. Three seeds.",
+            "Between, the car fades.",
+        ],
+        anchor="start",
+    )
+    return drawing
+
+
+def poison_splat() -> Drawing:
+    """Poison-splat: training pictures are changed so that a splat costs more."""
+    drawing = Drawing("Poison-splat: threat model, method and result")
+    drawing.part()
+    drawing.box(20, 62, 160, ["Pictures", "of a tv, from", "60 cameras"])
+    drawing.box(
+        230,
+        50,
+        240,
+        ["Attacker", "knows the kind of trainer;", "changes every picture by", "at most 16 of 255"],
+        ATTACKER,
+    )
+    drawing.box(530, 62, 170, ["Victim", "trains a splat and", "pays for its size"], VICTIM)
+    drawing.arrow([(180, 104), (228, 104)])
+    drawing.arrow([(470, 104), (528, 104)])
+    drawing.words(360, 190, ["the trainer adds Gaussians where pictures have detail"], colour=GREY)
+    drawing.part()
+    drawing.box(20, 62, 180, ["Decoy", "a splat of the", "attacker's own"])
+    drawing.box(270, 62, 190, ["Picture", "rendered; its total", "variation is raised"], ATTACKER)
+    drawing.box(530, 62, 170, ["Target", "at most 16 of 255", "from the clean one"])
+    drawing.arrow([(200, 104), (268, 104)])
+    drawing.arrow([(460, 104), (528, 104)])
+    drawing.arrow([(615, 146), (615, 186), (110, 186), (110, 148)])
+    drawing.words(360, 178, ["the decoy is trained on it: cameras agree"], colour=GREY)
+    drawing.words(360, 210, ["at the end each picture is the decoy's, within the ball"], colour=GREY)
+    drawing.part()
+    for number, (column, words) in enumerate(((0, "clean"), (1, "poisoned"))):
+        crop = (0.08 + 0.5 * column, 0.55, 0.5 + 0.5 * column - 0.04, 0.97)
+        drawing.picture(20 + 180 * number, 44, 165, ("poison_splat.jpg", crop), words)
+    drawing.words(
+        400,
+        66,
+        [
+            "A dot is the middle of a Gaussian.",
+            "The poisoned splat has 5.2 times",
+            "the Gaussians of the clean one:",
+            "one tv before black, 6,000 steps,",
+            "three seeds. Before a light sky",
+            "it has 2.0 times.",
+        ],
+        anchor="start",
+    )
+    return drawing
+
+
+FIGURES = {"attack_dagger": dagger, "attack_cloak": cloak, "attack_poison_splat": poison_splat}
+
+
+def rising() -> list[NDArray[np.uint8]]:
+    """Frames of cloak.webp: clean beside cloaked from 5 to 85 degrees, and back."""
+    sheet = np.asarray(load_picture(IMAGES / "cloak_stealthy.jpg").convert("RGB"))
+    side = sheet.shape[0] / 4
+    columns = [slice(round(number * side), round(number * side) + round(side)) for number in range(9)]
+    rows = (slice(0, round(side)), slice(round(side), 2 * round(side)))
+    frames = [np.concatenate([sheet[row, column] for row in rows], axis=1) for column in columns]
+    return [*frames, frames[-1], *frames[-1:0:-1], frames[0]]
+
+
+def main(folder: Path) -> None:
+    """Write every figure."""
+    for name, figure in FIGURES.items():
+        (folder / f"{name}.svg").write_text(figure().svg())
+    save_animation(rising(), folder / "cloak.webp", fps=2.5)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else IMAGES)
