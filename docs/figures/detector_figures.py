@@ -85,6 +85,12 @@ def table_page(path: Path) -> str:
     return f"# {figures['detector']}, from a confidence of {figures['confidence']:g}\n\n{card_of(figures)}"
 
 
+def compared_page() -> str:
+    """The page of docs/tables/detectors with all detectors beside each other."""
+    tables = in_markdown(compared([read_figures(path) for path in kept_figures()]))
+    return f"# Detectors side by side\n\nWhat is counted, and on which pictures: [detectors](../../detectors.md).\n\n{tables}\n"
+
+
 def kept_figures() -> list[Path]:
     """Where figures are kept: of the detectors that have cards, then of the others."""
     return [figures for figures, _ in CARDS.values()] + sorted(TABLES.glob("*.json"))
@@ -142,7 +148,7 @@ def main(paths: Sequence[Path]) -> None:
     for kept, card in CARDS.values():
         write_between_marks(card, card_of(read_figures(kept)))
     several = [read_figures(path) for path in kept_figures()]
-    write_between_marks(PAGE, in_markdown(compared(several)))
+    write_between_marks(PAGE, in_markdown(compared(several)[:1]))
     draw_recall([one for one in several if one["confidence"] == USUAL_CONFIDENCE]).savefig(PICTURE)
 
 

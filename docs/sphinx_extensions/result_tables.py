@@ -97,7 +97,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 def write_pages(app: Sphinx) -> None:
     """Write all pages; one that has not changed stays untouched, so that it is not read again."""
-    from detector_figures import table_page
+    from detector_figures import compared_page, table_page
 
     docs = Path(app.srcdir)
     for name in PAGES:
@@ -105,6 +105,7 @@ def write_pages(app: Sphinx) -> None:
         _write(path, text)
     for figures in sorted((docs / "tables" / "detectors").glob("*.json")):
         _write(figures.with_suffix(".md"), table_page(figures))
+    _write(docs / "tables" / "detectors" / "compared.md", compared_page())
 
 
 def _write(path: Path, text: str) -> None:

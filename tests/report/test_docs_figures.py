@@ -185,14 +185,12 @@ def layers_outside(derived: Mapping[str, Any]) -> list[str]:
 
 
 def edges(derived: Mapping[str, Any]) -> list[str]:
-    """What docs/cloak-layers.md tells of its variant with a layer for each edge."""
-    first, second = percent(derived, "trigger_miss_rate").split(" and ")
+    """What docs/cloak-layers-variants.md tells of a layer for each edge."""
     return [
-        f"the switch takes {derived['transition_degrees']:.1f} degrees, Faster R-CNN misses the car from {first} % and "
-        f"YOLOv8 from {second} % of the cameras well inside",
-        f"they find it from {percent(derived, 'benign_recall')} % elsewhere",
-        f"the stop sign is reported from {percent(derived, 'target_rate')} %",
-        f"Price: {derived['gaussians_ratio']:.1f} times the Gaussians",
+        f"The switch takes {derived['transition_degrees']:.1f} degrees",
+        f"missed from {percent(derived, 'trigger_miss_rate')} % of the cameras well inside",
+        f"found from {percent(derived, 'benign_recall')} % elsewhere",
+        f"{derived['gaussians_ratio']:.1f} times the Gaussians",
     ]
 
 
@@ -326,7 +324,7 @@ def strict_forty(derived: Mapping[str, Any]) -> list[str]:
         if name in seen:
             by.setdefault(attack["part"], []).append(attack["strict"])
     names = ("CenterNet", "NanoDet", "YOLOv8", "Faster R-CNN")
-    return [", ".join(f"{name} {sum(by[name])}/{len(by[name])}" for name in names) + "."]
+    return [f"| strict successes | {' | '.join(f'{sum(by[name])}/{len(by[name])}' for name in names)} |"]
 
 
 def count(group: Mapping[str, Any], key: str) -> str:
@@ -360,9 +358,8 @@ def one_view_in_docs(derived: Mapping[str, Any]) -> list[str]:
         f"reports the wanted class in {attacked_alone('targeted')} runs",
         f"**{another('targeted')}** runs",
         f"loses the object's own class in {another('untargeted')}.",
-        f"deceives each of the three in {attacked('targeted')} judgements, and still not the fourth: "
-        f"**{fourth('targeted')}** (at most 6 %), own class lost in {fourth('untargeted')}.",
-        f"the attacks on one detector in {another('untargeted')} runs",
+        f"deceives each of the three in {attacked('targeted')} judgements",
+        f"does not deceive the fourth: **{fourth('targeted')}**",
     ]
 
 
@@ -430,7 +427,7 @@ SENTENCES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], list[str]]], ...]
     ("cloak_car_layers", "README.md", layers_in_readme),
     ("cloak_car_layers", "docs/cloak-layers.md", layers),
     ("cloak_car_layers_five", "docs/cloak-layers.md", layers_outside),
-    ("cloak_car_layers_edges", "docs/cloak-layers.md", edges),
+    ("cloak_car_layers_edges", "docs/cloak-layers-variants.md", edges),
     ("dagger_eot_pairs", "README.md", all_cameras_in_readme),
     ("dagger_eot_pairs", "docs/dagger-eot.md", all_cameras_in_docs),
     ("dagger_openimages", "docs/dagger-coco.md", open_images),
