@@ -88,7 +88,8 @@ def table_page(path: Path) -> str:
 def compared_page() -> str:
     """The page of docs/tables/detectors with all detectors beside each other."""
     tables = in_markdown(compared([read_figures(path) for path in kept_figures()]))
-    return f"# Detectors side by side\n\nWhat is counted, and on which pictures: [detectors](../../detectors.md).\n\n{tables}\n"
+    head = "# Detectors side by side\n\nWhat is counted, and on which pictures: [detectors](../../detectors.md)."
+    return f"{head}\n\n{tables}\n"
 
 
 def kept_figures() -> list[Path]:

@@ -25,7 +25,7 @@ else:
 STYLE = ROOT / "docs" / "style.toml"
 
 _HIDDEN = re.compile(r"^(`{3,}|~{3,}).*?^\1`*$|<!--.*?-->", re.MULTILINE | re.DOTALL)
-"""What is no prose: blocks of code and comments. The blocks of ::: hold prose, and their marks are taken off below."""
+"""What is no prose: code and comments. The blocks of ::: hold prose, and their marks are taken off below."""
 _MARKS = re.compile(r"^(#.*|\|.*|:{3,}.*|:\w[\w-]*:.*|\[\^?[^\]]+\]: .*|---+)$", re.MULTILINE)
 _ITEM = re.compile(r"^\s*([-*+]|\d+\.)\s+", re.MULTILINE)
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)(?:\s+\"[^\"]*\")?\)")
