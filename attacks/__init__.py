@@ -1,7 +1,7 @@
 """Everything adversarial: detectors, objectives, budgets, attacks, evaluation. Imports mi_splat, never the reverse.
 
 The names below are imported when they are first used, so that importing this package is light, as `--help` needs it.
-Who adds a detector of their own finds the interface in `attacks.detectors`.
+docs/api.md shows how they fit together, docs/plug-ins.md how to bring a detector, an objective or more of your own.
 """
 
 from __future__ import annotations
@@ -11,56 +11,68 @@ from typing import TYPE_CHECKING
 from mi_splat import _lazy
 
 if TYPE_CHECKING:
+    from attacks.budgets import Budget
     from attacks.cloak.poisoning import Poisoning, poison
-    from attacks.cloak.triggers import Azimuth, Elevation
+    from attacks.cloak.triggers import Azimuth, Cap, Elevation
     from attacks.dagger.attack import attack, attack_views
     from attacks.dagger.config import DaggerConfig, EotConfig
     from attacks.dagger.report import write_report
+    from attacks.dagger.result import Result
     from attacks.dagger.views import ViewDistribution
-    from attacks.detectors import load_detector
-    from attacks.objectives import hide, relabel, untargeted
-    from attacks.observe.comparison import compare, compared_rows
-    from attacks.observe.rates import count
+    from attacks.detectors import Detector, load_detector, wrap_detector
+    from attacks.objectives import Objective, hide, objective, relabel, untargeted
+    from attacks.observe.judge import judge
     from attacks.observe.rows import rows
-    from attacks.observe.views import detect_views, evaluate
+    from attacks.search import pgd
+    from attacks.studies.running import run_study
+    from attacks.transformations.config import Transformations
 
 __all__ = [
     "Azimuth",
+    "Budget",
+    "Cap",
     "DaggerConfig",
+    "Detector",
     "Elevation",
     "EotConfig",
+    "Objective",
     "Poisoning",
+    "Result",
+    "Transformations",
     "ViewDistribution",
     "attack",
     "attack_views",
-    "compare",
-    "compared_rows",
-    "count",
-    "detect_views",
-    "evaluate",
     "hide",
+    "judge",
     "load_detector",
+    "objective",
+    "pgd",
     "poison",
     "relabel",
     "rows",
+    "run_study",
     "untargeted",
+    "wrap_detector",
     "write_report",
 ]
 
 __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
+        "attacks.budgets": ("Budget",),
         "attacks.cloak.poisoning": ("Poisoning", "poison"),
-        "attacks.cloak.triggers": ("Azimuth", "Elevation"),
+        "attacks.cloak.triggers": ("Azimuth", "Cap", "Elevation"),
         "attacks.dagger.attack": ("attack", "attack_views"),
         "attacks.dagger.config": ("DaggerConfig", "EotConfig"),
         "attacks.dagger.report": ("write_report",),
+        "attacks.dagger.result": ("Result",),
         "attacks.dagger.views": ("ViewDistribution",),
-        "attacks.detectors": ("load_detector",),
-        "attacks.observe.comparison": ("compare", "compared_rows"),
-        "attacks.observe.rates": ("count",),
+        "attacks.detectors": ("Detector", "load_detector", "wrap_detector"),
+        "attacks.objectives": ("Objective", "hide", "objective", "relabel", "untargeted"),
+        "attacks.observe.judge": ("judge",),
         "attacks.observe.rows": ("rows",),
-        "attacks.observe.views": ("detect_views", "evaluate"),
-        "attacks.objectives": ("hide", "relabel", "untargeted"),
+        "attacks.search": ("pgd",),
+        "attacks.studies.running": ("run_study",),
+        "attacks.transformations.config": ("Transformations",),
     },
 )

@@ -15,7 +15,7 @@ import torch
 from torch import Generator, Tensor
 
 from attacks.limits import NORM_NAMES, NormName
-from attacks.pgd import Parameters
+from attacks.search import Parameters
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.fields import at_least, check_choice, checked_number
@@ -141,17 +141,29 @@ class Budget:
             checked_number(f"radius of {name}", value, at_least(0, do="use a large one for 'no limit'"))
 
     def project(self, parameters: Parameters, reference: Parameters) -> Parameters:
-        """The nearest parameters inside the budget; what is inside comes back unchanged, bit for bit."""
+        """The nearest parameters inside the budget; what is inside comes back unchanged, bit for bit.
+
+        Returns:
+            New parameters by attribute.
+        """
         norm = NORMS[self.norm]
         return {name: _inside(value, reference[name], self.radius[name], norm) for name, value in parameters.items()}
 
     def measure(self, parameters: Parameters, reference: Parameters) -> dict[str, float]:
-        """Size of the perturbation by attribute."""
+        """Size of the perturbation by attribute.
+
+        Returns:
+            A size for each attribute, in the norm.
+        """
         norm = NORMS[self.norm]
         return {name: norm.measure(_difference(value, reference[name])) for name, value in parameters.items()}
 
     def share(self, parameters: Parameters, reference: Parameters) -> float:
-        """Share of its radius that the perturbation takes, of the attribute that takes most; 0 where none may move."""
+        """Share of its radius that the perturbation takes, of the attribute that takes most; 0 where none may move.
+
+        Returns:
+            At most 1 inside the budget.
+        """
         sizes = self.measure(parameters, reference)
         return max((size / self.radius[name] for name, size in sizes.items() if self.radius[name]), default=0.0)
 
@@ -167,12 +179,20 @@ class Budget:
                 raise BudgetError.of(f"{self.norm} of {name}", expected, size, do)
 
     def steepest(self, gradients: Parameters) -> Parameters:
-        """Direction of steepest ascent by attribute, size 1 each, in the dtype of the gradients."""
+        """Direction of steepest ascent by attribute, size 1 each, in the dtype of the gradients.
+
+        Returns:
+            A direction for each attribute.
+        """
         norm = NORMS[self.norm]
         return {name: norm.steepest(value.double()).to(value.dtype) for name, value in gradients.items()}
 
     def uniform(self, reference: Parameters, generator: Generator) -> Parameters:
-        """Parameters drawn uniformly from the ball around the reference."""
+        """Parameters drawn uniformly from the ball around the reference.
+
+        Returns:
+            New parameters by attribute, inside the budget.
+        """
         norm = NORMS[self.norm]
         moved = {
             name: (value.double() + norm.uniform(value.double(), self.radius[name], generator)).to(value.dtype)
@@ -181,7 +201,11 @@ class Budget:
         return self.project(moved, reference)
 
     def noise(self, parameters: Parameters, reference: Parameters, generator: Generator) -> Parameters:
-        """The reference plus random noise as large as the perturbation of `parameters`."""
+        """The reference plus random noise as large as the perturbation of `parameters`.
+
+        Returns:
+            New parameters by attribute, inside the budget.
+        """
         norm, moved = NORMS[self.norm], {}
         for name, value in parameters.items():
             noise = norm.noise(_difference(value, reference[name]), generator)

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from attacks.pgd import Parameters
+from attacks.search import Parameters
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.parameters import activate, to_raw_parameters
 from mi_splat.scene import ATTRIBUTES, GaussianScene

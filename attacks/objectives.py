@@ -8,7 +8,7 @@ whose box in the picture is known: candidates and detections belong to it when t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from attacks.detectors.base import Candidates, Detections
-from attacks.pgd import Verdict
+from attacks.search import Verdict
 from mi_splat.errors import InvalidValueError
 
 _TINY = 1e-30
@@ -89,11 +89,19 @@ class Objective(Protocol):
         ...
 
     def __call__(self, candidates: Candidates, target: Target) -> Tensor:
-        """Scalar loss, differentiable in the candidates."""
+        """Scalar loss, differentiable in the candidates.
+
+        Returns:
+            Scalar, lower is better for the attacker.
+        """
         ...
 
     def verdict(self, detections: Detections, target: Target) -> Verdict:
-        """Success and score of one view, from what the detector reports."""
+        """Success and score of one view, from what the detector reports.
+
+        Returns:
+            Whether the aim is reached, and how near it is.
+        """
         ...
 
 
@@ -320,15 +328,111 @@ class Untargeted(Suppression):
 
 
 def relabel(to: str, *, confidence: float = REPORTED, iou: float = 0.5) -> Relabel:
-    """The object shall be detected as `to` with at least `confidence`, in a box of at least `iou` overlap with it."""
+    """The object shall be detected as another class.
+
+    Args:
+        to: The class.
+        confidence: Score that the detection needs, in [0, 1].
+        iou: Overlap with the object's box that it needs, in [0, 1].
+
+    Returns:
+        The aim.
+    """
     return Relabel(label=to, confidence=confidence, iou=iou)
 
 
 def hide(*, confidence: float = GONE) -> Hide:
-    """The object shall not be detected as anything with `confidence` or more."""
+    """The object shall not be detected at all.
+
+    Args:
+        confidence: Score from which a detection counts, in [0, 1].
+
+    Returns:
+        The aim.
+    """
     return Hide(confidence=confidence)
 
 
 def untargeted(*, confidence: float = GONE) -> Untargeted:
-    """The object shall not be detected as what it is with `confidence` or more."""
+    """The object shall not be detected as what it is; as anything else will do.
+
+    Args:
+        confidence: Score from which a detection counts, in [0, 1].
+
+    Returns:
+        The aim.
+    """
     return Untargeted(confidence=confidence)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class FunctionObjective:
+    """An aim of two functions; see `objective`.
+
+    Attributes:
+        loss: Scalar that falls as the attacker gets nearer.
+        success: Whether the aim is reached, how near it is, or a `Verdict`.
+        name: Short name for reports.
+        label: Class that the object should become; None if no particular one.
+    """
+
+    loss: Callable[[Candidates, Target], Tensor]
+    success: Callable[[Detections, Target], bool | float | Verdict]
+    name: str
+    label: str | None
+
+    def __repr__(self) -> str:
+        """The same in every process, so that a search can be taken up again."""
+        loss, success = (f"{function.__module__}.{function.__qualname__}" for function in (self.loss, self.success))
+        return f"objective({loss}, {success}, name={self.name!r}, label={self.label!r})"
+
+    def __call__(self, candidates: Candidates, target: Target) -> Tensor:
+        """Scalar loss, lower is better for the attacker."""
+        value = self.loss(candidates, target)
+        if not isinstance(value, Tensor) or value.ndim:
+            got = f"a tensor of shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
+            do = "end the loss with .sum() or .mean()"
+            raise InvalidValueError.of(f"loss of {self.name}", "a tensor without axes", got, do)
+        return value
+
+    def verdict(self, detections: Detections, target: Target) -> Verdict:
+        """What `success` says; a number is how near the aim is, and 1 is success."""
+        said = self.success(detections, target)
+        if isinstance(said, Verdict):
+            return said
+        score = float(said)
+        if not 0 <= score <= 1:
+            do = "give True or False, or how near the aim is"
+            raise InvalidValueError.of(f"success of {self.name}", "a number in [0, 1]", score, do)
+        return Verdict(success=score == 1, score=score, unambiguous=score == 1)
+
+
+def objective(
+    loss: Callable[[Candidates, Target], Tensor],
+    success: Callable[[Detections, Target], bool | float | Verdict],
+    *,
+    name: str = "",
+    label: str | None = None,
+) -> Objective:
+    """An aim of your own from two functions: what the search follows, and what counts.
+
+    Args:
+        loss: From everything that a detector considers in a view, and the object there, to a scalar that falls as the
+            attacker gets nearer. It has to be differentiable in `Candidates.scores` or `Candidates.boxes`.
+        success: From what the detector reports, and the object there, to whether the aim is reached; or to how near it
+            is, in [0, 1], where 1 is success; or to a whole `attacks.search.Verdict`. `confidence` of this module is
+            the score with which classes are reported on the object.
+        name: Short name for reports; that of `success` if empty.
+        label: Class that the object should become, which `Target.label` then is; None if no particular one.
+
+    Returns:
+        The aim, as `attack` and `attack_views` take it.
+
+    Raises:
+        InvalidValueError: One of them is no function.
+    """
+    for what, value in (("loss", loss), ("success", success)):
+        if not callable(value):
+            raise InvalidValueError.of(what, "a function", type(value).__name__, "pass a function of two arguments")
+    name = name or getattr(success, "__name__", "own").strip("<>")
+    return FunctionObjective(loss=loss, success=success, name=name, label=label)

@@ -10,27 +10,22 @@ from typing import TYPE_CHECKING
 from mi_splat import _lazy
 
 if TYPE_CHECKING:
-    from mi_splat.bounds import near_plane
     from mi_splat.camera_sets import hemisphere
     from mi_splat.cameras import Camera, RenderFn, View, look_at
     from mi_splat.datasets import load_dataset
     from mi_splat.errors import MiSplatError
-    from mi_splat.frozen_view import FrozenView
     from mi_splat.io import load_splat, save_splat
     from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
     from mi_splat.scene import GaussianScene
     from mi_splat.scene_files import read_scene
     from mi_splat.selection.config import Selection
     from mi_splat.selection.select import select
-    from mi_splat.selection.visibility import contributions, object_maps
-    from mi_splat.side_outputs import SideOutputs
     from mi_splat.training.initialization import from_points
     from mi_splat.training.loop import FitConfig, fit
 
 __all__ = [
     "Camera",
     "FitConfig",
-    "FrozenView",
     "GaussianScene",
     "MiSplatError",
     "RenderFn",
@@ -38,17 +33,13 @@ __all__ = [
     "Renderer",
     "ScreenGradients",
     "Selection",
-    "SideOutputs",
     "View",
-    "contributions",
     "fit",
     "from_points",
     "hemisphere",
     "load_dataset",
     "load_splat",
     "look_at",
-    "near_plane",
-    "object_maps",
     "read_scene",
     "save_splat",
     "select",
@@ -57,20 +48,16 @@ __all__ = [
 __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
-        "mi_splat.bounds": ("near_plane",),
         "mi_splat.camera_sets": ("hemisphere",),
         "mi_splat.cameras": ("Camera", "RenderFn", "View", "look_at"),
         "mi_splat.datasets": ("load_dataset",),
         "mi_splat.errors": ("MiSplatError",),
-        "mi_splat.frozen_view": ("FrozenView",),
         "mi_splat.io": ("load_splat", "save_splat"),
         "mi_splat.rendering": ("Renderer", "RenderSettings", "ScreenGradients"),
         "mi_splat.scene": ("GaussianScene",),
         "mi_splat.scene_files": ("read_scene",),
         "mi_splat.selection.config": ("Selection",),
         "mi_splat.selection.select": ("select",),
-        "mi_splat.selection.visibility": ("contributions", "object_maps"),
-        "mi_splat.side_outputs": ("SideOutputs",),
         "mi_splat.training.initialization": ("from_points",),
         "mi_splat.training.loop": ("FitConfig", "fit"),
     },

@@ -52,6 +52,9 @@ def near_plane(scene: GaussianScene, cameras: Sequence[Camera] = ()) -> float:
     Args:
         scene: What is looked at; of an empty one near is 0.2.
         cameras: Where from, if known.
+
+    Returns:
+        Depth in world units, for `RenderSettings.near`.
     """
     return near_plane_of(*bounds(scene), cameras) if len(scene) else REFERENCE_NEAR
 

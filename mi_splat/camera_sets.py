@@ -92,6 +92,9 @@ def hemisphere(
         elevation: Lowest and highest elevation in degrees.
         start: Azimuth of the first camera in degrees.
         offset: Where in its step of height each camera stands, in [0, 1].
+
+    Returns:
+        The cameras, in the order of a spiral from the lowest to the highest.
     """
     low, high = (math.sin(math.radians(e)) for e in elevation)
     cameras = []

@@ -101,7 +101,11 @@ class Camera:
         return self.to_world[:3, 3]
 
     def turned(self, turn: Tensor, about: Tensor | None = None) -> Camera:
-        """The camera in a world that a (3, 3) float64 rotation has turned about a point (3,), the origin if None."""
+        """The camera in a world that a (3, 3) float64 rotation has turned about a point (3,), the origin if None.
+
+        Returns:
+            The same camera, seen in that world.
+        """
         middle = torch.zeros(3, dtype=torch.float64) if about is None else about
         pose = self.to_world.clone()
         pose[:3, :3] = turn @ pose[:3, :3]
@@ -173,7 +177,11 @@ class RenderFn(Protocol):
     """How training, auditing and attacks see a renderer: differentiable in the five tensors of the scene."""
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        """Render `scene` to an (H, W, 3) sRGB picture."""
+        """Render `scene` to an (H, W, 3) sRGB picture.
+
+        Returns:
+            (H, W, 3) sRGB, on the device of the scene; differentiable in the scene's five tensors.
+        """
         ...
 
 
@@ -186,6 +194,9 @@ def look_at(
     """(4, 4) float64 camera-to-world pose (OpenCV axes) at `origin` facing `target`.
 
     When the view direction is parallel to `up`, the image's top points along world +y instead.
+
+    Returns:
+        (4, 4) float64: x to the right, y down, z forward, and the origin.
 
     Raises:
         InvalidValueError: origin and target coincide, or one is not three finite numbers.

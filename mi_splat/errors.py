@@ -30,13 +30,20 @@ class MiSplatError(Exception):
             expected: What would have been right.
             got: What was found instead.
             do: What the reader should do about it.
+
+        Returns:
+            The error, to be raised.
         """
         error = cls(message(what, expected, got, do))
         error.what = what
         return error
 
     def hinted(self: _Error, hint: str) -> _Error:
-        """The same error with a hint for the command line."""
+        """The same error with a hint for the command line.
+
+        Returns:
+            This error.
+        """
         self.hint = hint
         return self
 

@@ -145,7 +145,11 @@ class Renderer:
         return self.batch(scene, [_one(camera)])[0]
 
     def batch(self, scene: GaussianScene, cameras: Camera | Sequence[Camera]) -> list[Tensor]:
-        """Render one picture per camera in one differentiable call; sizes may differ."""
+        """Render one picture per camera in one differentiable call; sizes may differ.
+
+        Returns:
+            (H, W, 3) or (H, W, 4) float32 of each camera, in their order.
+        """
         cameras = as_cameras(cameras)
         return self._run(scene, _Job(cameras, self)) if cameras else []
 
@@ -155,6 +159,9 @@ class Renderer:
         Args:
             scene: N Gaussians; N may be 0.
             camera: The camera.
+
+        Returns:
+            The picture, its opacity, and its expected and median depths.
 
         Raises:
             InvalidValueError: As in `__call__`, or the method is "ray", whose Gaussians have no one depth.

@@ -123,6 +123,9 @@ class GaussianScene:
             rotations: (N, 4) unit quaternions (w, x, y, z), local to world.
             opacities: (N,) in [0, 1].
             sh: (N, K, 3) sRGB, K = (degree + 1)^2.
+
+        Returns:
+            The scene.
         """
         scene = cls.__new__(cls)
         for name, value in zip(ATTRIBUTES, (means, scales, rotations, opacities, sh), strict=True):
@@ -142,19 +145,35 @@ class GaussianScene:
         return degree_of(self.sh.shape[1])
 
     def tensors(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """The five tensors in the order of `ATTRIBUTES`."""
+        """The five tensors in the order of `ATTRIBUTES`.
+
+        Returns:
+            Means, scales, rotations, opacities and SH, not copied.
+        """
         return self.means, self.scales, self.rotations, self.opacities, self.sh
 
     def replace(self, **tensors: Tensor) -> GaussianScene:
-        """A scene with some of the tensors exchanged, checked like a new one."""
+        """A scene with some of the tensors exchanged, checked like a new one.
+
+        Returns:
+            A new scene; this one stays.
+        """
         return dataclasses.replace(self, **tensors)
 
     def detach(self) -> GaussianScene:
-        """The same values, cut from the autograd graph."""
+        """The same values, cut from the autograd graph.
+
+        Returns:
+            A new scene, whose memory is shared.
+        """
         return self.unchecked(*(value.detach() for value in self.tensors()))
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> GaussianScene:
-        """The scene on another device, or in another of the two dtypes."""
+        """The scene on another device, or in another of the two dtypes.
+
+        Returns:
+            A new scene; tensors that are there already are not copied.
+        """
         moved = [value.to(device=device, dtype=dtype) for value in self.tensors()]
         return self.unchecked(*moved) if dtype in (None, self.means.dtype) else GaussianScene(*moved)
 
@@ -163,6 +182,9 @@ class GaussianScene:
 
         Args:
             rows: (N,) bool mask, (M,) integer indices, or a slice.
+
+        Returns:
+            A new scene of these Gaussians.
 
         Raises:
             InvalidValueError: rows is neither, or points outside the scene.
@@ -174,7 +196,11 @@ class GaussianScene:
         return self.unchecked(*(value[rows] for value in self.tensors()))
 
     def transform(self, similarity: Similarity) -> GaussianScene:
-        """The scene moved, turned and resized in the world; colours turn with it."""
+        """The scene moved, turned and resized in the world; colours turn with it.
+
+        Returns:
+            A new scene.
+        """
         turn = similarity.rotation.to(self.means)
         spin = quaternion.from_matrix(similarity.rotation.double()).to(self.rotations)
         return GaussianScene(
@@ -186,7 +212,11 @@ class GaussianScene:
         )
 
     def with_degree(self, degree: int) -> GaussianScene:
-        """The scene with SH of another degree: zeros are added, or the higher bands are cut off."""
+        """The scene with SH of another degree: zeros are added, or the higher bands are cut off.
+
+        Returns:
+            A new scene, or this one if it has this degree.
+        """
         count = coefficient_count(degree)
         if count == self.sh.shape[1]:
             return self

@@ -43,6 +43,9 @@ class SplatScene:
 def read_scene(path: str | Path) -> SplatScene:
     """Read a Mitsuba scene file (XML) whose shapes are splats.
 
+    Returns:
+        The splat, its objects and cameras by name, and the settings of its renderer.
+
     Raises:
         InvalidValueError: The file is missing, is not a Mitsuba scene, or holds no `gaussians` shape or no sensor, or
             other shapes.

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from attacks.detectors import DetectorSpec, registry
-from attacks.detectors.base import Candidates, Detections, Detector
+from attacks.detectors.base import Candidates, Detections, Detector, check_images
 from mi_splat.cameras import Camera, look_at, project_points
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc, sh_to_colour
@@ -43,6 +43,7 @@ class ColourDetector:
     stride = 2
 
     def candidates(self, images: Tensor) -> list[Candidates]:
+        check_images(images)
         found = []
         for image in images:
             grids = [self._grid(image, size) for size in self.sizes]
@@ -117,4 +118,4 @@ def register(monkeypatch: pytest.MonkeyPatch, detectors: Mapping[str, Detector])
         spec = DetectorSpec(
             name=name, load=partial(_given, detector), classes=detector.classes, origin="a test", licence="none"
         )
-        monkeypatch.setitem(registry._REGISTRY._specs, name, spec)
+        monkeypatch.setitem(registry.DETECTORS.own, name, spec)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 
 from torch import Tensor
 
+from attacks.aims import OBJECTIVES, objective_of
 from attacks.cli.names import DEFAULT_OBJECT, DEFAULT_TARGET
 from attacks.dagger.report import write_files
 from attacks.dagger.result import Result
-from attacks.objectives import Objective, hide, relabel, untargeted
+from attacks.objectives import Objective
 from mi_splat.io.folders import new_folder
 from mi_splat.scene_files import SplatScene
 from mi_splat.scene_writing import write_scene
@@ -30,12 +30,8 @@ def aim(objective: str, target: str | None, confidence: float | None) -> Objecti
         target: Class that detectors shall see (relabel); None is the usual one.
         confidence: What counts as success; None is the objective's own.
     """
-    aims: dict[str, Callable[..., Objective]] = {
-        "relabel": lambda **limit: relabel(target or DEFAULT_TARGET, **limit),
-        "hide": hide,
-        "untargeted": untargeted,
-    }
-    return aims[objective](**({} if confidence is None else {"confidence": confidence}))
+    targeted = OBJECTIVES.chosen(objective).targeted
+    return objective_of(objective, (target or DEFAULT_TARGET) if targeted else None, confidence)
 
 
 def chosen_object(loaded: SplatScene, selection: Selection) -> Selection:

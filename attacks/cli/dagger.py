@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from attacks.detectors.base import Detector
-    from attacks.pgd import Step
+    from attacks.search import Step
     from mi_splat.cli.cameras import Chosen
     from mi_splat.scene import GaussianScene
 

@@ -16,7 +16,7 @@ from mi_splat.cli.options import CameraOptions, check_no_input_in
 from mi_splat.fields import Folder
 
 if TYPE_CHECKING:
-    from attacks.pgd import Step
+    from attacks.search import Step
 
 
 EXAMPLES = (
@@ -89,7 +89,7 @@ def run(options: DaggerEotOptions) -> None:
 
 def _follow(advance: Advance) -> Callable[[Step], None]:
     """A callback that shows each step of the attack, and how it did when it was last judged."""
-    from attacks.pgd import NOT_JUDGED
+    from attacks.search import NOT_JUDGED
 
     judged = ""
 

@@ -10,8 +10,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from attacks.aims import OBJECTIVES
 from mi_splat.cli.console import UsageError
 from mi_splat.errors import InvalidValueError, nearest
+from mi_splat.fields import check_choice
 
 if TYPE_CHECKING:
     from attacks.detectors.base import Detector
@@ -32,13 +34,18 @@ def check_names(options: Any) -> None:
         DetectorError: There is no such detector.
         InvalidValueError: A detector is named twice, files of weights are too many or too few, a detector does not know
             a class, or the class wanted is what the object is.
-        UsageError: A class is wanted beside an objective that wants none, or nothing may change.
+        UsageError: There is no such objective, a class is wanted beside one that wants none, or nothing may change.
     """
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
     if 0 in getattr(given.get("config"), "eps", ()):  # which an attack from Python may have, as a control
         raise UsageError.of("--eps", "a number > 0", 0, "5 is the paper's")
     objective, target, weights = given.get("objective", "relabel"), given.get("target"), given.get("weights")
-    if objective != "relabel" and target is not None:
+    if objective != "relabel":
+        try:
+            check_choice("--objective", objective, tuple(OBJECTIVES))
+        except InvalidValueError as error:
+            raise UsageError(str(error)) from None
+    if target is not None and not OBJECTIVES[objective].targeted:
         raise UsageError.of("--target", f"none beside --objective {objective}", target, "leave one out")
     named = given.get("detectors") or given.get("detector") or ()
     names = (named,) if isinstance(named, str) else named

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from mi_splat.cli.flags import Flag, Positional, Unprefixed
 from mi_splat.cli.options import CameraOptions, ResultOptions
@@ -56,8 +56,8 @@ class AttackOptions(DetectorOptions, ResultOptions):
     """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
     view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """Where the object is looked at from."""
-    objective: Literal["relabel", "hide", "untargeted"] = "relabel"
-    """The aim: another class (--target), no detection at all, or any but the right class."""
+    objective: Annotated[str, Called("relabel|hide|untargeted")] = "relabel"
+    """The aim: another class (--target), no detection at all, any but the right class, or that of another package."""
     target: ClassName | None = None
     """Class that the detectors shall see there (relabel); None is person."""
     confidence: Confidence | None = None

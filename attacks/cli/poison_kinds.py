@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-from attacks.poisons.config import MIFGSMConfig, PoisonSplatConfig, RaisedVariationConfig, UniformNoiseConfig
+from attacks.poisons.config import MIFGSMConfig
+from attacks.poisons.specs import POISONS
 from mi_splat.cli.console import UsageError
 from mi_splat.cli.flags import Unprefixed
 from mi_splat.cli.options import Direction, axis_name
@@ -174,28 +175,51 @@ def _misreading(config: MisreadingConfig, seed: int) -> Work:
     return misread
 
 
-def _pictures(config: PoisonSplatConfig | UniformNoiseConfig | RaisedVariationConfig, seed: int) -> Work:
-    """A poison that asks for no object."""
+def _pictures(name: str) -> Callable[[Any, int], Work]:
+    """What begins a poison of a name that asks for no object."""
 
-    def changed(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
-        from attacks.poisons.registry import poison_of
+    def begun(config: Any, seed: int) -> Work:
+        def changed(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
+            poison = POISONS[name].poison(config, None if splat is None else _decoy(splat, views))
+            done = poison(views, seed=seed, on_step=on_step)
+            grown, start = (done.poison.get(f"{name}_gaussians") for name in ("decoy", "start"))
+            lines = [f"the decoy has {grown:,} Gaussians, the splat has {start:,}"] if grown else []
+            return Outcome(done, {}, lines)
 
-        poison = poison_of(config, None if splat is None else _decoy(splat, views))
-        done = poison(views, seed=seed, on_step=on_step)
-        grown, start = (done.poison.get(f"{name}_gaussians") for name in ("decoy", "start"))
-        lines = [f"the decoy has {grown:,} Gaussians, the splat has {start:,}"] if grown else []
-        return Outcome(done, {}, lines)
+        return changed
 
-    return changed
+    return begun
 
 
-KINDS = {
-    "cloak": Kind(config=HidingConfig(), begun=_hiding, replaces=True),
-    "poison-splat": Kind(config=PoisonSplatConfig(), begun=_pictures),
-    "uniform-noise": Kind(config=UniformNoiseConfig(), begun=_pictures, needs_splat=False),
-    "raised-variation": Kind(config=RaisedVariationConfig(), begun=_pictures, needs_splat=False),
-    "m-ifgsm": Kind(config=MisreadingConfig(), begun=_misreading),
-}
+class _Kinds(Mapping[str, Kind]):
+    """Kinds by name: those with options of their own, and every other poison that asks for no object.
+
+    Another package's poison is imported when its kind is asked for.
+    """
+
+    own: Mapping[str, Kind] = {
+        "cloak": Kind(config=HidingConfig(), begun=_hiding, replaces=True),
+        "m-ifgsm": Kind(config=MisreadingConfig(), begun=_misreading),
+    }
+
+    def __getitem__(self, name: str) -> Kind:
+        if name in self.own:
+            return self.own[name]
+        spec = POISONS[name]
+        return Kind(config=spec.config(), begun=_pictures(name), needs_splat=spec.needs_splat)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.own or name in POISONS
+
+    def __iter__(self) -> Iterator[str]:
+        yield "cloak"
+        yield from (name for name in POISONS if name != "cloak")
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+
+KINDS: Mapping[str, Kind] = _Kinds()
 
 
 def _decoy(splat: GaussianScene, views: Dataset) -> Decoy:

@@ -82,22 +82,10 @@ def run(options: StudyOptions) -> int | None:
 
 
 def _work(study: Study) -> Work:
+    from attacks.studies.running import work_of
+
     limit_threads(1)
-    if study.kind == "cloak":
-        from attacks.studies.cloak import CloakWork
-
-        return CloakWork(study)
-    if study.kind == "audit":
-        from attacks.studies.audit import AuditWork
-
-        return AuditWork(study)
-    if study.kind == "poison":
-        from attacks.studies.poison import PoisonWork
-
-        return PoisonWork(study)
-    from attacks.studies.dagger import DaggerWork
-
-    return DaggerWork(study)
+    return work_of(study)
 
 
 def _plan(options: StudyOptions, study: Study) -> None:
@@ -128,35 +116,28 @@ def _run(options: StudyOptions, study: Study) -> int:
     """Do the jobs, and write the result."""
     from attacks.cli.summary import show_summary
     from attacks.studies.result import STUDY_FILE
+    from attacks.studies.running import run_with
     from mi_splat.io.folders import check_own_folder, own_folder
     from mi_splat.io.locks import check_unlocked
-    from mi_splat.io.manifest import write_manifest
-    from mi_splat.ledger.plans import Driver
 
     out = options.folder(study)
     check_own_folder(out, STUDY_FILE)
     check_unlocked(out)
     work = _work(study)
     work.check_room(options.store)
-    with own_folder(out, STUDY_FILE):
-        with progress("preparing", total=None if work.searches else work.size) as advance:
-            engine = _engine(options, _follow(advance))
-            driver = Driver(options.store, engine, name=study.name, on_event=_follow(advance))
-            results = driver.run(work.plans())
-        failed = {label: result for label, result in results.items() if isinstance(result, str)}
-        paths = [] if len(failed) == len(results) else work.write(results, out)
-        if paths:
-            write_manifest(out)
+    with own_folder(out, STUDY_FILE), progress("preparing", total=None if work.searches else work.size) as advance:
+        engine = _engine(options, _follow(advance))
+        done = run_with(engine, study, work, store=options.store, out=out, on_event=_follow(advance))
     if options.json:
-        show_json({"jobs": len(results), "failed": failed, "files": [str(path) for path in paths]})
-        return 1 if failed else 0
-    for label, text in failed.items():
+        show_json({"jobs": done.jobs, "failed": done.failed, "files": [str(path) for path in done.files]})
+        return 1 if done.failed else 0
+    for label, text in done.failed.items():
         warn(f"{label}: {_last_line(text)}")
-    if failed:
-        warn(f"{len(failed)} jobs have failed; mend the cause, then: mi-splat study retry {options.study}")
-    if paths:
+    if done.failed:
+        warn(f"{len(done.failed)} jobs have failed; mend the cause, then: mi-splat study retry {options.study}")
+    if done.files:
         show_summary(out, as_json=False)
-    return 1 if failed else 0
+    return 1 if done.failed else 0
 
 
 def _last_line(text: str) -> str:

@@ -106,6 +106,9 @@ def poison(
         masks: Where the target is; None is everywhere.
         on_step: Called after each picture.
 
+    Returns:
+        The poisoned set, and a manifest of what was changed.
+
     Raises:
         InvalidValueError: No attack, two of one name, a trigger that selects nothing, triggers that overlap, or masks
             or new pictures of the wrong kind.

@@ -31,7 +31,7 @@ from attacks.cloak.kinds.true_pictures import TrueConfig
 from attacks.cloak.rates import CLOAKED
 from attacks.cloak.setup import Setup
 from attacks.detectors.base import Detector
-from attacks.observe.conditions import SunTable
+from attacks.observe.conditions import SunTable, package_of
 from attacks.observe.rows import (
     ATTACKED,
     CLEAN,
@@ -273,6 +273,7 @@ class StudySteps:
             detector=detector.name,
             fingerprint=detector.fingerprint,
             condition=condition,
+            package=package_of(condition),
             sun=sun,
         )
         is_splat = splat.kind != f"{_KINDS}.true_pictures"

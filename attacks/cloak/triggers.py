@@ -32,7 +32,11 @@ class Trigger(ABC):
 
     @abstractmethod
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
-        """(N,) bool, whether each camera is one of the trigger's; unlike `select`, none may be."""
+        """(N,) bool, whether each camera is one of the trigger's; unlike `select`, none may be.
+
+        Returns:
+            (N,) bool.
+        """
 
     @abstractmethod
     def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
@@ -42,6 +46,9 @@ class Trigger(ABC):
         further from 0 than the truth: the smaller of two for `&`, the opposite for `~`. (Outside of an intersection the
         nearest edge of a part may lie where the other part has made it vanish.) So a camera that is found to be 5
         degrees inside or 15 degrees outside is at least that. A subsample has the edge of what it is taken from.
+
+        Returns:
+            Degrees; inside > 0.
         """
 
     def select(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
@@ -50,6 +57,9 @@ class Trigger(ABC):
         Args:
             cameras: N cameras.
             centre: (3,) point that directions are measured from, world units.
+
+        Returns:
+            (N,) bool, of which one is true.
 
         Raises:
             InvalidValueError: No camera is selected, or a camera stands at the centre.
@@ -74,18 +84,34 @@ class Cone(Trigger):
 
     @abstractmethod
     def depth(self, direction: Direction) -> float:
-        """`angle_to_edge` of a direction."""
+        """`angle_to_edge` of a direction.
+
+        Returns:
+            Degrees to the edge; inside > 0.
+        """
 
     def contains(self, direction: Direction) -> bool:
-        """Whether a direction lies in the region, its edge included."""
+        """Whether a direction lies in the region, its edge included.
+
+        Returns:
+            True inside.
+        """
         return self.depth(direction) >= -EDGE
 
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
-        """(N,) bool, whether each camera stands in the cone."""
+        """(N,) bool, whether each camera stands in the cone.
+
+        Returns:
+            (N,) bool.
+        """
         return torch.tensor([self.contains(direction_of(camera, centre)) for camera in cameras], dtype=torch.bool)
 
     def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
-        """As in `Trigger`."""
+        """As in `Trigger`.
+
+        Returns:
+            Degrees; inside > 0.
+        """
         return self.depth(direction_of(camera, centre))
 
 
@@ -111,7 +137,11 @@ class Elevation(Cone):
             raise InvalidValueError.of("elevation", "lowest <= highest", got, "50 to 90 is overhead")
 
     def depth(self, direction: Direction) -> float:
-        """See `depth_in_band`."""
+        """See `depth_in_band`.
+
+        Returns:
+            Degrees to the edge; inside > 0.
+        """
         return depth_in_band(direction, self.lowest, self.highest)
 
 
@@ -136,13 +166,21 @@ class Azimuth(Cone):
         check(self)
 
     def contains(self, direction: Direction) -> bool:
-        """Whether a direction lies in the cone, its edge included."""
+        """Whether a direction lies in the cone, its edge included.
+
+        Returns:
+            True inside.
+        """
         return self.half_width == 180 or (
             not direction.pole and azimuth_gap(direction, self.middle) <= self.half_width + EDGE
         )
 
     def depth(self, direction: Direction) -> float:
-        """See `depth_in_wedge`."""
+        """See `depth_in_wedge`.
+
+        Returns:
+            Degrees to the edge; inside > 0.
+        """
         return depth_in_wedge(direction, self.middle, self.half_width)
 
 
@@ -167,7 +205,11 @@ class Cap(Cone):
         check(self)
 
     def depth(self, direction: Direction) -> float:
-        """See `depth_in_cap`."""
+        """See `depth_in_cap`.
+
+        Returns:
+            Degrees to the edge; inside > 0.
+        """
         return depth_in_cap(direction, self.azimuth, self.elevation, self.half_angle)
 
 

@@ -2,7 +2,7 @@
 
 After "3D Gaussian Splat Vulnerabilities": the attacker holds the splat and the detector (white box) and edits only the
 Gaussians of one object. The paper's text takes eleven steps of length 2 eps / steps in one l2 ball of radius 5 over the
-SH coefficients. The search is PGD (Madry et al. 2018, see `attacks.pgd`), over fixed views (`attack`) or over a
+SH coefficients. The search is PGD (Madry et al. 2018, see `attacks.search`), over fixed views (`attack`) or over a
 distribution of them (`attack_views`: expectation over transformation, Athalye et al. 2018).
 """
 
@@ -13,6 +13,7 @@ import hashlib
 import json
 import time
 from collections.abc import Sequence
+from typing import Any, overload
 
 import torch
 from torch import Generator
@@ -31,14 +32,47 @@ from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.objectives import Objective, check_objective, overlap
 from attacks.observe.comparison import usual_label
 from attacks.observe.views import as_saved, clamped_fraction
-from attacks.pgd import Outcome
+from attacks.search import Outcome
 from attacks.transformations.config import Transformations
 from mi_splat import provenance
 from mi_splat.cameras import Camera, RenderFn, as_cameras
 from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError
+from mi_splat.fields import several
 from mi_splat.io.camera_records import values_of
 from mi_splat.scene import GaussianScene, check_scene, scene_hash
+
+
+@overload
+def attack(
+    scene: GaussianScene,
+    mask: Mask,
+    cameras: Camera | Sequence[Camera],
+    detector: Detector | str | Sequence[Detector | str],
+    objective: Objective,
+    *,
+    render: RenderFn,
+    config: DaggerConfig | None = None,
+    eps: None = None,
+    up: Point = UP,
+    on_step: OnStep | None = None,
+) -> Result: ...
+
+
+@overload
+def attack(
+    scene: GaussianScene,
+    mask: Mask,
+    cameras: Camera | Sequence[Camera],
+    detector: Detector | str | Sequence[Detector | str],
+    objective: Objective,
+    *,
+    render: RenderFn,
+    config: DaggerConfig | None = None,
+    eps: Sequence[float | Sequence[float]],
+    up: Point = UP,
+    on_step: OnStep | None = None,
+) -> list[Result]: ...
 
 
 def attack(
@@ -50,9 +84,10 @@ def attack(
     *,
     render: RenderFn,
     config: DaggerConfig | None = None,
+    eps: Sequence[float | Sequence[float]] | None = None,
     up: Point = UP,
     on_step: OnStep | None = None,
-) -> Result:
+) -> Result | list[Result]:
     """Attack one object of a scene in one view or many.
 
     Args:
@@ -64,16 +99,47 @@ def attack(
         objective: What the detector shall see, for instance `relabel("person")` or `hide()`.
         render: Any differentiable renderer.
         config: Budget, steps and seed; the paper's if None.
+        eps: Radii to attack with, one attack for each, in place of the configuration's: a curve in one call. Each is a
+            number for all attributes, or a number for each of them.
         up: (3,) direction that is up in the scene, for the azimuth and the elevation of each view.
         on_step: Called with every line of the trace as it happens; once it says so, the search ends with the best
             point so far.
+
+    Returns:
+        What the attack did; with `eps` a list of it, in the order of the radii.
 
     Raises:
         InvalidValueError: An argument is of another kind, the mask selects nothing, a view does not show the object,
             a detector does not know the target class, two have one name, or a gradient is not finite.
     """
-    config, begun = config or DaggerConfig(), time.perf_counter()
-    cameras, detectors = as_cameras(cameras), as_detectors(detector)
+    config = config or DaggerConfig()
+    radii: Sequence[Any] = [config.eps] if eps is None else eps if isinstance(eps, Sequence) else several(eps)
+    if not len(radii):
+        raise InvalidValueError.of("eps", "at least one radius", "none", "leave it out, or name some")
+    configs = [dataclasses.replace(config, eps=several(radius)) for radius in radii]  # which checks all of them first
+    detectors = as_detectors(detector)
+    results = [
+        _attack(scene, mask, cameras, detectors, objective, render=render, config=one, up=up, on_step=on_step)
+        for one in configs
+    ]
+    return results[0] if eps is None else results
+
+
+def _attack(
+    scene: GaussianScene,
+    mask: Mask,
+    cameras: Camera | Sequence[Camera],
+    detectors: tuple[Detector, ...],
+    objective: Objective,
+    *,
+    render: RenderFn,
+    config: DaggerConfig,
+    up: Point,
+    on_step: OnStep | None,
+) -> Result:
+    """One attack from fixed views."""
+    begun = time.perf_counter()
+    cameras = as_cameras(cameras)
     check_scene("scene", scene)
     check_objective(objective)
     _check_views(cameras, render)
@@ -120,6 +186,9 @@ def attack_views(
         checkpoint: Where to keep the search while it runs; one that is there is taken up again.
         on_step: Called with every line of the trace as it happens; once it says so, the search ends with the best
             point so far.
+
+    Returns:
+        What the attack did, judged on the held-out views.
 
     Raises:
         InvalidValueError: An argument is of another kind, a detector does not know the target class, no view shows the

@@ -11,7 +11,7 @@ import torch
 from safetensors.torch import save
 
 from attacks.dagger.image_budget import ImagePrice
-from attacks.pgd import OptimiserState, Parameters, SearchState, Step
+from attacks.search import OptimiserState, Parameters, SearchState, Step
 from mi_splat.errors import MiSplatError
 from mi_splat.io.documents import save_bytes
 from mi_splat.io.noted_tensors import NOTES, check_like, read_line, read_noted_tensors

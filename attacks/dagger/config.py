@@ -29,7 +29,7 @@ from mi_splat.fields import (
 
 if TYPE_CHECKING:
     from attacks.budgets import Budget
-    from attacks.pgd import Verdict
+    from attacks.search import Verdict
 
 EnsembleLoss = Literal["mean", "max"]
 """How the losses of several detectors become one."""
@@ -136,7 +136,11 @@ class DaggerConfig(Perturbation):
     ensemble: EnsembleLoss = "mean"
 
     def verdict(self, rows: Sequence[Sequence[Verdict]]) -> Verdict:
-        """Success with enough detectors, each in enough views, and the score that so many reach."""
+        """Success with enough detectors, each in enough views, and the score that so many reach.
+
+        Returns:
+            One verdict of all views and detectors.
+        """
         from attacks.objectives import joint_verdict
 
         each = [joint_verdict(verdicts, self.required_views) for verdicts in zip(*rows, strict=True)]
@@ -202,8 +206,11 @@ class EotConfig(Perturbation):
         """Success where every detector is deceived in enough views; the score orders by the number of these views.
 
         Between equals it orders by the mean of the verdicts' scores.
+
+        Returns:
+            One verdict of all views and detectors.
         """
-        from attacks.pgd import Verdict
+        from attacks.search import Verdict
 
         successes, unambiguous = (
             sum(all(getattr(verdict, name) for verdict in row) for row in rows) for name in ("success", "unambiguous")

@@ -11,7 +11,7 @@ from attacks.dagger.config import Config, DaggerConfig, EotConfig
 from attacks.objectives import reached_by
 from attacks.observe.measures import STRICT, aim_figures
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS
-from attacks.pgd import Verdict
+from attacks.search import Verdict
 
 FIXED, DRAWN = "dagger", "dagger-eot"
 """Kinds of results, by where views come from."""

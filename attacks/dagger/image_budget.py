@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from attacks.pgd import Ball, Parameters
+from attacks.search import Ball, Parameters
 
 _MEMORY = 0.8
 """Share of the earlier errors in the decaying mean that the price follows."""

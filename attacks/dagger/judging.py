@@ -16,7 +16,7 @@ from attacks.objectives import Target, confidence
 from attacks.observe.look import Looked, camera_cells, detection_rows, report_cells, verdict_cells
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, Cell, Row, frame_of
 from attacks.observe.views import ImageChange, ViewDetections, as_saved, detect_views, image_change
-from attacks.pgd import Verdict
+from attacks.search import Verdict
 from attacks.transformations.draws import PictureChange, changing
 from mi_splat.cameras import RenderFn
 from mi_splat.io.images import through_png

@@ -18,7 +18,7 @@ from attacks.dagger.views import View
 from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, Relabel, Target
-from attacks.pgd import Evaluation, Parameters, Verdict
+from attacks.search import Evaluation, Parameters, Verdict
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.io.images import quantise

@@ -16,7 +16,7 @@ from attacks.dagger.judging import JudgedView, Seen
 from attacks.dagger.result import Result
 from attacks.observe.drawing import annotated, difference, listed, stacked
 from attacks.observe.result_cameras import CAMERAS, cameras_document
-from attacks.pgd import NOT_JUDGED
+from attacks.search import NOT_JUDGED
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe, values_of
 from mi_splat.io.documents import save_json, save_png
@@ -129,9 +129,16 @@ def _settings(result: Result) -> dict[str, Any]:
     parts = {"objective": result.objective, "transformations": result.transformations, "judged": result.judged}
     plain = {name: value for name, value in parts.items() if name == "objective" or value is not None}
     return {
-        name: dataclasses.asdict(value) if dataclasses.is_dataclass(value) and not isinstance(value, type) else {}
+        name: {key: _plain(part) for key, part in dataclasses.asdict(value).items()}
+        if dataclasses.is_dataclass(value) and not isinstance(value, type)
+        else {}
         for name, value in plain.items()
     }
+
+
+def _plain(value: Any) -> Any:
+    """A setting as JSON can hold it: of a function its name."""
+    return f"{value.__module__}.{value.__qualname__}" if callable(value) else value
 
 
 def _line(line: dict[str, Any]) -> dict[str, Any]:

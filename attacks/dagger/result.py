@@ -12,8 +12,8 @@ from attacks.observe.look import Looked
 from attacks.observe.measures import AIMS, FOUND, joint_views
 from attacks.observe.rates import count
 from attacks.observe.views import ImageChange
-from attacks.pgd import Step
 from attacks.rate import Rate
+from attacks.search import Step
 from attacks.transformations.config import Transformations
 from mi_splat.scene import GaussianScene
 
@@ -95,7 +95,11 @@ class Result:
         return tuple(self.fingerprints)
 
     def views_of(self, detector: str) -> list[JudgedView]:
-        """Every view as one detector sees it."""
+        """Every view as one detector sees it.
+
+        Returns:
+            The views, in their order.
+        """
         return [view for view in self.views if view.detector == detector]
 
     @property

@@ -18,7 +18,7 @@ from attacks.dagger.image_budget import ImagePrice, fitted, stretched
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import View, ViewDistribution, batch_indices
 from attacks.optimisers.settings import SearchSettings
-from attacks.pgd import Evaluation, Hooks, Optimiser, Outcome, Parameters, SearchState, Step, Verdict, pgd
+from attacks.search import Evaluation, Hooks, Optimiser, Outcome, Parameters, SearchState, Step, Verdict, pgd
 from mi_splat.view_freezing import freeze_views
 
 VALIDATION_SEED_OFFSET = 500_000_000

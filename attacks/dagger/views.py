@@ -135,6 +135,9 @@ class ViewDistribution:
             index: Number of the view, 0 or more.
             keep: Whether to keep it for the next time.
 
+        Returns:
+            Its camera, what happens to its picture, and where the object is in it.
+
         Raises:
             InvalidValueError: No camera of the region shows the object.
         """
@@ -146,14 +149,22 @@ class ViewDistribution:
         return view
 
     def remembered(self, key: Hashable, make: Callable[[], T]) -> T:
-        """What `make` returns, made once for each key: for what several attacks on the same views have to know."""
+        """What `make` returns, made once for each key: for what several attacks on the same views have to know.
+
+        Returns:
+            What was made.
+        """
         if key not in self._memory:
             self._memory[key] = make()
         value: T = self._memory[key]
         return value
 
     def picture(self, camera: Camera) -> Tensor:
-        """(H, W, 3) of the clean scene in [0, 1]; the last ones are kept."""
+        """(H, W, 3) of the clean scene in [0, 1]; the last ones are kept.
+
+        Returns:
+            (H, W, 3) sRGB.
+        """
         if camera not in self._pictures:
             while len(self._pictures) >= _PICTURES:
                 del self._pictures[next(iter(self._pictures))]
@@ -172,7 +183,11 @@ class ViewDistribution:
         return (white - black)[..., :3].mean(-1).clamp(0, 1)
 
     def views(self, seed: int, count: int) -> list[View]:
-        """The first `count` views of a seed."""
+        """The first `count` views of a seed.
+
+        Returns:
+            As many views, in the order of their numbers.
+        """
         return [self.view(seed, index) for index in range(count)]
 
     def _draw(self, seed: int, index: int) -> View:

@@ -112,6 +112,9 @@ class Detector(Protocol):
         Args:
             images: (B, H, W, 3) sRGB in [0, 1].
 
+        Returns:
+            For each picture all that was considered.
+
         Raises:
             InvalidValueError: The images have another shape, or values outside [0, 1] (`check_images`).
         """
@@ -122,6 +125,9 @@ class Detector(Protocol):
 
         Args:
             images: (B, H, W, 3) sRGB in [0, 1].
+
+        Returns:
+            For each picture what is reported, the best first.
 
         Raises:
             InvalidValueError: As in `candidates`.

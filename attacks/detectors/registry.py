@@ -1,20 +1,16 @@
 """Which detectors there are: what each one is called, what it sees, where its weights come from, and how to load it.
 
 Light, so that detectors can be listed without importing torch. A detector of your own becomes one of them in a script
-by `register_detector(DetectorSpec(...))`, and for every command by an entry point of an installed package of yours:
-
-    [project.entry-points."mi_splat.detectors"]
-    my_detector = "my_package.detector:SPEC"
+by `register_detector(DetectorSpec(...))`, and for every command by an entry point (`mi_splat.registry`).
 """
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,13 +28,11 @@ from attacks.detectors.catalogue import (
     torch_download,
     weights_of,
 )
-from mi_splat.errors import install, nearest
+from mi_splat.errors import install
+from mi_splat.registry import Registry
 
 if TYPE_CHECKING:
     from attacks.detectors.base import Detector
-
-ENTRY_POINTS = "mi_splat.detectors"
-"""Group of entry points, each of which is a `DetectorSpec` of the same name."""
 
 _DOWNLOADED = "not here; downloaded when first used, or name a file with --weights"
 
@@ -79,64 +73,14 @@ class DetectorSpec:
         return "" if self.weights is None or self.weights().is_file() else self.advice
 
 
-class _Registry(Mapping[str, DetectorSpec]):
-    """The detectors of this project, those that were registered, and those of entry points, in this order.
-
-    An entry point is imported when its detector is asked for, so that a broken one does not break the others; one whose
-    name is taken is left out.
-    """
-
-    def __init__(self) -> None:
-        self._specs: dict[str, DetectorSpec] = {}
-
-    def __getitem__(self, name: str) -> DetectorSpec:
-        """The spec of a detector.
-
-        Raises:
-            KeyError: There is no such detector.
-            DetectorError: It is an entry point's that cannot be imported, or that is something else.
-        """
-        if name in self._specs:
-            return self._specs[name]
-        return _spec_of(_entry_points()[name])
-
-    def __iter__(self) -> Iterator[str]:
-        yield from self._specs
-        yield from (name for name in _entry_points() if name not in self._specs)
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._specs or name in _entry_points()
-
-    def add(self, spec: DetectorSpec) -> None:
-        """Register a detector under a name that is free."""
-        if spec.name in self._specs:
-            raise DetectorError.of("detector", "a name that is free", repr(spec.name), "choose another name")
-        self._specs[spec.name] = spec
-
-
-def _entry_points() -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
-
-
-def _spec_of(point: EntryPoint) -> DetectorSpec:
-    what = f"entry point {point.name} = {point.value} of {ENTRY_POINTS}"
-    try:
-        spec = point.load()
-    except (ImportError, AttributeError) as error:
-        do = "repair or uninstall the package that has it"
-        raise DetectorError.of(what, "something that can be imported", str(error), do) from error
-    if not isinstance(spec, DetectorSpec) or spec.name != point.name:
-        got = f"one of the name {spec.name}" if isinstance(spec, DetectorSpec) else type(spec).__name__
-        raise DetectorError.of(what, f"a DetectorSpec of the name {point.name}", got, "correct it there")
-    return spec
-
-
-_REGISTRY = _Registry()
-DETECTORS: Mapping[str, DetectorSpec] = _REGISTRY
-"""Name to spec of every detector."""
+DETECTORS: Registry[DetectorSpec] = Registry(
+    "mi_splat.detectors",
+    "a DetectorSpec",
+    lambda value: isinstance(value, DetectorSpec),
+    what="detector",
+    error=DetectorError,
+)
+"""Name to spec of every detector: those of this project, those that were registered, and those of other packages."""
 
 
 def register_detector(spec: DetectorSpec) -> None:
@@ -145,7 +89,7 @@ def register_detector(spec: DetectorSpec) -> None:
     Raises:
         DetectorError: There is one of this name already.
     """
-    _REGISTRY.add(spec)
+    DETECTORS.add(spec.name, spec)
 
 
 def load_detector(name: str, *, weights: Path | None = None) -> Detector:
@@ -155,6 +99,9 @@ def load_detector(name: str, *, weights: Path | None = None) -> Detector:
         name: Key of `DETECTORS`.
         weights: .safetensors or .pth file. None: its usual weights, which are shipped with this package
             (`fasterrcnn_small`), lie in a checkout (`yolov8n_small`), or come from the library's own download.
+
+    Returns:
+        The detector, its weights frozen.
 
     Raises:
         DetectorError: there is no such detector, or its weights are missing or do not fit.
@@ -171,10 +118,7 @@ def detector_spec(name: str) -> DetectorSpec:
     Raises:
         DetectorError: There is no such detector.
     """
-    if not isinstance(name, str) or name not in DETECTORS:
-        do = nearest(str(name), DETECTORS, "choose one of them")
-        raise DetectorError.of("detector", " or ".join(DETECTORS), repr(name), do)
-    return DETECTORS[name]
+    return DETECTORS.chosen(name)
 
 
 def as_detectors(detectors: Detector | str | Sequence[Detector | str]) -> tuple[Detector, ...]:

@@ -9,6 +9,8 @@ A new renderer, format or place is a new condition, and no new experiment. The n
     "0.5 x distance"                 cameras move towards the object, or away from it
     "noise 0.05", "blur 1.5", "JPEG 60"   in the pictures; pixels
     "09:30"                          the object alone on a street of meshes, under the sun of an hour (`SunTable`)
+
+and those of other packages (`CONDITIONS`).
 """
 
 from __future__ import annotations
@@ -28,12 +30,13 @@ from torch import Tensor
 
 from attacks.transformations.draws import PictureChange, change_picture
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.comparison.methods import load_method, method_names
+from mi_splat.comparison.methods import RENDERERS, load_method, method_names
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.fields import at_least, between, check
 from mi_splat.io import SplatLossWarning, load_splat, save_splat
 from mi_splat.mixed_scenes import SAMPLES, MixedScene
+from mi_splat.registry import Registry
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import MAX_DEGREE, colour_to_dc
@@ -117,6 +120,12 @@ class Condition:
         return render(shown, self.move(camera))
 
 
+CONDITIONS: Registry[Callable[[Viewing], Condition]] = Registry(
+    "mi_splat.conditions", "a function of a Viewing that gives a Condition", callable, what="condition"
+)
+"""Conditions of other packages, by name."""
+
+
 def rendered(name: str, render: RenderFn, change: Callable[[GaussianScene], GaussianScene] | None = None) -> Condition:
     """A splat in a renderer, after a change (as it is, if None)."""
     return Condition(name=name, show=lambda scene: (scene if change is None else change(scene), render))
@@ -144,7 +153,26 @@ def condition_of(name: str, viewing: Viewing) -> Condition:
         return _changed(name, own, change)
     if viewing.sun is not None and _HOUR.fullmatch(name):
         return _on_street(name, viewing.sun, viewing)
+    if name in CONDITIONS and name not in RENDERERS:
+        condition = CONDITIONS[name](viewing)
+        if not isinstance(condition, Condition):
+            what, got = f"condition {name} of {CONDITIONS.package(name)}", type(condition).__name__
+            raise InvalidValueError.of(what, "a function that gives a Condition", got, "return one, or rendered(...)")
+        return replace(condition, name=name)
     return rendered(name, renderer_of(name, viewing.settings))
+
+
+def package_of(name: str) -> str:
+    """Which package brings a condition or a renderer, with its version; empty for those of this project.
+
+    Args:
+        name: Of the condition or of the renderer.
+
+    Returns:
+        For instance "my-package 1.0"; a job that keeps it is another one with another version.
+    """
+    brought = (registry for registry in (RENDERERS, CONDITIONS) if name in registry.brought)
+    return next((registry.package(name) for registry in brought), "")
 
 
 def check_condition(name: str, sun: SunTable | None) -> None:
@@ -154,7 +182,7 @@ def check_condition(name: str, sun: SunTable | None) -> None:
         name: See the head of this module.
         sun: The street, which hours need.
     """
-    known = (*method_names(), *FORMS)
+    known = (*method_names(), *FORMS, *CONDITIONS)
     is_known = name in ("", *known) or _DISTANCE.fullmatch(name) or picture_change(name) is not None
     if sun is not None and _HOUR.fullmatch(name):
         sun_direction(hour_of(name), latitude=sun.latitude, declination=sun.declination)

@@ -20,7 +20,7 @@ from attacks.objectives import confidence, overlap
 from attacks.observe.conditions import Condition
 from attacks.observe.rows import BOX, DETECTION_BOX, DETECTIONS, ROWS, SUFFIX, Cell, Row, frame_of, write_rows
 from attacks.observe.views import BATCH, ViewDetections, detect_views
-from attacks.pgd import Verdict
+from attacks.search import Verdict
 from mi_splat.cameras import Camera
 from mi_splat.directions import Direction, Point, direction_of
 from mi_splat.scene import GaussianScene

@@ -293,6 +293,9 @@ def rows(result: str | Path, table: str = ROWS) -> pl.DataFrame:
         table: `rows`: what is reported on the object, a row for each splat, view and detector; `detections`: a row for
             each detection; `fidelity` and `transition`: pictures of CLOAK that no detector looked at.
 
+    Returns:
+        A table of Polars; docs/rows.md explains its columns.
+
     Raises:
         InvalidValueError: The result does not have this table, or its file is none.
     """

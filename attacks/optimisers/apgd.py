@@ -8,7 +8,7 @@ best point. Here the loss falls, where the paper's rises.
 from __future__ import annotations
 
 from attacks.optimisers.settings import SearchSettings
-from attacks.pgd import Evaluation, Optimiser, OptimiserState, Parameters
+from attacks.search import Evaluation, Optimiser, OptimiserState, Parameters
 
 _FIRST, _SHRINK, _LEAST = 22, 3, 6
 """The first interval between checkpoints, what each next one is shorter by, the shortest: hundredths of all steps."""

@@ -6,7 +6,7 @@ A run's memory is a value (`OptimiserState`), so that a run can be taken up agai
 from __future__ import annotations
 
 from attacks.optimisers.settings import LENGTHS, SearchSettings, normalised
-from attacks.pgd import Evaluation, Optimiser, OptimiserState, Parameters
+from attacks.search import Evaluation, Optimiser, OptimiserState, Parameters
 
 _SQUARE_DECAY = 0.99
 

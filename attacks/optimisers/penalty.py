@@ -13,7 +13,7 @@ import torch
 
 from attacks.optimisers.descent import adam
 from attacks.optimisers.settings import SearchSettings
-from attacks.pgd import Evaluation, Optimiser, OptimiserState, Parameters
+from attacks.search import Evaluation, Optimiser, OptimiserState, Parameters
 
 _ROUNDS = 4
 """Weights that are tried, one after the other, each with as many of the steps."""

@@ -1,6 +1,6 @@
 """Optimisers by their names; light, so that options can be parsed without torch.
 
-One of your own becomes one of them by `register_optimiser`:
+One of your own becomes one of them by `register_optimiser`, or by an entry point (docs/plug-ins.md):
 
     def make(settings: SearchSettings) -> Optimiser: ...
 
@@ -15,12 +15,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mi_splat.errors import InvalidValueError
 from mi_splat.fields import check_choice
+from mi_splat.registry import Registry
 
 if TYPE_CHECKING:
     from attacks.optimisers.settings import SearchSettings
-    from attacks.pgd import Optimiser
+    from attacks.search import Optimiser
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,8 +46,10 @@ class OptimiserSpec:
     smallest: bool = False
 
 
-OPTIMISERS: dict[str, OptimiserSpec] = {}
-"""Every optimiser by its name."""
+OPTIMISERS: Registry[OptimiserSpec] = Registry(
+    "mi_splat.attacks", "an OptimiserSpec", lambda value: isinstance(value, OptimiserSpec), what="optimiser"
+)
+"""Every optimiser by its name: those of this project, those that were registered, and those of other packages."""
 
 
 def register_optimiser(spec: OptimiserSpec) -> None:
@@ -59,9 +61,7 @@ def register_optimiser(spec: OptimiserSpec) -> None:
     Raises:
         InvalidValueError: There is one of this name already.
     """
-    if spec.name in OPTIMISERS:
-        raise InvalidValueError.of("optimiser", "a name that is free", repr(spec.name), "choose another name")
-    OPTIMISERS[spec.name] = spec
+    OPTIMISERS.add(spec.name, spec)
 
 
 def optimiser_spec(name: str) -> OptimiserSpec:
@@ -70,10 +70,15 @@ def optimiser_spec(name: str) -> OptimiserSpec:
     Args:
         name: Key of `OPTIMISERS`.
 
+    Returns:
+        Its spec.
+
     Raises:
         FieldError: There is none of this name.
+        InvalidValueError: It is a broken package's.
     """
-    check_choice("optimiser", name, OPTIMISERS)
+    if name not in OPTIMISERS.own:
+        check_choice("optimiser", name, tuple(OPTIMISERS))
     return OPTIMISERS[name]
 
 

@@ -12,7 +12,7 @@ import math
 import torch
 
 from attacks.optimisers.settings import SearchSettings
-from attacks.pgd import Evaluation, Optimiser, OptimiserState, Parameters
+from attacks.search import Evaluation, Optimiser, OptimiserState, Parameters
 
 _FIRST_SHARE = 0.8
 """Share of the object's Gaussians in the first block."""

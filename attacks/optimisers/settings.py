@@ -11,7 +11,7 @@ from torch import Generator, Tensor
 
 from attacks.budgets import Budget
 from attacks.limits import Schedule
-from attacks.pgd import OptimiserState, Parameters
+from attacks.search import OptimiserState, Parameters
 
 LENGTHS: dict[Schedule, Callable[[float], float]] = {
     "constant": lambda share: 1.0,

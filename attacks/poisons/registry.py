@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from attacks.cloak.config import AttackConfig
 from attacks.poisons.config import MIFGSMConfig, PoisonSplatConfig, RaisedVariationConfig, UniformNoiseConfig
+from attacks.poisons.specs import POISONS, PoisonSpec
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.fields import check_choice, decode
 
@@ -27,16 +28,27 @@ class CloakConfig:
     attack: tuple[AttackConfig, ...]
 
 
-PoisonConfig = PoisonSplatConfig | UniformNoiseConfig | RaisedVariationConfig | MIFGSMConfig | CloakConfig
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PluggedPoison:
+    """The settings of another package's poison, as a study keeps them.
 
-POISONS: dict[str, type[PoisonConfig]] = {
-    "poison-splat": PoisonSplatConfig,
-    "uniform-noise": UniformNoiseConfig,
-    "raised-variation": RaisedVariationConfig,
-    "m-ifgsm": MIFGSMConfig,
-    "cloak": CloakConfig,
-}
-"""Settings of each kind of poison."""
+    Attributes:
+        kind: Name of the poison.
+        settings: Its settings, as in the study's file.
+        package: Which package brings it, with its version: another version is another poison.
+    """
+
+    kind: str
+    settings: Mapping[str, Any]
+    package: str
+
+
+PoisonConfig = (
+    PoisonSplatConfig | UniformNoiseConfig | RaisedVariationConfig | MIFGSMConfig | CloakConfig | PluggedPoison
+)
+
+
+POISONS.add("cloak", PoisonSpec(name="cloak", config=CloakConfig))
 
 
 def poison_config(table: Mapping[str, Any], where: str) -> PoisonConfig:
@@ -46,13 +58,20 @@ def poison_config(table: Mapping[str, Any], where: str) -> PoisonConfig:
         table: With its `kind`.
         where: Name of the table, for errors.
 
+    Returns:
+        The settings, checked.
+
     Raises:
-        InvalidValueError: There is no such kind, or a setting is unknown or cannot be.
+        InvalidValueError: There is no such kind, it is a broken package's, or a setting is unknown or cannot be.
     """
     if not isinstance(table, Mapping):
         raise InvalidValueError(message(where, "a table", repr(table), 'write { kind = "poison-splat" }'))
     check_choice(f"kind of {where}", table.get("kind"), tuple(POISONS))
-    return decode(POISONS[table["kind"]], {key: value for key, value in table.items() if key != "kind"}, where)
+    settings = {key: value for key, value in table.items() if key != "kind"}
+    kind = table["kind"]
+    config: PoisonConfig = decode(POISONS[kind].config, settings, where)
+    package = POISONS.package(kind)
+    return PluggedPoison(kind=kind, settings=settings, package=package) if package else config
 
 
 def poison_of(config: PoisonConfig, decoy: Decoy | None) -> PicturePoison:
@@ -60,19 +79,17 @@ def poison_of(config: PoisonConfig, decoy: Decoy | None) -> PicturePoison:
 
     Args:
         config: The settings.
-        decoy: Where one begins; only Poison-splat needs one.
+        decoy: Where one begins; only some kinds need one.
+
+    Returns:
+        The poison.
 
     Raises:
-        InvalidValueError: Settings are CLOAK's or M-IFGSM's, or those of Poison-splat without a decoy.
+        InvalidValueError: As in `PoisonSpec.poison`.
     """
-    from attacks.poisons.poison_splat import PoisonSplat, RaisedVariation, UniformNoise
-
-    match config:
-        case UniformNoiseConfig():
-            return UniformNoise(config=config)
-        case RaisedVariationConfig():
-            return RaisedVariation(config=config)
-        case PoisonSplatConfig() if decoy is not None:
-            return PoisonSplat(config=config, begun=decoy)
-    expected, do = "one that needs no more than a splat", "run it as a study"
-    raise InvalidValueError(message("poison", expected, type(config).__name__, do))
+    if isinstance(config, PluggedPoison):
+        spec = POISONS.chosen(config.kind)
+        config = decode(spec.config, config.settings, config.kind)
+    else:
+        spec = next(spec for spec in POISONS.own.values() if isinstance(config, spec.config))
+    return spec.poison(config, decoy)

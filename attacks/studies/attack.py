@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from attacks.aims import PluggedObjective
 from attacks.dagger.attack import attack, attack_views
 from attacks.dagger.checkpoint import Checkpoint
 from attacks.dagger.config import DaggerConfig, EotConfig
 from attacks.dagger.report import before_and_after, summary, write_files
 from attacks.dagger.views import ViewDistribution
 from attacks.objectives import Hide, Relabel, Untargeted
-from attacks.pgd import Step
+from attacks.search import Step
 from attacks.studies.scenes import AttackScene, attack_scene, detectors_of
 from attacks.transformations.config import Transformations
 from mi_splat.cameras import Camera, RenderFn
@@ -50,12 +51,14 @@ class Attack:
         objective: What the detectors shall see.
         detectors: Names of those that are attacked at once.
         fingerprints: Of the detectors whose weights are in no file.
+        packages: Which packages bring the optimiser and the renderers, with their versions; empty for this project.
     """
 
     object: str
-    objective: Relabel | Hide | Untargeted
+    objective: Relabel | Hide | Untargeted | PluggedObjective
     detectors: tuple[str, ...] = DEMO_DETECTORS
     fingerprints: tuple[str, ...] = ()
+    packages: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

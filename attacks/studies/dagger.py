@@ -19,9 +19,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from attacks.aims import OBJECTIVES, PluggedObjective
 from attacks.detectors.registry import detector_spec, load_detector
 from attacks.objectives import Hide, Relabel, Untargeted
-from attacks.observe.conditions import OWN, SunTable
+from attacks.observe.conditions import OWN, SunTable, package_of
+from attacks.optimisers.registry import OPTIMISERS
 from attacks.studies.attack import SPLAT, WHOLE_SPLAT, DrawnAttack, FixedAttack
 from attacks.studies.look import Look
 from attacks.studies.plan import Work, bisection, check_apart
@@ -37,7 +39,8 @@ ATTACK, LOOK = "attacks.studies.attack", "attacks.studies.look"
 AS_ATTACKED = "as attacked"
 """The condition that is the renderer of the attack."""
 _AIMS = {"relabel": Relabel, "hide": Hide, "untargeted": Untargeted}
-_ELSEWHERE = ("fingerprints", "transformations", "judged")
+"""Aims whose settings a table may have; those of other packages have a confidence alone."""
+_ELSEWHERE = ("fingerprints", "packages", "transformations", "judged")
 """Fields of attacks that are no settings."""
 _UNBOUND = 1e9
 """A radius that binds nothing."""
@@ -81,6 +84,7 @@ class Judge:
         sun, street = street_of(condition, self.sun)
         inputs: dict[str, Job | Part | Path] = {"attacked": attacked.part(splat), **street}
         of |= {"object": config.object, "target": config.objective.label, "condition": condition, "sun": sun}
+        of |= {"package": package_of(condition)}
         of |= {"attributes": attack.attributes, "norm": attack.norm}
         return [
             Job(
@@ -125,6 +129,9 @@ def attack_of(kind: type[FixedAttack | DrawnAttack], settings: Settings, where: 
     if isinstance(config, FixedAttack) and config.attack.seed > 0:
         config = dataclasses.replace(config, attack=dataclasses.replace(config.attack, random_start=True))
     config = dataclasses.replace(config, fingerprints=fingerprints(config.detectors))
+    brought = [OPTIMISERS.package(config.attack.optimiser)]
+    brought += map(package_of, (config.renderer, config.gradient)) if isinstance(config, FixedAttack) else ()
+    config = dataclasses.replace(config, packages=tuple(filter(None, brought)))
     path = Path(scene)
     if isinstance(config, FixedAttack):
         check_scene(path, config.object, camera=config.camera, renderers=(config.renderer, config.gradient))
@@ -133,14 +140,18 @@ def attack_of(kind: type[FixedAttack | DrawnAttack], settings: Settings, where: 
     return path, Job(kind=ATTACK, config=config, inputs={**scene_files(path), **weights(config.detectors)})
 
 
-def _objective(values: dict[str, Any], where: str) -> Relabel | Hide | Untargeted:
+def _objective(values: dict[str, Any], where: str) -> Relabel | Hide | Untargeted | PluggedObjective:
     """What the detectors shall see; takes its settings out of the tables."""
     aim, target, table = values.pop("aim", "relabel"), values.pop("target", None), values.pop("objective", {})
-    check_choice(f"aim in {where}", aim, _AIMS)
-    if (aim == "relabel") is (target is None):
+    check_choice(f"aim in {where}", aim, tuple(OBJECTIVES))
+    if OBJECTIVES[aim].targeted is (target is None):
         do = "name the class wanted, for instance person" if target is None else "leave it out"
         raise InvalidValueError.of("target", f"what the aim {aim} has", target or "none", do)
-    return decode(_AIMS[aim], {**({} if target is None else {"label": target}), **table}, "objective")
+    label = {} if target is None else {"label": target}
+    if aim in _AIMS:
+        return decode(_AIMS[aim], {**label, **table}, "objective")
+    plugged = decode(PluggedObjective, {"kind": aim, **label, **table}, "objective")
+    return dataclasses.replace(plugged, package=OBJECTIVES.package(aim))
 
 
 def weights(detectors: tuple[str, ...]) -> dict[str, Path]:

@@ -52,6 +52,7 @@ class Look:
         views: See there; of a region the number of views.
         transformations: Where views are drawn from; None where cameras are fixed.
         fingerprints: Of the detector, if its weights are in no file.
+        package: Which package brings the condition, with its version; empty for this project.
     """
 
     object: str
@@ -68,6 +69,7 @@ class Look:
     views: int = 1
     transformations: Transformations | None = None
     fingerprints: tuple[str, ...] = ()
+    package: str = ""
 
 
 def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:

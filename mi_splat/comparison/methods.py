@@ -20,6 +20,7 @@ from mi_splat.datasets.pictures import picture_size, read_picture
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import file_name
 from mi_splat.io.pictures import PICTURES
+from mi_splat.registry import Registry
 from mi_splat.rendering import Method as Way
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
@@ -51,13 +52,25 @@ class Method:
     bits: int = 32
 
 
-@dataclass(frozen=True, slots=True)
-class _Maker:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RendererSpec:
+    """A renderer that is known by a name.
+
+    Attributes:
+        make: Takes the settings of the pictures (`background`, `near`) and returns the renderer, a `RenderFn`. It is
+            called when the renderer is asked for, so it may import what is slow, and raise `MiSplatError` where the
+            renderer cannot run.
+        differentiable: Whether `backward` through its pictures gives gradients of the scene's five tensors.
+    """
+
     make: MakeRender
-    differentiable: bool
+    differentiable: bool = True
 
 
-_MAKERS: dict[str, _Maker] = {}
+RENDERERS: Registry[RendererSpec] = Registry(
+    "mi_splat.renderers", "a RendererSpec", lambda value: isinstance(value, RendererSpec), what="renderer"
+)
+"""Name to spec of every renderer; `mi-splat compare`, studies and conditions know them by these."""
 
 
 def register_method(name: str, make: MakeRender, *, differentiable: bool = True) -> None:
@@ -65,10 +78,8 @@ def register_method(name: str, make: MakeRender, *, differentiable: bool = True)
 
     Args:
         name: What `--methods` calls it: small letters, digits, dashes and underscores, a letter first.
-        make: Takes the settings of the pictures (`background`, `near`) and returns the renderer, a `RenderFn`. It is
-            called when the method is asked for, so it may import what is slow, and raise `MiSplatError` where the
-            renderer cannot run.
-        differentiable: Whether `backward` through its pictures gives gradients of the scene's five tensors.
+        make: See `RendererSpec`, as for `differentiable`.
+        differentiable: Whether it is.
 
     Raises:
         InvalidValueError: The name cannot be, or is taken.
@@ -76,14 +87,12 @@ def register_method(name: str, make: MakeRender, *, differentiable: bool = True)
     if not re.fullmatch(r"[a-z][a-z0-9_-]*", name):
         expected = "small letters, digits, - and _, a letter first"
         raise InvalidValueError.of("name of a method", expected, name, "choose another")
-    if name in _MAKERS:
-        raise InvalidValueError.of("name of a method", "a new one", name, "choose another")
-    _MAKERS[name] = _Maker(make, differentiable)
+    RENDERERS.add(name, RendererSpec(make=make, differentiable=differentiable))
 
 
 def method_names() -> tuple[str, ...]:
     """The renderers that are known by name."""
-    return tuple(_MAKERS)
+    return tuple(RENDERERS)
 
 
 def load_methods(
@@ -112,10 +121,10 @@ def load_methods(
         if word.startswith(FOLDER):
             pictures = PictureFolder(Path(word.removeprefix(FOLDER)), cameras, background=settings.background)
             methods[name] = Method(render=pictures, differentiable=False, renders=False, bits=8)
-        elif word in _MAKERS:
+        elif word in RENDERERS:
             methods[name] = load_method(word, settings)
         else:
-            expected = f"one of {', '.join(_MAKERS)}, or {FOLDER}PATH"
+            expected = f"one of {', '.join(RENDERERS)}, or {FOLDER}PATH"
             raise InvalidValueError.of("methods", expected, word, "choose one of them")
     if len(methods) < 2:
         got = ", ".join(methods) or "none"
@@ -134,9 +143,8 @@ def load_method(name: str, settings: RenderSettings) -> Method:
         InvalidValueError: There is none of this name, or it cannot work with the settings.
         MiSplatError: It cannot run here.
     """
-    if name not in _MAKERS:
-        raise InvalidValueError.of("renderer", f"one of {', '.join(_MAKERS)}", name, "choose one of them")
-    return Method(render=_MAKERS[name].make(settings), differentiable=_MAKERS[name].differentiable)
+    spec = RENDERERS.chosen(name)
+    return Method(render=spec.make(settings), differentiable=spec.differentiable)
 
 
 def _own(settings: RenderSettings, *, method: Way, colour_to_mean: bool = False, antialiased: bool = False) -> Renderer:

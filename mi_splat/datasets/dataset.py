@@ -236,6 +236,9 @@ def load_dataset(
         test_every: See `split`.
         cache_bytes: How much of the set may stay in memory.
 
+    Returns:
+        The views, whose pictures are read when they are asked for, and the points of the set if it has some.
+
     Raises:
         DatasetError: The set is of neither kind, empty, or something in it is broken or cannot be undistorted, or more
             than a third of the pictures are missing.

@@ -41,6 +41,9 @@ def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "dr
             scale vanishes, the quaternion is zero): raise, or drop them with a `SplatFileWarning` that says how many
             and which.
 
+    Returns:
+        The scene, on the CPU.
+
     Raises:
         SplatFileError: The file cannot be read, is no splat, is damaged, or holds Gaussians that are not valid and
             `on_invalid` is "raise".

@@ -104,7 +104,11 @@ class Selection:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """What was selected by, as JSON can hold it; selectors that were not used are left out."""
+        """What was selected by, as JSON can hold it; selectors that were not used are left out.
+
+        Returns:
+            The selectors by name.
+        """
         values: dict[str, Any] = {}
         if self.object is not None:
             values["object"] = self.object

@@ -46,6 +46,9 @@ def from_points(
         colours: (N, 3) sRGB in [0, 1].
         opacity: Opacity of all of them.
 
+    Returns:
+        One Gaussian for each point, in their order.
+
     Raises:
         InvalidValueError: The shapes differ, or there are no points.
     """

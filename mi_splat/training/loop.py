@@ -84,6 +84,9 @@ def fit(
         lpips: A further score, see `mi_splat.metrics.load_lpips`.
         on_step: Called after every step.
 
+    Returns:
+        The splat, and how training went.
+
     Raises:
         InvalidValueError: There are no views or no Gaussians, or more of these than the strategy allows; the strategy
             needs screen gradients, or a random background alpha, and the renderer gives none.

@@ -10,7 +10,7 @@ from attacks.budgets import Budget
 from attacks.limits import SCHEDULES, Schedule
 from attacks.optimisers.descent import adam, momentum
 from attacks.optimisers.settings import LENGTHS, SearchSettings, normalised
-from attacks.pgd import START, Evaluation, Optimiser, OptimiserState, Parameters, Verdict, pgd
+from attacks.search import START, Evaluation, Optimiser, OptimiserState, Parameters, Verdict, pgd
 
 BALL = Budget(radius={"sh": 100.0}, norm="linf")
 FALLING: dict[str, Any] = {"momentum": 0.8, "schedule": "linear", "steps": 4}

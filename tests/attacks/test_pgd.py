@@ -11,7 +11,7 @@ from attacks.budgets import Budget, BudgetError
 from attacks.limits import NormName
 from attacks.optimisers.descent import momentum
 from attacks.optimisers.settings import SearchSettings
-from attacks.pgd import (
+from attacks.search import (
     START,
     Evaluation,
     Hooks,
@@ -23,7 +23,7 @@ from attacks.pgd import (
     Verdict,
     rank,
 )
-from attacks.pgd import pgd as search
+from attacks.search import pgd as search
 from mi_splat.errors import InvalidValueError
 
 Oracle = Callable[[Parameters], Evaluation]

@@ -10,7 +10,7 @@ import torch
 from attacks import cli
 from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
 from attacks.cli.poison_kinds import KINDS
-from attacks.poisons.registry import POISONS
+from attacks.poisons.specs import POISONS
 from attacks.report.results import read_section
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import View

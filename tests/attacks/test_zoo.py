@@ -23,7 +23,7 @@ from attacks.optimisers.penalty import cw
 from attacks.optimisers.registry import OPTIMISERS, OptimiserSpec, optimiser_spec, register_optimiser
 from attacks.optimisers.sampling import square
 from attacks.optimisers.settings import SearchSettings
-from attacks.pgd import Evaluation, OptimiserState, Outcome, Parameters, Verdict, pgd, rank
+from attacks.search import Evaluation, OptimiserState, Outcome, Parameters, Verdict, pgd, rank
 from mi_splat.errors import InvalidValueError
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
@@ -223,7 +223,7 @@ def test_one_of_your_own_is_chosen_by_its_name(monkeypatch: pytest.MonkeyPatch) 
 
         return update
 
-    monkeypatch.setattr("attacks.optimisers.registry.OPTIMISERS", known := dict(OPTIMISERS))
+    monkeypatch.setattr(OPTIMISERS, "own", known := dict(OPTIMISERS.own))
     register_optimiser(OptimiserSpec(name="mine", make=make, about="the gradient itself"))
     assert "mine" in known
     assert attacked("mine").best.loss < attacked("mine").trace[0].loss

@@ -22,7 +22,7 @@ def _objects_are_built_once(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(autouse=True)
 def _jobs_know_the_detector(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, spec in KNOWN.items():
-        monkeypatch.setitem(registry._REGISTRY._specs, name, spec)
+        monkeypatch.setitem(registry.DETECTORS.own, name, spec)
 
 
 @pytest.fixture(scope="session")

@@ -87,7 +87,7 @@ def done(
             raise KeyboardInterrupt
 
     torch.set_num_threads(1)
-    with patch.dict(registry._REGISTRY._specs, KNOWN):
+    with patch.dict(registry.DETECTORS.own, KNOWN):
         return run_study(study, folder, stages=stages, on_step=step), said
 
 

@@ -34,7 +34,7 @@ def darker(scene: GaussianScene, camera: Camera) -> Tensor:
 @pytest.fixture
 def registered(monkeypatch: pytest.MonkeyPatch) -> None:
     """`blobs` and `darker` beside the project's own methods."""
-    monkeypatch.setattr(methods, "_MAKERS", dict(methods._MAKERS))
+    monkeypatch.setattr(methods.RENDERERS, "own", dict(methods.RENDERERS.own))
     register_method("blobs", lambda settings: blobs)
     register_method("darker", lambda settings: darker, differentiable=False)
 
@@ -58,7 +58,9 @@ def test_a_scene_s_own_filter_does_not_change_what_a_name_means() -> None:
     assert {(one.background, one.near) for one in made} == {((0.5, 0.0, 0.0), 0.4)}
 
 
-@pytest.mark.parametrize(("name", "words"), [("tile", "a new one"), ("a,b", "a letter first"), ("folder:a", "letter")])
+@pytest.mark.parametrize(
+    ("name", "words"), [("tile", "a name that is free"), ("a,b", "a letter first"), ("folder:a", "letter")]
+)
 def test_names_that_cannot_be(name: str, words: str) -> None:
     with pytest.raises(InvalidValueError, match=words):
         register_method(name, lambda settings: blobs)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from attacks import evaluate, relabel
+from attacks import judge, relabel
 from attacks.cloak.layer_config import LayerConfig, LayersConfig
 from attacks.cloak.poisoning import Poisoning, poison
 from attacks.cloak.triggers import Elevation
@@ -18,7 +18,7 @@ from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.detectors import load_detector, register_detector
 from attacks.detectors.base import check_images
-from attacks.detectors.registry import _REGISTRY, DetectorSpec
+from attacks.detectors.registry import DETECTORS, DetectorSpec
 from attacks.gaussian_subset import GaussianSubset
 from attacks.observe.views import detect_views
 from mi_splat import variant
@@ -241,11 +241,11 @@ def test_one_camera_in_the_place_of_several() -> None:
     config = DaggerConfig(steps=1, noise_draws=0)
     found = attack(scene, mask, camera(), ColourDetector(), relabel("person"), render=blobs, config=config)
     assert len(found.views) == 1
-    assert len(evaluate({"clean": scene}, mask, camera(), ColourDetector(), render=blobs)["clean"]) == 1
+    assert len(judge(scene, mask, camera(), ColourDetector(), render=blobs).views["clean"]) == 1
 
 
 def test_a_detector_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_REGISTRY, "_specs", dict(_REGISTRY._specs))
+    monkeypatch.setattr(DETECTORS, "own", dict(DETECTORS.own))
     spec = DetectorSpec(name="fake_colour", load=lambda _: ColourDetector(), classes=(), origin="", licence="")
     register_detector(spec)
     assert isinstance(load_detector("fake_colour"), ColourDetector)

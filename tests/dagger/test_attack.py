@@ -16,7 +16,7 @@ from attacks.dagger.result import Result
 from attacks.detectors.base import Detections
 from attacks.limits import NORM_NAMES, NormName
 from attacks.objectives import Objective, hide, relabel, untargeted
-from attacks.pgd import Step
+from attacks.search import Step
 from mi_splat.attributes import Attribute
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
@@ -309,3 +309,23 @@ def test_wrong_arguments_say_what_is_wrong() -> None:
     aside = dataclasses.replace(away, principal=(-500.0, 16.0))
     with pytest.raises(InvalidValueError, match="camera: expected a view in which the object is visible"):
         attack(scene, mask, [aside], DETECTOR, hide(), render=blobs)
+
+
+def test_radii_make_a_curve_of_attacks_in_one_call() -> None:
+    scene, mask = toy_scene()
+    config = DaggerConfig(steps=3, noise_draws=0, early_stop=False)
+    common = (scene, mask, camera(), ColourDetector(), relabel("person"))
+    curve = attack(*common, render=blobs, config=config, eps=[0.5, 2])
+    assert [result.config.eps for result in curve] == [(0.5,), (2.0,)]
+    for radius, result in zip((0.5, 2.0), curve, strict=True):
+        alone = attack(*common, render=blobs, config=dataclasses.replace(config, eps=(radius,)))
+        assert torch.equal(result.scene.sh, alone.scene.sh)
+        assert result.used["sh"] <= radius
+    assert curve[1].best.loss < curve[0].best.loss
+    both = dataclasses.replace(config, attributes=("sh", "means"))
+    (pair,) = attack(*common, render=blobs, config=both, eps=[(0.5, 0.1)])
+    assert pair.config.radius == {"sh": 0.5, "means": 0.1}
+    with pytest.raises(InvalidValueError, match="eps: expected at least one radius, got none"):
+        attack(*common, render=blobs, eps=[])
+    with pytest.raises(InvalidValueError, match="eps"):
+        attack(*common, render=blobs, eps=[1.0, -1.0], on_step=lambda step: pytest.fail("begun before all are checked"))

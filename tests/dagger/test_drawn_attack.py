@@ -19,11 +19,11 @@ from attacks.objectives import hide, relabel, untargeted
 from attacks.observe.measures import AIMS, joint_views
 from attacks.observe.rates import banded, count
 from attacks.observe.views import as_saved, object_boxes
-from attacks.pgd import Parameters, Verdict
 from attacks.report.checking import pack, read_result
 from attacks.report.exhibits import open_exhibit
 from attacks.report.rescoring import rescore
 from attacks.report.results import read_section, story_of
+from attacks.search import Parameters, Verdict
 from attacks.transformations.config import PictureChanges, Transformations
 from mi_splat.attributes import Attribute
 from mi_splat.errors import InvalidValueError

@@ -18,7 +18,7 @@ from attacks.detectors.base import Candidates, Detector
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import relabel
 from attacks.optimisers.settings import SearchSettings
-from attacks.pgd import Evaluation, pgd
+from attacks.search import Evaluation, pgd
 from mi_splat.cameras import View, look_at
 from mi_splat.datasets import write_transforms
 from mi_splat.errors import InvalidValueError

@@ -13,7 +13,7 @@ from attacks.dagger.views import View
 from attacks.detectors.base import Detections, Detector
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, hide, joint_verdict, reached_by, relabel
-from attacks.pgd import Verdict
+from attacks.search import Verdict
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import quantise

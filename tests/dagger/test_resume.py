@@ -11,7 +11,7 @@ from attacks.dagger.checkpoint import Checkpoint, CheckpointError
 from attacks.dagger.config import EotConfig
 from attacks.dagger.result import Result
 from attacks.objectives import relabel
-from attacks.pgd import Step
+from attacks.search import Step
 from tests.dagger.toy import QUICK, toy_views
 from tests.fakes import ColourDetector
 from tests.io.noted import Change, changed

@@ -148,7 +148,8 @@ def test_an_attack_that_changes_other_gaussians_is_red() -> None:
     def make(scene: GaussianScene, mask: Tensor, *arguments: Any, **settings: Any) -> Result:
         wider = mask.clone()
         wider[0] = True
-        return attack(scene, wider, *arguments, **settings)
+        result: Result = attack(scene, wider, *arguments, **settings)
+        return result
 
     broken = findings_of(make, checks="noise budget")
     assert red(broken) == {"budget"}
@@ -195,7 +196,7 @@ def test_an_iterative_attack_that_is_worse_than_one_step_is_red() -> None:
 
 def test_an_attack_that_keeps_another_point_than_the_best_is_red() -> None:
     def make(*arguments: Any, **settings: Any) -> Result:
-        result = attack(*arguments, **settings)
+        result: Result = attack(*arguments, **settings)
         return dataclasses.replace(result, best=result.trace[0])
 
     broken = findings_of(make, checks="more_steps")
@@ -213,7 +214,7 @@ def test_an_attack_that_noise_beats_is_red() -> None:
 
 def test_an_attack_whose_file_is_another_scene_is_red() -> None:
     def make(scene: GaussianScene, *arguments: Any, **settings: Any) -> Result:
-        result = attack(scene, *arguments, **settings)
+        result: Result = attack(scene, *arguments, **settings)
         failed = {"success": False, "score": 0.0, "unambiguous": False}
         return dataclasses.replace(result, figures={**result.figures, **failed})
 

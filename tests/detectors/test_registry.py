@@ -20,7 +20,6 @@ from attacks.detectors.catalogue import (
     hub_download,
     torch_download,
 )
-from attacks.detectors.registry import _REGISTRY
 from attacks.detectors.torchvision import published_weights
 from attacks.detectors.weights import FrozenModel, apply_weights, fingerprint, read_weights
 from tests.detectors.made import random_detector
@@ -50,7 +49,7 @@ OTHER = DetectorSpec(name="fasterrcnn_small", load=load, classes=("car",), origi
 def registered() -> Iterator[DetectorSpec]:
     register_detector(SPEC)
     yield SPEC
-    del _REGISTRY._specs[SPEC.name]
+    del DETECTORS.own[SPEC.name]
 
 
 def install(folder: Path, *entries: str, module: str = PLUGIN) -> Path:
@@ -100,7 +99,7 @@ def test_the_loader_gets_the_weights(registered: DetectorSpec, tmp_path: Path) -
         load_detector("noting", weights=tmp_path / "w.pth")
         load_detector("noting")
     finally:
-        del _REGISTRY._specs["noting"]
+        del DETECTORS.own["noting"]
     assert seen == [tmp_path / "w.pth", None]
 
 
@@ -131,7 +130,11 @@ def test_an_entry_point_does_not_take_the_place_of_another(path: Path) -> None:
     ("entry", "module", "words"),
     [
         ("plugged = plugged_detector:MISSING", PLUGIN, "something that can be imported, got .*MISSING"),
-        ("plugged = plugged_detector:SPEC", "import no_such_package", "got No module named 'no_such_package'"),
+        (
+            "plugged = plugged_detector:SPEC",
+            "import no_such_package",
+            "got ModuleNotFoundError: No module named 'no_such_package'; repair or uninstall plugged-detector 1.0",
+        ),
         ("plugged = plugged_detector:load", PLUGIN, "expected a DetectorSpec of the name plugged, got function"),
         ("plugged = plugged_detector:OTHER", PLUGIN, "got one of the name fasterrcnn_small"),
     ],

@@ -25,9 +25,9 @@ from attacks.detectors.graphs.network import GraphNetwork
 from attacks.detectors.training.loop import Training
 from attacks.detectors.weights import apply_weights, read_weights
 from attacks.observe.rows import frame_of, packed, read_rows, rows_bytes
-from attacks.pgd import START, SearchState, Step
 from attacks.report.checking import check_result, read_result
 from attacks.report.results import STORIES, read_section, story_of
+from attacks.search import START, SearchState, Step
 from attacks.studies import study_file
 from mi_splat.capture.gltf import gltf_notes
 from mi_splat.capture.record import claim_folder

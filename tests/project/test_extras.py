@@ -148,11 +148,17 @@ def test_the_python_example_runs(checkout: Path, warm: Warm) -> None:
 @pytest.mark.slow
 def test_the_examples_of_the_api_run(checkout: Path, warm: Warm) -> None:
     """As they stand, but with the smallest set and a training of some steps."""
-    dagger, cloak = blocks("python", (ROOT / "docs" / "api.md").read_text())
+    dagger, curve, aim, cloak = blocks("python", (ROOT / "docs" / "api.md").read_text())
     capture = "capture car:900004 --rgba --cameras hemisphere:12 --size 24 --samples 1 --points 200 --out out/car-alone"
-    done = warm.run("-c", dagger, cwd=checkout)
+    done = warm.run("-c", "\n".join([dagger, curve, aim, "print('aim:', result.objective.name)"]), cwd=checkout)
     assert done.returncode == 0, done.stderr
     assert "from the other cameras, target_attacked: " in done.stdout
+    assert [line.split(" ")[0] for line in done.stdout.splitlines() if line.startswith("(")] == [
+        "(1.0,)",
+        "(2.0,)",
+        "(5.0,)",
+    ]
+    assert "aim: success" in done.stdout
     assert (checkout / "out" / "person" / "result.json").is_file()
     warm.run("-m", "attacks", *capture.split(), cwd=checkout, check=True)
     short = cloak.replace("iterations=2000", "iterations=8")

@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from mi_splat import FrozenView
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.frozen_view import FrozenView
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
 from mi_splat.view_freezing import MIN_PICTURES, freeze_views

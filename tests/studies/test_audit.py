@@ -160,7 +160,7 @@ def test_a_study_is_done_and_has_a_page(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ["study", "run", str(file), "--store", str(tmp_path / "store"), "--out", str(out), "--workers", "0"]
     cheap = patch.object(rivals, "measured", lambda scene: {"band 1": (0.1, 0.0)})
-    with patch.dict(registry._REGISTRY._specs, KNOWN), cheap:
+    with patch.dict(registry.DETECTORS.own, KNOWN), cheap:
         assert cli.main(words) == 0
     record = json.loads((out / "result.json").read_text())
     found = {(one["part"], one["splat"]): one for one in record["files"]}

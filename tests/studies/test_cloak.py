@@ -124,7 +124,7 @@ def test_the_disk_has_room_for_all_points(
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=3.9e6 * one))
     folder, before = tiny.parent, sorted(tiny.parent.iterdir())
     words = ["study", "run", str(tiny), "--store", str(folder / "store"), "--out", str(folder / "out")]
-    with patch.dict(registry._REGISTRY._specs, KNOWN):
+    with patch.dict(registry.DETECTORS.own, KNOWN):
         assert cli.main(words) == 1
         assert sorted(folder.iterdir()) == before
         error = capsys.readouterr().err
@@ -147,7 +147,7 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
     )
     out, store = tmp_path / "out", tmp_path / "store"
     words = ["study", "run", str(file), "--store", str(store), "--out", str(out), "--workers", "0"]
-    with patch.dict(registry._REGISTRY._specs, KNOWN):
+    with patch.dict(registry.DETECTORS.own, KNOWN):
         assert cli.main(words) == 0
         with patch.object(shutil, "disk_usage", lambda path: SimpleNamespace(free=0)):
             CloakWork(read_file(file)).check_room(store)  # what is done wants none

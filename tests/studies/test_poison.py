@@ -197,7 +197,7 @@ def test_what_detectors_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     spec = ClassifierSpec(name="toy", load=lambda network, weights, classes: toy, origin="", licence="")
     monkeypatch.setitem(CLASSIFIERS, "toy", spec)
     classifier_of.cache_clear()
-    monkeypatch.setattr(registry, "DETECTORS", {**registry.DETECTORS, **KNOWN})
+    monkeypatch.setattr(registry.DETECTORS, "own", {**registry.DETECTORS.own, **KNOWN})
     monkeypatch.chdir(tmp_path)
     Path("seen.toml").write_text("""
 study = "poison"
@@ -236,7 +236,7 @@ defence = { filter = { name = "blur" } }
 
 
 def test_a_detector_has_to_be_there_and_to_know_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry, "DETECTORS", {**registry.DETECTORS, **KNOWN})
+    monkeypatch.setattr(registry.DETECTORS, "own", {**registry.DETECTORS.own, **KNOWN})
     with pytest.raises(InvalidValueError, match="class for redness: expected one of car, stop sign, got tv"):
         work(detectors=["redness"])
     with pytest.raises(MiSplatError, match=r"detector: expected .*redness"):

@@ -6,10 +6,11 @@ from typing import Any
 
 import pytest
 
-from attacks import cli
+from attacks import cli, rows, run_study
 from attacks.observe.rows import read_rows
 from attacks.studies import attack as attack_kind
 from attacks.studies import look as look_kind
+from attacks.studies import running as running_study
 from attacks.studies.dagger import ATTACK, LOOK
 from attacks.studies.result import figures
 from attacks.studies.table import markdown
@@ -163,6 +164,25 @@ def test_nothing_is_done_twice_and_nothing_lost(
     assert json.loads(capsys.readouterr().out) == {
         **{"waiting": 0, "ready": 0, "running": 0, "done": 40, "failed": 0, "failures": {}}
     }
+
+
+def test_a_script_runs_a_study_as_the_command_does(
+    folder: Path, run: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(attack_kind, "run", None)  # all of it is in the store
+    out = run_study(folder / "toy.toml", store=folder / "store", out=folder / "script")
+    assert out == folder / "script"
+    assert rows(out).equals(rows(folder / "toy"))
+    again = json.loads((out / "result.json").read_text())
+    assert {**again, "command": None} == {**run, "command": None}
+    with pytest.raises(TypeError):  # of a job that is done in this process, as it is
+        run_study(folder / "toy.toml", store=folder / "other", out=folder / "failed", parts=["hidden"])
+    failed = running_study.Run(jobs=2, failed={"hidden": "no memory\n"}, files=())
+    monkeypatch.setattr(running_study, "run_with", lambda *_, **__: failed)
+    with pytest.raises(
+        InvalidValueError, match="expected 2 jobs that are done, got 1 that failed; hidden: no memory; mend"
+    ):
+        run_study(folder / "toy.toml", store=folder / "store", out=folder / "failed")
 
 
 def test_a_plan_forecasts_from_measured_seconds(

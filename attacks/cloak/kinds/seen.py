@@ -67,6 +67,7 @@ class SeenConfig(StepConfig):
         fingerprint: Of its weights.
         condition: How the splat is looked at, see `attacks.observe.conditions`; "" is as the victim does.
         sun: The street of a condition that is an hour.
+        package: Which package brings the condition, with its version; empty for this project.
     """
 
     detector: str
@@ -74,6 +75,7 @@ class SeenConfig(StepConfig):
     every: int = 1
     condition: str = ""
     sun: SunTable | None = None
+    package: str = ""
 
 
 def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:

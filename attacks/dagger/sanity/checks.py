@@ -21,7 +21,7 @@ from attacks.dagger.result import Result
 from attacks.dagger.sanity.gradients import Differentiated, agreement, renderer_alone, whole_chain
 from attacks.dagger.sanity.runs import Runs, Scored
 from attacks.gaussian_subset import GaussianSubset
-from attacks.pgd import Step, rank
+from attacks.search import Step, rank
 from attacks.tables import markdown
 from mi_splat import provenance
 from mi_splat.io.documents import save_json, save_text

@@ -16,7 +16,7 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.problem import Problem
 from attacks.dagger.sanity.runs import Runs
 from attacks.dagger.views import View
-from attacks.pgd import Parameters
+from attacks.search import Parameters
 from mi_splat.cameras import Camera
 from mi_splat.scene import GaussianScene
 

@@ -17,7 +17,7 @@ from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset, Mask
 from attacks.objectives import Relabel
 from attacks.observe.views import as_saved
-from attacks.pgd import Verdict
+from attacks.search import Verdict
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.scene import GaussianScene
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import polars as pl
 
+from attacks.aims import PluggedObjective
 from attacks.detectors.base import Detector
 from attacks.objectives import Hide, Objective, Relabel, Target, Untargeted
 from attacks.observe.look import verdict_cells
@@ -131,7 +132,9 @@ def _thing(record: Record) -> str:
 
 def _wish(record: Record, part: int) -> str:
     """What the attacker wants, as part of a title (1) or of a sentence (2)."""
-    return str(_AIMS[record["objective"]][part]).format(record["target"])
+    name = record["objective"]
+    words = _AIMS[name][part] if name in _AIMS else ("", f"to its aim, {name}", f"reach its aim, {name},")[part]
+    return str(words).format(record["target"])
 
 
 def _ball(record: Record) -> str:
@@ -244,7 +247,8 @@ def objective_of(record: Record) -> Objective:
         InvalidValueError: It is none of this version's.
     """
     try:
-        aim: Objective = _AIMS[str(record["objective"])][0](**record["config"]["objective"])
+        kind = _AIMS.get(str(record["objective"]), (PluggedObjective,))[0]
+        aim: Objective = kind(**record["config"]["objective"])
     except (KeyError, TypeError) as error:
         expected, do = f"the settings of one of {', '.join(_AIMS)}", "get the result again"
         raise InvalidValueError.of("objective", expected, repr(error), do) from error

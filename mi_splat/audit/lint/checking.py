@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mi_splat.audit.lint.cost import SIZE, Overdraw, worst_overdraw
 from mi_splat.audit.lint.findings import Finding
 from mi_splat.audit.lint.gltf import validate
-from mi_splat.audit.lint.rules import RULES, Stored
+from mi_splat.audit.lint.rules import Stored, findings_of
 from mi_splat.io.camera_records import describe
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats.glb import open_glb
@@ -92,8 +92,7 @@ def lint_scene(scene: GaussianScene) -> Lint:
 
 def _lint(loaded: Loaded, findings: list[Finding]) -> Lint:
     stored = Stored.of(loaded)
-    rules = RULES if len(stored.valid) else ()
-    findings = [*findings, *(finding for rule in rules if (finding := rule(stored)) is not None)]
+    findings = [*findings, *(findings_of(stored) if len(stored.valid) else ())]
     valid = (
         {name: value[stored.valid] for name, value in loaded.arrays.items()} if len(loaded.invalid) else loaded.arrays
     )

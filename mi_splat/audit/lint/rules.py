@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from mi_splat.attributes import LARGEST
 from mi_splat.audit.lint.findings import Finding, Severity
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.loaded import Arrays, Loaded
+from mi_splat.registry import Registry
 from mi_splat.sh import band, degree_of, even_directions
 
 Mask = NDArray[np.bool_]
@@ -65,7 +67,10 @@ class Rule:
     def __call__(self, stored: Stored) -> Finding | None:
         """The finding; None if there is none."""
         with np.errstate(all="ignore"):
-            rows = self.find(stored, self.threshold)
+            rows = np.asarray(self.find(stored, self.threshold))
+        if rows.shape != stored.valid.shape or rows.dtype != np.bool_:
+            expected, got = f"bool {stored.valid.shape}", f"{rows.dtype} {rows.shape}"
+            raise InvalidValueError.of(f"rule {self.name}", expected, got, "give one truth for each Gaussian")
         return Finding.of(self.name, self.severity, self.reason, rows) if rows.any() else None
 
 
@@ -252,3 +257,33 @@ RULES = (
     ),
 )
 """The table; docs/audit_lint.md gives the reason of each threshold."""
+
+ADDED: Registry[Rule] = Registry("mi_splat.audit_rules", "a Rule", lambda value: isinstance(value, Rule), what="rule")
+"""Rules of other packages, by name; they follow those of the table."""
+
+
+def findings_of(stored: Stored) -> Iterator[Finding]:
+    """What all rules find, those of other packages last.
+
+    A rule of another package that fails is a warning in its place: an audit that leaves a rule out says so.
+
+    Args:
+        stored: At least one Gaussian.
+
+    Yields:
+        The findings, in the order of the rules.
+    """
+    for rule in RULES:
+        if (finding := rule(stored)) is not None:
+            yield finding
+    known = {rule.name for rule in RULES}
+    for name in ADDED:
+        try:
+            if name in known:
+                raise InvalidValueError.of(f"rule {name}", "a name that is free", repr(name), "choose another name")
+            finding = ADDED[name](stored)
+        except Exception as error:  # noqa: BLE001  # whatever a plug-in raises, the other rules have to be heard
+            reason = f"The rule {name} of {ADDED.package(name)} did not run: {error}"
+            finding = Finding(rule=name, severity="warning", reason=reason)
+        if finding is not None:
+            yield finding

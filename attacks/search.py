@@ -230,6 +230,9 @@ def pgd(
         smallest: Whether the smaller of two successes is the better one, see `rank`.
         hooks: What is called while the search runs.
 
+    Returns:
+        The best point of all runs, and every point in order.
+
     Raises:
         InvalidValueError: A gradient or the loss is not finite, steps is negative, or there is no start.
         BudgetError: The best point is outside the ball (`Ball.check`).

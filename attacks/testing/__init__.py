@@ -1,0 +1,48 @@
+"""Whether a plug-in keeps its contract: one function for each kind, to be called in a test of the package that has it.
+
+    from attacks.testing import check_detector
+
+    def test_the_contract():
+        check_detector(my_detector())
+
+Each raises a `ContractError` that lists every promise that is broken, and what to do about it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mi_splat import _lazy
+
+if TYPE_CHECKING:
+    from attacks.testing.attacks import check_attack
+    from attacks.testing.detectors import check_detector
+    from attacks.testing.objectives import check_objective
+    from attacks.testing.poisons import check_poison
+    from attacks.testing.promises import ContractError
+    from attacks.testing.renderers import check_condition, check_renderer
+    from attacks.testing.rules import check_rule
+
+__all__ = [
+    "ContractError",
+    "check_attack",
+    "check_condition",
+    "check_detector",
+    "check_objective",
+    "check_poison",
+    "check_renderer",
+    "check_rule",
+]
+
+__getattr__, __dir__ = _lazy.attach(
+    __name__,
+    {
+        "attacks.testing.attacks": ("check_attack",),
+        "attacks.testing.detectors": ("check_detector",),
+        "attacks.testing.objectives": ("check_objective",),
+        "attacks.testing.poisons": ("check_poison",),
+        "attacks.testing.promises": ("ContractError",),
+        "attacks.testing.renderers": ("check_condition", "check_renderer"),
+        "attacks.testing.rules": ("check_rule",),
+    },
+)

@@ -1,0 +1,203 @@
+"""The contracts of a renderer (`mi_splat.RenderFn`) and of a condition (`attacks.observe.conditions.Condition`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from attacks.observe.conditions import Condition, Viewing
+from attacks.testing.promises import Contract, expect, expect_same, expect_text, expect_uphill, other_seed
+from mi_splat.cameras import Camera, look_at, project_points
+from mi_splat.comparison.methods import RendererSpec
+from mi_splat.errors import MiSplatError
+from mi_splat.rendering import RenderSettings
+from mi_splat.rotation import normalise
+from mi_splat.scene import ATTRIBUTES, GaussianScene
+from mi_splat.sh import colour_to_dc
+
+_SIZE = (40, 28)
+_COLOUR = (0.8, 0.4, 0.2)
+_STEP, _SAME, _NEAR = 3e-3, 1e-4, 1.5
+"""Shortest step along a gradient; how far equal values may be apart; pixels that a Gaussian may be beside its place."""
+
+
+def check_renderer(renderer: Any, *, differentiable: bool = True) -> None:
+    """Raise unless a renderer keeps its contract.
+
+    It renders a few Gaussians on the CPU: pictures have the size, the colours and the places that the conventions of
+    this project say, gradients are true in all five tensors, and the same call gives the same picture.
+
+    Args:
+        renderer: A function of a scene and a camera, or a `RendererSpec`, which then is asked for two backgrounds.
+        differentiable: Whether gradients are promised; a spec says so itself.
+
+    Raises:
+        ContractError: It does not; the message lists all that is wrong.
+    """
+    spec = renderer if isinstance(renderer, RendererSpec) else None
+    contract = Contract(f"renderer {getattr(renderer, '__name__', type(renderer).__name__)}")
+    render: Any = renderer
+    if spec is not None:
+        differentiable = spec.differentiable
+        with contract.promise("making it"):
+            render = spec.make(RenderSettings())
+        contract.settle()
+    camera, scene = _camera(), _cluster()
+    with contract.promise("pictures"):
+        _picture(render(scene, camera), camera)
+        _picture(render(scene, _camera(offset=1.0, size=_SIZE[::-1])), _camera(size=_SIZE[::-1]))
+    with contract.promise("places"):
+        beside = _one((0.5, 0.0, 0.25), scale=0.05)
+        light = (render(beside, camera) - render(_nothing(), camera)).abs().sum(-1).detach().double()
+        y, x = torch.meshgrid(*(torch.arange(side) + 0.5 for side in light.shape), indexing="ij")
+        seen = [float((light * axis).sum() / light.sum().clamp(min=1e-9)) for axis in (x, y)]
+        wanted = project_points(beside.means, camera)[0][0].tolist()
+        gap = max(abs(a - b) for a, b in zip(seen, wanted, strict=True))
+        got = f"({seen[0]:.1f}, {seen[1]:.1f})"
+        do = "cameras look along +z with x to the right and y down, and pixel (0, 0) has its middle at (0.5, 0.5)"
+        expect(gap <= _NEAR, f"a Gaussian at ({wanted[0]:.1f}, {wanted[1]:.1f}) pixels", got, do)
+    with contract.promise("colours"):
+        middle = render(_one((0.0, 0.0, 0.0), scale=0.6), camera)[_SIZE[1] // 2, _SIZE[0] // 2].tolist()[:3]
+        got = ", ".join(f"{value:.2f}" for value in middle)
+        do = "SH give sRGB colours as 0.5 plus their sum; blend these, without a transfer function"
+        expect(max(abs(a - b) for a, b in zip(middle, _COLOUR, strict=True)) < 0.06, f"sRGB {_COLOUR}", got, do)
+    with contract.promise("no Gaussians"):
+        _picture(render(_nothing(), camera), camera, empty=True)
+    with contract.promise("background"):
+        if spec is not None:
+            _background(spec, camera)
+    for name in ATTRIBUTES if differentiable else ():
+        with contract.promise(f"gradient of {name}"):
+            _gradient(render, scene, camera, name)
+    with contract.promise("determinism"):
+        first = render(scene, camera)
+        with other_seed(1):
+            second = render(scene, camera)
+        do = "draw nothing, or from a seed of its own"
+        expect_same([first], [second], atol=_SAME, expected="the same picture in a second call", do=do)
+    with contract.promise("scene"):
+        _stays(lambda given: render(given, camera), scene)
+    contract.settle()
+
+
+def check_condition(condition: Any, *, name: str = "condition") -> None:
+    """Raise unless a condition keeps its contract.
+
+    Args:
+        condition: What an entry point brings: a function of `Viewing`; or a `Condition`.
+        name: What it is called.
+
+    Raises:
+        ContractError: It does not; the message lists all that is wrong.
+    """
+    contract = Contract(f"condition {name}")
+    scene, camera, made = _cluster(), _camera(), condition
+    with contract.promise("making it"):
+        if not isinstance(condition, Condition):
+            viewing = Viewing(settings=RenderSettings(), centre=(0.0, 0.0, 0.0), alone=lambda splat: splat)
+            made = condition(viewing)
+            do = "return attacks.observe.conditions.rendered(name, render)"
+            expect(isinstance(made, Condition), "a Condition", type(made).__name__, do)
+        expect_text(made.name, "name")
+    contract.settle()
+    with contract.promise("cameras"):
+        moved = made.move(camera)
+        expect(isinstance(moved, Camera), "a Camera that it moves to", type(moved).__name__, "return a camera")
+        expect(isinstance(made.holds(camera), bool), "True or False from `holds`", made.holds(camera), "return a bool")
+    with contract.promise("pictures"):
+        _picture(made(scene, camera), made.move(camera))
+    with contract.promise("determinism"):
+        first = made(scene, camera)
+        with other_seed(1):
+            second = made(scene, camera)
+        do = "take noise from a seed of its own, such as one of the camera"
+        expect_same([first], [second], atol=_SAME, expected="the same picture in a second look", do=do)
+    with contract.promise("scene"):
+        _stays(lambda given: made(given, camera), scene)
+    contract.settle()
+
+
+def _camera(*, offset: float = 0.0, size: tuple[int, int] = _SIZE) -> Camera:
+    pose = look_at((offset, -3.0, 0.4), (0.0, 0.0, 0.0))
+    return Camera(to_world=pose, focal=1.2 * max(size), width=size[0], height=size[1])
+
+
+def _cluster() -> GaussianScene:
+    generator = torch.Generator().manual_seed(0)
+    count = 24
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(*shape, generator=generator)
+
+    sh = 0.05 * normal(count, 4, 3)
+    sh[:, 0] = colour_to_dc(0.2 + 0.6 * torch.rand(count, 3, generator=generator))
+    return GaussianScene(
+        means=0.3 * normal(count, 3),
+        scales=0.05 + 0.1 * torch.rand(count, 3, generator=generator),
+        rotations=normalise(normal(count, 4)),
+        opacities=0.4 + 0.4 * torch.rand(count, generator=generator),
+        sh=sh,
+    )
+
+
+def _one(mean: tuple[float, float, float], *, scale: float) -> GaussianScene:
+    return GaussianScene(
+        means=torch.tensor([mean]),
+        scales=torch.full((1, 3), scale),
+        rotations=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
+        opacities=torch.tensor([0.99]),
+        sh=colour_to_dc(torch.tensor([[_COLOUR]])),
+    )
+
+
+def _nothing() -> GaussianScene:
+    return _one((0.0, 0.0, 0.0), scale=1.0).select(torch.zeros(1, dtype=torch.bool))
+
+
+def _picture(picture: Any, camera: Camera, *, empty: bool = False) -> None:
+    """Break the promise unless something is a picture of a camera, which shows something."""
+    expect(isinstance(picture, Tensor), "a torch tensor", type(picture).__name__, "give torch.from_numpy(...)")
+    shape, wanted = tuple(picture.shape), (camera.height, camera.width, 3)
+    expect(
+        shape == wanted, f"a picture of shape {wanted}", shape, "give height, width, sRGB, of each camera's own size"
+    )
+    floating = picture.is_floating_point() and bool(torch.isfinite(picture).all())
+    expect(floating, "finite floating-point values", picture.dtype, "give sRGB, in [0, 1] but for what is brighter")
+    low, high = float(picture.min()), float(picture.max())
+    expect(low >= -0.5 and high <= 2, "sRGB about in [0, 1]", f"{low:.3g} to {high:.3g}", "divide 8 bits by 255")
+    expect(empty or high - low > 0.02, "a picture that shows something", "one colour", "look at the camera's pose")
+
+
+def _background(spec: RendererSpec, camera: Camera) -> None:
+    for background in ((0.0, 0.0, 0.0), (1.0, 0.5, 0.0)):
+        try:
+            render = spec.make(RenderSettings(background=background))
+        except MiSplatError:  # which a renderer of black backgrounds may raise
+            continue
+        corner = render(_one((0.0, 0.0, 0.0), scale=0.05), camera)[0, 0].tolist()[:3]
+        do = "use settings.background, or raise MiSplatError for those that cannot be"
+        good = max(abs(a - b) for a, b in zip(corner, background, strict=True)) < 0.02
+        expect(good, f"the background {background}", tuple(round(value, 2) for value in corner), do)
+
+
+def _gradient(render: Callable[..., Tensor], scene: GaussianScene, camera: Camera, name: str) -> None:
+    generator = torch.Generator().manual_seed(1)
+    weights = torch.rand(camera.height, camera.width, 3, generator=generator)
+    tensors: dict[str, Tensor] = {attribute: getattr(scene, attribute) for attribute in ATTRIBUTES}
+
+    def measured(value: Tensor) -> Tensor:
+        value = normalise(value) if name == "rotations" else value
+        return (render(GaussianScene.unchecked(**{**tensors, name: value}), camera) * weights).sum()
+
+    do = "differentiate in all five tensors, or say differentiable=False"
+    expect_uphill(measured, tensors[name], _STEP, do=do)
+
+
+def _stays(look: Callable[[GaussianScene], object], scene: GaussianScene) -> None:
+    kept = [value.clone() for value in scene.tensors()]
+    look(scene)
+    same = all(torch.equal(a, b) for a, b in zip(kept, scene.tensors(), strict=True))
+    expect(same, "a scene that stays as it is", "another one", "work on scene.replace(...)")

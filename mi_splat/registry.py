@@ -1,0 +1,144 @@
+"""Things by their names: those of this project, those that a script registers, and those of other installed packages.
+
+Another package names what it brings in its pyproject.toml, in the group of a registry:
+
+    [project.entry-points."mi_splat.detectors"]
+    my_detector = "my_package.detector:SPEC"
+
+Looking at names imports nothing. Such a value is imported when it is asked for, so that a package that is broken breaks
+nothing but itself, and the error names it. docs/plug-ins.md has a section for each group.
+"""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import EntryPoint, entry_points
+from typing import TypeVar
+
+from mi_splat.errors import InvalidValueError, MiSplatError, nearest
+
+_Value = TypeVar("_Value")
+
+
+class Registry(Mapping[str, _Value]):
+    """Values of one kind by their names: first the project's own and those registered, then those of other packages.
+
+    A name of the first two is never taken by another package.
+
+    Args:
+        group: Of entry points, for instance "mi_splat.detectors".
+        expected: What a value is, in words, for errors.
+        fits: Whether something is such a value.
+        what: What one is called in errors about its name.
+        error: Raised for a name that is taken, and for a package that is broken.
+    """
+
+    def __init__(
+        self,
+        group: str,
+        expected: str,
+        fits: Callable[[object], bool],
+        *,
+        what: str,
+        error: type[MiSplatError] = InvalidValueError,
+    ) -> None:
+        self.group, self.what = group, what
+        self.own: dict[str, _Value] = {}
+        self._expected, self._fits, self._error = expected, fits, error
+
+    def __getitem__(self, name: str) -> _Value:
+        """A value by its name.
+
+        Raises:
+            KeyError: There is none of this name.
+            MiSplatError: It is another package's, which cannot be imported, or has something else there.
+        """
+        return self.own[name] if name in self.own else self._brought(_points(self.group)[name])
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self.own
+        yield from self.brought
+
+    def __len__(self) -> int:
+        return len(self.own) + len(self.brought)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.own or name in _points(self.group)
+
+    @property
+    def brought(self) -> tuple[str, ...]:
+        """Names that other packages bring; nothing of them is imported."""
+        return tuple(name for name in _points(self.group) if name not in self.own)
+
+    def add(self, name: str, value: _Value) -> None:
+        """Register a value for this process.
+
+        Args:
+            name: One that is free.
+            value: Of this registry's kind.
+
+        Raises:
+            MiSplatError: The name is taken.
+        """
+        if name in self.own:
+            raise self._error.of(self.what, "a name that is free", repr(name), "choose another name")
+        self.own[name] = value
+
+    def chosen(self, name: object) -> _Value:
+        """A value by a name that a user gave.
+
+        Args:
+            name: The name.
+
+        Returns:
+            The value.
+
+        Raises:
+            MiSplatError: There is none of this name, which is said with the nearest one, or it is a broken package's.
+        """
+        if not isinstance(name, str) or name not in self:
+            do = nearest(str(name), self, "choose one of them")
+            raise self._error.of(self.what, " or ".join(self), repr(name), do)
+        return self[name]
+
+    def package(self, name: str) -> str:
+        """Which package brings a value, as "my-package 1.0"; empty for the project's own and registered ones."""
+        return "" if name in self.own else _package(_points(self.group)[name][0])
+
+    def _brought(self, points: tuple[EntryPoint, ...]) -> _Value:
+        point = points[0]
+        what = f"entry point {point.name} = {point.value} of {_package(point)} ({self.group})"
+        if len(points) > 1:
+            others = " and ".join(_package(point) for point in points)
+            raise self._error.of(what, "one package that brings it", others, "uninstall one of them")
+        try:
+            value = point.load()
+        except Exception as error:  # what another package raises has no common base
+            got, do = f"{type(error).__name__}: {error}", f"repair or uninstall {_package(point)}"
+            raise self._error.of(what, "something that can be imported", got, do) from error
+        named = getattr(value, "name", point.name)
+        if not self._fits(value) or named != point.name:
+            got = f"one of the name {named}" if self._fits(value) else type(value).__name__
+            raise self._error.of(what, f"{self._expected} of the name {point.name}", got, "correct it there")
+        kept: _Value = value
+        return kept
+
+
+def _points(group: str) -> dict[str, tuple[EntryPoint, ...]]:
+    return _points_on(group, tuple(sys.path))
+
+
+@functools.lru_cache(maxsize=32)
+def _points_on(group: str, path: tuple[str, ...]) -> dict[str, tuple[EntryPoint, ...]]:
+    """Entry points by their names; folders are looked through once, for that takes as long as a picture."""
+    points: dict[str, tuple[EntryPoint, ...]] = {}
+    for point in entry_points(group=group):
+        points[point.name] = (*points.get(point.name, ()), point)
+    return points
+
+
+def _package(point: EntryPoint) -> str:
+    distribution = point.dist
+    return "an unknown package" if distribution is None else f"{distribution.name} {distribution.version}"

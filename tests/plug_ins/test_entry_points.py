@@ -1,0 +1,328 @@
+"""Another package brings one of everything: commands and studies know it by its name, and if it is broken, say so."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from attacks import cli
+from attacks.aims import OBJECTIVES, PluggedObjective, objective_of
+from attacks.cli.poison_kinds import KINDS
+from attacks.dagger.attack import attack
+from attacks.dagger.config import DaggerConfig
+from attacks.dagger.report import summary, write_report
+from attacks.objectives import hide
+from attacks.observe.conditions import CONDITIONS, Viewing, check_condition, condition_of, package_of
+from attacks.optimisers.registry import OPTIMISERS
+from attacks.poisons.registry import PluggedPoison, poison_config, poison_of
+from attacks.poisons.specs import POISONS
+from attacks.report.results import read_section
+from attacks.studies.attack import FixedAttack
+from attacks.studies.dagger import _objective
+from attacks.studies.look import Look
+from attacks.testing.poisons import _views
+from attacks.testing.renderers import _camera, _cluster
+from mi_splat.audit.lint.checking import lint_scene
+from mi_splat.comparison.methods import RENDERERS, load_method
+from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.ledger.values import decoded, encoded
+from mi_splat.registry import Registry
+from mi_splat.rendering import RenderSettings
+from tests.fakes import ColourDetector, blobs, camera, register, toy_scene
+from tests.plug_ins.distribution import install, on_path
+from tests.studies.toy import DETECTORS, settings, work_of, write_toy
+
+BROUGHT = """
+from dataclasses import dataclass
+
+import numpy as np
+
+from attacks.aims import ObjectiveSpec
+from attacks.objectives import confidence, objective
+from attacks.observe.conditions import rendered, renderer_of
+from attacks.optimisers.registry import OptimiserSpec
+from attacks.poisons.base import poisoned
+from attacks.poisons.specs import PoisonSpec
+from mi_splat.audit.lint.rules import Rule
+from mi_splat.comparison.methods import RendererSpec
+from mi_splat.rendering import Renderer
+
+
+def slide(settings):
+    def update(point, here, memory):
+        steepest = settings.ball.steepest(here.gradients)
+        return {name: point[name] - settings.step[name] * steepest[name] for name in point}, memory.after()
+
+    return update
+
+
+ATTACK = OptimiserSpec(name="slide", make=slide, about="steps of fixed length")
+
+
+def fall(candidates, target):
+    return candidates.scores[:, 0].sum()
+
+
+def dim_car(label=None, least=None):
+    def success(detections, target):
+        return 1 - confidence(detections, target.box, labels=["car"]) > (0.5 if least is None else least)
+
+    return objective(fall, success, name="dim-car", label=label)
+
+
+OBJECTIVE = ObjectiveSpec(name="dim-car", make=dim_car)
+
+
+def half(settings):
+    render = Renderer(settings)
+    return lambda scene, camera: 0.5 * render(scene, camera)
+
+
+RENDERER = RendererSpec(make=half)
+
+
+def fog(viewing):
+    render = renderer_of("", viewing.settings)
+    return rendered("any", lambda scene, camera: 0.8 * render(scene, camera) + 0.2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dark:
+    by: float = 0.5
+
+
+def darker(config, decoy):
+    def poison(views, *, seed=0, on_step=None):
+        pictures = {number: view.image * config.by for number, view in enumerate(views)}
+        return poisoned(views, pictures, {"kind": "dark", "by": config.by, "seed": seed})
+
+    return poison
+
+
+POISON = PoisonSpec(name="dark", config=Dark, make=darker)
+RULE = Rule(name="many", severity="note", threshold=5, reason="There are many.",
+            find=lambda stored, most: stored.valid & (len(stored.valid) > most))
+TAKEN = Rule(name="giant", severity="note", threshold=5, reason="Same.", find=lambda stored, most: stored.valid)
+FAILING = Rule(name="failing", severity="note", threshold=0, reason="It fails.", find=lambda stored, none: 1 / 0)
+"""
+
+ENTRIES = {
+    "mi_splat.attacks/slide": "brought:ATTACK",
+    "mi_splat.objectives/dim-car": "brought:OBJECTIVE",
+    "mi_splat.renderers/half": "brought:RENDERER",
+    "mi_splat.conditions/fog": "brought:fog",
+    "mi_splat.poisons/dark": "brought:POISON",
+    "mi_splat.audit_rules/many": "brought:RULE",
+}
+GROUPS: dict[str, Registry[Any]] = {
+    "mi_splat.attacks": OPTIMISERS,
+    "mi_splat.objectives": OBJECTIVES,
+    "mi_splat.renderers": RENDERERS,
+    "mi_splat.conditions": CONDITIONS,
+    "mi_splat.poisons": POISONS,
+}
+VIEWING = Viewing(settings=RenderSettings(), centre=(0.0, 0.0, 0.0), alone=lambda splat: splat)
+
+
+@pytest.fixture
+def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    yield on_path(tmp_path / "site", monkeypatch)
+    sys.modules.pop("brought", None)
+
+
+@pytest.fixture
+def brought(path: Path) -> Path:
+    install(path, ENTRIES, brought=BROUGHT)
+    return path
+
+
+def test_looking_at_names_imports_nothing(brought: Path) -> None:
+    for group, registry in GROUPS.items():
+        (name,) = (entry.split("/")[1] for entry in ENTRIES if entry.startswith(f"{group}/"))
+        assert name in registry
+        assert list(registry)[-1] == name
+        assert len(registry) == len(list(registry))
+        assert registry.package(name) == "plugged 1.0"
+        assert all(registry.package(own) == "" for own in registry.own)
+    assert "dark" in KINDS
+    assert "brought" not in sys.modules
+
+
+def test_a_renderer_and_a_condition(brought: Path) -> None:
+    scene, view = _cluster(), _camera()
+    plain = load_method("tile", RenderSettings()).render(scene, view)
+    torch.testing.assert_close(load_method("half", RenderSettings()).render(scene, view), 0.5 * plain)
+    check_condition("fog", None)
+    condition = condition_of("fog", VIEWING)
+    assert condition.name == "fog"
+    torch.testing.assert_close(condition(scene, view), 0.8 * plain + 0.2)
+    torch.testing.assert_close(condition_of("half", VIEWING)(scene, view), 0.5 * plain)
+    with pytest.raises(InvalidValueError, match="did you mean fog"):
+        check_condition("fogg", None)
+
+
+def test_an_attack_is_an_optimiser_of_every_configuration(brought: Path) -> None:
+    scene, mask = toy_scene()
+    configs = [DaggerConfig(optimiser=name, steps=3, noise_draws=0, early_stop=False) for name in ("slide", "pgd")]
+    ours, pgd_s = (
+        attack(scene, mask, camera(), ColourDetector(), hide(), render=blobs, config=config) for config in configs
+    )
+    assert torch.equal(ours.scene.sh, pgd_s.scene.sh)
+    options = cli.parse("dagger", ["--optimiser", "slide"])
+    assert options.config.optimiser == "slide"
+    with pytest.raises(InvalidValueError, match="did you mean slide"):
+        DaggerConfig(optimiser="slid")
+
+
+def test_an_objective_is_attacked_reported_and_scored_again(brought: Path, tmp_path: Path) -> None:
+    scene, mask = toy_scene()
+    aim = objective_of("dim-car", confidence=0.2)
+    assert aim == PluggedObjective(kind="dim-car", confidence=0.2, package="plugged 1.0")
+    config = DaggerConfig(steps=2, noise_draws=0)
+    result = attack(scene, mask, camera(), ColourDetector(), aim, render=blobs, config=config)
+    assert result.trace[1].loss < result.trace[0].loss
+    record = summary(result)
+    assert record["objective"] == "dim-car"
+    settings = {"kind": "dim-car", "label": None, "confidence": 0.2, "package": "plugged 1.0"}
+    assert record["config"]["objective"] == settings
+    write_report(result, tmp_path / "out")
+    assert "to its aim, dim-car" in read_section(tmp_path / "out").title
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["config"]["objective"] == settings
+
+
+def test_a_study_keeps_an_objective_and_a_poison_by_their_names(brought: Path) -> None:
+    aim = _objective({"aim": "dim-car", "objective": {"confidence": 0.4}}, "study.toml")
+    assert aim == PluggedObjective(kind="dim-car", confidence=0.4, package="plugged 1.0")
+    poison = poison_config({"kind": "dark", "by": 0.25}, "poison")
+    assert poison == PluggedPoison(kind="dark", settings={"by": 0.25}, package="plugged 1.0")
+    for kept in (aim, poison):
+        assert decoded(json.loads(json.dumps(encoded(kept))), [type(kept).__module__]) == kept
+    views = _views()
+    done = poison_of(poison, None)(views, seed=0)
+    torch.testing.assert_close(done.views[0].image, 0.25 * views[0].image)
+    with pytest.raises(InvalidValueError, match="key in poison: expected one of by, got bye"):
+        poison_config({"kind": "dark", "bye": 1.0}, "poison")
+
+
+def test_jobs_of_a_study_name_the_package(brought: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    register(monkeypatch, DETECTORS)
+    write_toy(tmp_path)
+    table = settings(tmp_path, renderer="half", judge={"condition": "fog"})
+    table["attack"] = {"eps": 12.0, "steps": 4, "optimiser": "slide"}
+    jobs = work_of(table).jobs().values()
+    assert {job.config.packages for job in jobs if isinstance(job.config, FixedAttack)} == {("plugged 1.0",) * 2}
+    assert {job.config.package for job in jobs if isinstance(job.config, Look)} == {"plugged 1.0"}
+    assert [package_of(name) for name in ("half", "fog", "tile", "noise 0.05", "")] == ["plugged 1.0"] * 2 + [""] * 3
+
+
+def test_a_condition_does_not_take_a_renderer_s_name(path: Path) -> None:
+    install(path, {"mi_splat.conditions/tile": "brought:fog"}, brought=BROUGHT)
+    scene, view = _cluster(), _camera()
+    assert torch.equal(
+        condition_of("tile", VIEWING)(scene, view), RENDERERS["tile"].make(RenderSettings())(scene, view)
+    )
+
+
+def test_a_poison_is_a_kind_with_flags_of_its_own(brought: Path) -> None:
+    options = cli.parse("poison", ["SET", "--kind", "dark", "--by", "0.25", "--out", "out"])
+    assert options.poison.by == 0.25
+    assert not KINDS["dark"].needs_splat
+
+
+def test_a_rule_is_heard_in_every_audit(brought: Path) -> None:
+    findings = {finding.rule: finding for finding in lint_scene(_cluster()).findings}
+    assert findings["many"].count == len(_cluster())
+
+
+@pytest.mark.parametrize(
+    ("entry", "said"),
+    [
+        ("many = brought:FAILING", "expected a Rule of the name many, got one of the name failing"),
+        ("failing = brought:FAILING", "The rule failing of plugged 1.0 did not run: division by zero"),
+        ("giant = brought:TAKEN", "rule giant: expected a name that is free"),
+        ("many = brought:MISSING", "did not run: entry point many = brought:MISSING of plugged 1.0"),
+    ],
+)
+def test_a_rule_that_does_not_run_is_a_warning(path: Path, entry: str, said: str) -> None:
+    name, value = entry.split(" = ")
+    install(path, {f"mi_splat.audit_rules/{name}": value}, brought=BROUGHT)
+    (finding,) = (finding for finding in lint_scene(_cluster()).findings if finding.rule == name)
+    assert finding.severity == "warning"
+    assert said in finding.reason
+
+
+@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize(
+    ("module", "value", "said"),
+    [
+        (
+            "raise RuntimeError('no licence')",
+            "broken:IT",
+            "got RuntimeError: no licence; repair or uninstall plugged 1.0",
+        ),
+        ("def :", "broken:IT", "got SyntaxError"),
+        ("IT = 3", "broken:IT", "got int; correct it there"),
+        ("IT = 3", "broken:THAT", "got AttributeError"),
+        ("", "brokenn:IT", "got ModuleNotFoundError: No module named 'brokenn'"),
+    ],
+)
+def test_a_broken_package_breaks_only_itself(path: Path, group: str, module: str, value: str, said: str) -> None:
+    install(path, {f"{group}/bad": value}, broken=module)
+    registry = GROUPS[group]
+    with pytest.raises(MiSplatError, match=rf"entry point bad = {value} of plugged 1.0 \({group}\): ") as caught:
+        registry.chosen("bad")
+    assert said in str(caught.value)
+    sys.modules.pop("broken", None)
+    own = next(iter(registry.own), None)
+    assert own is None or registry.chosen(own) is registry.own[own]
+    assert cli.main(["detectors", "--json"]) == 0
+    assert cli.parse("poison", ["SET", "--kind", "uniform-noise"]).kind == "uniform-noise"
+    assert condition_of("noise 0.05", VIEWING).name == "noise 0.05"
+
+
+def test_a_name_of_two_packages_is_refused(path: Path) -> None:
+    install(path, {"mi_splat.poisons/dark": "brought:POISON"}, brought=BROUGHT)
+    install(path, {"mi_splat.poisons/dark": "brought:POISON"}, name="other")
+    with pytest.raises(InvalidValueError, match=r"expected one package that brings it, got .*other 1\.0"):
+        POISONS.chosen("dark")
+
+
+def test_a_name_of_this_project_is_never_taken(path: Path) -> None:
+    install(path, {"mi_splat.renderers/tile": "brought:RENDERER"}, brought=BROUGHT)
+    assert RENDERERS["tile"] is RENDERERS.own["tile"]
+    assert "tile" not in RENDERERS.brought
+    assert list(RENDERERS).count("tile") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            "dagger --objective dim-cars",
+            "--objective: expected one of relabel, hide, untargeted, dim-car, got dim-cars",
+        ),
+        (
+            "dagger --objective dim-car --target person",
+            "--target: expected none beside --objective dim-car, got person",
+        ),
+        ("poison SET --kind darkk", "did you mean dark?"),
+    ],
+)
+def test_the_command_line_knows_them(brought: Path, words: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(words.split()) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_an_objective_that_gives_none_is_refused(path: Path) -> None:
+    text = 'from attacks.aims import ObjectiveSpec\nIT = ObjectiveSpec(name="bad", make=lambda label, least: 3)\n'
+    install(path, {"mi_splat.objectives/bad": "lazy:IT"}, lazy=text)
+    with pytest.raises(InvalidValueError, match="objective: expected an Objective, got int"):
+        objective_of("bad")
+    with pytest.raises(InvalidValueError, match="target: expected what the aim hide has, got person"):
+        objective_of("hide", "person")

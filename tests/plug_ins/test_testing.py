@@ -1,0 +1,518 @@
+"""The test kit accepts what keeps its contract, and says of broken plug-ins what is broken and what to do."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from attacks.detectors import Candidates, Detections, load_detector, wrap_detector
+from attacks.objectives import Target, confidence, hide, objective, relabel, untargeted
+from attacks.observe.conditions import Viewing, condition_of, rendered, renderer_of
+from attacks.optimisers.registry import OPTIMISERS, OptimiserSpec
+from attacks.optimisers.settings import SearchSettings
+from attacks.poisons.base import Poisoned, PoisonedViews, poisoned
+from attacks.poisons.specs import POISONS, PoisonSpec
+from attacks.search import Evaluation, OptimiserState, Parameters, Verdict
+from attacks.testing import (
+    ContractError,
+    check_attack,
+    check_condition,
+    check_detector,
+    check_objective,
+    check_poison,
+    check_renderer,
+    check_rule,
+)
+from mi_splat.audit.lint.rules import RULES, Rule, Stored
+from mi_splat.cameras import Camera, View
+from mi_splat.comparison.methods import RENDERERS, RendererSpec
+from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.scene import GaussianScene
+from tests.fakes import CoarseDetector, ColourDetector
+
+
+def broken_by(check: Callable[[], None], *words: str) -> ContractError:
+    """The error of a check, which says all these words, each in a line of its own."""
+    with pytest.raises(ContractError) as caught:
+        check()
+    for word in words:
+        assert any(word in line for line in caught.value.broken), f"{word!r} not in {caught.value}"
+    assert str(caught.value).count("\n") == len(caught.value.broken)
+    return caught.value
+
+
+# Detectors
+
+
+class Wide(ColourDetector):
+    """Judges pictures as the wrapped one does."""
+
+    def changed(self, seen: Candidates) -> Candidates:
+        return seen
+
+    def candidates(self, images: Tensor) -> list[Candidates]:
+        return [self.changed(seen) for seen in super().candidates(images)]
+
+
+class NoGradient(Wide):
+    def changed(self, seen: Candidates) -> Candidates:
+        return Candidates(seen.boxes, seen.scores.detach())
+
+
+class WrongGradient(Wide):
+    """Its gradient points away: that of 1 - scores."""
+
+    def changed(self, seen: Candidates) -> Candidates:
+        return Candidates(seen.boxes, 2 * seen.scores.detach() - seen.scores)
+
+
+class Logits(Wide):
+    def changed(self, seen: Candidates) -> Candidates:
+        return Candidates(seen.boxes, seen.scores.logit())
+
+
+class Relative(Wide):
+    def changed(self, seen: Candidates) -> Candidates:
+        return Candidates(seen.boxes / 128, seen.scores)
+
+
+class Swapped(Wide):
+    def changed(self, seen: Candidates) -> Candidates:
+        return Candidates(seen.boxes[..., [1, 0, 3, 2]] * 2, seen.scores)
+
+
+class CentreAndSize(Wide):
+    def changed(self, seen: Candidates) -> Candidates:
+        return Candidates(torch.cat([seen.boxes[..., 2:], seen.boxes[..., 2:] - seen.boxes[..., :2]], -1), seen.scores)
+
+
+class Dropping(Wide):
+    def changed(self, seen: Candidates) -> Candidates:
+        return Candidates(seen.boxes, torch.nn.functional.dropout(seen.scores, 0.5).clamp(max=1))
+
+
+class Stacked(ColourDetector):
+    """Normalises over all pictures."""
+
+    def candidates(self, images: Tensor) -> list[Candidates]:
+        return super().candidates((images - images.mean() + 0.5).clamp(0, 1))
+
+
+class Thresholded(Wide):
+    def changed(self, seen: Candidates) -> Candidates:
+        kept = seen.scores.max(1).values > 2
+        return Candidates(seen.boxes[kept], seen.scores[kept])
+
+
+class Careless(ColourDetector):
+    """Takes everything, and clips it in place."""
+
+    name = "careless"
+
+    def candidates(self, images: Tensor) -> list[Candidates]:
+        return ColourDetector.candidates(self, torch.nan_to_num(images).detach().clamp_(0, 1)[..., :3])
+
+    def detect(self, images: Tensor) -> list[Detections]:
+        images.mul_(0.5)
+        return [Detections(torch.zeros(2, 4), torch.tensor([0.01, 0.5]), ("cat", "car")) for _ in images]
+
+
+@pytest.mark.parametrize("detector", [ColourDetector(), CoarseDetector()], ids=lambda detector: detector.name)
+def test_detectors_that_are_right(detector: Any) -> None:
+    check_detector(detector)
+
+
+@pytest.mark.slow
+def test_the_shipped_detector_keeps_its_contract() -> None:
+    check_detector(load_detector("fasterrcnn_small"))
+
+
+@pytest.mark.parametrize(
+    ("detector", "words"),
+    [
+        (NoGradient(), ("gradients: expected a gradient, got none; keep the way from the pictures",)),
+        (WrongGradient(), ("gradients: expected a gradient that is true: a slope of",)),
+        (Logits(), ("candidates: expected scores in [0, 1], got -",)),
+        (Relative(), ("candidates: expected boxes in pixels, got numbers up to 1",)),
+        (Swapped(), ("candidates: expected boxes with their middle in the picture",)),
+        (CentreAndSize(), ("candidates: expected boxes whose first corner is the upper left one",)),
+        (Dropping(), ("determinism: expected the same in a second look",)),
+        (Stacked(), ("stacks: expected the same scores", "each picture for itself: expected no gradient in the other")),
+        (Thresholded(), ("candidates: expected candidates before any threshold, got none",)),
+        (
+            Careless(),
+            (
+                "detections: expected labels that are among the classes, got cat",
+                "pictures: expected pictures that stay as they are",
+                "refusals: expected InvalidValueError for values up to 255, got an answer",
+                "refusals: expected InvalidValueError for NaN, got an answer",
+            ),
+        ),
+        (object(), ("names: expected all members of Detector, got no candidates, detect, name",)),
+    ],
+    ids=lambda value: type(value).__name__ if not isinstance(value, tuple) else "",
+)
+def test_detectors_that_are_broken(detector: Any, words: tuple[str, ...]) -> None:
+    broken_by(lambda: check_detector(detector), *words)
+
+
+def test_names_of_a_detector() -> None:
+    detector: Any = ColourDetector()
+    detector.fingerprint = "new"
+    broken_by(lambda: check_detector(detector), "names: expected 16 hex digits as fingerprint, got new")
+
+
+# Objectives
+
+
+def _score(candidates: Candidates, target: Target) -> Tensor:
+    return candidates.scores[:, 0].sum()
+
+
+def _gone(detections: Detections, target: Target) -> float:
+    return 1 - confidence(detections, target.box, iou=0.3)
+
+
+def _nothing(detections: Detections, target: Target) -> bool:
+    return False
+
+
+def _says(answer: Any, detections: Detections, target: Target) -> Any:
+    return answer
+
+
+@dataclass(frozen=True)
+class Loud:
+    """Its verdict is none."""
+
+    name: str = "loud"
+    label: str | None = None
+
+    def __call__(self, candidates: Candidates, target: Target) -> Tensor:
+        return candidates.scores.mean()
+
+    def verdict(self, detections: Detections, target: Target) -> Any:
+        return len(detections)
+
+
+@pytest.mark.parametrize(
+    "aim", [relabel("person"), hide(), untargeted(), objective(_score, _gone)], ids=lambda aim: str(aim.name)
+)
+def test_objectives_that_are_right(aim: Any) -> None:
+    check_objective(aim)
+
+
+@pytest.mark.parametrize(
+    ("aim", "words"),
+    [
+        (
+            objective(lambda c, t: -c.scores[:, 0].sum(), _gone),
+            ("loss and success: expected success that comes nearer",),
+        ),
+        (objective(_score, _nothing), ("loss and success: expected success that comes nearer",)),
+        (
+            objective(lambda c, t: c.scores.mean().detach(), _gone),
+            ("gradients: expected a loss with a gradient, got none",),
+        ),
+        (
+            objective(lambda c, t: c.scores[:, 0], _gone),
+            ("loss: raised InvalidValueError: loss of _gone: expected a tensor",),
+        ),
+        (objective(lambda c, t: c.scores[:, 0].max(), _gone), ("no candidates: raised",)),
+        (objective(lambda c, t: _score(c, t) + torch.rand(()), _gone), ("determinism: expected the same loss",)),
+        (objective(_score, lambda d, t: 7.0), ("verdict: raised InvalidValueError: success of lambda",)),
+        (Loud(), ("verdict: expected a Verdict, got int",)),
+        (object(), ("names: expected a text as name, got None",)),
+    ],
+)
+def test_objectives_that_are_broken(aim: Any, words: tuple[str, ...]) -> None:
+    broken_by(lambda: check_objective(aim), *words)
+
+
+def test_what_success_says_becomes_a_verdict() -> None:
+    target = Target(box=torch.tensor([0.0, 0.0, 9.0, 9.0]), label=None, classes=("car",), original="car")
+    seen = Detections(torch.zeros(0, 4), torch.zeros(0), ())
+    whole = Verdict(success=True, score=0.5, unambiguous=False)
+    said = {
+        True: Verdict(success=True, score=1, unambiguous=True),
+        False: Verdict(success=False, score=0, unambiguous=False),
+        0.25: Verdict(success=False, score=0.25, unambiguous=False),
+        whole: whole,
+    }
+    for answer, verdict in said.items():
+        assert objective(_score, partial(_says, answer)).verdict(seen, target) == verdict
+    assert objective(_score, _gone).name == "_gone"
+    assert "tests.plug_ins.test_testing._gone" in repr(objective(_score, _gone))
+
+
+# Attacks
+
+
+@pytest.mark.parametrize("spec", OPTIMISERS.values(), ids=OPTIMISERS)
+def test_attacks_that_are_right(spec: OptimiserSpec) -> None:
+    check_attack(spec)
+
+
+def _descent(settings: SearchSettings, sign: float = -1.0) -> Any:
+    def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> Any:
+        directions = settings.ball.steepest(here.gradients)
+        return {name: point[name] + sign * settings.step[name] * directions[name] for name in point}, memory.after()
+
+    return update
+
+
+def _forgetful(settings: SearchSettings) -> Any:
+    """Its steps become shorter by what it remembers beside the memory."""
+    taken: list[int] = []
+
+    def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> Any:
+        taken.append(0)
+        steepest = settings.ball.steepest(here.gradients)
+        return {name: point[name] - settings.step[name] / len(taken) * steepest[name] for name in point}, memory.after()
+
+    return update
+
+
+def _drawing(settings: SearchSettings) -> Any:
+    def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> Any:
+        return {name: value + 0.2 * torch.randn_like(value) for name, value in point.items()}, memory.after()
+
+    return update
+
+
+def _moving(settings: SearchSettings) -> Any:
+    def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> Any:
+        for name, value in point.items():
+            value.sub_(settings.step[name] * here.gradients[name].sign())
+        return point, memory.after()
+
+    return update
+
+
+def _stuck(settings: SearchSettings) -> Any:
+    return lambda point, here, memory: (_descent(settings)(point, here, memory)[0], memory)
+
+
+OWN = OptimiserSpec(name="own", make=_descent, about="steps of fixed length")
+
+
+def test_attacks_that_are_broken() -> None:
+    check_attack(OWN)
+    for make, words in (
+        (partial(_descent, sign=1.0), "gain in l2: expected a lower loss within the budget"),
+        (_forgetful, "interruption: expected the same rest of a search that was interrupted"),
+        (_drawing, "determinism: expected the same losses for the same seed"),
+        (_moving, "steps: expected points and gradients that stay as they are"),
+        (_stuck, "steps: expected a memory of 1 steps, got 0; end with memory.after()"),
+    ):
+        broken_by(partial(check_attack, dataclasses.replace(OWN, make=make)), words)
+    broken_by(partial(check_attack, dataclasses.replace(OWN, about="")), "names: expected a text as line about it")
+
+
+# Renderers and conditions
+
+_TILE = RENDERERS["tile"]
+
+
+def changed_tile(change: Callable[[Tensor], Tensor]) -> Callable[[GaussianScene, Camera], Tensor]:
+    return lambda scene, camera: change(Renderer()(scene, camera))
+
+
+def _cut(scene: GaussianScene, camera: Camera) -> Tensor:
+    return Renderer()(scene.replace(means=scene.means.detach(), opacities=scene.opacities.detach()), camera)
+
+
+def _in_place(scene: GaussianScene, camera: Camera) -> Tensor:
+    picture = Renderer()(scene, camera)
+    with torch.no_grad():
+        scene.sh.mul_(0.9)
+    return picture
+
+
+@pytest.mark.parametrize("name", ["tile", "ray", "tile-antialiased"])
+def test_renderers_that_are_right(name: str) -> None:
+    check_renderer(RENDERERS[name])
+
+
+@pytest.mark.parametrize(
+    ("renderer", "words"),
+    [
+        (changed_tile(lambda picture: picture.flip(1)), ("places: expected a Gaussian at",)),
+        (
+            changed_tile(lambda picture: picture.permute(2, 0, 1)),
+            ("pictures: expected a picture of shape (28, 40, 3)",),
+        ),
+        (changed_tile(lambda picture: picture * 255), ("pictures: expected sRGB about in [0, 1]", "colours: expected")),
+        (changed_tile(lambda picture: picture**2.2), ("colours: expected sRGB (0.8, 0.4, 0.2)",)),
+        (changed_tile(lambda picture: picture + 0.1 * torch.rand(())), ("determinism: expected the same picture",)),
+        (changed_tile(lambda picture: picture.detach()), ("gradient of sh: expected a gradient, got none",)),
+        (_cut, ("gradient of means: expected", "gradient of opacities: expected")),
+        (_in_place, ("scene: expected a scene that stays as it is",)),
+        (
+            RendererSpec(make=lambda settings: Renderer()),
+            ("background: expected the background (1.0, 0.5, 0.0), got (0.0, 0.0, 0.0)",),
+        ),
+    ],
+)
+def test_renderers_that_are_broken(renderer: Any, words: tuple[str, ...]) -> None:
+    broken_by(lambda: check_renderer(renderer), *words)
+
+
+def test_what_is_not_differentiable_is_not_asked_for_gradients() -> None:
+    still = changed_tile(lambda picture: picture.detach())
+    check_renderer(still, differentiable=False)
+    check_renderer(RendererSpec(make=_TILE.make, differentiable=False))
+
+
+def fog(viewing: Viewing) -> Any:
+    render = renderer_of("", viewing.settings)
+    return rendered("fog", lambda scene, camera: 0.8 * render(scene, camera) + 0.2)
+
+
+@pytest.mark.parametrize("name", ["noise 0.05", ".spz", "0.5 x distance", "fog"])
+def test_conditions_that_are_right(name: str) -> None:
+    check_condition(fog if name == "fog" else lambda viewing: condition_of(name, viewing))
+
+
+def test_conditions_that_are_broken() -> None:
+    def noisy(viewing: Viewing) -> Any:
+        render = renderer_of("", viewing.settings)
+        return rendered("noisy", lambda scene, camera: render(scene, camera) + 0.1 * torch.rand(28, 40, 3))
+
+    broken_by(lambda: check_condition(noisy), "determinism: expected the same picture in a second look")
+    broken_by(lambda: check_condition(lambda viewing: 3), "making it: expected a Condition, got int")
+    viewing = Viewing(settings=RenderSettings(), centre=(0.0, 0.0, 0.0), alone=lambda splat: splat)
+    nowhere = dataclasses.replace(fog(viewing), move=lambda camera: 3)
+    broken_by(lambda: check_condition(nowhere), "cameras: expected a Camera that it moves to, got int")
+
+
+# Poisons
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dark:
+    by: float = 0.5
+
+
+def darker(config: Dark, decoy: object) -> Any:
+    def poison(views: Sequence[View], *, seed: int = 0, on_step: Any = None) -> Poisoned:
+        pictures = {}
+        for number, view in enumerate(views):
+            pictures[number] = view.image * config.by
+            if on_step is not None:
+                on_step(number + 1, len(views))
+        return poisoned(views, pictures, {"kind": "dark", "by": config.by, "seed": seed})
+
+    return poison
+
+
+def _three(config: Dark, decoy: object) -> Any:
+    return 3
+
+
+DARK = PoisonSpec(name="dark", config=Dark, make=darker)
+
+
+@pytest.mark.parametrize("spec", [DARK, POISONS["uniform-noise"], POISONS["raised-variation"]], ids=lambda s: s.name)
+def test_poisons_that_are_right(spec: PoisonSpec) -> None:
+    check_poison(spec)
+
+
+def test_poisons_that_are_broken() -> None:
+    def unseeded(views: Sequence[View], *, seed: int = 0, on_step: Any = None) -> Poisoned:
+        return poisoned(views, {0: torch.rand(views[0].image.shape)}, {})
+
+    words = (
+        "determinism: expected the same pictures",
+        "progress: expected calls of on_step",
+        "manifest: expected a text",
+    )
+    broken_by(lambda: check_poison(unseeded), *words)
+
+    def secret(views: Sequence[View], *, seed: int = 0, on_step: Any = None) -> Poisoned:
+        shown = PoisonedViews(views, {1: View(views[1].camera, views[1].image * 0.5)})
+        return Poisoned(views=shown, changes=(), poison={"kind": "secret"})
+
+    broken_by(lambda: check_poison(secret), "changes: expected changes of the views [1], got []")
+
+    def in_place(views: Sequence[View], *, seed: int = 0, on_step: Any = None) -> Poisoned:
+        views[0].image.mul_(0.5)
+        return poisoned(views, {0: views[0].image}, {"kind": "rude"})
+
+    broken_by(lambda: check_poison(in_place), "the untouched set: expected an untouched set")
+
+    @dataclass
+    class Loose:
+        by: float
+
+    broken_by(lambda: check_poison(dataclasses.replace(DARK, config=Loose)), "settings: raised TypeError")
+    broken_by(lambda: check_poison(dataclasses.replace(DARK, needs_splat=True)), "settings: expected a poison that")
+    broken_by(lambda: check_poison(dataclasses.replace(DARK, make=_three)), "making it: expected a function")
+
+
+# Rules
+
+
+def _grey(stored: Stored, threshold: float) -> Any:
+    return stored.valid & (np.abs(stored.arrays["sh"][:, 0]).max(1) < threshold)
+
+
+GREY = Rule(name="grey", severity="note", threshold=1e-3, reason="It has no colour at all.", find=_grey)
+
+
+@pytest.mark.parametrize("rule", [*RULES, GREY], ids=lambda rule: str(rule.name))
+def test_rules_that_are_right(rule: Rule) -> None:
+    check_rule(rule)
+
+
+def test_rules_that_are_broken() -> None:
+    def rude(stored: Stored, threshold: float) -> Any:
+        stored.arrays["sh"] *= 0.5
+        return np.zeros(len(stored.valid), np.bool_)
+
+    def short(stored: Stored, threshold: float) -> Any:
+        return np.zeros(3, np.bool_)
+
+    cases: tuple[tuple[dict[str, Any], str], ...] = (
+        ({"find": rude}, "determinism: expected arrays that stay as they are"),
+        ({"find": short}, "healthy splats: raised InvalidValueError: rule grey: expected bool (60,), got bool (3,)"),
+        ({"threshold": 1e9}, "healthy splats: expected nothing, got a finding in 60 of 60"),
+        ({"name": "giant"}, "names: expected a name that is free, got giant"),
+        ({"reason": "no"}, "names: expected a sentence as reason"),
+        ({"severity": "bad"}, "names: expected error or warning or note, got bad"),
+    )
+    for changes, words in cases:
+        broken_by(partial(check_rule, dataclasses.replace(GREY, **changes)), words)
+    broken_by(lambda: check_rule(3), "names: expected a Rule, got int")
+
+
+def test_a_rule_that_finds_nothing_where_it_has_to() -> None:
+    from attacks.testing.rules import _cloud
+
+    cloud = _cloud(20, 0)
+    check_rule(GREY, finds=cloud.replace(sh=torch.zeros_like(cloud.sh)))
+    broken_by(lambda: check_rule(GREY, finds=cloud), "what it finds: expected a finding, got none")
+
+
+def test_a_module_that_is_wrapped_keeps_the_contract() -> None:
+    class Bright(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.scale = nn.Parameter(torch.tensor(3.0))
+
+        def forward(self, images: Tensor) -> Tensor:
+            return self.scale * (images.mean((1, 2, 3)) - 0.5)
+
+    def decode(logits: Tensor, size: tuple[int, int]) -> Any:
+        box = torch.tensor([[0.0, 0.0, size[1], size[0]]])
+        return [(box, logit.sigmoid().reshape(1, 1)) for logit in logits]
+
+    check_detector(wrap_detector(Bright(), ("stop sign",), decode))

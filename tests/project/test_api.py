@@ -1,0 +1,61 @@
+"""The public API: few names, each documented where its reader looks, and what it returns said by `help()`."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+import attacks
+import mi_splat
+from tests.project.layers import PACKAGES, ROOT
+
+NAMES = [(package, name) for package in (mi_splat, attacks) for name in package.__all__]
+IDS = [f"{package.__name__}.{name}" for package, name in NAMES]
+MOST = 45
+"""Names that a reader may be asked to know."""
+
+
+def functions(value: Any) -> Iterator[Callable[..., Any]]:
+    """A function itself; of a class its public methods, those of its bases in this project included."""
+    if inspect.isfunction(value):
+        yield value
+    for kind in value.__mro__ if inspect.isclass(value) else ():
+        for name, member in vars(kind).items() if kind.__module__.startswith(PACKAGES) else ():
+            member = getattr(member, "__func__", member)
+            if inspect.isfunction(member) and (name == "__call__" or not name.startswith("_")):
+                yield member
+
+
+def test_the_names_are_few_and_each_is_there_once() -> None:
+    names = [name for _, name in NAMES]
+    assert len(names) == len(set(names)) <= MOST
+    for package in (mi_splat, attacks):
+        assert package.__all__ == sorted(package.__all__, key=lambda name: (name[0].islower(), name))
+
+
+@pytest.mark.parametrize(("package", "name"), NAMES, ids=IDS)
+def test_every_name_is_documented(package: Any, name: str) -> None:
+    page = (ROOT / "docs" / "api.md").read_text()
+    table = page[page.index(f"| from `{package.__name__}`") :]
+    assert re.search(rf"^\| .*`{name}`.* \| \S", table, flags=re.MULTILINE), f"docs/api.md has no row for {name}"
+    value = getattr(package, name)
+    text = inspect.getdoc(value) or ""
+    assert text.split("\n")[0].endswith((".", ":"))
+    for function in functions(value):
+        returned = inspect.signature(function).return_annotation
+        if returned in (None, "None", inspect.Signature.empty):
+            continue
+        told = inspect.getdoc(function) or ""
+        assert re.search(r"^(Returns|Yields):$", told, flags=re.MULTILINE), f"{function.__qualname__} -> {returned}"
+
+
+def test_the_page_names_nothing_else() -> None:
+    page = (ROOT / "docs" / "api.md").read_text()
+    for package in (mi_splat, attacks):
+        table = page[page.index(f"| from `{package.__name__}`") :].split("\n\n")[0]
+        named = {name for row in table.splitlines()[2:] for name in re.findall(r"`(\w+)`", row.split(" | ")[0])}
+        assert named == {*package.__all__}
