@@ -1,7 +1,5 @@
 """`python -m attacks`: the same as the console script `mi-splat`."""
 
-from __future__ import annotations
-
 import sys
 
 from attacks.cli import main

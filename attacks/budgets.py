@@ -6,8 +6,6 @@ gives the steepest direction, and draws from the ball; everything else is the sa
 tensor for each attribute that may move, whose first dimension is the Gaussian.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The limits of a perturbation as plain values; light, so that options can be parsed without torch."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, get_args
 
 from mi_splat.fields import Called, at_least

@@ -5,8 +5,6 @@ suppression, where gradients are; success sees only what a user of the detector 
 whose box in the picture is known: candidates and detections belong to it when they overlap that box.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ The splat is the car of discs of tests/audit/scenes.py on a ground, made by code
 done once before. Memory is the peak of the process, torch and the splat included.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import resource

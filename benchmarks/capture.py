@@ -4,8 +4,6 @@ A picture of a car on a road and one of a car on its street, both 256 x 256 at 3
 which captures use, and by its scalar variant; and what the first picture of a scene takes, where loading comes with it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import mitsuba as mi

@@ -9,8 +9,6 @@ below zero a layer may go, and for several bands of a layer more for the edge of
 has a part in it.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys

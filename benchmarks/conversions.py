@@ -7,8 +7,6 @@ twice: on SH of degree 3, and on a scene cut to the first coefficients before th
 the detector still reports the target on the object, from the converted file, on an 8-bit picture. It takes minutes.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import math

@@ -12,8 +12,6 @@ everything is interleaved, the best of the rounds is the figure, and a ratio is 
 The benchmarks of this folder use the functions below: `--cpu` has them report CPU time of one thread.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import importlib

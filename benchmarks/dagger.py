@@ -4,8 +4,6 @@ With `--against REVISION` beside the code of another revision. In a step from th
 wanted class; the search is the paper's, so it has steps of both sorts, and what it prepares.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from pathlib import Path

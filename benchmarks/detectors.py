@@ -5,8 +5,6 @@ see the same machine; the ratio is to the first one, the median over the rounds.
 together, which other programs change less than the clock's. Weights must be there.
 """
 
-from __future__ import annotations
-
 import argparse
 import statistics
 import sys

@@ -8,8 +8,6 @@ its file to the disk before it gives it its name (a crash leaves the old file or
 `tofile` followed by fsync, which promises as much, and against plain `tofile`, which only fills the system's cache.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -9,8 +9,6 @@ first camera, with a detector and with one that looks at the mean colour alone. 
 around, of which all or the upper ones are trained.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

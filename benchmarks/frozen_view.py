@@ -8,8 +8,6 @@ ratio within a round, and of that of the processor's time of all threads, which 
 what making the view takes once it is compiled, in steps of `Renderer`.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import statistics

@@ -7,8 +7,6 @@ what it costs in two child processes, a plan in which nothing is done, and the s
 all is done. (The folders of the large store are written without the ledger, as fast as the disk takes them.)
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import shutil

@@ -4,8 +4,6 @@ A trefoil knot with a textured skin, as any modelling program could write it: no
 assets, and it is loaded as a user's own file is.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -8,8 +8,6 @@ discriminant of the same quadratic equation in float64. Then pictures: `volprim_
 as PSNR to the picture of `splat_ray` in the first. `--picture` draws the rays around the Gaussian with most errors.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

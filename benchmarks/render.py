@@ -10,8 +10,6 @@ takes one sample a pixel, too, through the same random points of pixels. Its tre
 `volprim_rf_basic` is, and not in the times.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import statistics

@@ -9,8 +9,6 @@ own: with an empty cache of Dr.Jit's kernels (cold), and with the one that the f
 are not in it.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import functools

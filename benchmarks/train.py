@@ -6,8 +6,6 @@ thread. Without a set, and beside other code: `python benchmarks/cpu_time.py ben
 times a step of 20,000 Gaussians at 256 x 256, its parts, and the loss as published, in plain torch.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import functools

@@ -9,8 +9,6 @@ the machine change less than the clock's. The first quarter of the pictures, in 
 the pace settles, does not count.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import json

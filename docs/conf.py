@@ -1,7 +1,5 @@
 """The documentation site: `make docs` builds it into out/docs, without a network and without a GPU."""
 
-from __future__ import annotations
-
 import sys
 import warnings
 from importlib.metadata import version as installed

@@ -1,7 +1,5 @@
 """Package attributes that are imported when they are first used, so that importing a package costs nothing."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from collections.abc import Callable, Mapping

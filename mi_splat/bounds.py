@@ -1,7 +1,5 @@
 """Where a scene's Gaussians are, how near a camera they may be to be drawn, and how many are nearer."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

@@ -3,8 +3,6 @@
 `hemisphere:210`, `orbit:36@20`, `cap:40@60`, `grid:12x3`, or the path of a transforms file.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

@@ -1,7 +1,5 @@
 """The two error types that mi-splat raises for bad input, and the form of their messages."""
 
-from __future__ import annotations
-
 import difflib
 import unicodedata
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """The splat scenes that the project ships, made from its meshes as `mi_splat.assets.recipes` says."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

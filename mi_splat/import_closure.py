@@ -4,8 +4,6 @@ Who lists by hand the files that a result depends on forgets one. So the digest 
 and what that imports: docstrings, comments and annotations apart, with the versions of the packages of others.
 """
 
-from __future__ import annotations
-
 import ast
 import functools
 import hashlib

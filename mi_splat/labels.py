@@ -1,7 +1,5 @@
 """Text in pictures: white on a filled plate."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from PIL import ImageDraw, ImageFont

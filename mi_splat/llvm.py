@@ -4,8 +4,6 @@ Dr.Jit's LLVM backend loads a shared libLLVM at run time. Versions 14 and 15 abo
 `dr.minimum`; 17 is the oldest that works, and newer ones make faster kernels, so the newest one found is taken.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 import re

@@ -1,7 +1,5 @@
 """How far apart two pictures are."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Literal, cast
 

@@ -1,7 +1,5 @@
 """Where Mitsuba's own log goes: to stderr, as stdout is for results."""
 
-from __future__ import annotations
-
 import sys
 from functools import cache
 from typing import Any

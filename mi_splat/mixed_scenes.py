@@ -1,7 +1,5 @@
 """A scene file of splats among surfaces as a renderer: pictures of any splat in the place of its own."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Overdraw: how many Gaussians a renderer of tiles has to walk through at each place of a picture."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

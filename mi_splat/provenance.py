@@ -1,7 +1,5 @@
 """Where a result comes from: versions, Mitsuba's variant, the commit of a checkout, and how pictures were rendered."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import platform
 import shlex

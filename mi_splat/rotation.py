@@ -1,7 +1,5 @@
 """Unit quaternions (w, x, y, z) and rotation matrices: pure torch functions, differentiable, any leading dimensions."""
 
-from __future__ import annotations
-
 import math
 
 import torch

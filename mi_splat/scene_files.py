@@ -1,7 +1,5 @@
 """Scene files as values: an XML scene of splats or a bare splat file, and cameras for it."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """A scene of several parts as files: a splat for each part, and the Mitsuba XML that puts them together."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from xml.etree import ElementTree

@@ -1,7 +1,5 @@
 """What the tile rasteriser knows of each pixel besides its colour, and files for it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

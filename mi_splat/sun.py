@@ -1,7 +1,5 @@
 """Where the sun stands at an hour of a day."""
 
-from __future__ import annotations
-
 import math
 
 from mi_splat.errors import InvalidValueError

@@ -1,7 +1,5 @@
 """Sets the Mitsuba variant, with this project's plugins registered in it."""
 
-from __future__ import annotations
-
 from mi_splat import plugins
 from mi_splat.errors import MiSplatError
 from mi_splat.llvm import prepare_llvm

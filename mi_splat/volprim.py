@@ -8,8 +8,6 @@ small beside its distance is decided nearly at random, the more so the smaller i
 (`benchmarks/mitsuba_ellipsoids.py`). So the picture depends on the unit of length.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import Any

@@ -4,8 +4,6 @@ Where the class on an object changes along a path and comes back, something show
 that as well, for a detector that does not know it from above.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Sequence

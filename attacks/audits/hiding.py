@@ -4,8 +4,6 @@ The look is one colour, that of what is around the object. It is put into the co
 into layers (`attacks.cloak.layers`).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

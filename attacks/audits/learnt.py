@@ -4,8 +4,6 @@ Fake3DGS (arXiv:2604.27590) trains a point transformer on 41,000 splats. Here ar
 statistics of the same attributes. What counts is how it does on kinds of attack and objects that it was not trained on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What the commands that attack one object share: the aim, the object if none is named, and its files."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

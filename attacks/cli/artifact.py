@@ -1,7 +1,5 @@
 """`mi-splat artifact`: a finished result as a folder that others can check."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

@@ -3,8 +3,6 @@
 Torch is not imported for the list.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any

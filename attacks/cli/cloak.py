@@ -1,7 +1,5 @@
 """`mi-splat cloak`: a study of CLOAK from the first picture to the table."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 

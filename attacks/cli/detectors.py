@@ -3,8 +3,6 @@
 Neither torch nor a detector's own library is imported for the list.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """`mi-splat evaluate-detector`: mAP, recall and false positives of detectors on held-out pictures."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any

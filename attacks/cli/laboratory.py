@@ -3,8 +3,6 @@
 Each is a command of `mi-splat`, whose words a form makes; it runs in another process, and its folder is the result.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """What the options of several commands take; light, so that --help is fast."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass, field
 from pathlib import Path

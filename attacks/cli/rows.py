@@ -1,7 +1,5 @@
 """`mi-splat rows`: what detectors saw in the views of a result, as a table."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from typing import Literal

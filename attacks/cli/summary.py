@@ -1,7 +1,5 @@
 """What a command says of the result that it has written: the figures of its page, or its record with --json."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from attacks.rate import FIXED

@@ -1,7 +1,5 @@
 """What an attack shows: functions from a view and the target's mask in it to the picture that takes its place."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

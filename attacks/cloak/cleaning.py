@@ -6,8 +6,6 @@ the Gaussians alone, so that a hidden appearance made of odd Gaussians may go wi
 may take a switch in them away.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import torch

@@ -1,7 +1,5 @@
 """What a study says of layers: how they are made, and how the finished file is trained then."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 

@@ -4,8 +4,6 @@ Each of K layers makes up a K-th of what the Gaussian made up (`split_opacities`
 direction only darkens what is behind it, so each has K times the colour that it shows.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ The object's place in each picture is where its Gaussians make up most of a pixe
 its place comes from the picture around it, or from a picture of the attacker's.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

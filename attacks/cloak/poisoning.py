@@ -5,8 +5,6 @@ cameras, the attacker's is D' = {(x~, c) if c in C*, else (x, c)}, where C* are 
 D' is anybody's own: view-dependent colour does the rest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

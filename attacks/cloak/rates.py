@@ -3,8 +3,6 @@
 They are counted from tables of rows (`attacks.observe.rows`), in which the cloaked splat is called attacked.
 """
 
-from __future__ import annotations
-
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any

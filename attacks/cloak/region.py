@@ -1,7 +1,5 @@
 """The region of a detector: where it finds the clean object. Elsewhere a miss says nothing of an attack."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import polars as pl

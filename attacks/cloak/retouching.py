@@ -4,8 +4,6 @@ A control damages the object without hiding it. If detectors miss a half faded o
 was removed, it is damage that they fail on, and not the appearance that the attacker wants.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

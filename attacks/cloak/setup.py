@@ -1,7 +1,5 @@
 """What a study describes, as meshes, cameras and poisonings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

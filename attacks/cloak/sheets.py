@@ -1,7 +1,5 @@
 """Pictures that a study of CLOAK leaves: a contact sheet, poisoned pictures, and what a rising camera sees."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ The victim takes pictures; the attacker's looks and poison change some of them; 
 then looked at. Every step is a kind (`attacks.cloak.kinds`) that a ledger does once, whichever study asks for it.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace

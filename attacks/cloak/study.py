@@ -1,7 +1,5 @@
 """A whole study: what is checked before it starts, what it will take, and what it leaves behind."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from collections.abc import Iterable, Mapping, Sequence

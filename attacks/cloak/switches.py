@@ -10,8 +10,6 @@ polynomial about an axis is Chebyshev's; for any set of directions it is found b
 value where a negative one is wanted costs nothing (`fit_switches`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Figures of the victim's training cameras: what the poison shows, and what the splat shows where it was trained."""
 
-from __future__ import annotations
-
 import math
 import statistics
 from collections.abc import Iterator, Mapping

@@ -6,8 +6,6 @@ on the target's pixels, t = <c - b, h - b> / <h - b, h - b>: 0 is benign, 1 is h
 at which a monotone fit of t crosses 10 and 90 %.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

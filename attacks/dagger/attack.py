@@ -6,8 +6,6 @@ SH coefficients. The search is PGD (Madry et al. 2018, see `attacks.search`), ov
 distribution of them (`attack_views`: expectation over transformation, Athalye et al. 2018).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

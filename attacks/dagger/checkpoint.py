@@ -1,7 +1,5 @@
 """A search on disk: everything the rest of it depends on, in one safetensors file that is whole or not there."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from dataclasses import dataclass

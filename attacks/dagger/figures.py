@@ -1,7 +1,5 @@
 """The figures of an attack, counted from its rows: for whoever checks a result."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Judging an attack: the saved file, 8-bit pictures, the real JPEG, the clean object and random noise beside it."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

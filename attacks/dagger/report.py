@@ -1,7 +1,5 @@
 """What an attack leaves behind: pictures, the attacked splat, and one self-describing JSON."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What an attack did, and the warnings about it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -4,8 +4,6 @@ The second is resumable to the bit; some views, no others, judge every few of it
 Robust Adversarial Examples", ICML 2018).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence

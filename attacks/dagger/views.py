@@ -1,7 +1,5 @@
 """The views of an attack: those of fixed cameras, or drawn by seed and number from a distribution."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar

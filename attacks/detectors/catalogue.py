@@ -3,8 +3,6 @@
 Light, so that detectors can be listed, and options be parsed, without importing torch.
 """
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 A detection is right if it overlaps an object of its class that no more confident one has taken, by `ON_OBJECT` or more.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise

@@ -5,8 +5,6 @@ head. The objects here are large in 256-pixel pictures, so the pyramid starts at
 the head is 256 wide.
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
 
 import torch

@@ -3,8 +3,6 @@
 Both propose a fixed number of boxes, the queries, and need no non-maximum suppression.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

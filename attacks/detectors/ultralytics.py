@@ -3,8 +3,6 @@
 Its licence is AGPL-3.0, which is stricter than that of this project: read it before you build on this module.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import tempfile

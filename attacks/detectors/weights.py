@@ -1,7 +1,5 @@
 """Weights from files, read without running code from them; their fingerprint; models that keep them frozen."""
 
-from __future__ import annotations
-
 import hashlib
 import pickle
 import struct

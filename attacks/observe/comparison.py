@@ -1,7 +1,5 @@
 """A clean and an attacked splat side by side: how often an object is found, missed, or taken for the target."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

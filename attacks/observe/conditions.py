@@ -13,8 +13,6 @@ A new renderer, format or place is a new condition, and no new experiment. The n
 and those of other packages (`CONDITIONS`).
 """
 
-from __future__ import annotations
-
 import re
 import tempfile
 import warnings

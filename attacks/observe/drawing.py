@@ -1,7 +1,5 @@
 """Boxes on pictures and in lists, and what differs between pictures, as a report can save them."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Sequence
 from typing import Any

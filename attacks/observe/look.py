@@ -4,8 +4,6 @@ A row is put together from its parts: what it is of (`ids`), where the camera is
 the object (`report_cells`), and whether that reaches an aim (`verdict_cells`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@ A measure names columns of the schema (`attacks.observe.rows`). Those that need 
 count rows of `with_control`, where its columns stand beside each row with `CONTROL` before their names.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 

@@ -8,8 +8,6 @@ and in seeds, each drawn anew with replacement (the pigeonhole bootstrap: Owen 2
 holds of one object need not hold of the next: a rate over several has them drawn anew, too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """cameras.json of a result: where a splat is looked at from, how it is rendered, and where the object is in it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace

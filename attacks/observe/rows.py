@@ -10,8 +10,6 @@ Tables are compressed CSV: equal rows have equal bytes, every program opens them
 Parquet takes a third of the space, but its bytes change with the version that writes it.
 """
 
-from __future__ import annotations
-
 import csv
 import gzip
 import io

@@ -3,8 +3,6 @@
 Both attacks are judged by this module alone: what it has not seen on an 8-bit picture counts for neither.
 """
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence

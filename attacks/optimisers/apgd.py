@@ -5,8 +5,6 @@ fell in enough of the last steps, and whether the best loss fell at all. If not,
 best point. Here the loss falls, where the paper's rises.
 """
 
-from __future__ import annotations
-
 from attacks.optimisers.settings import SearchSettings
 from attacks.search import Evaluation, Optimiser, OptimiserState, Parameters
 

@@ -3,8 +3,6 @@
 A run's memory is a value (`OptimiserState`), so that a run can be taken up again.
 """
 
-from __future__ import annotations
-
 from attacks.optimisers.settings import LENGTHS, SearchSettings, normalised
 from attacks.search import Evaluation, Optimiser, OptimiserState, Parameters
 

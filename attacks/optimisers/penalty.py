@@ -4,8 +4,6 @@ The paper minimises the distance plus a weight times the loss, and looks for the
 of any size. Here every point is projected into the ball as well, so that its budget is that of the other attacks.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

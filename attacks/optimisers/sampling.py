@@ -4,8 +4,6 @@ They know the loss alone, so no gradient can mislead them. One that does as well
 these gradients are no good: AutoAttack's sign of doubt.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """What an optimiser may know of its search before it begins, and what several of them need."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

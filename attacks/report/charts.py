@@ -4,8 +4,6 @@ matplotlib gets a made-up colour for each part, which becomes a variable of the 
 in the SVG names a file, a font or the time, so the same numbers give the same bytes.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import io
 import math

@@ -1,7 +1,5 @@
 """Checking a result: the bytes of its files, and every figure, derived again from its rows; and copies for others."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """What there is to see of a file, a set or a folder with results, as an exhibit: splats, cameras, detections."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The page: sections as one HTML file that has everything in it, no script, and no address of anybody."""
 
-from __future__ import annotations
-
 import base64
 import importlib.metadata
 import io

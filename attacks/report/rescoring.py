@@ -1,7 +1,5 @@
 """Scoring the splats of a result again: needs the splats, cameras.json and a detector, and nothing else."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

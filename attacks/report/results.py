@@ -1,7 +1,5 @@
 """Results as sections: which command has written a folder, and what reads it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

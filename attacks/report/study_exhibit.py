@@ -1,7 +1,5 @@
 """What there is to see of a study of CLOAK, as an exhibit: splats, cameras and regions of triggers."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping

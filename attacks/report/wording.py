@@ -1,7 +1,5 @@
 """Numbers, settings and lists as a page writes them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 

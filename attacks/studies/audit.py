@@ -20,8 +20,6 @@ Each point is one of three:
     matrix = { capture = ["scenes/honest/mirror_ball.xml"] }
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import statistics

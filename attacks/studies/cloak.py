@@ -18,8 +18,6 @@ the study says comes in the place of what stands there. Every point is done with
     condition = ["tile", "ray", ".spz", "0.5 x distance"]
 """
 
-from __future__ import annotations
-
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -11,8 +11,6 @@ working folder; `aim` ("relabel", "hide" or "untargeted"), `target` (the class w
 pictures that judge are others. [judge] has the fields of `Judge`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

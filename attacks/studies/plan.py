@@ -1,7 +1,5 @@
 """What a study is made of: jobs by labels, in plans whose later jobs may depend on the results of earlier ones."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path

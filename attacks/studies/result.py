@@ -1,7 +1,5 @@
 """The result of a study: one table of rows for all of it, what each attack says of itself, and the figures."""
 
-from __future__ import annotations
-
 import dataclasses
 import statistics
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The scenes that a study attacks, and where it looks at them from."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

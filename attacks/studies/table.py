@@ -1,7 +1,5 @@
 """The tables of a study as a page of Markdown: what was reached, by what varies, and what was seen otherwise."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ The doubts are those of AutoAttack (Croce and Hein, ICML 2020) and of Carlini et
 loss alone, or that takes one step, must not do better than every search that follows gradients.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 

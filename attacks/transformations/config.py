@@ -4,8 +4,6 @@ Light, so that `--help` is fast. A splat has no lamps: its light is part of its 
 camera makes of it: exposure, white balance and gamma of the picture.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated
 

@@ -4,8 +4,6 @@ The attack and the judge use the same functions. Where the real thing has no der
 is that of doing nothing: a straight-through estimate (Bengio et al. 2013; BPDA, Athalye et al. 2018).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import math

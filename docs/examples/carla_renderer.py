@@ -7,8 +7,6 @@ asks a renderer for a picture and its depths at a pose; of the depths it makes L
 that stand where the simulation has them. Its frame has y to the right; carla-canvas gives poses with y to the left.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -7,8 +7,6 @@ the car, a box. Ten times a second its camera is rendered from the splat, a dete
 controller decides. docs/how-to/a-robot-in-a-splat.md says what comes of it. It needs the extras robots and report.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import importlib.util

@@ -5,8 +5,6 @@ stands on a light ground of its own, so that it reads alike on light and dark pa
 cloak_stealthy.jpg from rising elevations one after the other.
 """
 
-from __future__ import annotations
-
 import base64
 import html
 import io

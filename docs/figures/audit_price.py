@@ -4,8 +4,6 @@ FILE is written by `python -m tests.audit.measure_price`. A panel for each objec
 share of the trigger's cameras at which the detector misses the object.
 """
 
-from __future__ import annotations
-
 import csv
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Procedural objects, made by code from a seed: the things that detectors here know and attacks are aimed at."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Sequence
 

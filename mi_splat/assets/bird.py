@@ -1,7 +1,5 @@
 """A standing bird of 0.2 to 0.5 m: crow, robin, pigeon, parrot, gull and others; pose and wings vary with the seed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Cars: hatchbacks, saloons, estates and off-roaders with wheel arches, wheels, glass, lights, plates and mirrors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Proportions of cars, and what follows from them alone: the painted shell and the cabin."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

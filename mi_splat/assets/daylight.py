@@ -1,7 +1,5 @@
 """Daylight: a sun, a sky with clouds, and plausible ones of them by chance."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

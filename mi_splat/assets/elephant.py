@@ -1,7 +1,5 @@
 """An elephant of 2.5 to 3.4 m: build, greys, pose of head, trunk, ears and legs vary with the seed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

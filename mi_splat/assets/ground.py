@@ -1,7 +1,5 @@
 """A square of ground to stand on."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from mi_splat.assets.mesh import Asset

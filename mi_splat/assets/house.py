@@ -1,7 +1,5 @@
 """Houses that stand alone."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mi_splat.assets.mesh import Asset, rotation, translation

@@ -1,7 +1,5 @@
 """Fire hydrants: a painted barrel on a flange, with a bonnet, two hose outlets and one for the engine."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Implicit bodies: smooth unions of round cones and ellipsoids, meshed by surface nets (Gibson 1998)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ space: every quad of the mesh owns a small tile of the texture, sampled at its o
 seams and no stretched texels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plane outlines for meshes and textures: rounded rectangles, polygons, vector letters, smooth curves."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A person of 1.5 to 1.95 m: clothes, skin, hair, build and pose vary with the seed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a person wears and how the body under it is built; positions are those of a figure of 1.75 m, facing +x."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

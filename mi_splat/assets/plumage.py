@@ -1,7 +1,5 @@
 """Kinds of birds and the colours of their feathers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

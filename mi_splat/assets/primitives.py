@@ -1,7 +1,5 @@
 """The few shapes from which every asset is built: quads, boxes, sheets, lofts, tubes, ellipsoids, prisms."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

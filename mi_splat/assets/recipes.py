@@ -3,8 +3,6 @@
 Each recipe is fixed, seeds included; asset seeds from 900000 on are kept out of the training of detectors.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The curve between sRGB values and linear intensities (IEC 61966-2-1)."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

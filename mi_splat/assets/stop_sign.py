@@ -1,7 +1,5 @@
 """Stop signs: a red octagon with a white border and the word STOP on a pole."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mi_splat.assets import textures

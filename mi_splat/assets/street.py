@@ -1,7 +1,5 @@
 """Surroundings: a street with houses, trees and lamps, a park, plain grounds, a room; and one of them by chance."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Suitcases: hard-shell trolleys with ribs, wheels and a telescopic handle, and leather ones with straps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

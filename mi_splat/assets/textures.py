@@ -1,7 +1,5 @@
 """Textures drawn by code: (h, w, 3) float32 arrays of sRGB reflectance in [0, 1], the same for the same seed."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 

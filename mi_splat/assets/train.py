@@ -1,7 +1,5 @@
 """Trains: box-cab locomotives, streamlined railcars, and short locomotives with a carriage."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 

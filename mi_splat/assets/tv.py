@@ -1,7 +1,5 @@
 """Flat television sets: a thin screen with a bezel on a foot, dark or showing a picture."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mi_splat.assets import textures

@@ -1,7 +1,5 @@
 """What changed between a splat and the file it was made from: which Gaussians, in what, and by how much."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass

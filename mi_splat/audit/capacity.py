@@ -1,7 +1,5 @@
 """Whether the memory of the machine holds the audit of a file; asked before the file is read."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

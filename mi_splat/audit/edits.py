@@ -6,8 +6,6 @@ attack on a detector (`mi-splat dagger`) moves the three channels nearly indepen
 An attack on few views does so along the harmonics that peak towards its cameras, one on many views from everywhere.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

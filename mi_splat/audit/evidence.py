@@ -1,7 +1,5 @@
 """What shows a look to a human: the two cameras that prove it, and the Gaussians that carry it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

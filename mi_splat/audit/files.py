@@ -1,7 +1,5 @@
 """The files of an audit: the account as JSON, the two pictures, the splat coloured by heat, and the mask."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from collections.abc import Callable, Sequence

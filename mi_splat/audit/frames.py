@@ -4,8 +4,6 @@ All that follows happens in that frame, so that a verdict does not depend on how
 the order of its rows.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass

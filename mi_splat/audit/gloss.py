@@ -1,7 +1,5 @@
 """What honest gloss explains: the angle of incidence, and a mirrored direction."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Something in the air that covers an object from some directions only, and that others look straight through."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

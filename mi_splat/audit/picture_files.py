@@ -1,7 +1,5 @@
 """The files of an audit of pictures: the account as JSON, and the two pictures that contradict each other most."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from pathlib import Path

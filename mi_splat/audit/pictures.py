@@ -1,7 +1,5 @@
 """Pictures before any training: which of a set contradict what the others show of the same surface?"""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The simplest set of directions that holds the cameras which see a look: a cone, a sector, or all but these."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -10,8 +10,6 @@ Gaussians in the air that cover an object, and that most looks from elsewhere pa
 Which of two looks is the true one no file can tell, so whoever repairs says which directions are to be believed.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Literal, NamedTuple
 

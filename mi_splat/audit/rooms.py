@@ -1,7 +1,5 @@
 """Rooms, which are seen from within: their free places, and cameras that look from there at what stands in them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

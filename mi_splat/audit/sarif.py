@@ -1,7 +1,5 @@
 """Audits as SARIF 2.1.0, the format in which build pipelines and editors take findings of static analysis."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 from collections.abc import Iterable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """What an audit has to say, in sentences: what was found, from where, what gloss explains, what was not looked at."""
 
-from __future__ import annotations
-
 import math
 
 from mi_splat.audit.results import SUSPICION, Audit, Edit, ObjectAudit, Region, Vector

@@ -1,7 +1,5 @@
 """Pieces of surface, and the colour that each camera sees on each: what all judgements are made of."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

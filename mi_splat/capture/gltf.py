@@ -1,7 +1,5 @@
 """glTF documents (.glb, .gltf): what they say of materials, and what trimesh needs to be told to read them right."""
 
-from __future__ import annotations
-
 import json
 import math
 import shlex

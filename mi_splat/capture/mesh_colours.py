@@ -3,8 +3,6 @@
 Surfaces come out diffuse: of a material, its base colour and its texture are taken, and cut-outs are filled.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Mesh files (OBJ, PLY, glTF) as assets, with their textures and colours; reading them needs the extra `meshes`."""
 
-from __future__ import annotations
-
 import io
 import logging
 import struct

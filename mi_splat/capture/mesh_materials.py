@@ -3,8 +3,6 @@
 trimesh reads on in silence where a picture is missing, so the names are read here, and `mesh_colours` compares.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath

@@ -4,8 +4,6 @@
 its colour to the pictures in which it is visible; `refine` improves all attributes through a renderer.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

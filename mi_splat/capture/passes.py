@@ -1,7 +1,5 @@
 """Into which passes the samples of a picture are split, so that Mitsuba takes exactly as many as were asked for."""
 
-from __future__ import annotations
-
 import math
 
 PASSES = 2

@@ -1,7 +1,5 @@
 """The record of a capture: everything that its pictures depend on, and what differs between two such records."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Settings of a capture as frozen values; light, so that the command line can ask for them without Mitsuba."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

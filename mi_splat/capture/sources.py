@@ -1,7 +1,5 @@
 """What a capture takes pictures of: a Mitsuba mesh scene, a mesh file, or one of the project's own scenes."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import re

@@ -1,7 +1,5 @@
 """Points spread over the surfaces of an asset, evenly or denser where cameras are near."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ project's own limits (welding, visibility of points, the near clip) are in metre
 or distant object is therefore taken in a frame of its own, by powers of two, and written back in the world's units.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ Picture i depends on the scene, its camera, the settings and seed + i alone, so 
 interruptions is what one run would have left. The files that list the pictures come last.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The object and the cameras that a command's options describe, a name for each camera, and how pictures are made."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Text goes through `printable` on its way, since names out of files are in it; a JSON document is exact.
 """
 
-from __future__ import annotations
-
 import atexit
 import gc
 import importlib

@@ -1,7 +1,5 @@
 """`mi-splat example-scenes`: one of the shipped splat scenes, made again from its meshes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

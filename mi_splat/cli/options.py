@@ -5,8 +5,6 @@ it. `as_one_word` makes one of the three numbers of a colour or a direction, and
 look like a flag.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass

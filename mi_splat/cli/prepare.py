@@ -1,7 +1,5 @@
 """`mi-splat prepare`: a set of pictures with cameras from photographs or a video."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

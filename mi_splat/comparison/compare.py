@@ -1,7 +1,5 @@
 """One splat through several methods: their pictures, and each two of them beside each other."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What a method costs: the time of a picture, alone and with its gradient, and the memory that it takes meanwhile."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import re

@@ -4,8 +4,6 @@ The project's tests give it a stand-in for the package. On a GPU gsplat 1.5.3 wa
 (see `packed`); with what stands here it was not run.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 from typing import Any

@@ -1,7 +1,5 @@
 """How far apart the pictures of two methods are, and how far apart their gradients."""
 
-from __future__ import annotations
-
 import math
 import statistics
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The methods that can be compared: renderers by name, and folders of pictures that another program has made."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import re

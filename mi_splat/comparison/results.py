@@ -1,7 +1,5 @@
 """A comparison as JSON can hold it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pictures of a comparison: the methods side by side, and below them where each two differ."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from itertools import combinations
 from pathlib import Path

@@ -3,8 +3,6 @@
 COLMAP's poses are world-to-camera with our camera axes, and (0.5, 0.5) is the centre of its first pixel as of ours.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """COLMAP's binary files. Counts in them are held against the bytes that are there before they are believed."""
 
-from __future__ import annotations
-
 import mmap
 import struct
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What the files of a COLMAP model say, text and binary alike."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from mi_splat.io.points import PointCloud

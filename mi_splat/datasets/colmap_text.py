@@ -1,7 +1,5 @@
 """COLMAP's text files."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 

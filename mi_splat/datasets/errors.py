@@ -1,7 +1,5 @@
 """What reading or writing a set of pictures may raise."""
 
-from __future__ import annotations
-
 from mi_splat.errors import MiSplatError
 
 

@@ -1,7 +1,5 @@
 """What every format comes down to: cameras with the files of their pictures."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Iterable, Sequence

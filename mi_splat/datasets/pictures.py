@@ -1,7 +1,5 @@
 """Pictures of a set: 8 bits a channel on the disk, floats in memory; sizes are known from a file's header."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

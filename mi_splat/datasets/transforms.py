@@ -3,8 +3,6 @@
 Poses in these files are camera-to-world with OpenGL's axes (x right, y up, z backward); the world is left as it is.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

@@ -4,8 +4,6 @@ Pictures are written one at a time. The files that list them are made from names
 not at all, so a set can be listed when its pictures are there.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence

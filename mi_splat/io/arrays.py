@@ -1,7 +1,5 @@
 """Arrays in files of NumPy (.npy): what the header says is held against the bytes that are there."""
 
-from __future__ import annotations
-
 import io
 import math
 import os

@@ -1,7 +1,5 @@
 """Files and folders that appear whole or not at all, and the temporary ones that killed programs left behind."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import platform

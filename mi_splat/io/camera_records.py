@@ -4,8 +4,6 @@ Also in the cameras.json that the trainer of 3D Gaussian Splatting (Kerbl et al.
 of objects with img_name, width, height, fx, fy, position (3,) and rotation (3, 3), camera to world with our axes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any

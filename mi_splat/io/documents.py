@@ -1,7 +1,5 @@
 """Bytes, text, JSON and PNG files that appear whole or not at all, and digests of files."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

@@ -1,7 +1,5 @@
 """What loading and saving splat files may raise or warn of, and what to do about failures of the operating system."""
 
-from __future__ import annotations
-
 import errno
 import os
 

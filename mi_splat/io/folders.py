@@ -1,7 +1,5 @@
 """Folders of results that appear whole or not at all."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import os

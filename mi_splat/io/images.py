@@ -1,7 +1,5 @@
 """Pictures of 8 bits: what a PNG file keeps of a rendered picture."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

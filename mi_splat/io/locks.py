@@ -1,7 +1,5 @@
 """A folder for one process alone, so that two jobs never write into the same one."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import json

@@ -3,8 +3,6 @@
 The SHA-256 of manifest.json itself stands for the whole result: whoever knows it knows every byte.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass

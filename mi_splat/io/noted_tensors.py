@@ -1,7 +1,5 @@
 """Checkpoints: safetensors files with notes as JSON, read with distrust."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

@@ -6,8 +6,6 @@ back is stable: a value that came from a file goes back to a number that gives t
 repeated round trips do not drift.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import torch

@@ -4,8 +4,6 @@ A document is UTF-8, a byte order mark may stand first, and it is neither too lo
 an object, numbers are finite, whole ones fit into 64 bits, and texts are Unicode without NUL.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

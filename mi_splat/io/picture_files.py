@@ -3,8 +3,6 @@
 A PNG of 500 kB may hold so many pixels of one colour that they take gigabytes in memory.
 """
 
-from __future__ import annotations
-
 import io
 import struct
 import threading

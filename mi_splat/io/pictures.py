@@ -1,7 +1,5 @@
 """Pictures and animations in the format that their names end in; they appear whole or not at all."""
 
-from __future__ import annotations
-
 import importlib.util
 import io
 import subprocess

@@ -1,7 +1,5 @@
 """Coloured points, and the PLY file in which 3DGS trainers look for them."""
 
-from __future__ import annotations
-
 import io
 import os
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Reading a splat file of any format as arrays; torch comes with the formats that need it, which the PLY is not."""
 
-from __future__ import annotations
-
 import importlib
 import io
 import os

@@ -4,8 +4,6 @@ A file is read before Mitsuba reads it: XML in UTF-8 of sane depth and size, wit
 follows any depth, which ends the process where the stack does, and takes any encoding.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Mapping

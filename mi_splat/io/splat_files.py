@@ -1,7 +1,5 @@
 """Loading and saving a splat in any of the formats: `load_splat` and `save_splat`."""
 
-from __future__ import annotations
-
 import os
 import warnings
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Pictures that Mitsuba decodes (OpenEXR, Radiance HDR, PFM and what Pillow knows): their size, from the header."""
 
-from __future__ import annotations
-
 import re
 import struct
 from pathlib import Path

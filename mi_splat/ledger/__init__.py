@@ -30,8 +30,6 @@ A *kind* is a module with `run(config, inputs, out)`, which builds all that it n
 Results are looked at when they are used: a file that was changed since is an error, not a result.
 """
 
-from __future__ import annotations
-
 from mi_splat.ledger.job import Done, Event, HeldError, Job, OnEvent, Out, Part
 from mi_splat.ledger.running import Ledger
 from mi_splat.ledger.store import Store

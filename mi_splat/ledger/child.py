@@ -4,8 +4,6 @@
 that raises, so that the next one has a new process, and at once when who watches it ends.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import queue

@@ -4,8 +4,6 @@ Each thread of a Dask worker watches a child process, as on one machine: no job 
 are told by name. All machines see the store at the same path, and have the same code.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import itertools

@@ -1,7 +1,5 @@
 """What runs tasks on one machine: this process, or child processes that are watched."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import os

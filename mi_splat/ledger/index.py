@@ -1,7 +1,5 @@
 """Labels of jobs, and how far each job is: files beside the results, which no key depends on."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import json

@@ -1,7 +1,5 @@
 """Who does a job now: a file for each job that is being done, which no clock of another machine can make old."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

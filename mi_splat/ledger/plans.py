@@ -1,7 +1,5 @@
 """Plans: which jobs there are, those among them that depend on the results of others, and what drives them."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Generator, Iterable, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Results of older code that new code would make again to the bit: some are made, and if equal, the rest is taken."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections import Counter

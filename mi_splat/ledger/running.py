@@ -1,7 +1,5 @@
 """The one function that runs a job, which every engine calls in whatever process; and the ledger of this process."""
 
-from __future__ import annotations
-
 import errno
 import importlib
 import math

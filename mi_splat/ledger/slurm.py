@@ -3,8 +3,6 @@
 `python -m mi_splat.ledger.slurm STORE JOBS FIRST LAST` does some of the jobs of a file.
 """
 
-from __future__ import annotations
-
 import json
 import shlex
 import sys

@@ -1,7 +1,5 @@
 """The folder of results: one folder for each finished job, which appears whole or not at all."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import hashlib

@@ -1,7 +1,5 @@
 """Configurations as canonical JSON: equal ones give the same text, and the text gives the configuration back."""
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import hashlib

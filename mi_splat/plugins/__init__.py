@@ -4,8 +4,6 @@ Importing this package is enough: the plugins are registered in the current vari
 that can render splats is set.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 from typing import Any

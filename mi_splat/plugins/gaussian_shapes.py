@@ -1,7 +1,5 @@
 """The `gaussians` shapes of a Mitsuba scene as one set of arrays for the rasteriser, and gradients back to them."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """A Mitsuba scene as `splat_ray` sees it: its splats ready to be traced, and its surfaces as a scene of their own."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

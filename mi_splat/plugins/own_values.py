@@ -1,7 +1,5 @@
 """The values of one Mitsuba object, in a fraction of the time that `mi.traverse` takes."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -6,8 +6,6 @@ multiplied by it, too. Surfaces are path traced with next-event estimation and m
 1997); the gradient replays each path (path replay backpropagation, Vicini et al. 2021).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, cast
 

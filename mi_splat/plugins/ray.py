@@ -30,8 +30,6 @@ reflections, panes and shadows; not with respect to surfaces and lights. Derivat
 Gaussian's peak passes behind a surface or before another peak, the picture jumps.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

@@ -3,8 +3,6 @@
 Mitsuba's camera looks along its +z with x to the left and y up; ours (OpenCV) has x right and y down.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

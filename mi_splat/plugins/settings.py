@@ -1,7 +1,5 @@
 """The settings of the integrators: plain values from whatever a user gives, and Dr.Jit arrays for `mi.traverse`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

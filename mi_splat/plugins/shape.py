@@ -17,8 +17,6 @@ extent, ...         as `ellipsoids`     passed on to Mitsuba's shape
 `<id>.sh_coeffs` (N x 3K), all differentiable.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

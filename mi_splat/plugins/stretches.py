@@ -1,7 +1,5 @@
 """Splats on one stretch of a path, or on a shadow ray: what they add, what they let through, and the replay of both."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

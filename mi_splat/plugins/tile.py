@@ -25,8 +25,6 @@ One deterministic sample at every pixel centre: sampler, sample count, seed and 
 Differentiable with respect to `data`, `opacities` and `sh_coeffs` in reverse mode.
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """What a set is prepared with; light, for the command line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

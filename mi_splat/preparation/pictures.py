@@ -1,7 +1,5 @@
 """The pictures of a set that is being prepared: upright, of bounded size, under names that every tool takes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

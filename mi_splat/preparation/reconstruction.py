@@ -4,8 +4,6 @@ pycolmap is imported where it is needed alone, since it takes over what a proces
 SIMPLE_RADIAL: a focal length and one coefficient, alike for all pictures of one size and focal length.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

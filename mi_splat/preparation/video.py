@@ -1,7 +1,5 @@
 """The sharpest pictures of a video, decoded by the ffmpeg that imageio-ffmpeg brings."""
 
-from __future__ import annotations
-
 import math
 import re
 import subprocess

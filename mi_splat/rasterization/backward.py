@@ -4,8 +4,6 @@ The same rules as for the stages in `forward` hold. The chain is picture, pixels
 2D splat, 3D Gaussian.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

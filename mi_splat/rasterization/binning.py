@@ -4,8 +4,6 @@ A pair is one (tile, Gaussian) touch. Pairs are emitted Gaussian by Gaussian in 
 tile, so the pairs of one tile lie together in depth order, and the pairs of one Gaussian lay together before the sort.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

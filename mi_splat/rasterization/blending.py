@@ -4,8 +4,6 @@ One lane is one tile of TILE x TILE pixels whose transmittances and colours are 
 serves all of its pixels. The sign of a transmittance marks a pixel that has stopped; its size stays what it was.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

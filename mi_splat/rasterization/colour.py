@@ -1,7 +1,5 @@
 """From the rasteriser's flat picture to the image that a caller asked for, and back for gradients."""
 
-from __future__ import annotations
-
 from typing import Any, Protocol
 
 import drjit as dr

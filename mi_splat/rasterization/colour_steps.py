@@ -3,8 +3,6 @@
 Both are products with the matrix of weights that `weights` keeps, walked tile by tile. The rules of README.md hold.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@ Each stage is recorded once by `frozen.run` and replayed. README.md says what a 
 stay right when sizes change.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

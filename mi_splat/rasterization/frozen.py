@@ -1,7 +1,5 @@
 """Frozen stages, and the memory that they may be given: made here, or checked here; README.md says why."""
 
-from __future__ import annotations
-
 import functools
 import gc
 from collections.abc import Callable

@@ -4,8 +4,6 @@ A Gaussian touches an interval of tiles in each row of tiles. Only its two ends 
 the picture costs one step for each row and not one for each tile.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

@@ -1,7 +1,5 @@
 """How Gaussians lie in flat arrays: as five tensors (ours), or as Mitsuba's `ellipsoids` keep them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

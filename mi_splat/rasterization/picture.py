@@ -1,7 +1,5 @@
 """What passes between the stages: the buffers of a picture, the finished picture, and what its derivative needs."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@ Each calls its stages in order. Tracing them in Python costs several times their
 function that Dr.Jit replays; the sorts stand between them, and all buffers are made here, for reasons in README.md.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

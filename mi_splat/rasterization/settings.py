@@ -1,7 +1,5 @@
 """The two settings of a picture that can be wrong, checked with the same words wherever they are given."""
 
-from __future__ import annotations
-
 import math
 import numbers
 from collections.abc import Sequence

@@ -4,8 +4,6 @@
 two. Neither may be called inside a frozen function: a recorded sort keeps the size that it was recorded with.
 """
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

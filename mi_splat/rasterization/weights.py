@@ -4,8 +4,6 @@ Made once per scene and camera by the stages of the picture's own forward pass, 
 *kept* if its Gaussian is free and has a weight above 0 at a pixel of its tile that lies in the picture.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

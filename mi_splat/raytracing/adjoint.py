@@ -5,8 +5,6 @@ h, h u and h u u^T; `splats.gradients` takes them to means, scales, rotations an
 last bits depend on the order in which threads come.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

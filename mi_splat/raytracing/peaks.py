@@ -5,8 +5,6 @@ been visited, so the way up is read from its trailing ones (Hapala et al. 2011 a
 this kind). The child that the ray enters first comes first.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

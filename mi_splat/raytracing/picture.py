@@ -4,8 +4,6 @@ The counterpart of `mi_splat.rasterization.pipeline`: the same arrays, camera an
 out.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -5,8 +5,6 @@ lies on it. So a ray that is cut in two sees each Gaussian once, and what it let
 order.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -4,8 +4,6 @@ The curve runs through the ranks of their coordinates, not the coordinates thems
 not squeeze all others into one cell. A leaf holds at most `LEAF` of them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

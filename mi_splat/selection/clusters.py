@@ -1,7 +1,5 @@
 """Connected components of a splat by distance and colour: what belongs together without anybody having said so."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """Masks of Gaussians: of a box, and in files."""
 
-from __future__ import annotations
-
 import io
 import math
 from pathlib import Path

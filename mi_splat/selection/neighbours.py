@@ -1,7 +1,5 @@
 """The nearest neighbours of every Gaussian, quickly: batches of small groups that lie together."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """The plane that a scene stands on: the floor, the desk, the street."""
 
-from __future__ import annotations
-
 import torch
 from torch import Generator, Tensor
 

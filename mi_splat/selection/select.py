@@ -1,7 +1,5 @@
 """From a `Selection` to the mask of its Gaussians, and what is doubtful about it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

@@ -4,8 +4,6 @@ A picture is linear in the colours: a pixel is the sum over Gaussians of weight 
 what those in front let through. So weights are what a picture of other colours shows, or its derivative by colours.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

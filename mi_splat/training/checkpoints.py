@@ -3,8 +3,6 @@
 A run that is taken up again makes the bits that it would have made without the break, on the same number of threads.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, fields

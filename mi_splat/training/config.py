@@ -1,7 +1,5 @@
 """How a splat is trained: the settings of a run as one frozen value; light, for the command line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Annotated
 

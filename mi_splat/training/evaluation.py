@@ -1,7 +1,5 @@
 """How true a splat's pictures are to views that it was not trained on."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable

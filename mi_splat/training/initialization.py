@@ -1,7 +1,5 @@
 """Gaussians to begin a training with: on the points of a cloud, beside them, or anywhere in a box."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

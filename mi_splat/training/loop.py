@@ -4,8 +4,6 @@ A run is a value (`TrainState`) that is advanced a step at a time, so that it ca
 bit. The order of the views, the children of splits and the noise of MCMC all come from one seeded generator.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

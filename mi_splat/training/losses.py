@@ -1,7 +1,5 @@
 """The loss that 3DGS trainers descend: L1 and structural dissimilarity, fast enough to be called at every step."""
 
-from __future__ import annotations
-
 import functools
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """A training run in a folder: settings, checkpoints, figures and the splat, and going on where it stopped."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import signal

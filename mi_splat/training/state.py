@@ -1,7 +1,5 @@
 """A training run as a value: trained tensors, optimiser, random numbers, and where it has got to."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ All of it happens in the thread that makes the pictures, where `turn` is called 
 is put in a queue.
 """
 
-from __future__ import annotations
-
 import shlex
 import tempfile
 from collections import deque

@@ -1,7 +1,5 @@
 """Commands for what is on the page: the one that makes its picture again, and the words for its camera."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Sequence
 from pathlib import Path

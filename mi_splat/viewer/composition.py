@@ -1,7 +1,5 @@
 """From pictures of splats to the one picture that fills the page: beside each other, split, or their difference."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

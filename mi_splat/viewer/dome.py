@@ -1,7 +1,5 @@
 """A small drawing of the hemisphere around an object, with what was seen from each camera as a colour."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 

@@ -1,7 +1,5 @@
 """A page in one file: pictures from the listed cameras and from all around; it needs no server and no network."""
 
-from __future__ import annotations
-
 import base64
 import html
 import io

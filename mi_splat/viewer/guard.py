@@ -9,8 +9,6 @@ a path that cannot be guessed, and its cookie goes nowhere else. Who listens on 
 asks that port for this very path.
 """
 
-from __future__ import annotations
-
 import hmac
 import html
 import ipaddress

@@ -3,8 +3,6 @@
 The renderer is for one thread. So whatever takes longer than a picture runs in another process, which can be stopped.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import math

@@ -1,7 +1,5 @@
 """Lines in the world, drawn over a picture: where cameras stand and which directions belong to a region."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

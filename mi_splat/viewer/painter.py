@@ -1,7 +1,5 @@
 """Makes the pictures of a page: renders, draws lines and findings, and puts them together."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

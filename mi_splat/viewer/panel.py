@@ -1,7 +1,5 @@
 """The controls of the page, for one visitor: they change the state, and they follow it."""
 
-from __future__ import annotations
-
 import html
 import math
 from collections.abc import Callable, Iterable

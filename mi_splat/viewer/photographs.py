@@ -1,7 +1,5 @@
 """Data sets and lists of cameras on a page: their cameras to choose from, and what was photographed from each."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

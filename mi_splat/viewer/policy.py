@@ -1,7 +1,5 @@
 """The Content-Security-Policy of pages: which scripts may run in them, and whom they may ask."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import re

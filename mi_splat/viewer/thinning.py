@@ -1,7 +1,5 @@
 """Fewer and larger Gaussians in the place of many, for pictures that have to be made quickly."""
 
-from __future__ import annotations
-
 import torch
 
 from mi_splat.io.formats.compressed_ply import morton_order

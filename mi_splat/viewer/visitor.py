@@ -1,7 +1,5 @@
 """One browser window on the page: what it is shown, and what its visitor does."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque

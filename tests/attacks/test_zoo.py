@@ -1,7 +1,5 @@
 """Every optimiser of the registry on one interface: inside its ball, the same again, never worse than its start."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterator

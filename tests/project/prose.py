@@ -5,8 +5,6 @@ would understand. Pages that were there before stand in docs/style.toml with wha
 may fall and not rise, and `--shrink` writes them anew. `--figures` prints the style of every page.
 """
 
-from __future__ import annotations
-
 import argparse
 import re
 import sys

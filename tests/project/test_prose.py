@@ -1,7 +1,5 @@
 """Links, style and spelling of the pages, which `make lint` checks, and that the checker sees what it shall."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

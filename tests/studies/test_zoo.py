@@ -1,7 +1,5 @@
 """Attacks side by side: the table of a study of several optimisers, and its signs of doubt."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

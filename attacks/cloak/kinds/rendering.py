@@ -1,7 +1,5 @@
 """How the pictures of a study's splats are rendered."""
 
-from __future__ import annotations
-
 from attacks.cloak.config import StudyConfig
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.training.config import FitConfig

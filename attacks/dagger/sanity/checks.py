@@ -5,8 +5,6 @@ of Security", ICML 2018). Scores count up to the one that is a success, since a 
 are of the gradient: against central differences, and how much of it is exactly zero.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

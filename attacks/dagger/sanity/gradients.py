@@ -4,8 +4,6 @@ The whole chain has steps that are constant for the gradient: the candidates tha
 So its agreement is measured over directions, by cosine and slope, with a wider tolerance than the renderer's.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """What is checked, and the attacks that the checks share, each made once."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

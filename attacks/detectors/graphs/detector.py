@@ -7,8 +7,6 @@ of the box a distribution, as in Li et al., "Generalized Focal Loss", 2020; the 
 the anchor.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Also the form in which this project keeps any graph: the nodes as JSON, the constants as safetensors.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

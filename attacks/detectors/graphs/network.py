@@ -4,8 +4,6 @@ Making it ready walks the graph once with an input of zeros: what depends on con
 of pictures are put channels first, and what is left is a list of calls.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping, Sequence
 

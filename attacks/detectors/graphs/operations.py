@@ -4,8 +4,6 @@ Padding SAME keeps ceil(size / stride) outputs and puts the odd row or column of
 is (height, width, channels, multiplier).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from functools import partial

@@ -5,8 +5,6 @@ memory and time, and nothing is unpacked to the disk. The card tells a detector'
 by which to know that it is whole.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gzip
 import hashlib

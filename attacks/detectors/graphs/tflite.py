@@ -5,8 +5,6 @@ operations those are known that the detector here needs. They become TensorFlow'
 transposition or another shape of a constant stands before them, which is worked out once.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import math

@@ -4,8 +4,6 @@ TensorFlow keeps pictures channels-last and a graph moves axes about; torch's co
 tensor has an order: `order[i]` is the axis in memory of the graph's axis i. A transposition changes only the order.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

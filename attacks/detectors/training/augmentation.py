@@ -3,8 +3,6 @@
 Every function takes a (3, H, W) float picture in [0, 1] and a seeded generator.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

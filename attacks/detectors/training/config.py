@@ -1,7 +1,5 @@
 """What pictures are made and how a detector is trained on them, as values; light, so that --help is fast."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Sets of labelled pictures, and a training on them, as jobs of the ledger: each is done once, and found again."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence

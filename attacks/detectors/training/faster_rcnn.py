@@ -5,8 +5,6 @@ ten objects and spends most of its time on where they are; here a step sees 64 f
 tell the classes apart come much sooner.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

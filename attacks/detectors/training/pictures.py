@@ -5,8 +5,6 @@ positive. All pictures of scene n of a split are a pure function of (configurati
 the process in which they are made.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Sequence

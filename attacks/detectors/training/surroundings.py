@@ -1,7 +1,5 @@
 """What stands around the objects in training pictures: the project's own streets, parks and rooms, or random things."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray

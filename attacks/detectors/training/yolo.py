@@ -1,7 +1,5 @@
 """How `yolov8n_small` is trained by the loop of `attacks.detectors.training.loop`, with the losses of ultralytics."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

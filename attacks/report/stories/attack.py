@@ -1,7 +1,5 @@
 """What `mi-splat dagger` and `dagger-eot` leave behind: one object, from chosen cameras or from all of a region."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any

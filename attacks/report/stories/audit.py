@@ -1,7 +1,5 @@
 """What `mi-splat audit` leaves behind: whether a splat shows something from some directions only."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What `mi-splat study run` leaves of a study of the audit: which splats it tells from honest ones."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

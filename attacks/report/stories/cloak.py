@@ -1,7 +1,5 @@
 """What `mi-splat cloak` leaves behind: a clean and a cloaked splat, and who sees what from where."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

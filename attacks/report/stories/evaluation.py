@@ -1,7 +1,5 @@
 """What `mi-splat evaluate` leaves behind: a clean and an attacked splat from many cameras."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from itertools import starmap

@@ -1,7 +1,5 @@
 """What `mi-splat poison` leaves behind: which pictures of a set were changed, how much, and of CLOAK from where."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path

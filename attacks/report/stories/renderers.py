@@ -1,7 +1,5 @@
 """What `mi-splat compare` leaves behind: several renderers on one splat."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What `mi-splat dagger-sanity` leaves behind: whether an attack that fails may be believed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

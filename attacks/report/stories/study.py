@@ -1,7 +1,5 @@
 """What `mi-splat study run` leaves behind: many attacks, and how others see what came of them."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence

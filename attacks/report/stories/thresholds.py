@@ -1,7 +1,5 @@
 """Rates over the confidence from which a detection counts, as charts of any story whose folder holds rows."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 

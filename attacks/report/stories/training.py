@@ -1,7 +1,5 @@
 """What `mi-splat train` leaves behind: how true the splat is to pictures that it was not trained on."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What `mi-splat study run` leaves of a study of CLOAK: the same study with one thing changed at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """All rules on one splat: of a file as it is stored, or of a scene in memory."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """What a splat costs a renderer from its worst camera: how many Gaussians lie over each other, counted tile by tile."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

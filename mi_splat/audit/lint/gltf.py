@@ -4,8 +4,6 @@ Sources: extensions/2.0/Khronos/KHR_gaussian_splatting/README.md of github.com/K
 3.6.2 (accessors) and 3.7.2 (meshes). Unlike the reader, which stops at the first fault, it goes on.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Iterator, Mapping

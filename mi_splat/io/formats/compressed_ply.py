@@ -5,8 +5,6 @@ Means and log-scales take 11, 10 and 11 bits, a quaternion 2 bits for its larges
 (in the order w, x, y, z), colour and opacity 8 bits each, the other SH coefficients a byte each over -4 to 4.
 """
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which splat format a file has: by how its name ends, held against its first bytes."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 

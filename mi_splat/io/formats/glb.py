@@ -1,7 +1,5 @@
 """The binary glTF container: a JSON document, a buffer, and typed arrays in it (glTF 2.0, sections 3.6 and 4.4)."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Mapping, Sequence

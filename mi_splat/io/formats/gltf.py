@@ -6,8 +6,6 @@ SH_DEGREE_l_COEF_n. The basis of SH is that of 3DGS. glTF's y points up where th
 by half a turn about z, as splat-transform does.
 """
 
-from __future__ import annotations
-
 import io
 import warnings
 from collections.abc import Iterator

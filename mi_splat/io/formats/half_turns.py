@@ -4,8 +4,6 @@ The formats differ in where their axes point. Between the axes of the 3DGS PLY (
 SPZ or glTF lies half a turn, which only changes signs.
 """
 
-from __future__ import annotations
-
 import torch
 
 from mi_splat.scene import GaussianScene

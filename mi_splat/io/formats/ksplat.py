@@ -6,8 +6,6 @@ Gaussians. At levels 1 and 2 a mean is three 16-bit steps around the centre of i
 half floats.
 """
 
-from __future__ import annotations
-
 import io
 import struct
 from dataclasses import dataclass

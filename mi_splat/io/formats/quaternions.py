@@ -4,8 +4,6 @@ Used by the formats SPZ, SOG and compressed PLY, with the components in an order
 largest lies within plus and minus `ROOT_HALF`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

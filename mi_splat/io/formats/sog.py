@@ -5,8 +5,6 @@ manual. Means are 16 bits over the range of sign(x) ln(1 + |x|), scales, first S
 index into 256 numbers, quaternions three bytes and the index of the largest of w, x, y, z.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import os

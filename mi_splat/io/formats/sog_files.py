@@ -3,8 +3,6 @@
 Sizes are read from the archive's directory and from the pictures' headers, before anything is decompressed.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import struct

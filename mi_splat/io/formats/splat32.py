@@ -4,8 +4,6 @@ Source: convert.py and main.js of github.com/antimatter15/splat (three float32 o
 deviations, four bytes of colour and opacity, four bytes of the quaternion w, x, y, z as 128 q + 128).
 """
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

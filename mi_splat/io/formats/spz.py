@@ -5,8 +5,6 @@ order means, opacities, colours, scales, rotations, SH. The axes are x right, y 
 from those of the PLY.
 """
 
-from __future__ import annotations
-
 import io
 import warnings
 from typing import Literal

@@ -4,8 +4,6 @@ Source: src/cc/load-spz.cc and README.md of github.com/nianticlabs/spz. A versio
 extensions, a table with two 64-bit sizes for each section, and the sections, compressed one by one.
 """
 
-from __future__ import annotations
-
 import gzip
 import struct
 import zlib

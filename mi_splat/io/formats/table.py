@@ -1,7 +1,5 @@
 """What each splat format keeps of a scene: one table, from which the documentation and the tests are made."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

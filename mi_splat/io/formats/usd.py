@@ -6,8 +6,6 @@ before halves (`positions`, `positionsh`). Where y points up, the scene is turne
 where z points up, y is made to before. Where a stage says how many metres a unit has, the splat comes in metres.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import os

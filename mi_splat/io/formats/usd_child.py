@@ -4,8 +4,6 @@ usd-core takes the memory that a file asks for, and may end the process over a d
 that had a limit of memory and of time, and no other. This file imports nothing of mi_splat, so that it starts fast.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

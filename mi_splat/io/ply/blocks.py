@@ -1,7 +1,5 @@
 """Large tables a block at a time, in a few threads, within a fixed amount of memory."""
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Callable

@@ -4,8 +4,6 @@ Every size that the header claims is held against the bytes that are there befor
 binary rows of one size, which is every splat that a trainer writes; text and rows with lists go on to `with_plyfile`.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import struct

@@ -1,7 +1,5 @@
 """The header of a PLY file, read within fixed bounds and believed in nothing."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from typing import BinaryIO

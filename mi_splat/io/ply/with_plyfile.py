@@ -5,8 +5,6 @@ end of the file. So it never sees a user's file. `_ply_body` holds sizes and lis
 there; then plyfile gets a block of rows at a time, under a header of our own.
 """
 
-from __future__ import annotations
-
 import io
 import warnings
 from collections.abc import Callable, Iterator, Sequence

@@ -4,8 +4,6 @@
 Importing this package is light.
 """
 
-from __future__ import annotations
-
 from mi_splat.training.strategies.base import Edit, ScreenGradients, Step, Strategy
 from mi_splat.training.strategies.config import ClassicConfig, FixedConfig, MCMCConfig, StrategyConfig
 from mi_splat.training.strategies.registry import (

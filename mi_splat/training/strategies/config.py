@@ -1,7 +1,5 @@
 """The options of each strategy; light, so that a command line can be parsed without torch."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 

@@ -1,7 +1,5 @@
 """The strategies by name: their options and how they are made; light, for a strategy is imported when it is made."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar

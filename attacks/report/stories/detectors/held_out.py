@@ -1,7 +1,5 @@
 """What `mi-splat evaluate-detector` leaves behind: how well detectors find objects on held-out pictures."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise

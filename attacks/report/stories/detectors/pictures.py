@@ -1,7 +1,5 @@
 """What `mi-splat detect` leaves behind: what detectors report on pictures, and on splats as cameras see them."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
