@@ -39,7 +39,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.plugins.gaussian_shapes import GaussianShapes
 from mi_splat.plugins.mixed import Mixed, MixedCache
 from mi_splat.plugins.paths import radiance
-from mi_splat.plugins.settings import RAY_SETTINGS, SettingValues, name_integrator, setting_property
+from mi_splat.plugins.settings import RAY_SETTINGS, SettingValues, common_methods, name_integrator, setting_property
 from mi_splat.plugins.stretches import Adjoint, PathSettings
 from mi_splat.rasterization.binning import TILE
 from mi_splat.rasterization.colour import linear_value
@@ -58,6 +58,7 @@ def integrator_class(variant: str) -> Any:
         alpha = setting_property("alpha")
         linear = setting_property("linear")
         colour_to_mean = setting_property("colour_to_mean")
+        traverse, parameters_changed, render_forward = common_methods("splat_ray")
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
@@ -66,13 +67,6 @@ def integrator_class(variant: str) -> Any:
             self._hide = bool(props.get("hide_emitters", False))
             self._cache = MixedCache()
             self._sums: Any = None
-
-        def traverse(self, callback: Any) -> None:
-            self.settings.traverse(callback)
-
-        def parameters_changed(self, keys: list[str]) -> None:
-            """Take over what `mi.traverse` was given; a value that cannot be is refused, and the old one stays."""
-            self.settings.changed(keys)
 
         def aov_names(self) -> list[str]:
             return ["alpha"] if self.alpha else []
@@ -182,22 +176,6 @@ def integrator_class(variant: str) -> Any:
             finally:
                 self._sums = None
             shapes.backward(grads)
-
-        def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
-            """Refused.
-
-            Args:
-                scene: Not looked at, like all others.
-                params: See `scene`.
-                sensor: See `scene`.
-                seed: See `scene`.
-                spp: See `scene`.
-
-            Raises:
-                InvalidValueError: Always: there is no forward mode.
-            """
-            do = "use dr.backward(), or volprim_rf_basic"
-            raise InvalidValueError.of("splat_ray", "reverse-mode differentiation", "forward mode", do)
 
         def to_string(self) -> str:
             return f"SplatRay[{self.settings}, max_depth = {self.max_depth}, rr_depth = {self.rr_depth}]"

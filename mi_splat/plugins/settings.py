@@ -132,6 +132,25 @@ def setting_property(name: str) -> property:
     return property(lambda self: self.settings.values[name], lambda self, value: self.settings.set(name, value))
 
 
+def common_methods(plugin: str) -> tuple[Callable[..., None], Callable[..., None], Callable[..., Any]]:
+    """`traverse`, `parameters_changed` and `render_forward` of an integrator, whose `settings` are `SettingValues`.
+
+    There is no forward mode: `render_forward` raises InvalidValueError, whatever it is given.
+    """
+
+    def traverse(self: Any, callback: Any) -> None:
+        self.settings.traverse(callback)
+
+    def parameters_changed(self: Any, keys: list[str]) -> None:
+        self.settings.changed(keys)
+
+    def render_forward(self: Any, *_: Any, **__: Any) -> Any:
+        do = "use dr.backward(), or volprim_rf_basic"
+        raise InvalidValueError.of(plugin, "reverse-mode differentiation", "forward mode", do)
+
+    return traverse, parameters_changed, render_forward
+
+
 DEFAULT_ID = "integrator"
 """Id of an integrator without one, as in the usual dict; Mitsuba would name it by its address."""
 

@@ -35,7 +35,7 @@ from mi_splat.bounds import near_plane
 from mi_splat.errors import InvalidValueError
 from mi_splat.plugins import sensor as sensors
 from mi_splat.plugins.gaussian_shapes import GaussianShapes
-from mi_splat.plugins.settings import TILE_SETTINGS, SettingValues, name_integrator, setting_property
+from mi_splat.plugins.settings import TILE_SETTINGS, SettingValues, common_methods, name_integrator, setting_property
 from mi_splat.rasterization.colour import develop, develop_backward
 from mi_splat.rasterization.frozen import aligned
 from mi_splat.rasterization.layouts import ELLIPSOIDS
@@ -67,6 +67,7 @@ def integrator_class(variant: str) -> Any:
         alpha = setting_property("alpha")
         linear = setting_property("linear")
         antialiased = setting_property("antialiased")
+        traverse, parameters_changed, render_forward = common_methods("splat_tile")
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
@@ -79,13 +80,6 @@ def integrator_class(variant: str) -> Any:
         def near_is_set(self) -> bool:
             """Whether near has a value that is not the default."""
             return "near" in self.settings.given
-
-        def traverse(self, callback: Any) -> None:
-            self.settings.traverse(callback)
-
-        def parameters_changed(self, keys: list[str]) -> None:
-            """Take over what `mi.traverse` was given; a value that cannot be is refused, and the old one stays."""
-            self.settings.changed(keys)
 
         def _follow(self, scene: Any, shapes: GaussianShapes) -> None:
             """Set near to what suits the scene, unless it has a value."""
@@ -179,23 +173,6 @@ def integrator_class(variant: str) -> Any:
                 raise InvalidValueError.of("gradient of the picture", f"shape {expected}", grad_in.shape, do)
             grad_picture = develop_backward(cached.picture, grad_in, alpha=self.alpha, linear=self.linear)
             shapes.backward(rasterize_backward(cached.picture, *grad_picture))
-
-        def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
-            """Refused.
-
-            Args:
-                scene: Not looked at, like all others.
-                params: See `scene`.
-                sensor: See `scene`.
-                seed: See `scene`.
-                spp: See `scene`.
-
-            Raises:
-                InvalidValueError: Always: there is no forward mode.
-            """
-            raise InvalidValueError.of(
-                "splat_tile", "reverse-mode differentiation", "forward mode", "use dr.backward(), or volprim_rf_basic"
-            )
 
         def to_string(self) -> str:
             return f"SplatTile[{self.settings}]"
