@@ -39,12 +39,7 @@ def write_pages(app: Sphinx) -> None:
 
 
 def page(name: str, summary: str) -> Iterator[str]:
-    """The lines of a command's page.
-
-    Args:
-        name: Of the command.
-        summary: What it does, in a line.
-    """
+    """The lines of a command's page."""
     from attacks.cli import module_of, parser_of
 
     module, parser = module_of(name), parser_of(name)

@@ -114,12 +114,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def page(name: str, artifacts: Path) -> str:
-    """A page as Markdown.
-
-    Args:
-        name: One of `PAGES`.
-        artifacts: The folder docs/artifacts.
-    """
+    """A page as Markdown, one of `PAGES`, from the folder docs/artifacts."""
     from attacks.report.checking import read_result
     from attacks.report.results import read_section
     from attacks.tables import sections

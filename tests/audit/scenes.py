@@ -27,13 +27,7 @@ PROBES = lattice(400, -90.0, 90.0).float()
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Made:
-    """A splat and what is known of it.
-
-    Attributes:
-        scene: N Gaussians.
-        rows: (N,) bool, those of the object that stands on the ground.
-        normals: (N, 3) of their surfaces.
-    """
+    """A splat of N Gaussians, (N,) bool which are the object that stands on the ground, and (N, 3) normals."""
 
     scene: GaussianScene
     rows: Tensor
@@ -42,9 +36,7 @@ class Made:
     def with_colours(self, shade: Callable[[Tensor, Tensor, Tensor], Tensor], *, degree: int = 3) -> Made:
         """Other colours of the object, fitted by least squares over all directions.
 
-        Args:
-            shade: From (M, 3) own colours, (M, 3) normals and (D, 3) directions to cameras to (D, M, 3) colours.
-            degree: Of the spherical harmonics.
+        `shade` makes of (M, 3) own colours, (M, 3) normals and (D, 3) directions to cameras the (D, M, 3) colours.
         """
         scene = self.scene.with_degree(degree)
         part = scene.select(self.rows)
@@ -172,14 +164,9 @@ def hidden(
     amount: float = 1.0,
     degree: int = 3,
 ) -> Made:
-    """The object has one colour from some directions, by its spherical harmonics.
+    """The object has one sRGB colour from some directions, by its spherical harmonics; the rest is the own colour.
 
-    Args:
-        made: An honest splat.
-        inside: From (D, 3) directions to cameras to (D,) bool, where the look shows.
-        colour: Of the look, sRGB.
-        amount: Of it, the rest is the own colour.
-        degree: Of the spherical harmonics.
+    `inside` tells of (D, 3) directions to cameras, as (D,) bool, where the look shows.
     """
 
     def shade(own: Tensor, normals: Tensor, views: Tensor) -> Tensor:
@@ -251,13 +238,7 @@ def billboard(*, count: int = 2500) -> Made:
 
 
 def leaves(made: Made, *, count: int = 2500, lowest: float = 40.0) -> Made:
-    """Level leaves on a dome over an object, which hide it from above, and which others look between.
-
-    Args:
-        made: An honest splat.
-        count: Leaves.
-        lowest: Degrees above the ground at which they end.
-    """
+    """Level leaves on a dome over an object, down to degrees above the ground, which hide it from above alone."""
     radius = 1.9 * float(made.scene.means[made.rows].norm(dim=1).max())
     size = radius * (2 * math.pi * (1 - math.sin(math.radians(lowest))) / count) ** 0.5 / 2
     dome = GaussianScene(

@@ -149,16 +149,8 @@ def write_glb(
 ) -> Path:
     """y up, with its texture in a file of its own unless told otherwise.
 
-    Args:
-        folder: For the file and its texture.
-        made: The truck.
-        material: In the place of the usual one, whose base colour is texture 0.
-        image: In the place of the usual one, which names `TEXTURE`.
-        texture: In the place of the usual one, whose source is image 0.
-        attributes: More of the vertices, by name, or others in the place of the usual TEXCOORD_0.
-        node: More keys of the only node.
-        required: Extensions that a reader has to know.
-        mode: Of the primitive; 4 is triangles.
+    What is given takes the place of the usual: a material whose base colour is texture 0, an image that names
+    `TEXTURE`, a texture whose source is image 0, and TEXCOORD_0; `node` has more keys of the only node.
     """
     made = made.placed(y_up=True)
     down = (made.uvs * (1, -1) + (0, 1)).astype("<f4")

@@ -60,12 +60,7 @@ def slope_is_the_gradient(
 ) -> None:
     """The derivative along a random direction is that of central differences.
 
-    Args:
-        measured: A number that a detector makes of a picture.
-        image: The picture, in double precision.
-        step: Of the differences.
-        rtol: How far the two may be apart.
-        least: What the slope is above, so that it is none of rounding.
+    The picture is in double precision; the slope has to be above `least`, so that it is none of rounding.
     """
     direction = torch.randn(image.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     leaf = image.clone().requires_grad_()

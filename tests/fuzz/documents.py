@@ -11,12 +11,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """Where a file has JSON.
-
-    Attributes:
-        get: The document in the file.
-        put: The file with another one.
-    """
+    """Where a file has JSON: `get` takes the document out, `put` makes the file with another one."""
 
     get: Callable[[bytes], Any]
     put: Callable[[bytes, str], bytes]

@@ -57,12 +57,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kind:
-    """A kind of file.
+    """A kind of file: `make` writes a valid one with what belongs to it, and `read` reads it as the commands do.
 
-    Attributes:
-        make: Writes a valid one into a folder, with what belongs to it; gives its path.
-        read: Reads it as the commands do.
-        document: Where it has JSON; None if it has none.
+    `document` says where it has JSON; None if it has none.
     """
 
     make: Callable[[Path], Path]

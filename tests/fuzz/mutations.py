@@ -56,13 +56,7 @@ _RAW = re.compile(rf'"{RAW}((?:[^"\\]|\\.)*)"')
 
 
 def mutant(data: bytes, random: Random, document: Document | None) -> bytes:
-    """A damaged file.
-
-    Args:
-        data: The whole one.
-        random: Decides how.
-        document: Where it has JSON; None if it has none.
-    """
+    """A damaged file; `document` says where it has JSON, None if it has none."""
     if document is not None and random.random() < 0.7:
         values = copy.deepcopy(document.get(data))
         for _ in range(random.choice((1, 1, 1, 2, 4))):

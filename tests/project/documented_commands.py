@@ -67,12 +67,7 @@ ELSEWHERE = {
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A command on a page.
-
-    Attributes:
-        page: Path in the repository.
-        words: The program and what follows it.
-    """
+    """A command, as words, on a page: its path in the repository."""
 
     page: str
     words: tuple[str, ...]

@@ -151,12 +151,7 @@ SMALL_ATTACKS = {
 
 
 def shortened_study(text: str, attack: str | None) -> str:
-    """A study with one value of each axis.
-
-    Args:
-        text: The file.
-        attack: Settings of its attacks, of which only the first case is kept; None leaves both.
-    """
+    """A study with one value of each axis, and the first case of its attacks with other settings; None leaves both."""
     text = re.sub(r"(^    \{ name = .*\n)(?:    \{ name = .*\n)+", r"\1", text, flags=re.MULTILINE)
     text = re.sub(r'^("[a-z_.]+" = \[[^\[{,]+),.*\]$', r"\1]", text, flags=re.MULTILINE)
     if attack is None:
@@ -168,9 +163,7 @@ def shortened_study(text: str, attack: str | None) -> str:
 def provide(line: Line, kept: dict[str, Path]) -> None:
     """Make what a line reads, is not there, and can be made; what another page was given is copied.
 
-    Args:
-        line: A command.
-        kept: For each entry of `GIVEN` that is a command, a copy of what it has made; more are added.
+    `kept` has a copy of what each entry of `GIVEN` that is a command has made; more are added.
     """
     outputs = {"--out", "--export"}
     reads = True

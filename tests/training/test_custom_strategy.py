@@ -23,11 +23,9 @@ from tests.training.sets import SHORT, scene_and_views, write_set
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LotteryConfig(StrategyConfig):
-    """Every so often one Gaussian, drawn by lot, is copied, and the faintest is left out.
+    """Every so many steps one Gaussian, drawn by lot, is copied, and the faintest is left out.
 
-    Attributes:
-        every: Steps between two draws.
-        reward: Weight of the negative mean scale in the loss.
+    `reward` is the weight of the negative mean scale in the loss.
     """
 
     every: int = 7

@@ -24,11 +24,7 @@ PATIENCE = 20.0
 
 
 class Browser:
-    """One connection.
-
-    Args:
-        socket: Open websocket.
-    """
+    """One connection, by an open websocket."""
 
     def __init__(self, socket: Any) -> None:
         self.socket = socket

@@ -37,12 +37,7 @@ SETTINGS: Mapping[str, Any] = {
 
 
 def tiny(seed: int = 0, **changes: Any) -> bytes:
-    """The file.
-
-    Args:
-        seed: Of the weights.
-        changes: Settings that differ from `SETTINGS`, with underscores for spaces.
-    """
+    """The file; `changes` are settings that differ from `SETTINGS`, with underscores for spaces."""
     unknown = {key.replace("_", " ") for key in changes} - SETTINGS.keys()
     assert not unknown, unknown
     settings = {**SETTINGS, **{key.replace("_", " "): value for key, value in changes.items()}}
