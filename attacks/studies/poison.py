@@ -246,6 +246,9 @@ class Attempt:
             do = 'write deceive = "prototypes"'
             raise InvalidValueError.of(self.title, "a classifier that M-IFGSM deceives", "none", do)
         masks, who = self._made("drawing masks", self._steps.masks()), self._who(asked.deceive)
+        if poison.target is not None:
+            others = [name for name in classifier_of(asked.deceive).classes if name != who["label"]]
+            check_choice(f"target for {asked.deceive}", poison.target, others)
         inputs = {"pictures": self.pictures.part(f"{SET}/*"), "masks": masks.part("*.png")}
         if poison.decoy_steps:
             inputs["splat"] = self._start(clean)
