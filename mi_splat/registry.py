@@ -20,6 +20,8 @@ from typing import TypeVar
 from mi_splat.errors import InvalidValueError, MiSplatError, nearest
 
 _Value = TypeVar("_Value")
+_OURS = "mi_splat."
+"""How the names of our groups begin."""
 
 
 class Registry(Mapping[str, _Value]):
@@ -124,6 +126,17 @@ class Registry(Mapping[str, _Value]):
             raise self._error.of(what, f"{self._expected} of the name {point.name}", got, "correct it there")
         kept: _Value = value
         return kept
+
+
+def brought_by_packages() -> list[tuple[str, str, str]]:
+    """Everything that other packages bring, in whatever group of ours; nothing is imported.
+
+    Returns:
+        For each entry point its group, its name, and what it is: "my_package.module:NAME of my-package 1.0".
+    """
+    groups = sorted(group for group in entry_points().groups if group.startswith(_OURS))
+    points = (point for group in groups for point in entry_points(group=group))
+    return [(point.group, point.name, f"{point.value} of {_package(point)}") for point in points]
 
 
 def _points(group: str) -> dict[str, tuple[EntryPoint, ...]]:

@@ -9,6 +9,7 @@ why. The rest of that group needs what failed; another child looks at the groups
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import importlib.util
 import json
 import os
@@ -19,13 +20,15 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 from mi_splat.cli.console import import_at_once, progress, show_result
 from mi_splat.cli.options import JsonOptions
-from mi_splat.errors import MiSplatError, install
+from mi_splat.errors import MiSplatError, install, nearest
 from mi_splat.llvm import llvm_hint
 from mi_splat.provenance import versions
+from mi_splat.registry import brought_by_packages
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -42,6 +45,8 @@ SEE_ALSO = ("detectors",)
 @dataclass(frozen=True, kw_only=True)
 class DoctorOptions(JsonOptions):
     """Render one Gaussian, take one gradient, load one detector; say what works and what to do about what does not.
+
+    What other packages bring (plug-ins) is imported as well, and named with its package.
 
     The exit status is 1 if something that `mi-splat dagger` needs does not work.
     """
@@ -110,7 +115,26 @@ def examine(on_done: Callable[[str], None] = lambda name: None) -> list[Finding]
         detail = f"no {' and '.join(missing)}" if missing else ", ".join(modules)
         advice = f"optional: {install(extra)}" if missing else ""
         findings.append(Finding(name=f"extra {extra}", state=state, detail=detail, advice=advice, required=False))
-    return findings
+    return [*findings, *map(_plug_in, brought_by_packages())]
+
+
+def _plug_in(point: tuple[str, str, str]) -> Finding:
+    """Whether what another package brings is there; a child imports it, for it may do anything."""
+    group, name, origin = point
+    detail, advice = f"{origin} ({group})", ""
+    if group not in REGISTRIES:
+        advice = f"no command looks there; {nearest(group, REGISTRIES, 'see docs/plug-ins.md')}"
+    elif not (done := _answers([sys.executable, "-m", "attacks.cli.doctor", f"{group}/{name}"]))[0]:
+        advice = done[1]
+    state: State = "fails" if advice else "works"
+    return Finding(name=f"plug-in {name}", state=state, detail=detail, advice=advice, required=False)
+
+
+def _brought(group: str, name: str) -> str:
+    """The kind of what another package brings, which is imported."""
+    module, registry = REGISTRIES[group]
+    value = getattr(importlib.import_module(module), registry).chosen(name)
+    return type(value).__name__
 
 
 def examine_groups(
@@ -300,8 +324,20 @@ EXTRAS = {
     "view": ("viser",),
     "yolo": ("ultralytics",),
 }
+REGISTRIES = {
+    "mi_splat.attacks": ("attacks.optimisers.registry", "OPTIMISERS"),
+    "mi_splat.audit_rules": ("mi_splat.audit.lint.rules", "ADDED"),
+    "mi_splat.conditions": ("attacks.observe.conditions", "CONDITIONS"),
+    "mi_splat.detectors": ("attacks.detectors.registry", "DETECTORS"),
+    "mi_splat.objectives": ("attacks.aims", "OBJECTIVES"),
+    "mi_splat.poisons": ("attacks.poisons.specs", "POISONS"),
+    "mi_splat.renderers": ("mi_splat.comparison.methods", "RENDERERS"),
+}
+"""Who reads each group of entry points."""
 
 
 if __name__ == "__main__":  # in the child; a line is there as soon as its probe is done
-    for probe in (probe for group in sys.argv[1:] for probe in GROUPS[group]):
-        os.write(sys.stdout.fileno(), (json.dumps(probe.run()) + "\n").encode())
+    for word in sys.argv[1:]:
+        runs = [partial(_brought, *word.split("/"))] if "/" in word else [probe.run for probe in GROUPS[word]]
+        for run_one in runs:
+            os.write(sys.stdout.fileno(), (json.dumps(run_one()) + "\n").encode())

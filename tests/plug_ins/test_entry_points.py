@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +14,7 @@ import torch
 
 from attacks import cli
 from attacks.aims import OBJECTIVES, PluggedObjective, objective_of
+from attacks.cli import doctor
 from attacks.cli.poison_kinds import KINDS
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
@@ -32,7 +34,7 @@ from mi_splat.audit.lint.checking import lint_scene
 from mi_splat.comparison.methods import RENDERERS, load_method
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.ledger.values import decoded, encoded
-from mi_splat.registry import Registry
+from mi_splat.registry import Registry, brought_by_packages
 from mi_splat.rendering import RenderSettings
 from tests.fakes import ColourDetector, blobs, camera, register, toy_scene
 from tests.plug_ins.distribution import install, on_path
@@ -326,3 +328,22 @@ def test_an_objective_that_gives_none_is_refused(path: Path) -> None:
         objective_of("bad")
     with pytest.raises(InvalidValueError, match="target: expected what the aim hide has, got person"):
         objective_of("hide", "person")
+
+
+def test_the_doctor_tries_each_and_says_what_is_wrong(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    entries = {
+        "mi_splat.objectives/dim-car": "brought:OBJECTIVE",
+        "mi_splat.renderers/bad": "brought:MISSING",
+        "mi_splat.objective/lost": "brought:OBJECTIVE",
+    }
+    install(path, entries, brought=BROUGHT)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(path), *filter(None, [os.environ.get("PYTHONPATH")])]))
+    findings = {point[1]: doctor._plug_in(point) for point in brought_by_packages()}
+    assert {name: finding.state for name, finding in findings.items()} == {
+        **{"dim-car": "works", "bad": "fails", "lost": "fails"}
+    }
+    assert findings["dim-car"].detail == "brought:OBJECTIVE of plugged 1.0 (mi_splat.objectives)"
+    assert "expected something that can be imported" in findings["bad"].advice
+    assert findings["lost"].advice == "no command looks there; did you mean mi_splat.objectives?"
+    assert not any(finding.required for finding in findings.values())
+    assert {*doctor.REGISTRIES} == {*GROUPS, "mi_splat.audit_rules", "mi_splat.detectors"}
