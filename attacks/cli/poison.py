@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from attacks.cli.poison_kinds import KINDS, HidingConfig
 from mi_splat.cli.console import UsageError, follow, progress, show_result, warn
@@ -51,6 +51,8 @@ class PoisonOptions(ResultOptions):
     """How the pictures are changed."""
     downscale: Annotated[int, at_least(1)] = 1
     """The pictures are made so many times smaller."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where the decoy and the classifier are: on the CPU, or on an NVIDIA GPU; poison-splat and m-ifgsm have them."""
     seed: Seed = 0
     """Seed of everything random; cloak draws nothing."""
 
@@ -87,9 +89,10 @@ def run(options: PoisonOptions) -> None:
     from mi_splat.io.folders import check_new_folder, new_folder
 
     kind = KINDS[options.kind]
+    _check_device(options.device, options.kind)
     check_new_folder(options.out, force=options.force, record=RECORD)
     check_no_input_in(options.out, options.dataset, options.splat)
-    work = kind.begun(options.poison, options.seed)
+    work = kind.begun(options.poison, options.seed, options.device)
     with progress("reading the set"):
         views = load_dataset(options.dataset, split="train", downscale=options.downscale)
         tested = has_tests(options.dataset)
@@ -103,6 +106,7 @@ def run(options: PoisonOptions) -> None:
             "set": str(options.dataset),
             "splat": None if splat is None else str(options.splat),
             "downscale": options.downscale,
+            "device": options.device,
             **more,
             **done.manifest,
             **provenance.origin(),
@@ -116,6 +120,25 @@ def run(options: PoisonOptions) -> None:
         warn(text)
     last = f"{options.out}: train on it as on any set; {RECORD} says what was changed"
     show_result({**record, "out": str(options.out)}, _changes(done), *lines, last, as_json=options.json)
+
+
+def _check_device(device: str, kind: str) -> None:
+    """Refuse a GPU that is not there, or that would do nothing.
+
+    Raises:
+        UsageError: It is either.
+    """
+    if device == "cpu":
+        return
+    if not KINDS[kind].on_gpu:
+        able = " or ".join(name for name, one in KINDS.items() if one.on_gpu)
+        raise UsageError.of("--device cuda", f"--kind {able}", kind, "leave it out")
+    import torch
+
+    from mi_splat.variant import has_cuda
+
+    if not (has_cuda() and torch.cuda.is_available()):
+        raise UsageError.of("--device cuda", "an NVIDIA GPU that Dr.Jit and torch can use", "none", "leave it out")
 
 
 def _changes(done: Poisoned) -> str:

@@ -92,19 +92,21 @@ class Kind:
 
     Attributes:
         config: Its options.
-        begun: Checks options, and gives the work that is done with them and a seed.
+        begun: Checks options, and gives the work that is done with them, a seed, and a device: "cpu" or "cuda".
         needs_splat: Whether there is no work without a splat.
+        on_gpu: Whether a GPU can do the most of it.
         replaces: Whether something else is shown, which counts for who trains even where a mask left the object out;
             else pictures are changed a little.
     """
 
     config: Any
-    begun: Callable[[Any, int], Work]
+    begun: Callable[[Any, int, str], Work]
     needs_splat: bool = True
+    on_gpu: bool = False
     replaces: bool = False
 
 
-def _hiding(config: HidingConfig, seed: int) -> Work:
+def _hiding(config: HidingConfig, seed: int, device: str) -> Work:
     """CLOAK, which draws nothing."""
     import torch
 
@@ -134,7 +136,7 @@ def _hiding(config: HidingConfig, seed: int) -> Work:
     return hidden
 
 
-def _misreading(config: MisreadingConfig, seed: int) -> Work:
+def _misreading(config: MisreadingConfig, seed: int, device: str) -> Work:
     """M-IFGSM."""
     from attacks.classifiers.frozen import class_number
     from attacks.classifiers.registry import load_classifier
@@ -148,14 +150,17 @@ def _misreading(config: MisreadingConfig, seed: int) -> Work:
         class_number(classifier, target, "--target")
 
     def misread(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
+        from attacks.poisons.classified import move
         from attacks.poisons.mifgsm import MIFGSM
         from mi_splat.rendering import Renderer, RenderSettings
         from mi_splat.selection.select import SEEN
         from mi_splat.selection.visibility import object_weight
+        from mi_splat.variant import DEFAULT_VARIANT
 
         assert splat is not None
         rows, near, selected = _object(config, views, splat)
-        render = Renderer(RenderSettings(near=near))
+        render = Renderer(RenderSettings(near=near, variant=DEFAULT_VARIANT))
+        move(classifier, device)
 
         def mask(camera: Camera) -> Tensor:
             seen = object_weight(splat, rows, camera, render) >= SEEN
@@ -165,7 +170,7 @@ def _misreading(config: MisreadingConfig, seed: int) -> Work:
                 raise InvalidValueError.of(str(name), "some pixels of the object", "none", do)
             return seen
 
-        decoy = _decoy(splat, views) if config.attack.decoy_steps else None
+        decoy = _decoy(splat, views, device) if config.attack.decoy_steps else None
         poison = MIFGSM(config=config.attack, classifier=classifier, label=label, masks=mask, decoy=decoy)
         done = poison(views, seed=seed, on_step=on_step)
         sure, skipped = config.attack.least_confidence, len(done.poison["skipped"])
@@ -175,12 +180,12 @@ def _misreading(config: MisreadingConfig, seed: int) -> Work:
     return misread
 
 
-def _pictures(name: str) -> Callable[[Any, int], Work]:
+def _pictures(name: str) -> Callable[[Any, int, str], Work]:
     """What begins a poison of a name that asks for no object."""
 
-    def begun(config: Any, seed: int) -> Work:
+    def begun(config: Any, seed: int, device: str) -> Work:
         def changed(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
-            poison = POISONS[name].poison(config, None if splat is None else _decoy(splat, views))
+            poison = POISONS[name].poison(config, None if splat is None else _decoy(splat, views, device))
             done = poison(views, seed=seed, on_step=on_step)
             grown, start = (done.poison.get(f"{name}_gaussians") for name in ("decoy", "start"))
             lines = [f"the decoy has {grown:,} Gaussians, the splat has {start:,}"] if grown else []
@@ -199,14 +204,15 @@ class _Kinds(Mapping[str, Kind]):
 
     own: Mapping[str, Kind] = {
         "cloak": Kind(config=HidingConfig(), begun=_hiding, replaces=True),
-        "m-ifgsm": Kind(config=MisreadingConfig(), begun=_misreading),
+        "m-ifgsm": Kind(config=MisreadingConfig(), begun=_misreading, on_gpu=True),
     }
 
     def __getitem__(self, name: str) -> Kind:
         if name in self.own:
             return self.own[name]
         spec = POISONS[name]
-        return Kind(config=spec.config(), begun=_pictures(name), needs_splat=spec.needs_splat)
+        needs = spec.needs_splat  # of those that need one, a decoy takes most of the time
+        return Kind(config=spec.config(), begun=_pictures(name), needs_splat=needs, on_gpu=needs)
 
     def __contains__(self, name: object) -> bool:
         return name in self.own or name in POISONS
@@ -222,12 +228,13 @@ class _Kinds(Mapping[str, Kind]):
 KINDS: Mapping[str, Kind] = _Kinds()
 
 
-def _decoy(splat: GaussianScene, views: Dataset) -> Decoy:
-    """A decoy that starts as the splat; the victim is taken to train as usual."""
+def _decoy(splat: GaussianScene, views: Dataset, device: str) -> Decoy:
+    """A decoy that starts as the splat, on a device; the victim is taken to train as usual."""
     from attacks.poisons.decoy import Decoy
     from mi_splat.bounds import near_plane
 
-    return Decoy(start=splat, near=near_plane(splat, views.cameras), background=views.background)
+    near = near_plane(splat, views.cameras)
+    return Decoy(start=splat.to(device), near=near, background=views.background)
 
 
 def _object(config: ObjectConfig, views: Dataset, splat: GaussianScene) -> tuple[Tensor, float, dict[str, Any]]:

@@ -92,7 +92,12 @@ def checked_classifier(name: str, fingerprint: str, device: str) -> Classifier:
     if classifier.fingerprint != fingerprint:
         do = "get the weights that the study began with, or begin it anew"
         raise InvalidValueError(message(f"weights of {name}", fingerprint, classifier.fingerprint, do))
+    move(classifier, device)
+    return classifier
+
+
+def move(classifier: Classifier, device: str) -> None:
+    """Put a classifier's network, if it has one, on a device."""
     model = getattr(classifier, "model", None)
     if isinstance(model, torch.nn.Module):
         model.to(device)
-    return classifier

@@ -50,7 +50,7 @@ class MeasuredConfig(StepConfig):
 def run(config: MeasuredConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
     """A row for each camera of how true the `splat` is to the `pictures`; how long one takes; where its Gaussians are.
 
-    The time is CPU time of one thread's worth of work, and on a GPU the wall time of a picture that was waited for.
+    The time is CPU time of the process, and on a GPU the wall time of a picture that was waited for.
     """
     cuda = config.device == "cuda"
     scene = load_splat(inputs["splat"]).to(config.device)

@@ -12,6 +12,7 @@ from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
 from attacks.cli.poison_kinds import KINDS
 from attacks.poisons.specs import POISONS
 from attacks.report.results import read_section
+from mi_splat import variant
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import View
 from mi_splat.datasets import Dataset, load_dataset, write_transforms
@@ -125,6 +126,8 @@ def test_only_the_object_is_misread(names: list[str], tmp_path: Path) -> None:
         (["SPLAT", "--kind", "m-ifgsm"], "--label: expected the class of the object, got none"),
         (["SPLAT", "--kind", "m-ifgsm", "--classifier", "toy", "--label", "cat"], "one of car, bird, tv, got 'cat'"),
         (["SPLAT", "--kind", "m-ifgsm", "--classifier", "toys", "--label", "cat"], "classifier: expected"),
+        (["SPLAT", "--device", "cuda"], "--device cuda: expected --kind poison-splat or m-ifgsm, got cloak"),
+        (["SPLAT", "--device", "gpu"], "--device: expected"),
     ],
 )
 def test_what_is_refused(
@@ -134,6 +137,25 @@ def test_what_is_refused(
     assert cli.main(["poison", names[0], *words, "--out", str(tmp_path / "out")]) in (1, 2)
     assert told in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out").exists()
+
+
+def test_a_gpu_that_is_not_there_is_refused(
+    names: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(variant, "has_cuda", lambda: False)
+    words = [*names, "--kind", "poison-splat", "--device", "cuda"]
+    assert cli.main(["poison", *words, "--out", str(tmp_path / "out")]) == 2
+    assert "expected an NVIDIA GPU that Dr.Jit and torch can use, got none" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.skipif(not (variant.has_cuda() and torch.cuda.is_available()), reason="needs a GPU")
+@pytest.mark.parametrize("more", [("poison-splat",), ("m-ifgsm",), ("m-ifgsm", "--decoy-steps", "3")])
+def test_a_gpu_makes_nearly_the_same_pictures(more: tuple[str, ...], names: list[str], tmp_path: Path) -> None:
+    for device in ("cpu", "cuda"):
+        assert poison(tmp_path / device, names, *more, "--eps", "8", "--device", device)["device"] == device
+    of_cpu, of_gpu = (load_dataset(tmp_path / device, split="train") for device in ("cpu", "cuda"))
+    for one, other in zip(of_cpu, of_gpu, strict=True):
+        assert float((one.image - other.image).abs().mean()) < 2 / 255  # signs of gradients near 0 differ
 
 
 def test_a_picture_without_the_object_is_named(

@@ -14,7 +14,9 @@ from attacks.cloak.config import SceneConfig
 from attacks.detectors import registry
 from attacks.observe.rows import rows
 from attacks.poisons.victim import peak_memory
-from attacks.studies.poison import PoisonWork, classifier_of, point_of
+from attacks.studies.poison import PoisonWork
+from attacks.studies.poison_jobs import classifier_of
+from attacks.studies.poison_point import point_of
 from attacks.studies.study_file import read_study, study_of
 from mi_splat.assets import ASSETS
 from mi_splat.datasets import load_dataset
@@ -259,7 +261,8 @@ def test_a_classifier_has_to_be_there_and_to_know_the_object(monkeypatch: pytest
 
 
 @pytest.mark.parametrize(
-    ("name", "sets", "victims"), [("poison_splat", 31, 62), ("m_ifgsm", 55, 65), ("poison_demo", 2, 3)]
+    ("name", "sets", "victims"),
+    [("poison_splat", 31, 62), ("m_ifgsm", 55, 65), ("poison_demo", 2, 3), ("m_ifgsm_demo", 2, 4)],
 )
 def test_the_shipped_studies_can_be_done(name: str, sets: int, victims: int, monkeypatch: pytest.MonkeyPatch) -> None:
     toy = Toy()

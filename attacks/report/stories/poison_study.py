@@ -10,8 +10,9 @@ from attacks.observe.rows import ATTACKED, CLEAN
 from attacks.rate import Rate
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Section
 from attacks.report.wording import listed, plain, versions_of
-from attacks.studies.poison import HELD_OUT, PICTURES
+from attacks.studies.poison import PICTURES
 from attacks.studies.poison_figures import summary_tables
+from attacks.studies.poison_jobs import HELD_OUT
 
 KIND = "Poisoned training pictures"
 _MOST_PICTURES = 12
