@@ -23,9 +23,11 @@ from tests.training.sets import SHORT, scene_and_views, write_set
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LotteryConfig(StrategyConfig):
-    """Every so many steps one Gaussian, drawn by lot, is copied, and the faintest is left out.
+    """Every so often one Gaussian, drawn by lot, is copied, and the faintest is left out.
 
-    `reward` is the weight of the negative mean scale in the loss.
+    Attributes:
+        every: Steps between two draws.
+        reward: Weight of the negative mean scale in the loss.
     """
 
     every: int = 7
