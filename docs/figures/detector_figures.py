@@ -149,7 +149,7 @@ def main(paths: Sequence[Path]) -> None:
     for kept, card in CARDS.values():
         write_between_marks(card, card_of(read_figures(kept)))
     several = [read_figures(path) for path in kept_figures()]
-    write_between_marks(PAGE, in_markdown(compared(several)[:1]))
+    write_between_marks(PAGE, in_markdown([next(compared(several))]))
     draw_recall([one for one in several if one["confidence"] == USUAL_CONFIDENCE]).savefig(PICTURE)
 
 
