@@ -86,7 +86,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         ("transfer_views",),
     ),
 }
-"""For each page its title, the page that says what the reader may conclude, and the folders of docs/artifacts."""
+"""For each page its title, the page that says what follows, and the folders of docs/artifacts."""
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -97,6 +97,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 def write_pages(app: Sphinx) -> None:
     """Write all pages; one that has not changed stays untouched, so that it is not read again."""
+    import study_tables
     from detector_figures import compared_page, table_page
 
     docs = Path(app.srcdir)
@@ -106,6 +107,8 @@ def write_pages(app: Sphinx) -> None:
     for figures in sorted((docs / "tables" / "detectors").glob("*.json")):
         _write(figures.with_suffix(".md"), table_page(figures))
     _write(docs / "tables" / "detectors" / "compared.md", compared_page())
+    for name in study_tables.STUDIES:
+        _write(docs / "tables" / f"study_{name}.md", study_tables.page(name, docs / "tables"))
 
 
 def _write(path: Path, text: str) -> None:
@@ -120,7 +123,7 @@ def page(name: str, artifacts: Path) -> str:
     from attacks.tables import sections
 
     title, conclusion, folders = PAGES[name]
-    parts = [f"# {title}: every figure", f"What the reader may conclude is in {conclusion}."]
+    parts = [f"# {title}: every figure", f"What follows from these figures is in {conclusion}."]
     for folder in folders:
         result = read_result(artifacts / folder)
         record = result.record

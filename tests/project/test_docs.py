@@ -8,10 +8,12 @@ import subprocess
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from attacks.cli import COMMANDS
+from tests.browser import CHROMIUM
 from tests.project.documented_commands import BENCHMARKS, FAST, NIGHTLY, ROOT, Line, blocks, lines, pages
 from tests.project.test_extras import PROJECT
 from tests.warm import Warm
@@ -202,3 +204,29 @@ def test_the_site_asks_no_other_host(site: Path) -> None:
         assert not foreign, path.relative_to(site)
     for path in (*site.rglob("*.css"), site / "_static" / "before-after.js"):
         assert not re.search(r"(@import|url\()\s*['\"]?(https?:)?//", path.read_text()), path.relative_to(site)
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(CHROMIUM is None, reason="needs the program chromium")
+@pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 1280), ("light", 390)])
+def test_the_first_page_works_without_a_network(chromium: Any, site: Path, scheme: str, width: int) -> None:
+    """The line between before and after follows a pointer and the arrow keys; nothing is wider than a telephone."""
+    window = chromium.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    asked: list[str] = []
+    window.on("request", lambda request: asked.append(request.url))
+    window.goto((site / "index.html").as_uri())
+    box, line = window.locator(".before-after"), window.locator(".before-after input")
+
+    def place() -> str:
+        return str(box.evaluate("box => box.style.getPropertyValue('--line')"))
+
+    line.focus()
+    line.press("ArrowRight")
+    assert place() == "51%"
+    size = box.bounding_box()
+    window.mouse.click(size["x"] + 0.25 * size["width"], size["y"] + 50)
+    assert abs(float(place().rstrip("%")) - 25) <= 3
+    assert window.locator(".gallery img").count() == 12
+    assert window.evaluate("document.documentElement.scrollWidth") <= width
+    assert [url for url in asked if not url.startswith(("file:", "data:"))] == []
+    window.close()
