@@ -26,7 +26,7 @@ PAIRS = {
     *(("stop_sign", target) for target in ("tv", "train", "bird")),
 }
 JOBS = {
-    "attack_zoo": (120, 0),
+    "attack_zoo": (60, 0),
     "between_renderers": (54, 432),
     "coco": (72, 0),
     "coco_demo": (12, 0),
