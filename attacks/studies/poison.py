@@ -22,6 +22,7 @@ Every key is an attribute of `attacks.studies.poison_point.PoisonPoint`.
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
@@ -30,6 +31,7 @@ from typing import Any
 
 from attacks.cloak.kinds.seen import SeenConfig
 from attacks.cloak.steps import Look
+from attacks.observe.look import camera_cells
 from attacks.observe.measures import reported
 from attacks.observe.rows import DETECTIONS, FIDELITY, ROWS, SUFFIX, by_camera, frame_of, write_rows
 from attacks.poisons.changed import SHEET
@@ -41,6 +43,8 @@ from attacks.studies.poison_jobs import CLASSIFIED, DEFENDED, Attempt, TrainedVi
 from attacks.studies.study_file import Study
 from attacks.tables import sections
 from mi_splat import provenance
+from mi_splat.cameras import Camera
+from mi_splat.directions import Point, direction_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD
@@ -108,17 +112,24 @@ def _rows(
     yield FIDELITY, [{**cells, "condition": condition, **row} for row in done[victim.measured.identity].rows]
     for look in victim.looks:
         if look.job.identity in done:
-            rows = _seen(look, done[look.job.identity], attempt.asked.evaluation.confidence)
+            rows = _seen(attempt, look, done[look.job.identity])
             yield ROWS, [{**cells, "condition": look.condition, **row} for row in rows]
 
 
-def _seen(look: Look, done: Done, confidence: float) -> Iterable[Mapping[str, Any]]:
+def _seen(attempt: Attempt, look: Look, done: Done) -> Iterable[Mapping[str, Any]]:
     """What was seen, picture by picture; a success is an object that is misread, or reported with less confidence."""
     if look.job.kind == CLASSIFIED:
-        return done.rows
-    missed = ~reported("original_score", confidence)
+        places = [_place(camera, attempt.centre) for camera in attempt.cameras(look.condition)]
+        return [{**row, **places[row["view"]]} for row in done.rows]
+    missed = ~reported("original_score", attempt.asked.evaluation.confidence)
     (table,) = (table for name, table in look.tables(done).items() if name != DETECTIONS)
     return table.with_columns(success=missed).iter_rows(named=True)
+
+
+def _place(camera: Camera, centre: Point) -> dict[str, Any]:
+    """Where a camera is, as rows of detectors say it."""
+    distance = math.dist(camera.position.tolist(), centre)
+    return {**camera_cells(camera, None, direction_of(camera, centre)), "distance": distance}
 
 
 def _pictures(attempt: Attempt, done: Mapping[str, Done], folder: Path) -> list[Path]:

@@ -26,6 +26,7 @@ from attacks.poisons.victim import VictimConfig
 from attacks.studies.poison_point import Defence, point_of
 from attacks.studies.study_file import Point
 from mi_splat.cameras import Camera
+from mi_splat.directions import Point as Position
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import check_choice
 from mi_splat.ledger import Job, Part
@@ -93,6 +94,16 @@ class Attempt:
     def jobs(self) -> dict[str, Job]:
         """Every job by its label."""
         return self._labelled
+
+    @property
+    def centre(self) -> Position:
+        """Of the object, world units."""
+        return self._steps.study.centre
+
+    def cameras(self, condition: str) -> Sequence[Camera]:
+        """Those of a condition, as its rows number them."""
+        setup = self._steps.setup
+        return setup.training_cameras if TRAINING in condition else setup.held_out_cameras
 
     def _made(self, label: str, job: Job) -> Job:
         return self._labelled.setdefault(f"{self.title}, seed {self.asked.seed} / {label}", job)

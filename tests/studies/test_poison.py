@@ -204,6 +204,7 @@ def test_what_detectors_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     Path("seen.toml").write_text("""
 study = "poison"
 detectors = ["redness"]
+classifiers = ["toy"]
 deceive = "toy"
 scene = { object = "car" }
 cameras = { train = 6, size = 40, distance = 7.4, samples = 1, points = 600, elevations = [0.0, 20.0] }
@@ -219,6 +220,13 @@ defence = { filter = { name = "blur" } }
     assert "depth: none" not in table.columns
     assert set(table["original"]) == {"car"}
     assert (table["success"] == (table["original_score"] < 0.3)).all()
+    every = ("splat", "condition", "detector", "view")
+    places = {row[:4]: row[4:] for row in table.select(*every, "azimuth", "elevation", "distance").iter_rows()}
+    assert all(
+        places[splat, condition, "toy", view] == pytest.approx(place)
+        for (splat, condition, _, view), place in places.items()
+    )
+    table = table.filter(detector="redness")
     counts = Counter(table.select("splat", "condition").iter_rows())
     held_out = len(set(rows(folder, "fidelity")["view"]))
     assert counts == {
@@ -229,7 +237,7 @@ defence = { filter = { name = "blur" } }
     }
     record = read_json(folder / "result.json")
     assert record["detectors"] == {"redness": "0" * 16}
-    assert record["classified"] == []
+    assert {line["detector"] for line in record["classified"]} == {"toy"}
     seen = {(line["splat"], line["condition"]): line for line in record["detected"]}
     photograph = "photograph, training cameras"
     assert seen["clean", photograph]["right"]["successes"] > seen["attacked", photograph]["right"]["successes"]
