@@ -78,6 +78,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "[DAGGER on detectors that others trained](../dagger-coco.md#a-detector-trained-on-open-images)",
         ("dagger_openimages", "dagger_openimages_but_one"),
     ),
+    "m_ifgsm": ("M-IFGSM", "[M-IFGSM](../m-ifgsm.md)", ("m_ifgsm",)),
     "poison_splat": ("Poison-splat", "[Poison-splat](../poison-splat.md)", ("poison_splat",)),
     "transfer": ("Transfer of DAGGER from one view", "[transfer](../transfer.md)", ("transfer",)),
     "transfer_views": (

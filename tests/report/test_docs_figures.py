@@ -49,7 +49,7 @@ def test_every_artifact_is_green_and_known_by_its_manifest() -> None:
         derived = flat(derive(result.record, result.tables))
         figures += len(derived)
         rates += sum(isinstance(value, tuple) for value in derived.values())
-    assert (figures, rates) == (39027, 20591)
+    assert (figures, rates) == (53165, 21879)
 
 
 def test_artifacts_are_small_and_name_no_machine() -> None:
@@ -407,7 +407,34 @@ def test_the_transfer_matrix_in_the_guide_is_that_of_the_rows() -> None:
 
 
 def times_of_poison(derived: Mapping[str, Any]) -> list[str]:
-    return [f"{derived['values'][0]['splats']['attacked']['times']['gaussians']['mean']:.1f} times the Gaussians"]
+    (one,) = (value for value in derived["values"] if (value["part"], value["value"]) == ("eps", "16"))
+    return [f"{one['splats']['attacked']['times']['gaussians']['mean']:.1f} times the Gaussians"]
+
+
+def rows_of_poison(derived: Mapping[str, Any]) -> list[str]:
+    rows = []
+    for value in derived["values"]:
+        for name, splat in value["splats"].items():
+            times, psnr = splat["times"]["gaussians"], splat["psnr"]
+            if "grass" in value["part"]:
+                undefended_by_another = "knows" in value["part"] and name == "attacked"
+                rows += [] if undefended_by_another else [f"{times['mean']:.2f}, {psnr['mean']:.1f} dB"]
+            elif name == "attacked":
+                ends = "" if times["count"] == 1 else f" ({times['least']:.2f} to {times['most']:.2f})"
+                rows.append(f"| {times['mean']:.2f}{ends} | {psnr['mean']:.1f} |")
+    return rows
+
+
+def misread(derived: Mapping[str, Any]) -> list[str]:
+    seen = [
+        line
+        for line in derived["pooled"]
+        if (line["detector"], line["condition"]) == ("prototypes", "held-out cameras")
+    ]
+    rates = [line["right"] for line in seen]
+    return [f"{rate['successes']} of {rate['total']}" for rate in rates] + [
+        f"{100 * rate['rate']:.1f} %" for rate in rates
+    ]
 
 
 SENTENCES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], list[str]]], ...] = (
@@ -432,6 +459,9 @@ SENTENCES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], list[str]]], ...]
     ("dagger_openimages_but_one", "docs/dagger-coco.md", all_but_one),
     ("dagger_eot_openimages", "docs/dagger-coco.md", open_images_all_around),
     ("poison_splat", "README.md", times_of_poison),
+    ("poison_splat", "docs/poison-splat.md", times_of_poison),
+    ("poison_splat", "docs/poison-splat.md", rows_of_poison),
+    ("m_ifgsm", "docs/m-ifgsm.md", misread),
     ("poison_splat", "docs/images/attack_poison_splat.svg", times_of_poison),
     ("transfer", "README.md", one_view_in_readme),
     ("transfer", "docs/transfer.md", one_view_in_docs),
