@@ -83,49 +83,58 @@ def optimiser_spec(name: str) -> OptimiserSpec:
 
 
 def _of(module: str, function: str) -> Callable[[SearchSettings], Optimiser]:
-    """The `make` of an optimiser of this package, imported when the first one is made."""
+    """The `make` of a function, imported when the first one is made; its whole name stands in the keys of jobs."""
 
     def make(settings: SearchSettings) -> Optimiser:
-        made: Optimiser = getattr(importlib.import_module(f"attacks.optimisers.{module}"), function)(settings)
+        made: Optimiser = getattr(importlib.import_module(module), function)(settings)
         return made
 
     return make
 
 
 for _spec in (
-    OptimiserSpec(name="pgd", make=_of("descent", "momentum"), about="steps of fixed length along the steepest slope"),
-    OptimiserSpec(name="fgsm", make=_of("descent", "fgsm"), about="one step, as long as the radius", takes_step=False),
+    OptimiserSpec(
+        name="pgd",
+        make=_of("attacks.optimisers.descent", "momentum"),
+        about="steps of fixed length along the steepest slope",
+    ),
+    OptimiserSpec(
+        name="fgsm",
+        make=_of("attacks.optimisers.descent", "fgsm"),
+        about="one step, as long as the radius",
+        takes_step=False,
+    ),
     OptimiserSpec(
         name="momentum",
-        make=_of("descent", "momentum"),
+        make=_of("attacks.optimisers.descent", "momentum"),
         about="the same steps along a decaying sum of slopes",
         momentum=0.9,
     ),
-    OptimiserSpec(name="adam", make=_of("descent", "adam"), about="steps of Adam", momentum=0.9),
+    OptimiserSpec(name="adam", make=_of("attacks.optimisers.descent", "adam"), about="steps of Adam", momentum=0.9),
     OptimiserSpec(
         name="apgd",
-        make=_of("apgd", "apgd"),
+        make=_of("attacks.optimisers.apgd", "apgd"),
         about="long steps that halve where the loss no longer falls, from the best point",
         momentum=0.25,
         takes_step=False,
     ),
     OptimiserSpec(
         name="cw",
-        make=_of("penalty", "cw"),
+        make=_of("attacks.optimisers.penalty", "cw"),
         about="steps of Adam on the loss and a price of the change, with a search over the price",
         momentum=0.9,
         smallest=True,
     ),
     OptimiserSpec(
         name="square",
-        make=_of("sampling", "square"),
+        make=_of("attacks.optimisers.sampling", "square"),
         about="blocks of neighbouring Gaussians at random, kept where the loss falls",
         gradient=False,
         takes_step=False,
     ),
     OptimiserSpec(
         name="random",
-        make=_of("sampling", "random_points"),
+        make=_of("attacks.optimisers.sampling", "random_points"),
         about="points at random, half of them near the best one",
         gradient=False,
     ),
