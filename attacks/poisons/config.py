@@ -181,4 +181,4 @@ class MIFGSMConfig(Checked):
     target: str | None = None
     through: FilterConfig | None = None
     least_confidence: Fraction = 0.05
-    decoy_steps: Annotated[int, at_least(0, "steps", "600 is usual; 0 is without a decoy")] = 0
+    decoy_steps: Annotated[int, at_least(0, "steps", "400 is usual; 0 is without a decoy")] = 0
