@@ -60,12 +60,12 @@ class MIFGSM:
 
         Args:
             views: The untouched set.
-            seed: Of the pictures that are changed.
+            seed: Of the pictures that are changed, and of the decoy's order of cameras.
             on_step: Told of the progress.
 
         Raises:
             InvalidValueError: The classifier does not know the label or the target, they are the same, a mask is empty
-                or does not fit, or there are no views.
+                or does not fit, there are no views, or a decoy is there without steps, or steps without a decoy.
         """
         config = self.config
         true = class_number(self.classifier, self.label, "label")
