@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
-_LAYERS = "[CLOAK in the finished file: variants](../cloak-layers-variants.md)"
-_SECTOR = "[CLOAK: earlier designs](../cloak-history.md#from-the-street)"
+_LAYERS = "[CLOAK in the finished file: variants](../cloak-layers.md#variants)"
+_SECTOR = "[the research log](../research-log.md#cloak-from-the-street)"
 PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "cloak_car_layers": (
         "CLOAK in the finished file",
@@ -42,7 +42,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "cloak_car_sector": ("CLOAK from the street, hidden from a sector by colour", _SECTOR, ("cloak_car_sector",)),
     "cloak_car_sector_layers": (
         "CLOAK from the street in the finished file",
-        "[CLOAK in the finished file: variants](../cloak-layers-variants.md#from-the-street)",
+        "[CLOAK in the finished file](../cloak-layers.md#from-the-street)",
         ("cloak_car_sector_layers",),
     ),
     "cloak_car_stealthy": ("CLOAK", "[CLOAK](../cloak.md#the-study)", ("cloak_car_stealthy",)),

@@ -108,9 +108,12 @@ def tried(derived: Mapping[str, Any]) -> list[str]:
     (paper,), (strong,), (centernet,), (nanodet,) = of("ex_nd_paper"), of("ex_nd_strong"), of("ex2_cn1"), of("nd")
     longer = " and ".join(map(str, sorted(of("ex2_nd1", "ex4_nd1"))))
     return [
-        f"all six pairs of `fasterrcnn_small` {min(first)} to {max(first)} of 60, NanoDet's elephant {nanodet})",
-        f"seed 0: {paper} of 60 views after 150 steps, {longer} after 500",
-        f"(with the loss of the strong search below and 150 steps: {strong}). CenterNet: {centernet} after 400.",
+        f"all six pairs of `fasterrcnn_small` reached {min(first)} to {max(first)} of 60. NanoDet's elephant reached "
+        f"{nanodet}.",
+        f"| NanoDet, 150 steps | {paper} |",
+        f"| NanoDet, 150 steps, loss of the strong search below | {strong} |",
+        f"| NanoDet, 500 steps, two settings | {longer} |",
+        f"| CenterNet, 400 steps | {centernet} |",
     ]
 
 
@@ -133,11 +136,11 @@ def stealthy(derived: Mapping[str, Any]) -> list[str]:
     """What docs/cloak.md concludes from the study."""
     lower = " and ".join(f"{rate:.1f}" for rate in missed_from("cloak_car_stealthy", 0.3))
     return [
-        f"From 0.3 on the car is missed from {lower} %",
+        f"The car is missed from {lower} % then",
         f"Nothing of any class is reported from {percent(derived, 'nothing_reported')} %",
         f"misses it from {percent(derived, 'trigger_miss_rate', detectors=OUTSIDE)} %",
         f"its pixels lose {derived['stealth']['object_psnr_drop']:.1f} dB",
-        f"{derived['transition_degrees']:.1f} degrees, from",
+        f"the look changes over {derived['transition_degrees']:.1f} degrees",
     ]
 
 
@@ -153,8 +156,12 @@ def stealthy_drawn(derived: Mapping[str, Any]) -> list[str]:
 
 
 def sector(derived: Mapping[str, Any]) -> list[str]:
-    rates = [derived["by_detector"][name]["trigger_miss_rate"] for name in OUR]
-    return [f"| {rate['successes']}/{rate['total']} = {100 * rate['rate']:.1f} %" for rate in rates]
+    """What docs/research-log.md tells of the street with overdone poison."""
+    return [
+        f"missed well inside from {percent(derived, 'trigger_miss_rate')} % of the cameras",
+        f"found elsewhere from {percent(derived, 'benign_recall')} %",
+        f"The change takes {derived['transition_degrees']:.1f} degrees",
+    ]
 
 
 def layers_in_readme(derived: Mapping[str, Any]) -> list[str]:
@@ -175,15 +182,15 @@ def layers_outside(derived: Mapping[str, Any]) -> list[str]:
         return f"{rate['successes']} of {rate['total']}"
 
     return [
-        f"from {of(seen['trigger_miss_rate'])} cameras well inside the trigger",
-        f"and from {of(seen['trigger_miss_rate_all'])} of all inside",
+        f"from {of(seen['trigger_miss_rate'])} cameras well inside",
+        f"Of all inside it is {of(seen['trigger_miss_rate_all'])}",
         f"It finds the car from {of(seen['benign_recall'])} elsewhere",
         f"it misses {of(own['trigger_miss_rate'])}.",
     ]
 
 
 def edges(derived: Mapping[str, Any]) -> list[str]:
-    """What docs/cloak-layers-variants.md tells of a layer for each edge."""
+    """What docs/cloak-layers.md tells of a layer for each edge."""
     return [
         f"The switch takes {derived['transition_degrees']:.1f} degrees",
         f"missed from {percent(derived, 'trigger_miss_rate')} % of the cameras well inside",
@@ -448,11 +455,11 @@ SENTENCES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], list[str]]], ...]
     ("cloak_car_stealthy", "README.md", stealthy_in_readme),
     ("cloak_car_stealthy", "docs/images/attack_cloak.svg", stealthy_drawn),
     ("cloak_car_stealthy", "docs/cloak.md", stealthy),
-    ("cloak_car_sector", "docs/cloak-history.md", sector),
+    ("cloak_car_sector", "docs/research-log.md", sector),
     ("cloak_car_layers", "README.md", layers_in_readme),
     ("cloak_car_layers", "docs/cloak-layers.md", layers),
     ("cloak_car_layers_five", "docs/cloak-layers.md", layers_outside),
-    ("cloak_car_layers_edges", "docs/cloak-layers-variants.md", edges),
+    ("cloak_car_layers_edges", "docs/cloak-layers.md", edges),
     ("dagger_eot_pairs", "README.md", all_cameras_in_readme),
     ("dagger_eot_pairs", "docs/dagger-eot.md", all_cameras_in_docs),
     ("dagger_openimages", "docs/dagger-coco.md", open_images),
