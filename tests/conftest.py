@@ -1,5 +1,6 @@
 """Settings that every test runs under."""
 
+import gc
 import os
 from collections.abc import Iterator
 from typing import Any
@@ -20,6 +21,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # for the processes that tests st
 
 rewrite_once()
 
+# Until all tests are there nothing is garbage, and to look for it in a million objects takes half of that time.
+gc.disable()
+
 hypothesis.settings.register_profile(
     "mi-splat",
     derandomize=True,
@@ -37,6 +41,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         nightly = [item for item in items if item.get_closest_marker("nightly")]
         config.hook.pytest_deselected(items=nightly)
         items[:] = [item for item in items if item not in nightly]
+
+
+def pytest_collection_finish() -> None:
+    """Garbage is looked for in what tests make, and not in all that they have imported."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session")
