@@ -11,7 +11,7 @@ import hashlib
 import json
 import time
 from collections.abc import Sequence
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 import torch
 from torch import Generator
@@ -110,17 +110,24 @@ def attack(
         InvalidValueError: An argument is of another kind, the mask selects nothing, a view does not show the object,
             a detector does not know the target class, two have one name, or a gradient is not finite.
     """
-    config = config or DaggerConfig()
-    radii: Sequence[Any] = [config.eps] if eps is None else eps if isinstance(eps, Sequence) else several(eps)
-    if not len(radii):
-        raise InvalidValueError.of("eps", "at least one radius", "none", "leave it out, or name some")
-    configs = [dataclasses.replace(config, eps=several(radius)) for radius in radii]  # which checks all of them first
+    configs = _of_radii(config or DaggerConfig(), eps)
     detectors = as_detectors(detector)
     results = [
         _attack(scene, mask, cameras, detectors, objective, render=render, config=one, up=up, on_step=on_step)
         for one in configs
     ]
     return results[0] if eps is None else results
+
+
+_Config = TypeVar("_Config", DaggerConfig, EotConfig)
+
+
+def _of_radii(config: _Config, eps: Sequence[float | Sequence[float]] | None) -> list[_Config]:
+    """A configuration for each radius, the one that is there if None; all are checked before the first attack."""
+    radii: Sequence[Any] = [config.eps] if eps is None else eps if isinstance(eps, Sequence) else several(eps)
+    if not len(radii):
+        raise InvalidValueError.of("eps", "at least one radius", "none", "leave it out, or name some")
+    return [dataclasses.replace(config, eps=several(radius)) for radius in radii]
 
 
 def _attack(
@@ -162,16 +169,45 @@ def _attack(
     return dataclasses.replace(result, origin=result.origin | origin, seconds=seconds, cpu_seconds=spent)
 
 
+@overload
 def attack_views(
     views: ViewDistribution,
     detectors: Detector | str | Sequence[Detector | str],
     objective: Objective,
     *,
     config: EotConfig | None = None,
+    eps: None = None,
     judged: ViewDistribution | None = None,
     checkpoint: Checkpoint | None = None,
     on_step: OnStep | None = None,
-) -> Result:
+) -> Result: ...
+
+
+@overload
+def attack_views(
+    views: ViewDistribution,
+    detectors: Detector | str | Sequence[Detector | str],
+    objective: Objective,
+    *,
+    config: EotConfig | None = None,
+    eps: Sequence[float | Sequence[float]],
+    judged: ViewDistribution | None = None,
+    checkpoint: None = None,
+    on_step: OnStep | None = None,
+) -> list[Result]: ...
+
+
+def attack_views(
+    views: ViewDistribution,
+    detectors: Detector | str | Sequence[Detector | str],
+    objective: Objective,
+    *,
+    config: EotConfig | None = None,
+    eps: Sequence[float | Sequence[float]] | None = None,
+    judged: ViewDistribution | None = None,
+    checkpoint: Checkpoint | None = None,
+    on_step: OnStep | None = None,
+) -> Result | list[Result]:
     """Attack one object so that it deceives from all views of a distribution, and judge that on held-out views.
 
     Args:
@@ -180,20 +216,45 @@ def attack_views(
             one is deceived. Their weights are known (white box).
         objective: What they shall see, for instance `relabel("person")` or `hide()`.
         config: Budget, steps, views and seeds.
+        eps: Radii to attack with, one attack for each, in place of the configuration's, as of `attack`. All attacks
+            see the same views.
         judged: Where the held-out views are drawn from, for instance with pictures that change; None is `views`.
-        checkpoint: Where to keep the search while it runs; one that is there is taken up again.
+        checkpoint: Where to keep the search while it runs; one that is there is taken up again. It is of one search,
+            so not with `eps`.
         on_step: Called with every line of the trace as it happens; once it says so, the search ends with the best
             point so far.
 
     Returns:
-        What the attack did, judged on the held-out views.
+        What the attack did, judged on the held-out views; with `eps` a list of it, in the order of the radii.
 
     Raises:
         InvalidValueError: An argument is of another kind, a detector does not know the target class, no view shows the
             object, or a gradient is not finite.
         CheckpointError: The checkpoint is one of another attack.
     """
-    config, judged, detectors = config or EotConfig(), judged or views, as_detectors(detectors)
+    configs, judged, detectors = _of_radii(config or EotConfig(), eps), judged or views, as_detectors(detectors)
+    if eps is not None and checkpoint is not None:
+        raise InvalidValueError.of(
+            "checkpoint", "none with eps", checkpoint.path, "keep each radius in a call of its own"
+        )
+    results = [
+        _attack_views(views, detectors, objective, config=one, judged=judged, checkpoint=checkpoint, on_step=on_step)
+        for one in configs
+    ]
+    return results[0] if eps is None else results
+
+
+def _attack_views(
+    views: ViewDistribution,
+    detectors: tuple[Detector, ...],
+    objective: Objective,
+    *,
+    config: EotConfig,
+    judged: ViewDistribution,
+    checkpoint: Checkpoint | None,
+    on_step: OnStep | None,
+) -> Result:
+    """One attack on a distribution of views."""
     check_objective(objective)
     check_detectors(detectors, objective)
     originals = _originals(views, detectors, config)
