@@ -65,7 +65,7 @@ def test_what_cannot_stand_before_an_object_is_not_rendered(suitcase: Made) -> N
 
 
 def test_a_room_is_seen_from_within_and_an_object_is_not(suitcase: Made, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By places and objects alone: verdicts on rooms are not to be relied on, as docs/audit.md says."""
+    """By places and objects alone: verdicts on rooms are not to be relied on, as docs/audit-measured.md says."""
     monkeypatch.setattr(rooms, "MOST_CAMERAS", 60)
     monkeypatch.setattr(rooms, "SIZE", 64)
     for scene in (suitcase.scene, suitcase.scene.select(suitcase.rows)):
