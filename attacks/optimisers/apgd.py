@@ -63,6 +63,6 @@ def apgd(settings: SearchSettings) -> Optimiser:
             name: value + (1 - kept) * (aims[name] - value) + kept * (value - last[name])
             for name, value in start.items()
         }
-        return moved, memory.after(tensors={**tensors, "last": point}, numbers=numbers)
+        return moved, memory.after(tensors={**tensors, "last": start}, numbers=numbers)
 
     return update

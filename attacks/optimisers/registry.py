@@ -13,7 +13,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mi_splat.fields import check_choice
 from mi_splat.registry import Registry
@@ -82,61 +82,30 @@ def optimiser_spec(name: str) -> OptimiserSpec:
     return OPTIMISERS[name]
 
 
-def _of(module: str, function: str) -> Callable[[SearchSettings], Optimiser]:
-    """The `make` of a function, imported when the first one is made; its whole name stands in the keys of jobs."""
+def _ship(name: str, module: str, about: str, function: str = "", **more: Any) -> None:
+    """Register an optimiser of this package, a function that has its name or another one.
+
+    Its module is imported when the first one is made; the whole name of it stands here for the keys of jobs.
+    """
 
     def make(settings: SearchSettings) -> Optimiser:
-        made: Optimiser = getattr(importlib.import_module(module), function)(settings)
+        made: Optimiser = getattr(importlib.import_module(module), function or name)(settings)
         return made
 
-    return make
+    register_optimiser(OptimiserSpec(name=name, make=make, about=about, **more))
 
 
-for _spec in (
-    OptimiserSpec(
-        name="pgd",
-        make=_of("attacks.optimisers.descent", "momentum"),
-        about="steps of fixed length along the steepest slope",
-    ),
-    OptimiserSpec(
-        name="fgsm",
-        make=_of("attacks.optimisers.descent", "fgsm"),
-        about="one step, as long as the radius",
-        takes_step=False,
-    ),
-    OptimiserSpec(
-        name="momentum",
-        make=_of("attacks.optimisers.descent", "momentum"),
-        about="the same steps along a decaying sum of slopes",
-        momentum=0.9,
-    ),
-    OptimiserSpec(name="adam", make=_of("attacks.optimisers.descent", "adam"), about="steps of Adam", momentum=0.9),
-    OptimiserSpec(
-        name="apgd",
-        make=_of("attacks.optimisers.apgd", "apgd"),
-        about="long steps that halve where the loss no longer falls, from the best point",
-        momentum=0.25,
-        takes_step=False,
-    ),
-    OptimiserSpec(
-        name="cw",
-        make=_of("attacks.optimisers.penalty", "cw"),
-        about="steps of Adam on the loss and a price of the change, with a search over the price",
-        momentum=0.9,
-        smallest=True,
-    ),
-    OptimiserSpec(
-        name="square",
-        make=_of("attacks.optimisers.sampling", "square"),
-        about="blocks of neighbouring Gaussians at random, kept where the loss falls",
-        gradient=False,
-        takes_step=False,
-    ),
-    OptimiserSpec(
-        name="random",
-        make=_of("attacks.optimisers.sampling", "random_points"),
-        about="points at random, half of them near the best one",
-        gradient=False,
-    ),
-):
-    register_optimiser(_spec)
+_DESCENT, _PENALTY = "attacks.optimisers.descent", "attacks.optimisers.penalty"
+_APGD, _SAMPLING = "attacks.optimisers.apgd", "attacks.optimisers.sampling"
+
+_ship("pgd", _DESCENT, "steps of fixed length along the steepest slope", "momentum")
+_ship("fgsm", _DESCENT, "one step, as long as the radius", takes_step=False)
+_ship("momentum", _DESCENT, "the same steps along a decaying sum of slopes", momentum=0.9)
+_ship("adam", _DESCENT, "steps of Adam", momentum=0.9)
+_about = "long steps that halve where the loss no longer falls, from the best point"
+_ship("apgd", _APGD, _about, momentum=0.25, takes_step=False)
+_about = "steps of Adam on the loss and a price of the change, with a search over the price"
+_ship("cw", _PENALTY, _about, momentum=0.9, smallest=True)
+_about = "blocks of neighbouring Gaussians at random, kept where the loss falls"
+_ship("square", _SAMPLING, _about, gradient=False, takes_step=False)
+_ship("random", _SAMPLING, "points at random, half of them near the best one", "random_points", gradient=False)

@@ -1,6 +1,7 @@
 """The result of a study: one table of rows for all of it, what each attack says of itself, and the figures."""
 
 import dataclasses
+import functools
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from attacks.observe.rates import blocks_of, count
 from attacks.observe.rows import ATTACKED, ROWS, SUFFIX, column_of, frame_of, write_rows
 from attacks.rate import Rate
 from attacks.studies.study_file import Point, Study
-from attacks.studies.table import markdown
+from attacks.studies.table import SHARED, attacks_of, markdown
 from attacks.studies.zoo import AXIS
 from mi_splat import provenance
 from mi_splat.io.documents import save_json, save_text
@@ -34,6 +35,8 @@ _STATED = (
     *("evaluations", "cpu_seconds", "loss"),
 )
 """What an attack says of itself that does not follow from rows."""
+_SHARED = ("settings", "versions", "variant", "commit")
+"""Of what an attack states, that which may stand there."""
 _NAME_DIGITS = 12
 
 RATES = {
@@ -93,7 +96,7 @@ def write_result(
         "study": study.kind,
         "name": study.name,
         "question": study.question,
-        "attacks": {name: _attack(attempt, result) for name, (attempt, result) in named},
+        **_apart({name: _attack(attempt, result) for name, (attempt, result) in named}),
         "seeds": sorted({attempt.job.config.attack.seed for attempt, _ in done}),
         "detectors": _detectors(done),
         **provenance.origin(),
@@ -148,6 +151,33 @@ def _attack(attempt: Attempt, result: Done) -> dict[str, Any]:
     }
 
 
+def _apart(attacks: Mapping[str, Record]) -> dict[str, Any]:
+    """Attacks, and what all of them share of their settings and of what made them, once for all."""
+    values = [{key: attack[key] for key in _SHARED if key in attack} for attack in attacks.values()]
+    common = functools.reduce(_common, values) if values else {}
+    return {SHARED: common, "attacks": {name: _rest(attack, common) for name, attack in attacks.items()}}
+
+
+def _common(one: Record, other: Record) -> dict[str, Any]:
+    """What two tables have alike, at any depth."""
+    alike = {}
+    for key in one.keys() & other.keys():
+        if isinstance(one[key], Mapping) and isinstance(other[key], Mapping):
+            alike[key] = _common(one[key], other[key])
+        elif one[key] == other[key]:
+            alike[key] = one[key]
+    return {key: alike[key] for key in one if key in alike}
+
+
+def _rest(table: Record, common: Record) -> dict[str, Any]:
+    """A table without what it has in common with others."""
+    rest = {
+        key: _rest(value, common[key]) if isinstance(common.get(key), Mapping) else value
+        for key, value in table.items()
+    }
+    return {key: value for key, value in rest.items() if key not in common or (value != common[key] and value != {})}
+
+
 def _detectors(done: Sequence[tuple[Attempt, Done]]) -> dict[str, str]:
     """Fingerprints of the weights of every detector attacked, by its name."""
     marks: dict[str, str] = {}
@@ -174,7 +204,7 @@ def figures(record: Record, tables: Tables) -> dict[str, Any]:
         record: result.json.
         tables: Its tables.
     """
-    rows, attacks = tables[ROWS], record["attacks"]
+    rows, attacks = tables[ROWS], attacks_of(record)
     looked = pl.col("condition").is_not_null() if "condition" in rows.columns else pl.lit(value=False)
     judged, looks = rows.filter(~looked), rows.filter(looked)
     each = _of_attacks(attacks, judged)

@@ -3,10 +3,13 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from attacks.studies.study_file import merged
 from attacks.studies.zoo import comparison
 from attacks.tables import Table, sections
 
 Record = Mapping[str, Any]
+SHARED = "of_all_attacks"
+"""Key of result.json under which stands what all attacks share."""
 Cell = Callable[[Record], str]
 
 
@@ -27,10 +30,9 @@ def tables(record: Record) -> Iterator[Table]:
         record: Its result.json.
     """
     for title, groups in by_part(record["groups"]).items():
-        if (compared := comparison(title, groups)) is not None:
-            yield compared
+        compared = list(comparison(title, groups))
         columns = {**_axes(groups), **(_OF_VIEWS if "rate" in groups[0] else _OF_ATTACKS)}
-        yield Table.of(title or "The attacks", columns, groups)
+        yield from compared or [Table.of(title or "The attacks", columns, groups)]
     for title, searched in by_part(record["smallest"]).items():
         caption = f"The smallest that suffices{f': {title}' if title else ''}"
         yield Table.of(caption, {**_axes(searched), **_OF_SEARCHES}, searched)
@@ -89,7 +91,7 @@ KINDS = {"targeted": "The wanted class is reported", "untargeted": "The object's
 
 
 def _introduction(record: Record) -> list[str]:
-    attacks = list(record["attacks"].values())
+    attacks = list(attacks_of(record).values())
     seeds = ", ".join(str(seed) for seed in sorted({attack["seed"] for attack in attacks}))
     weights = "; ".join(f"{name} {mark}" for name, mark in record["detectors"].items())
     versions = ", ".join(f"{name} {version}" for name, version in record["versions"].items())
@@ -101,6 +103,15 @@ def _introduction(record: Record) -> list[str]:
         "",
         f"Weights: {weights}. Versions: {versions}; variant {variants}; commit {record['commit']}.",
     ]
+
+
+def attacks_of(record: Record) -> dict[str, Any]:
+    """Every attack of a study with all that is stated of it, by its name.
+
+    Args:
+        record: result.json.
+    """
+    return {name: merged(record.get(SHARED, {}), attack) for name, attack in record["attacks"].items()}
 
 
 def by_part(lines: Sequence[Record]) -> dict[str, list[Record]]:

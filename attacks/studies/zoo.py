@@ -4,10 +4,12 @@ The doubts are those of AutoAttack (Croce and Hein, ICML 2020) and of Carlini et
 loss alone, or that takes one step, must not do better than every search that follows gradients.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from attacks.optimisers.registry import OPTIMISERS
+from attacks.rate import Rate
 from attacks.tables import Table
 
 AXIS = "attack.optimiser"
@@ -16,25 +18,83 @@ AXIS = "attack.optimiser"
 Group = Mapping[str, Any]
 
 
-def comparison(title: str, groups: Sequence[Group]) -> Table | None:
-    """Every optimiser against all else that varies: successes, and the median of the lowest losses in brackets.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """Attacks on the same, which differ in the optimiser alone.
+
+    Attributes:
+        name: What they have in common, part and labels; empty for nothing.
+        many: Those that follow gradients in many steps.
+        others: One step, and those without gradients.
+    """
+
+    name: str
+    many: tuple[Group, ...]
+    others: tuple[Group, ...]
+
+    @property
+    def doubts(self) -> Iterator[str]:
+        """What speaks against the attacks that follow gradients."""
+        for group in self.others if self.many else ():
+            if all(_beats(group, other) for other in self.many):
+                name = group["labels"][AXIS]
+                what = "one step does" if group["optimiser"] == "fgsm" else f"{name}, which knows no gradient, does"
+                yield f"{what} better than every attack that follows gradients"
+        if any(group["noise_successes"] and group["success"]["successes"] for group in self.many):
+            yield "random noise of the size of an attack succeeds, too"
+
+
+def comparison(title: str, groups: Sequence[Group]) -> Iterator[Table]:
+    """Every optimiser against all else that varies, and the signs of doubt; nothing for groups of one optimiser alone.
+
+    A cell has the successes, and in brackets the median over seeds of the lowest loss.
 
     Args:
         title: Of the part of the study.
-        groups: Its groups; those of one optimiser alone have no such table.
+        groups: Its groups.
     """
     names = list(dict.fromkeys(group["labels"].get(AXIS) for group in groups))
-    if len(names) < 2 or any("loss" not in group for group in groups):
-        return None
+    if len(names) < 2 or not all(_told(group) for group in groups):
+        return
+    after = f": {title}" if title else ""
     cells = {(group["labels"][AXIS], _elsewhere(group)): group for group in groups}
+    members = {name: [group for (label, _), group in cells.items() if label == name] for name in names}
     columns: dict[str, Any] = {"attack": lambda name: str(name)}
-    for other in dict.fromkeys(place for _, place in cells):
+    for other in dict.fromkeys(elsewhere for _, elsewhere in cells):
         columns[other or "all"] = lambda name, other=other: _reached(cells.get((name, other)))
-    columns["together"] = lambda name: _count([group for (label, _), group in cells.items() if label == name])
-    columns["looks"] = lambda name: _spread(groups, name, "evaluations")
-    columns["CPU seconds"] = lambda name: _spread(groups, name, "cpu_seconds")
-    caption = f"Attacks side by side{f': {title}' if title else ''} (successes; in brackets the lowest loss)"
-    return Table.of(caption, columns, names)
+    columns["together"] = lambda name: _count(members[name], interval=True)
+    columns["random noise"] = lambda name: _noise(members[name])
+    columns["looks"] = lambda name: _spread(members[name], "evaluations")
+    columns["CPU seconds"] = lambda name: _spread(members[name], "cpu_seconds")
+    columns["CPU seconds, mean"] = lambda name: _mean(members[name], "cpu_seconds")
+    yield Table.of(f"Attacks side by side{after} (successes; in brackets the lowest loss)", columns, names)
+    of_case: dict[str, Callable[[Case], str]] = {
+        "case": lambda case: case.name or "all",
+        "best with gradients": lambda case: _best(case.many),
+        "best of the others": lambda case: _best(case.others),
+        "doubt": lambda case: "; ".join(case.doubts) or "none",
+    }
+    yield Table.of(f"Signs of doubt{after}", of_case, [case for case in cases(groups) if case.many and case.others])
+
+
+def cases(groups: Sequence[Group]) -> list[Case]:
+    """Attacks by what they have in common besides the optimiser.
+
+    Args:
+        groups: Of one part, or of all; those that state no loss are left out.
+    """
+    alike: dict[tuple[str, str], list[Group]] = {}
+    for group in groups:
+        if _told(group) and AXIS in group["labels"]:
+            alike.setdefault((group["part"], _elsewhere(group)), []).append(group)
+    return [
+        Case(
+            name=", ".join(filter(None, names)),
+            many=tuple(group for group in members if _follows_gradients(group)),
+            others=tuple(group for group in members if not _follows_gradients(group)),
+        )
+        for names, members in alike.items()
+    ]
 
 
 def doubts(groups: Sequence[Group]) -> Iterator[str]:
@@ -43,21 +103,13 @@ def doubts(groups: Sequence[Group]) -> Iterator[str]:
     Args:
         groups: Of all parts.
     """
-    places: dict[tuple[str, str], list[Group]] = {}
-    for group in groups:
-        if "loss" in group and AXIS in group["labels"]:
-            places.setdefault((group["part"], _elsewhere(group)), []).append(group)
-    for (part, place), members in places.items():
-        where = ", ".join(filter(None, (part, place)))
-        many = [group for group in members if _follows_gradients(group) and group["optimiser"] != "fgsm"]
-        for group in members if many else ():
-            name = group["labels"][AXIS]
-            if group not in many and all(_beats(group, other) for other in many):
-                what = "one step does" if group["optimiser"] == "fgsm" else f"{name}, which knows no gradient, does"
-                yield f"{what} better than every attack that follows gradients ({where})"
-        noise = [group for group in many if group["noise_successes"] and group["success"]["successes"]]
-        if noise:
-            yield f"random noise of the size of an attack succeeds, too ({where})"
+    for case in cases(groups):
+        yield from (f"{doubt} ({case.name})" for doubt in case.doubts)
+
+
+def _told(group: Group) -> bool:
+    """Whether a group says whether its attacks succeed, and how low their loss is."""
+    return "loss" in group and "success" in group
 
 
 def _beats(group: Group, other: Group) -> bool:
@@ -67,8 +119,9 @@ def _beats(group: Group, other: Group) -> bool:
 
 
 def _follows_gradients(group: Group) -> bool:
+    """Whether an attack follows them in more than one step."""
     spec = OPTIMISERS.get(group["optimiser"])
-    return spec is None or spec.gradient
+    return group["optimiser"] != "fgsm" and (spec is None or spec.gradient)
 
 
 def _elsewhere(group: Group) -> str:
@@ -76,19 +129,37 @@ def _elsewhere(group: Group) -> str:
     return ", ".join(str(label) for axis, label in group["labels"].items() if axis != AXIS)
 
 
+def _best(groups: Sequence[Group]) -> str:
+    """The attack with the most successes, of equals that with the lowest loss."""
+    best = max(groups, key=lambda group: (group["success"]["successes"], -group["loss"]))
+    return f"{best['labels'][AXIS]}, {_reached(best)}"
+
+
 def _reached(group: Group | None) -> str:
     return "-" if group is None else f"{_count([group])} ({group['loss']:.2f})"
 
 
-def _count(groups: Sequence[Group]) -> str:
-    rates = [group["success"] for group in groups]
-    return f"{sum(rate['successes'] for rate in rates)}/{sum(rate['total'] for rate in rates)}"
+def _count(groups: Sequence[Group], *, interval: bool = False) -> str:
+    successes, total = (sum(group["success"][key] for group in groups) for key in ("successes", "total"))
+    low, high = Rate(successes=successes, total=total).interval
+    return f"{successes}/{total}" + (f" ({low:.2f} to {high:.2f})" if interval else "")
 
 
-def _spread(groups: Sequence[Group], name: object, key: str) -> str:
+def _noise(groups: Sequence[Group]) -> str:
+    return f"{sum(group['noise_successes'] for group in groups)}/{sum(group['noise_draws'] for group in groups)}"
+
+
+def _known(groups: Sequence[Group], key: str) -> list[float]:
+    return [group[key] for group in groups if group.get(key) is not None]
+
+
+def _mean(groups: Sequence[Group], key: str) -> str:
+    values = _known(groups, key)
+    return f"{sum(values) / len(values):.2f}" if values else "-"
+
+
+def _spread(groups: Sequence[Group], key: str) -> str:
     """The smallest and the largest value of an optimiser's groups."""
-    values = [group[key] for group in groups if group["labels"][AXIS] == name and group.get(key) is not None]
-    if not values:
-        return "-"
-    low, high = f"{min(values):.3g}", f"{max(values):.3g}"
+    values = _known(groups, key)
+    low, high = (f"{end(values):.3g}" if values else "-" for end in (min, max))
     return low if low == high else f"{low} to {high}"

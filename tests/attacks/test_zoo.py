@@ -163,6 +163,7 @@ def test_apgd_halves_its_step_where_the_loss_no_longer_falls_and_goes_on_from_th
     for name, value in after.tensors["best"].items():
         assert torch.equal(value, best.tensors["best"][name])
         assert torch.equal(value, walk[1][0][name])
+        assert torch.equal(value, after.tensors["last"][name]), "from which the next move is counted"
     falling = list(points(search, iter([9.0 - number for number in range(first + 2)])))
     assert falling[-1][1].numbers["length"] == 2.0
 

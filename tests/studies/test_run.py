@@ -1,19 +1,22 @@
 """`mi-splat study` on a toy scene: what it writes, what its tables count, and what it does with what it keeps."""
 
 import json
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from attacks import cli, rows, run_study
+from attacks.dagger.config import DaggerConfig
 from attacks.observe.rows import read_rows
 from attacks.studies import attack as attack_kind
 from attacks.studies import look as look_kind
 from attacks.studies import running as running_study
+from attacks.studies.attack import FixedAttack
 from attacks.studies.dagger import ATTACK, LOOK
 from attacks.studies.result import figures
-from attacks.studies.table import markdown
+from attacks.studies.table import attacks_of, markdown
 from mi_splat import import_closure
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
@@ -114,6 +117,19 @@ def test_every_figure_follows_from_the_rows(folder: Path, run: dict[str, Any]) -
     stated = json.loads(record.read_text())
     for key in ("success", "strict", "unambiguous", "score"):
         assert next(iter(run["attacks"].values()))[key] == stated[key]
+
+
+def test_what_all_attacks_share_stands_once(run: dict[str, Any]) -> None:
+    shared, attacks = run["of_all_attacks"], run["attacks"]
+    assert shared["settings"]["object"] == "car"
+    assert shared["versions"] == run["versions"]
+    whole = attacks_of(run)
+    for name, one in attacks.items():
+        assert set(one["settings"]) < set(whole[name]["settings"])
+        assert whole[name]["settings"]["attack"]["eps"] == [one["labels"]["attack.eps"]]
+        assert set(whole[name]["settings"]) == {"scene", *(field.name for field in fields(FixedAttack))}
+        assert set(whole[name]["settings"]["attack"]) == {field.name for field in fields(DaggerConfig)}
+    assert attacks_of({"attacks": attacks}) == attacks, "as older results have them"
 
 
 def test_rates_are_counted_over_seeds(run: dict[str, Any]) -> None:

@@ -31,6 +31,7 @@ def group(name: str, successes: int, loss: float, noise: int = 0, place: str = "
         "optimiser": name,
         "success": {"successes": successes, "total": 2},
         "noise_successes": noise,
+        "noise_draws": 2,
         "loss": loss,
         "evaluations": 7,
         "cpu_seconds": 2.0,
@@ -49,19 +50,26 @@ def record(tmp_path: Path, toys: None) -> dict[str, Any]:
 
 
 def test_the_table_has_a_line_for_each_attack_and_says_what_it_cost(record: dict[str, Any]) -> None:
-    table, *_ = tables(record)
+    table, doubted = tables(record)
     assert table.caption.startswith("Attacks side by side")
-    assert table.head == ("attack", "0.5", "12.0", "together", "looks", "CPU seconds")
+    assert table.head == (
+        *("attack", "0.5", "12.0", "together", "random noise", "looks", "CPU seconds", "CPU seconds, mean"),
+    )
     lines = {row[0]: row for row in table.rows}
     assert lines["pgd"][2].startswith("1/1 (")
-    assert [lines[name][4] for name in ("pgd", "fgsm", "square")] == ["7", "2", "7"]
-    assert all(float(row[5].split(" to ")[0]) > 0 for row in table.rows)
+    assert [lines[name][5] for name in ("pgd", "fgsm", "square")] == ["7", "2", "7"]
+    assert all(float(row[6].split(" to ")[0]) > 0 for row in table.rows)
+    assert lines["pgd"][3] == "1/2 (0.09 to 0.91)"
+    assert lines["pgd"][4] == "0/2"
+    assert doubted.head == ("case", "best with gradients", "best of the others", "doubt")
+    assert [row[0] for row in doubted.rows] == ["0.5", "12.0"]
+    assert [row[1].split(",")[0] for row in doubted.rows] == ["pgd", "pgd"]
     pgd = next(one for one in record["groups"] if one["labels"] == {AXIS: "pgd", "attack.eps": 0.5})
     assert lines["pgd"][1] == f"{pgd['success']['successes']}/1 ({pgd['loss']:.2f})"
 
 
 def test_a_study_of_one_attack_has_no_such_table() -> None:
-    assert comparison("", [group("pgd", 1, 0.5), group("pgd", 1, 0.5, place="means")]) is None
+    assert not list(comparison("", [group("pgd", 1, 0.5), group("pgd", 1, 0.5, place="means")]))
 
 
 @pytest.mark.parametrize(
@@ -80,3 +88,5 @@ def test_what_raises_a_doubt(groups: list[dict[str, Any]], words: list[str]) -> 
     told = list(doubts(groups))
     assert len(told) == len(words), told
     assert all(word in text for word, text in zip(words, told, strict=True))
+    table = list(comparison("", [*groups, group("pgd", 0, 9.0, place="elsewhere")]))[-1]
+    assert [row[-1] for row in table.rows if row[-1] != "none"] == [text.partition(" (")[0] for text in told]

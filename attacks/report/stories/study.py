@@ -9,7 +9,7 @@ from typing import Any
 from attacks.rate import Rate
 from attacks.report.section import Chart, Figure, Line, Section
 from attacks.report.wording import capital, listed, plural, pooled, shared
-from attacks.studies.table import KINDS, by_part, tables, title_of
+from attacks.studies.table import KINDS, attacks_of, by_part, tables, title_of
 from attacks.studies.zoo import doubts
 
 Record = Mapping[str, Any]
@@ -24,7 +24,7 @@ def read(folder: Path, record: Record) -> Section:
         folder: Where it lies.
         record: Its result.json.
     """
-    attacks = list(record["attacks"].values())
+    attacks = list(attacks_of(record).values())
     label, counting, lines, key = _headline(record)
     rate, noise = pooled(line[key] for line in lines), pooled(_noise(line, key) for line in lines)
     control = f"; random noise of the same size: {noise.counts}" if noise.total else ""
