@@ -6,6 +6,7 @@ import importlib.util
 import re
 import subprocess
 import sys
+import tomllib
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 import pytest
 
 from attacks.cli import COMMANDS
+from attacks.cli.doctor import REGISTRIES
 from tests.browser import CHROMIUM
 from tests.project.documented_commands import BENCHMARKS, FAST, NIGHTLY, ROOT, Line, blocks, lines, pages
 from tests.project.test_extras import PROJECT
@@ -119,6 +121,16 @@ def test_the_plug_ins_of_the_page_keep_their_contracts(warm: Warm) -> None:
     examples = list(blocks("python", text))
     assert len(re.findall(r"^check_\w+\(", "\n".join(examples), flags=re.MULTILINE)) == text.count("\nTest it: ")
     done = warm.run("-c", "\n".join(examples), cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    (entry,) = blocks("toml", text)
+    assert set(tomllib.loads(entry)["project"]["entry-points"]) <= set(REGISTRIES)
+    assert set(re.findall(r"`(mi_splat\.\w+)` \| ", text)) == set(REGISTRIES)
+
+
+def test_the_attack_of_the_page_of_the_zoo_keeps_its_contract(warm: Warm) -> None:
+    (example,) = blocks("python", (ROOT / "docs" / "attack-zoo.md").read_text())
+    check = "from attacks.testing import check_attack\nfrom attacks.optimisers.registry import OPTIMISERS"
+    done = warm.run("-c", f"{example}\n{check}\ncheck_attack(OPTIMISERS['mine'])", cwd=ROOT)
     assert done.returncode == 0, done.stderr
 
 
