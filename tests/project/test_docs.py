@@ -6,12 +6,12 @@ import importlib.util
 import re
 import subprocess
 import sys
-import tomllib
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pytest
+import tomllib
 
 from attacks.cli import COMMANDS
 from attacks.cli.doctor import REGISTRIES
