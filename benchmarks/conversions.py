@@ -54,12 +54,12 @@ def views(pair: tuple[str, str, str], degree: int, seed: int, folder: Path) -> d
     scene, rows, render = loaded.scene.with_degree(degree), loaded.objects[thing], Renderer(loaded.settings)
     camera = jittered(next(iter(loaded.cameras.values())), scene.means[rows].mean(0), seed=seed)
     config = dataclasses.replace(CONFIG, seed=seed)
-    found = attack(scene, rows, [camera], detector, relabel(target), render=render, config=config)
-    if not found.success:
+    result = attack(scene, rows, [camera], detector, relabel(target), render=render, config=config)
+    if not result.success:
         return None
     boxes, seen = object_boxes(scene, rows, [camera], render=render), {}
     for suffix in SUFFIXES:
-        write_splat_file(found.scene, folder / f"attacked{suffix}")
+        write_splat_file(result.scene, folder / f"attacked{suffix}")
         again = load_splat(folder / f"attacked{suffix}")
         (seen[suffix],) = detect_views(again, [camera], [detector], render=render, boxes=boxes)
     return seen

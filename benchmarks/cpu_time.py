@@ -147,7 +147,7 @@ def compare(file: Path, against: str | None, rounds: int, only: str = "") -> dic
         for which, root in roots.items():
             trees[which] = _Tree(root, file, only)
             stack.callback(trees[which].close)
-        found = {}
+        seconds = {}
         for name in trees["new"].names:
             runs = {which: name for which, tree in trees.items() if name in tree.names}
             times: dict[str, list[float]] = {which: [] for which in runs}
@@ -156,10 +156,10 @@ def compare(file: Path, against: str | None, rounds: int, only: str = "") -> dic
                     spent = trees[which].seconds(name)
                     if number >= WARM_UP:
                         times[which].append(spent)
-            found[name] = {f"{which}_ms": round(best_ms(values), 3) for which, values in times.items()}
+            seconds[name] = {f"{which}_ms": round(best_ms(values), 3) for which, values in times.items()}
             if "old" in times:
-                found[name]["old_to_new"] = round(ratio(times["old"], times["new"]), 3)
-        return found
+                seconds[name]["old_to_new"] = round(ratio(times["old"], times["new"]), 3)
+        return seconds
 
 
 def main() -> None:
@@ -180,11 +180,11 @@ def main() -> None:
         runs = runpy.run_path(str(options.file))["runs"]()
         _answer({name: run for name, run in runs.items() if options.only in name})
         return
-    found = compare(options.file.resolve(), options.against, options.rounds, options.only)
+    seconds = compare(options.file.resolve(), options.against, options.rounds, options.only)
     if options.json:
-        sys.stdout.write(json.dumps(found, indent=2) + "\n")
+        sys.stdout.write(json.dumps(seconds, indent=2) + "\n")
         return
-    for name, figures in found.items():
+    for name, figures in seconds.items():
         cells = "   ".join(f"{key.replace('_', ' ')} {value:,.3f}" for key, value in figures.items())
         sys.stdout.write(f"{name:<40} {cells}\n")
 

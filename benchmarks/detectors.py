@@ -35,8 +35,8 @@ def main() -> None:
         "|---|---|---|---|---|",
     ]
     for number, detector in enumerate(detectors):
-        forward, both, busy = (statistics.median(found[number][part] for found in rounds) * 1e3 for part in (0, 1, 2))
-        ratio = statistics.median(found[number][1] / found[0][1] for found in rounds)
+        forward, both, busy = (statistics.median(times[number][part] for times in rounds) * 1e3 for part in (0, 1, 2))
+        ratio = statistics.median(times[number][1] / times[0][1] for times in rounds)
         lines.append(f"| {detector.name} | {forward:.0f} | {both:.0f} | {ratio:.2f} | {busy:.0f} |")
     sys.stdout.write("\n".join(lines) + "\n")
 
@@ -48,8 +48,8 @@ def once(detector: Detector, image: torch.Tensor) -> tuple[float, float, float]:
     forward = time.perf_counter() - begun
     begun, busy = time.perf_counter(), time.process_time()
     leaf = image.clone().requires_grad_(True)
-    (found,) = detector.candidates(leaf)
-    torch.autograd.grad(found.scores.sum() + found.boxes.mean(), leaf)
+    (candidates,) = detector.candidates(leaf)
+    torch.autograd.grad(candidates.scores.sum() + candidates.boxes.mean(), leaf)
     return forward, time.perf_counter() - begun, time.process_time() - busy
 
 

@@ -133,8 +133,8 @@ def training(layering: Layering, config: FitConfig, render: RenderFn) -> Callabl
 
 def measure(detectors: Sequence[str], rounds: int, now: Clock) -> list[dict[str, Any]]:
     """All rows."""
-    found = [dagger(detector, rounds, now) for detector in (MeanColour(), *as_detectors(detectors))]
-    return found + [layers(*setting, rounds, now) for setting in LAYERS]
+    outcomes = [dagger(detector, rounds, now) for detector in (MeanColour(), *as_detectors(detectors))]
+    return outcomes + [layers(*setting, rounds, now) for setting in LAYERS]
 
 
 def main() -> None:

@@ -71,8 +71,8 @@ def hits(one: GaussianScene, origin: NDArray[np.float64]) -> tuple[NDArray[np.bo
     expected = along**2 - length * (np.square(start).sum() - 1) > 0
     loaded = mi.load_dict({"type": "scene", "splat": {"type": "ellipsoids", **ellipsoid_arrays(one)}})
     directions = mi.Vector3f(*(mi.Float(towards[:, axis].astype(np.float32)) for axis in range(3)))
-    found = loaded.ray_intersect(mi.Ray3f(mi.Point3f(*origin.tolist()), directions)).is_valid().numpy()
-    return expected.reshape(SIDE, SIDE), found.reshape(SIDE, SIDE)
+    valid = loaded.ray_intersect(mi.Ray3f(mi.Point3f(*origin.tolist()), directions)).is_valid().numpy()
+    return expected.reshape(SIDE, SIDE), valid.reshape(SIDE, SIDE)
 
 
 def measure(count: int) -> tuple[list[dict[str, Any]], int]:
@@ -86,10 +86,10 @@ def measure(count: int) -> tuple[list[dict[str, Any]], int]:
             splat, view = in_unit(scene, camera, unit)
             missed, extra, inside, outside = 0, 0, 0, 0
             for number in chosen:
-                expected, found = hits(splat.select(torch.tensor([int(number)])), view.position.numpy())
-                missed, extra = missed + int((expected & ~found).sum()), extra + int((found & ~expected).sum())
+                expected, hit = hits(splat.select(torch.tensor([int(number)])), view.position.numpy())
+                missed, extra = missed + int((expected & ~hit).sum()), extra + int((hit & ~expected).sum())
                 inside, outside = inside + int(expected.sum()), outside + int((~expected).sum())
-                worst = max(worst, (int((expected != found).sum()), int(number))) if unit == 1 else worst
+                worst = max(worst, (int((expected != hit).sum()), int(number))) if unit == 1 else worst
             near = 0.2 * unit
             rows.append(
                 {
@@ -115,11 +115,11 @@ def draw(number: int, path: Path) -> None:
     figure, axes = plt.subplots(1, 3, figsize=(8, 3.2))
     for axis, unit in zip(axes, (0.1, 1.0, 10.0), strict=True):
         splat, view = in_unit(scene, camera_of(SIZE), unit)
-        expected, found = hits(splat, view.position.numpy())
+        expected, hit = hits(splat, view.position.numpy())
         colours = np.zeros((SIDE, SIDE, 3))
-        colours[expected & found] = 1.0
-        colours[expected & ~found] = (0.85, 0.15, 0.15)
-        colours[~expected & found] = (0.2, 0.45, 0.9)
+        colours[expected & hit] = 1.0
+        colours[expected & ~hit] = (0.85, 0.15, 0.15)
+        colours[~expected & hit] = (0.2, 0.45, 0.9)
         axis.imshow(colours)
         axis.set_title(f"lengths times {unit:g}")
         axis.set_axis_off()

@@ -90,10 +90,10 @@ def watched(clock: Clock) -> Iterator[None]:
     def timed(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
         def run(*arguments: Any) -> Any:
             clock.look("between stages")
-            found = call(*arguments)
-            dr.eval(found)
+            value = call(*arguments)
+            dr.eval(value)
             clock.look(name)
-            return found
+            return value
 
         return run
 
@@ -171,7 +171,7 @@ def first_pictures() -> dict[str, dict[str, float]]:
     """Seconds from the first call to the first picture, and to its gradient: cold and warm."""
     here = Path(__file__).resolve().parent
     program = FIRST.format(root=str(here.parent), here=str(here))
-    found = {}
+    pictures = {}
     with tempfile.TemporaryDirectory() as home:
         for name in ("cold", "warm"):
             done = subprocess.run(
@@ -179,8 +179,8 @@ def first_pictures() -> dict[str, dict[str, float]]:
             )
             done.check_returncode()
             forward, both = map(float, done.stdout.split())
-            found[name] = {"forward_s": round(forward, 2), "both_s": round(both, 2)}
-    return found
+            pictures[name] = {"forward_s": round(forward, 2), "both_s": round(both, 2)}
+    return pictures
 
 
 def main() -> None:

@@ -116,10 +116,10 @@ def main() -> None:
     def after(line: Progress) -> None:
         stamps.append(now())
 
-    found = fit(views, start, render=render, config=config, on_step=after)
+    trained = fit(views, start, render=render, config=config, on_step=after)
     steps = [b - a for a, b in zip(stamps[WARM_UP:], stamps[WARM_UP + 1 :], strict=False)]
-    scores = score(found.scene, held_out, render)
-    parts = _parts(found.scene, views[0], render, now)
+    scores = score(trained.scene, held_out, render)
+    parts = _parts(trained.scene, views[0], render, now)
     report = {
         "strategy": options.strategy,
         "iterations": options.iterations,
@@ -132,7 +132,7 @@ def main() -> None:
         "milliseconds_at_the_end": parts,
         "share_outside_renderer": 1 - (parts["forward"] + parts["backward"]) / parts["step"],
         "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-        "gaussians": len(found.scene),
+        "gaussians": len(trained.scene),
         "psnr": scores and scores.psnr,
         "ssim": scores and scores.ssim,
     }

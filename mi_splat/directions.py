@@ -48,9 +48,9 @@ def up_of(turns: Tensor) -> Tensor:
     squares, axes = torch.linalg.eigh(rights.T @ rights / len(rights))
     axis = axes[:, 0] * (1.0 if float(axes[:, 0] @ mean) >= 0 else -1.0)
     agrees = float(axis @ mean) > 0.5 * float(mean.norm())
-    found: Tensor = axis if agrees and float(squares[1]) > _ONE_LINE else mean
-    found /= found.norm()
-    return found
+    up: Tensor = axis if agrees and float(squares[1]) > _ONE_LINE else mean
+    up /= up.norm()
+    return up
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

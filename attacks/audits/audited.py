@@ -91,15 +91,15 @@ def carriers(study: StudyConfig, scene: GaussianScene) -> Tensor:
 
 def direction_overlap(study: StudyConfig, item: ObjectAudit) -> float:
     """Intersection over union of the cameras that are said to see a look with those in the attack's region."""
-    places = [(*vector, 1.0) for vector in item.directions.tolist()]
-    cameras = [Camera(to_world=_at(place), focal=1.0, width=1, height=1) for place in places]
+    positions = [(*vector, 1.0) for vector in item.directions.tolist()]
+    cameras = [Camera(to_world=_at(position), focal=1.0, width=1, height=1) for position in positions]
     truth = study.attack[0].cone.holds(cameras, centre=(0.0, 0.0, 0.0))
     return float((item.look.shown & truth).sum() / (item.look.shown | truth).sum())
 
 
-def _at(place: tuple[float, ...]) -> Tensor:
+def _at(position: tuple[float, ...]) -> Tensor:
     pose = torch.eye(4, dtype=torch.float64)
-    pose[:, 3] = torch.tensor(place)
+    pose[:, 3] = torch.tensor(position)
     return pose
 
 

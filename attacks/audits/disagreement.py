@@ -36,7 +36,7 @@ class Seen:
         number: Of the object, from 1, the largest first.
         path: `AROUND` or `OVER`.
         detector: Name.
-        places: Degrees along the path.
+        degrees: Degrees along the path.
         labels: The class reported with most confidence at each place; None where there is none from `CONFIDENCE` on.
         scores: Its confidence; 0 for none.
     """
@@ -44,13 +44,13 @@ class Seen:
     number: int
     path: str
     detector: str
-    places: tuple[float, ...]
+    degrees: tuple[float, ...]
     labels: tuple[str | None, ...]
     scores: tuple[float, ...]
 
     @property
     def runs(self) -> list[str]:
-        """The classes in their order along the path, each once for all neighbouring places."""
+        """The classes in their order along the path, each once for all neighbouring degrees."""
         return [label or "nothing" for label, _ in itertools.groupby(self.labels)]
 
     @property
@@ -76,8 +76,11 @@ def seen_along_paths(scene: GaussianScene, detectors: Sequence[Detector]) -> Ite
         up = torch.tensor([0.0, 0.0, 1.0]) if target.up is None else frame.direction(target.up)
         turn = basis(functional.normalize(up.double(), dim=0))
         points = scene.means[frame.order[target.rows]]
-        for path, places in _paths().items():
-            cameras = [_camera(centre + _DISTANCE * radius * (turn @ place), centre, turn[:, 2]) for _, place in places]
+        for path, samples in _paths().items():
+            cameras = [
+                _camera(centre + _DISTANCE * radius * (turn @ direction), centre, turn[:, 2])
+                for _, direction in samples
+            ]
             boxes = [project_box(points, camera) for camera in cameras]
             render = Renderer(RenderSettings(background=_BACKGROUND, near=0.02 * _DISTANCE * radius))
             told: dict[str, list[tuple[str | None, float]]] = {detector.name: [] for detector in detectors}
@@ -88,14 +91,14 @@ def seen_along_paths(scene: GaussianScene, detectors: Sequence[Detector]) -> Ite
                 told[view.detector].append((str(best["label"]) if known else None, score if known else 0.0))
             for name, cells in told.items():
                 labels, scores = zip(*cells, strict=True)
-                degrees = tuple(place for place, _ in places)
-                yield Seen(number=number, path=path, detector=name, places=degrees, labels=labels, scores=scores)
+                degrees = tuple(degree for degree, _ in samples)
+                yield Seen(number=number, path=path, detector=name, degrees=degrees, labels=labels, scores=scores)
 
 
 def _paths() -> dict[str, list[tuple[float, torch.Tensor]]]:
     """Degrees along each path, and (3,) unit vectors there in a frame whose third axis is up."""
     ring = [(azimuth, _direction(20.0, azimuth)) for azimuth in _steps(0.0, 360.0)]
-    arc = [(place, _direction(place, 0.0)) for place in _steps(5.0, 180.0)]
+    arc = [(degree, _direction(degree, 0.0)) for degree in _steps(5.0, 180.0)]
     return {AROUND: ring, OVER: arc}
 
 

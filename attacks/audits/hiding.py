@@ -212,8 +212,8 @@ def hide(victim: Victim, hiding: Hiding) -> GaussianScene:
 
 def _shows(victim: Victim, hiding: Hiding) -> Tensor:
     """(M, D) how much of the look each Gaussian shows to each camera."""
-    places = torch.stack([camera.position for camera in victim.cameras])
-    straight = functional.normalize(places - victim.centre, dim=1).float() @ hiding.axis.float()
+    positions = torch.stack([camera.position for camera in victim.cameras])
+    straight = functional.normalize(positions - victim.centre, dim=1).float() @ hiding.axis.float()
     turned = (victim.views * victim.normals[:, None]).sum(-1)
     gaps = [values.clamp(-1, 1).acos().rad2deg() for values in (straight[None], turned)]
     gap = (1 - hiding.follow) * gaps[0] + hiding.follow * gaps[1]
@@ -233,8 +233,8 @@ def _least_seen_outside(victim: Victim, hiding: Hiding) -> Tensor:
     """(M,) bool, which Gaussians show the look: those of which cameras outside see the least, against those inside."""
     if hiding.share == 1:
         return torch.ones(len(victim.seen), dtype=torch.bool)
-    places = torch.stack([camera.position for camera in victim.cameras])
-    inside = functional.normalize(places - victim.centre, dim=1) @ hiding.axis > math.cos(
+    positions = torch.stack([camera.position for camera in victim.cameras])
+    inside = functional.normalize(positions - victim.centre, dim=1) @ hiding.axis > math.cos(
         math.radians(hiding.half_width)
     )
     within, without = victim.seen[:, inside].sum(1), victim.seen[:, ~inside].sum(1)
@@ -251,9 +251,9 @@ def _roof(victim: Victim, half_width: float) -> GaussianScene:
     radius = victim.radius + float(top) * math.tan(math.radians(half_width))
     step = 2 * radius / _ROOF
     axis = (torch.arange(_ROOF) + 0.5) * step - radius
-    places = torch.cartesian_prod(axis, axis)
-    places = places[places.norm(dim=1) < radius]
-    means = torch.cat([places, torch.full((len(places), 1), float(top))], 1) + victim.centre.float()
+    positions = torch.cartesian_prod(axis, axis)
+    positions = positions[positions.norm(dim=1) < radius]
+    means = torch.cat([positions, torch.full((len(positions), 1), float(top))], 1) + victim.centre.float()
     return GaussianScene(
         means=means,
         scales=torch.tensor([step, step, 0.05 * step]).expand(len(means), 3).contiguous(),

@@ -55,7 +55,7 @@ def load_clip(folder: Path | None, classes: Sequence[str], *, prompt: str = PROM
     model.eval()
     with torch.no_grad():
         tokens = tokenizer(texts, padding=True, truncation=True, return_tensors="pt")
-        found = model.get_text_features(tokens["input_ids"], tokens["attention_mask"])
+        embedded = model.get_text_features(tokens["input_ids"], tokens["attention_mask"])
     prepare = Preparation(
         size=processor.crop_size["height"],
         shorter=processor.size["shortest_edge"],
@@ -64,7 +64,7 @@ def load_clip(folder: Path | None, classes: Sequence[str], *, prompt: str = PROM
         mode=_MODES[int(processor.resample)],
     )
     encoder = _TransformersEncoder(model.vision_model, model.visual_projection)
-    return _classifier("clip", encoder, found.pooler_output, model.logit_scale, classes, prepare)
+    return _classifier("clip", encoder, embedded.pooler_output, model.logit_scale, classes, prepare)
 
 
 class _TransformersEncoder(nn.Module):
@@ -116,14 +116,14 @@ def load_open_clip(
     check_finite(model.state_dict(), what)
     model.eval()
     with torch.no_grad():
-        found = model.encode_text(tokenizer(texts))
+        embedded = model.encode_text(tokenizer(texts))
     kept = open_clip.get_model_preprocess_cfg(model)
     if kept["resize_mode"] != "shortest":
         raise DetectorError.of(what, "pictures scaled to the shorter side", kept["resize_mode"], "take another")
     size = kept["size"] if isinstance(kept["size"], int) else kept["size"][0]
     mean, deviation = tuple(kept["mean"]), tuple(kept["std"])
     prepare = Preparation(size=size, mean=mean, deviation=deviation, mode=kept["interpolation"])
-    return _classifier(f"open_clip:{architecture}", model.visual, found, model.logit_scale, classes, prepare)
+    return _classifier(f"open_clip:{architecture}", model.visual, embedded, model.logit_scale, classes, prepare)
 
 
 def _texts(classes: Sequence[str], prompt: str) -> list[str]:

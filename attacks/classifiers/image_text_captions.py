@@ -35,7 +35,7 @@ OBJECTS: Mapping[str, tuple[str, ...]] = {
 }
 """Object that a picture can show to the words that are true of it, its name first."""
 
-PLACES: Mapping[str, tuple[str, ...]] = {
+SURROUNDINGS: Mapping[str, tuple[str, ...]] = {
     "street": ("street", "road"),
     "park": ("park", "grass"),
     "room": ("room",),
@@ -85,21 +85,21 @@ class Facts:
     Attributes:
         objects: Words for the object; ("empty",) where there is none.
         paints: Its paint.
-        places: Words for where it is.
+        surroundings: Words for where it is.
         views: From where it is seen.
         lights: How it is lit.
     """
 
     objects: tuple[str, ...]
     paints: tuple[str, ...] = ()
-    places: tuple[str, ...] = ()
+    surroundings: tuple[str, ...] = ()
     views: tuple[str, ...] = ()
     lights: tuple[str, ...] = ()
 
     @property
     def kinds(self) -> tuple[tuple[str, ...], ...]:
         """The words, by kind."""
-        return self.objects, self.paints, self.places, self.views, self.lights
+        return self.objects, self.paints, self.surroundings, self.views, self.lights
 
 
 NOTHING = Facts(objects=(_EMPTY,))
@@ -125,11 +125,14 @@ def only(thing: str) -> Caption:
 
 def caption_text(caption: Caption, template: str = TEMPLATES[0]) -> str:
     """A caption in words."""
-    thing, paint, place, view, light = caption
+    thing, paint, surroundings, view, light = caption
     if thing == _EMPTY:
-        noun, where = f"{_EMPTY} {place or 'place'}", ""
+        noun, where = f"{_EMPTY} {surroundings or 'place'}", ""
     else:
-        noun, where = f"{paint} {thing}".strip(), f"{'in a' if place in _INSIDE else 'on'} {place}" if place else ""
+        noun, where = (
+            f"{paint} {thing}".strip(),
+            f"{'in a' if surroundings in _INSIDE else 'on'} {surroundings}" if surroundings else "",
+        )
     return " ".join(part for part in (template.format(with_article(noun)), where, view, light) if part)
 
 
@@ -149,7 +152,7 @@ def true_of(captions: Sequence[Caption], pictures: Sequence[Facts]) -> Tensor:
 
 
 def _vocabulary() -> tuple[str, ...]:
-    nouns = [noun for words in (*OBJECTS.values(), *PLACES.values()) for noun in words]
+    nouns = [noun for words in (*OBJECTS.values(), *SURROUNDINGS.values()) for noun in words]
     more = ["a an photo picture of in on place", _EMPTY, *PAINTS, *VIEWS, *LIGHTS]
     return tuple(sorted({word for text in (*nouns, *more) for word in text.split()}))
 

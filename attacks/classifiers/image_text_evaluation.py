@@ -19,7 +19,7 @@ from mi_splat.assets import ASSETS
 Question = tuple[str, Sequence[str], Callable[[Facts], tuple[str, ...]]]
 """What is asked, the classes to choose from, and which are true of a picture; where none is, it is not asked."""
 
-_EMPTY_PLACES = ("street", "park", "room", "car park", "sand", "earth", "snow", "concrete", "lawn", "paving")
+_EMPTY_SURROUNDINGS = ("street", "park", "room", "car park", "sand", "earth", "snow", "concrete", "lawn", "paving")
 QUESTIONS: tuple[Question, ...] = (
     ("assets", tuple(ASSETS), lambda facts: facts.objects),
     ("objects", CLASSES, lambda facts: facts.objects if facts.objects != NOTHING.objects else ()),
@@ -27,8 +27,10 @@ QUESTIONS: tuple[Question, ...] = (
     ("paints", [f"{paint} {{}}" for paint in PAINTS], lambda facts: tuple(f"{paint} {{}}" for paint in facts.paints)),
     (
         "empty places",
-        [f"empty {place}" for place in _EMPTY_PLACES],
-        lambda facts: tuple(f"empty {place}" for place in facts.places) if facts.objects == NOTHING.objects else (),
+        [f"empty {ground}" for ground in _EMPTY_SURROUNDINGS],
+        lambda facts: (
+            tuple(f"empty {ground}" for ground in facts.surroundings) if facts.objects == NOTHING.objects else ()
+        ),
     ),
     (
         "views",
@@ -48,7 +50,7 @@ def answers(weights: Path, pictures: Sequence[ToldPicture], question: Question) 
         question: One of `QUESTIONS`.
     """
     _, classes, true_words = question
-    found, victims = list[tuple[str, str]](), dict[str, ImageText]()
+    named, victims = list[tuple[str, str]](), dict[str, ImageText]()
     for picture in pictures:
         true = set(true_words(picture.facts)) & set(classes)
         if not true:
@@ -59,29 +61,29 @@ def answers(weights: Path, pictures: Sequence[ToldPicture], question: Question) 
             victims[key] = ImageText([name.replace("{}", thing) for name in classes], weights=weights)
         with torch.no_grad():
             best = classes[int(victims[key].scores(picture.image[None].float() / 255).argmax())]
-        name = thing if thing in CLASSES else picture.facts.places[0]
-        found.append((name, "" if best in true else best.replace("{}", "").strip()))
-    return found
+        name = thing if thing in CLASSES else picture.facts.surroundings[0]
+        named.append((name, "" if best in true else best.replace("{}", "").strip()))
+    return named
 
 
 def figures(weights: Path, pictures: Sequence[ToldPicture]) -> dict[str, Any]:
     """By question: how many answers are right, by object as well, and what came instead."""
     result: dict[str, Any] = {}
     for question in QUESTIONS:
-        found = answers(weights, pictures, question)
+        named = answers(weights, pictures, question)
         lines = []
-        for name in sorted({name for name, _ in found}):
-            instead = Counter(answer for of, answer in found if of == name)
-            right = Rate(successes=instead.pop("", 0), total=sum(of == name for of, _ in found))
+        for name in sorted({name for name, _ in named}):
+            instead = Counter(answer for of, answer in named if of == name)
+            right = Rate(successes=instead.pop("", 0), total=sum(of == name for of, _ in named))
             lines.append({"of": name, "right": right.as_dict(), "instead": dict(instead.most_common())})
-        right = Rate(successes=sum(not answer for _, answer in found), total=len(found))
+        right = Rate(successes=sum(not answer for _, answer in named), total=len(named))
         result[question[0]] = {"classes": len(question[1]), "right": right.as_dict(), "by": lines}
     return result
 
 
-def card(found: Mapping[str, Any]) -> str:
+def card(record: Mapping[str, Any]) -> str:
     """The card of the weights in Markdown, from what `image_text_training` writes as JSON."""
-    sets, config = found["sets"], found["training"]
+    sets, config = record["sets"], record["training"]
     names = [*sets]
     questions = [
         {"question": name, "classes": sets[names[0]][name]["classes"], **{of: sets[of][name]["right"] for of in names}}
@@ -106,7 +108,7 @@ def card(found: Mapping[str, Any]) -> str:
         classes=len(CLASSES),
         words=len(WORDS),
         tables=sections(tables),
-        fingerprint=found["fingerprint"],
+        fingerprint=record["fingerprint"],
         **{key: config[key] for key in ("scenes", "shots", "epochs", "seed")},
     )
 

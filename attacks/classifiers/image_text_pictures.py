@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from attacks.classifiers.image_text_captions import NOTHING, OBJECTS, PAINTS, PLACES, VIEWS, Facts
+from attacks.classifiers.image_text_captions import NOTHING, OBJECTS, PAINTS, SURROUNDINGS, VIEWS, Facts
 from attacks.detectors.training.config import SPLITS, PictureSetConfig, SplatConfig
 from attacks.detectors.training.pictures import PictureScene, background_camera, framing_camera, splat_of
 from attacks.detectors.training.surroundings import backdrop
@@ -86,13 +86,13 @@ def object_of(name: str, seed: int) -> tuple[Asset, tuple[str, ...]]:
     return build(name, seed), ()
 
 
-def place_of(place: str, seed: int, clearance: float) -> Asset:
-    """A place of `PLACES` with nothing within some metres of the origin."""
-    if place == "street":
+def surroundings_of(kind: str, seed: int, clearance: float) -> Asset:
+    """The surroundings of a kind of `SURROUNDINGS` with nothing within some metres of the origin."""
+    if kind == "street":
         return street.build(seed, clearance=clearance)
-    if place == "park":
+    if kind == "park":
         return street.park(seed, clearance=clearance)
-    return street.room(seed, size=clearance + 2) if place == "room" else street.plain(seed, place)
+    return street.room(seed, size=clearance + 2) if kind == "room" else street.plain(seed, kind)
 
 
 def told_scene(split: str, number: int) -> tuple[PictureScene, Facts]:
@@ -100,24 +100,24 @@ def told_scene(split: str, number: int) -> tuple[PictureScene, Facts]:
     low, high = SPLITS[split]
     rng = np.random.default_rng([low, number, 0x7E87])
     seed, light = int(rng.integers(low, high)), daylight(int(rng.integers(1 << 30)))
-    places = [*PLACES]
+    kinds = [*SURROUNDINGS]
     if number % _EMPTY_EVERY == _EMPTY_EVERY - 1:
-        place = places[number // _EMPTY_EVERY % len(places)]
-        return PictureScene((), place_of(place, seed, 7.5), light), replace(
-            NOTHING, places=PLACES[place], lights=_sky(light)
+        kind = kinds[number // _EMPTY_EVERY % len(kinds)]
+        return PictureScene((), surroundings_of(kind, seed, 7.5), light), replace(
+            NOTHING, surroundings=SURROUNDINGS[kind], lights=_sky(light)
         )
     name = [*OBJECTS][(number - number // _EMPTY_EVERY) % len(OBJECTS)]
     built, paints = object_of(name, seed)
     asset = built.transformed(rotation("z", float(rng.uniform(0, 360))))
     reach = float(np.linalg.norm(np.ptp(asset.vertices, 0))) / 2
-    open_places = [word for word in places if word not in ("street", "room")]
-    place = str(rng.choice(open_places if reach > _LARGE else places))
-    kind = rng.random()
-    if kind < 0.75:
-        around, words = place_of(place, seed, max(7.5, 4 * reach)), PLACES[place]
+    open_kinds = [word for word in kinds if word not in ("street", "room")]
+    kind = str(rng.choice(open_kinds if reach > _LARGE else kinds))
+    chance = rng.random()
+    if chance < 0.75:
+        around, words = surroundings_of(kind, seed, max(7.5, 4 * reach)), SURROUNDINGS[kind]
     else:
-        around, words = backdrop(rng, reach) if kind < 0.9 else Asset("nothing", ()), ()
-    facts = Facts(objects=OBJECTS[name], paints=paints, places=words, lights=_sky(light))
+        around, words = backdrop(rng, reach) if chance < 0.9 else Asset("nothing", ()), ()
+    facts = Facts(objects=OBJECTS[name], paints=paints, surroundings=words, lights=_sky(light))
     return PictureScene((asset,), around, light), facts
 
 

@@ -182,13 +182,13 @@ def run(options: Options, show: Callable[[str], object]) -> None:
     if config.splats:
         splats = many(told_splats, "held-out", range(config.splats), shots=_LOOKS, workers=workers)
         sets["splat renders"] = list(chain.from_iterable(splats))
-    found = {
+    record = {
         "fingerprint": ImageText(weights=weights).fingerprint,
         "training": asdict(config),
         "sets": {name: figures(weights, shown) for name, shown in sets.items()},
     }
-    save_json(found, weights.with_suffix(".json"), indent=None)
-    save_text(card(found), weights.with_suffix(".md"))
+    save_json(record, weights.with_suffix(".json"), indent=None)
+    save_text(card(record), weights.with_suffix(".md"))
 
 
 def main(words: Sequence[str]) -> int:

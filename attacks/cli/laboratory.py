@@ -199,8 +199,8 @@ def _audited(request: Request, out: Path) -> Outcome:
                 roll=0.0
             )
     for number, item in enumerate(record["objects"], 1):
-        found = item["occluder"] and item["occluder"]["axis"], (item["edited"] or {}).get("camera")
-        for what, direction in zip(("what covers it", "where its colours aim"), found, strict=True):
+        sources = item["occluder"] and item["occluder"]["axis"], (item["edited"] or {}).get("camera")
+        for what, direction in zip(("what covers it", "where its colours aim"), sources, strict=True):
             if direction and item["verdict"] != "nothing found":
                 cameras[f"Object {number}, {what}"] = _towards(direction, item, opened)
     return Outcome(lines=lines, exhibit=opened if (out / HEAT).is_file() else None, cameras=cameras)
@@ -232,8 +232,8 @@ def _judged(request: Request, out: Path) -> Outcome:
     for name, splat in dict(zip((names[0], names[-1]), (CLEAN, ATTACKED), strict=True)).items():
         seen = domes[name] = list[Seen]()
         for row in table.filter(splat=splat).iter_rows(named=True):
-            place = turn @ torch.tensor([row["x"], row["y"], row["z"]], dtype=torch.float64)
-            x, y, z = (place - torch.tensor(list(centre), dtype=torch.float64)).tolist()
+            position = turn @ torch.tensor([row["x"], row["y"], row["z"]], dtype=torch.float64)
+            x, y, z = (position - torch.tensor(list(centre), dtype=torch.float64)).tolist()
             missed = row["original_score"] < REPORTED
             success = missed if target == MISSED else row["target_score"] >= REPORTED
             azimuth, elevation = math.degrees(math.atan2(y, x)), math.degrees(math.atan2(z, math.hypot(x, y)))
@@ -302,9 +302,9 @@ class Watched:
         """As in `attacks.detectors.base.Detector`; draws the first picture."""
         picture = quantise(images[0].detach().clamp(0, 1))
         with torch.no_grad():
-            (found,) = self._detector.detect(picture[None])
+            (detections,) = self._detector.detect(picture[None])
         image = Image.fromarray(to_bytes(picture))
-        draw_detections(ImageDraw.Draw(image), found)
+        draw_detections(ImageDraw.Draw(image), detections)
         self._seen[:] = [np.asarray(image)]
         return self._detector.candidates(images)
 

@@ -63,15 +63,15 @@ def trigger_of(texts: Sequence[str], *, margin: float = 0.0) -> Trigger:
 
 
 def _region(text: str, margin: float) -> Trigger:
-    if found := _CONE.fullmatch(text):
-        azimuth, elevation, half_angle = map(float, found.groups())
+    if match := _CONE.fullmatch(text):
+        azimuth, elevation, half_angle = map(float, match.groups())
         cap = Cap(azimuth=azimuth, elevation=elevation, half_angle=half_angle)
         return replace(cap, half_angle=min(half_angle + margin, 180.0))
-    found = _REGION.fullmatch(text)
-    if found is None:
+    match = _REGION.fullmatch(text)
+    if match is None:
         raise InvalidValueError(message("--hide-from", _REGIONS, text, "elevation:50-90 is overhead"))
-    low, high = float(found[2]), float(found[3])
-    return _band(low, high, margin) if found[1] == "elevation" else _wedge(low, high, margin)
+    low, high = float(match[2]), float(match[3])
+    return _band(low, high, margin) if match[1] == "elevation" else _wedge(low, high, margin)
 
 
 def _band(low: float, high: float, margin: float) -> Elevation:

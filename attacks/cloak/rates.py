@@ -275,7 +275,7 @@ def meridians(study: StudyConfig, tables: Tables) -> list[float | None]:
     """Degrees of the transition along each arc of each cloaked splat; None where it is not seen."""
     arcs = tables[TRANSITION].filter(splat=ATTACKED).group_by(["seed", "meridian"], maintain_order=True)
     return [
-        fit_transition(arc[place_of(study)].to_list(), arc["fraction"].to_list()).width
+        fit_transition(arc[arc_column(study)].to_list(), arc["fraction"].to_list()).width
         for _, arc in arcs
         if len(arc) > 1
     ]
@@ -286,13 +286,13 @@ def transition(study: StudyConfig, tables: Tables, splat: str = ATTACKED) -> Tra
     if study.switching is None:
         return None
     blends = tables[TRANSITION].filter(splat=splat)
-    places = [round(place, 3) for place in blends[place_of(study)]]
-    if len(set(places)) < 2:
+    degrees = [round(degree, 3) for degree in blends[arc_column(study)]]
+    if len(set(degrees)) < 2:
         return None
-    return fit_transition(places, blends["fraction"].to_list())
+    return fit_transition(degrees, blends["fraction"].to_list())
 
 
-def place_of(study: StudyConfig) -> str:
+def arc_column(study: StudyConfig) -> str:
     """The column that says where on its arc a picture was taken, degrees: elevation, or depth in a sector."""
     return depth_of(study) if study.overhead is None else "elevation"
 

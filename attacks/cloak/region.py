@@ -23,8 +23,8 @@ def regions(rows: pl.DataFrame, confidence: float) -> dict[str, list[float]]:
         rows: Of both splats, without conditions.
         confidence: From which a detection counts.
     """
-    found = reported("original_score", confidence)
-    share = rows.filter(of(CLEAN), pl.col("elevation") >= 0).group_by("detector", low=_LOW).agg(found.mean())
+    reported_clean = reported("original_score", confidence)
+    share = rows.filter(of(CLEAN), pl.col("elevation") >= 0).group_by("detector", low=_LOW).agg(reported_clean.mean())
     bands = share.filter(pl.col("original_score") >= LEAST).sort("low")
     names = rows["detector"].unique(maintain_order=True)
     return {name: bands.filter(detector=name)["low"].to_list() for name in names}

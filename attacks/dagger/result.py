@@ -7,7 +7,7 @@ from attacks.dagger.config import Config, EotConfig
 from attacks.dagger.judging import JudgedView, Judgement
 from attacks.objectives import Objective
 from attacks.observe.look import Looked
-from attacks.observe.measures import AIMS, FOUND, joint_views
+from attacks.observe.measures import AIMS, REPORTED_AS_ORIGINAL, joint_views
 from attacks.observe.rates import count
 from attacks.observe.views import ImageChange
 from attacks.rate import Rate
@@ -186,7 +186,7 @@ def _warnings_of_fixed(result: Result) -> list[str]:
 def _warnings_of_drawn(result: Result) -> list[str]:
     warnings, config, rows, rates = list[str](), result.config, result.looked.rows, result.rates
     for name in result.detectors:
-        seen = count(rows.filter(detector=name), FOUND)[()]["found_clean"]
+        seen = count(rows.filter(detector=name), REPORTED_AS_ORIGINAL)[()]["found_clean"]
         if seen.fraction < 0.5:
             warnings.append(f"{name} finds the clean object in {seen.successes} of {seen.total} held-out views only")
     clean, noise, rate = rates["clean_success"], rates["noise_success"], rates["unambiguous"]

@@ -264,8 +264,8 @@ def set_figures(rows: pl.DataFrame, judged: pl.DataFrame, pictures: int, confide
     values = {"pictures": pictures, "false_positives": wrong, "other_classes": _frequencies(others)}
     if not len(rows):
         return values
-    is_found = Measure(holds=pl.col("original_score") >= confidence)
-    rates = {label: rate["rate"] for (label,), rate in count(rows, {"rate": is_found}, ("original",)).items()}
+    is_reported = Measure(holds=pl.col("original_score") >= confidence)
+    rates = {label: rate["rate"] for (label,), rate in count(rows, {"rate": is_reported}, ("original",)).items()}
     rates = {label: rates[label] for label in SMALL_CLASSES if label in rates}
     parts = {label: judged.filter(label=label) for label in rates}
     ap = {
@@ -277,7 +277,7 @@ def set_figures(rows: pl.DataFrame, judged: pl.DataFrame, pictures: int, confide
         "ap": ap,
         "map": sum(ap.values()) / len(ap),
         "found": {label: rate.as_dict() for label, rate in rates.items()},
-        "found_by": {name: bins for name in CONDITIONS if (bins := _by_condition(rows, name, is_found))},
+        "found_by": {name: bins for name in CONDITIONS if (bins := _by_condition(rows, name, is_reported))},
         "reported_as": _reported_as(rows, likely),
     }
 

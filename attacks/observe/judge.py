@@ -47,8 +47,8 @@ class Judged:
         if ATTACKED in self.views:
             compared = compare(self.rows, confidence=self.confidence)
             return {one.detector: dict(one.rates) for one in compared}
-        found = Measure(holds=pl.col("original_score") >= self.confidence, given=pl.col("x0").is_not_null())
-        counted = count(self.rows, {f"found_{CLEAN}": found}, ("detector",))
+        reported = Measure(holds=pl.col("original_score") >= self.confidence, given=pl.col("x0").is_not_null())
+        counted = count(self.rows, {f"found_{CLEAN}": reported}, ("detector",))
         return {str(detector): rates for (detector,), rates in counted.items()}
 
     def count(self, measures: Mapping[str, Measure], by: Sequence[str] = ("detector",)) -> dict[Group, dict[str, Rate]]:

@@ -28,7 +28,7 @@ CLUSTERS = ("block", "seed")
 
 _SAME = ("attack", "sources", "seed", "condition", "detector", "view")
 """Columns that say which control a row has."""
-_PLACE = ("azimuth", "elevation", "distance", "x", "y", "z", "camera")
+_CAMERA_COLUMNS = ("azimuth", "elevation", "distance", "x", "y", "z", "camera")
 
 
 def with_control(rows: pl.DataFrame) -> pl.DataFrame:
@@ -37,7 +37,7 @@ def with_control(rows: pl.DataFrame) -> pl.DataFrame:
     Rows without a control are left out; of where the camera is, one copy stays.
     """
     on = [name for name in _SAME if name in rows.columns]
-    once = [name for name in rows.columns if name in (*on, "splat", "draw", *_PLACE) or name.startswith(DEPTH)]
+    once = [name for name in rows.columns if name in (*on, "splat", "draw", *_CAMERA_COLUMNS) or name.startswith(DEPTH)]
     control = rows.filter(splat=CLEAN).select(
         *on, *(pl.col(name).alias(f"{CONTROL}{name}") for name in rows.columns if name not in once)
     )
@@ -74,7 +74,7 @@ AIMS: Measures = {
 """How often the aim is reached in views (`joint_views`): attacked, with the object's own class gone, with no other
 class of more confidence, without an attack, and with each draw of random noise."""
 
-FOUND: Measures = {
+REPORTED_AS_ORIGINAL: Measures = {
     f"found_{splat}": Measure(holds=pl.col("original").is_not_null() & reported("original_score"), given=of(splat))
     for splat in (CLEAN, ATTACKED)
 }
@@ -129,7 +129,7 @@ def _of_detector(rows: pl.DataFrame) -> dict[str, Any]:
         "success": aims["success"].as_dict(),
         "noise": aims["noise_success"].as_dict(),
         "clean": aims["clean_success"].as_dict(),
-        **{name: rate.as_dict() for name, rate in count(rows, FOUND)[()].items()},
+        **{name: rate.as_dict() for name, rate in count(rows, REPORTED_AS_ORIGINAL)[()].items()},
     }
 
 

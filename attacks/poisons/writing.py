@@ -129,8 +129,8 @@ def _part(changed: Tensor) -> slice:
     Args:
         changed: (N,) bool, whether something changed in each row or column.
     """
-    count, places = len(changed), changed.nonzero().flatten().tolist()
-    middle = (places[0] + places[-1]) // 2 if places else count // 2
+    count, indices = len(changed), changed.nonzero().flatten().tolist()
+    middle = (indices[0] + indices[-1]) // 2 if indices else count // 2
     start = max(0, min(middle - _LARGEST // 2, count - _LARGEST))
     return slice(start, start + _LARGEST)
 

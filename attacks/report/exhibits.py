@@ -62,8 +62,8 @@ def open_exhibit(
     exhibit = _opened(path, clean, background or (0.0, 0.0, 0.0))
     run = path / CONFIG
     if run.is_file() and exhibit.photographs is None:
-        exhibit, found = _rendered_as_trained(exhibit, read_json(run))
-        cameras = cameras or found
+        exhibit, set_of_training = _rendered_as_trained(exhibit, read_json(run))
+        cameras = cameras or set_of_training
     if background is not None:
         exhibit = replace(exhibit, settings=replace(exhibit.settings, background=background))
     if cameras is not None:
@@ -95,10 +95,10 @@ def _rendered_as_trained(exhibit: Exhibit, run: Mapping[str, Any]) -> tuple[Exhi
         raise InvalidValueError.of(
             f"settings in {CONFIG}", "near and background", repr(error), "train again"
         ) from error
-    found = _set_of_training(run)
+    set_of_training = _set_of_training(run)
     without = f"{exhibit.title}; the set of its training is not where it was: --cameras names it"
-    title = without if run.get("dataset") is not None and found is None else exhibit.title
-    return replace(exhibit, settings=settings, title=title), found
+    title = without if run.get("dataset") is not None and set_of_training is None else exhibit.title
+    return replace(exhibit, settings=settings, title=title), set_of_training
 
 
 def _set_of_training(run: Mapping[str, Any]) -> Path | None:

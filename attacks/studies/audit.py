@@ -114,9 +114,9 @@ def missed_of(clean: Done, cloaked: Done) -> Rate:
     """From how many of the trigger's cameras the object is missed, of those that find it on the clean splat."""
     looks = [read_rows(done.folder / f"{ROWS}{SUFFIX}").sort("view") for done in (clean, cloaked)]
     depth = next(name for name in looks[0].columns if name.startswith(DEPTH))
-    found = [(look["original_score"].fill_null(0.0) >= 0.5).to_numpy() for look in looks]
-    asked = (looks[0][depth] >= 0).to_numpy() & found[0]
-    return Rate(successes=int((asked & ~found[1]).sum()), total=int(asked.sum()))
+    reported = [(look["original_score"].fill_null(0.0) >= 0.5).to_numpy() for look in looks]
+    asked = (looks[0][depth] >= 0).to_numpy() & reported[0]
+    return Rate(successes=int((asked & ~reported[1]).sum()), total=int(asked.sum()))
 
 
 class AuditWork(Work):
@@ -281,7 +281,7 @@ def rivals_of(rows: Sequence[Row], chosen_on: Sequence[str]) -> dict[str, float]
     known = [row for row in rows if row["content"] in chosen_on]
     names = list(held[0].get("scores", ()))
     told = {
-        name: ranked_above(*([row["scores"][name] for row in some(held)] for some in (positives, negatives)))
+        name: ranked_above(*([row["scores"][name] for row in kind(held)] for kind in (positives, negatives)))
         for name in names
     }
     hiding, honest = positives(known), negatives(known)
@@ -289,7 +289,7 @@ def rivals_of(rows: Sequence[Row], chosen_on: Sequence[str]) -> dict[str, float]
     if names and hiding and honest:
         labels = [True] * len(hiding) + [False] * len(honest)
         classifier = fit_attributes(_attributes([*hiding, *honest]), labels)
-        ranked = (classifier.odds(_attributes(some(held))).tolist() for some in (positives, negatives))
+        ranked = (classifier.odds(_attributes(kind(held))).tolist() for kind in (positives, negatives))
         told["classifier of attributes"] = ranked_above(*ranked)
     return told
 
@@ -301,7 +301,7 @@ def _attributes(rows: Sequence[Row]) -> Tensor:
 
 def _figures(group: Sequence[Row], honest: Sequence[float]) -> dict[str, Any]:
     values = [row["evidence"] for row in group]
-    found = Rate(successes=sum(value >= 1 for value in values), total=len(values))
+    detected = Rate(successes=sum(value >= 1 for value in values), total=len(values))
     medians = {
         key: statistics.median(known) if (known := [row[key] for row in group if row.get(key) is not None]) else None
         for key in ("directions", "heat", "mask")
@@ -309,7 +309,7 @@ def _figures(group: Sequence[Row], honest: Sequence[float]) -> dict[str, Any]:
     return {
         "auroc": ranked_above(values, honest),
         "interval": interval(values, honest),
-        "found": found.as_dict(),
+        "found": detected.as_dict(),
     } | medians
 
 

@@ -119,14 +119,14 @@ def _rows(
 def _seen(attempt: Attempt, look: Look, done: Done) -> Iterable[Mapping[str, Any]]:
     """What was seen, picture by picture; a success is an object that is misread, or reported with less confidence."""
     if look.job.kind == CLASSIFIED:
-        places = [_place(camera, attempt.centre) for camera in attempt.cameras(look.condition)]
-        return [{**row, **places[row["view"]]} for row in done.rows]
+        cells = [_camera_cells(camera, attempt.centre) for camera in attempt.cameras(look.condition)]
+        return [{**row, **cells[row["view"]]} for row in done.rows]
     missed = ~reported("original_score", attempt.asked.evaluation.confidence)
     (table,) = (table for name, table in look.tables(done).items() if name != DETECTIONS)
     return table.with_columns(success=missed).iter_rows(named=True)
 
 
-def _place(camera: Camera, centre: Point) -> dict[str, Any]:
+def _camera_cells(camera: Camera, centre: Point) -> dict[str, Any]:
     """Where a camera is, as rows of detectors say it."""
     distance = math.dist(camera.position.tolist(), centre)
     return {**camera_cells(camera, None, direction_of(camera, centre)), "distance": distance}

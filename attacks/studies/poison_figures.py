@@ -130,8 +130,8 @@ def summary_tables(record: Record) -> Iterator[Table]:
     for which, caption, key, columns in (
         ("part", "All values together; in intervals they are drawn anew", "pooled", _NAMED),
         ("attack", "How often the object is named rightly", "classified", _NAMED),
-        ("part", "Detectors, all values together", "detected_pooled", _FOUND),
-        ("attack", "How often the object is found as what it is", "detected", _FOUND),
+        ("part", "Detectors, all values together", "detected_pooled", _RIGHT),
+        ("attack", "How often the object is found as what it is", "detected", _RIGHT),
     ):
         if record.get(key):
             yield Table.of(caption, {"what": which, **columns}, record[key])
@@ -153,7 +153,7 @@ def _number(key: str, digits: int) -> Column[Any]:
 _SHOWN: dict[str, Column[Any]] = {"splat": "splat", "seen": "condition"}
 _CONFIDENT: dict[str, Column[Any]] = {"confidence in the true class": lambda line: f"{line['confidence']:.2f}"}
 _NAMED: dict[str, Column[Any]] = {"classifier": "detector", **_SHOWN, "top-1 right": "right", **_CONFIDENT}
-_FOUND: dict[str, Column[Any]] = {"detector": "detector", **_SHOWN, "found": "right", **_CONFIDENT}
+_RIGHT: dict[str, Column[Any]] = {"detector": "detector", **_SHOWN, "found": "right", **_CONFIDENT}
 _COLUMNS: dict[str, Column[Any]] = {
     "value": "value",
     "splat": "splat",

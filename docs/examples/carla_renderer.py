@@ -37,11 +37,11 @@ class SplatRenderer(Renderer):  # type: ignore[misc]  # carla-canvas has no type
         """
         assets = world.config.get("assets") or {}
         maps = dict(assets.get("maps") or {})
-        place = ActorInfo(id=0, type_id=world.map_basename)
-        fitting = [file for pattern, file in maps.items() if place.matches(pattern)]
+        actor = ActorInfo(id=0, type_id=world.map_basename)
+        fitting = [file for pattern, file in maps.items() if actor.matches(pattern)]
         if not fitting:
             raise InvalidValueError(
-                message("renderer.assets.maps", f"a pattern that fits {place.type_id}", list(maps), "add one")
+                message("renderer.assets.maps", f"a pattern that fits {actor.type_id}", list(maps), "add one")
             )
         loaded = open_scene(world.resolve(fitting[0]))
         self.map, self.settings = loaded.scene, loaded.settings

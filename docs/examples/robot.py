@@ -184,8 +184,8 @@ def _text(values: Sequence[float] | np.ndarray) -> str:
 
 def in_the_way(detections: Detections, size: int) -> tuple[float, float]:
     """Confidence and height in pixels of the surest vehicle ahead; zeros if there is none."""
-    found = zip(detections.labels, detections.scores.tolist(), detections.boxes.tolist(), strict=True)
-    vehicles = [(score, box) for label, score, box in found if label in VEHICLES]
+    reported = zip(detections.labels, detections.scores.tolist(), detections.boxes.tolist(), strict=True)
+    vehicles = [(score, box) for label, score, box in reported if label in VEHICLES]
     ahead = [(score, box) for score, box in vehicles if abs(box[0] + box[2] - size) / 2 < AHEAD * size]
     return max(((score, box[3] - box[1]) for score, box in ahead), default=(0.0, 0.0))
 

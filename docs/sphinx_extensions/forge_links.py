@@ -55,10 +55,10 @@ def relinked(text: str, file: str, page: str) -> str:
         page: The page that shows it, as a path in the repository.
     """
 
-    def replaced(found: re.Match[str]) -> str:
-        opening, target, anchor, closing = found.groups()
+    def replaced(match: re.Match[str]) -> str:
+        opening, target, anchor, closing = match.groups()
         if "://" in target or target.startswith("mailto:"):
-            return found.group()
+            return match.group()
         path = posixpath.normpath(posixpath.join(posixpath.dirname(file), target))
         path = INSTEAD.get(path, path)
         return f"{opening}{posixpath.relpath(path, posixpath.dirname(page))}{anchor or ''}{closing}"

@@ -75,10 +75,10 @@ def _rates(rows: pl.DataFrame, confidence: float) -> Iterator[str]:
         for kind, words in KINDS.items():
             body = []
             for condition in _values(rows, "condition"):
-                found = [counted.get((detector, *column, condition)) for column in columns]
-                noise = [rates[f"noise_{kind}"] for rates in found if rates]
+                counts = [counted.get((detector, *column, condition)) for column in columns]
+                noise = [rates[f"noise_{kind}"] for rates in counts if rates]
                 total = f"{sum(rate.successes for rate in noise)}/{sum(rate.total for rate in noise)}"
-                body.append([condition, *("-" if not rates else _said(rates[kind]) for rates in found), total])
+                body.append([condition, *("-" if not rates else _said(rates[kind]) for rates in counts), total])
             names = [f"{source}: {ball}" for source, ball in columns]
             yield f"## {words}: {detector}\n\n{_table(['judged under', *names, 'random noise'], body)}"
 

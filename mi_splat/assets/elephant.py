@@ -78,7 +78,7 @@ def _appearance(rng: np.random.Generator) -> _Appearance:
     )
 
 
-def _place(pose: Floats, points: Doubles) -> Doubles:
+def _posed(pose: Floats, points: Doubles) -> Doubles:
     """Points (N, 3) of the head's frame in that of the body."""
     placed: Doubles = np.asarray(points, np.float64) @ pose[:3, :3].T + pose[:3, 3]
     return placed
@@ -127,14 +127,14 @@ def _blobs(appearance: _Appearance, pose: Floats) -> tuple[list[Blob], Doubles, 
         ((0.28, 0, 0.20), (0.30, 0.27, 0.36)),
         ((0.16, 0, -0.16), (0.36, 0.34, 0.38)),
     ]
-    blobs += [ellipsoid(_place(pose, np.array([c]))[0], r, turn) for c, r in parts]
-    jaw = _place(pose, np.array([(0.18, 0, -0.38), (0.50, 0, -0.60)]))
+    blobs += [ellipsoid(_posed(pose, np.array([c]))[0], r, turn) for c, r in parts]
+    jaw = _posed(pose, np.array([(0.18, 0, -0.38), (0.50, 0, -0.60)]))
     blobs.append(cone(jaw[0], jaw[1], (0.20, 0.09)))
     for side in (1, -1):
-        sheath = _place(pose, np.array([(0.38, side * 0.19, -0.18), (0.60, side * 0.235, -0.44)]))
+        sheath = _posed(pose, np.array([(0.38, side * 0.19, -0.18), (0.60, side * 0.235, -0.44)]))
         blobs.append(cone(sheath[0], sheath[1], (0.15, 0.10)))
     line, radii = _trunk(appearance)
-    line = _place(pose, line)
+    line = _posed(pose, line)
     blobs += chain(line, radii)
     return blobs, feet, line
 

@@ -87,7 +87,7 @@ def lamp(rng: np.random.Generator) -> list[Mesh]:
     ]
 
 
-def _place(parts: Sequence[Mesh], x: float, y: float, turn: float = 0.0) -> list[Mesh]:
+def _stood(parts: Sequence[Mesh], x: float, y: float, turn: float = 0.0) -> list[Mesh]:
     return [transform(part, translation(x, y, 0) @ rotation("z", turn)) for part in parts]
 
 
@@ -125,9 +125,9 @@ def _row(rng: np.random.Generator, out: float, front: float, verge: float) -> li
         width = rng.uniform(6.5, 10)
         if rng.random() < 0.85:
             home = house(rng, width=width)
-            parts += _place(home, x + width / 2, front + out * rng.uniform(0, 1), 0.0 if out > 0 else 180.0)
+            parts += _stood(home, x + width / 2, front + out * rng.uniform(0, 1), 0.0 if out > 0 else 180.0)
         if rng.random() < 0.5:
-            parts += _place(tree(rng), x + rng.uniform(0, 2), verge, rng.uniform(0, 360))
+            parts += _stood(tree(rng), x + rng.uniform(0, 2), verge, rng.uniform(0, 360))
         x += width + rng.uniform(0.0, 3.0)
     return parts
 
@@ -157,7 +157,7 @@ def build(seed: int = 0, *, clearance: float = 6.0, centre: float = 0.0) -> Asse
         for x in np.arange(-REACH * 0.8, REACH * 0.8, 17.0):
             foot = (x + rng.uniform(3, 8), edge + out * 0.5)
             if np.hypot(foot[0] - centre, foot[1]) > clearance + 1.5:
-                parts += _place(lamp(rng), *foot, 180.0 if out > 0 else 0.0)
+                parts += _stood(lamp(rng), *foot, 180.0 if out > 0 else 0.0)
     return Asset("street", tuple(parts))
 
 
@@ -172,7 +172,7 @@ def park(seed: int = 0, *, clearance: float = 8.0) -> Asset:
     parts = [ground(240, textures.grass(256, seed), tile=rng.uniform(2.5, 5))]
     for _ in range(int(rng.integers(5, 16))):
         angle, reach = rng.uniform(0, 2 * np.pi), clearance + 3 + rng.uniform(0, 25)
-        parts += _place(tree(rng), reach * np.cos(angle), reach * np.sin(angle), rng.uniform(0, 360))
+        parts += _stood(tree(rng), reach * np.cos(angle), reach * np.sin(angle), rng.uniform(0, 360))
     if rng.random() < 0.6:
         gravel = textures.speckle((128, 128), (0.62, 0.55, 0.45), rng, grain=0.15, patch=0.2)
         offset, width = rng.uniform(-4, 4), rng.uniform(1.5, 3)

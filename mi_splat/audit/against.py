@@ -23,7 +23,7 @@ from mi_splat.scene_files import resized
 from mi_splat.selection.neighbours import nearest_neighbours
 from mi_splat.sh import colour_to_dc
 
-_IN_PLACE, _PARTNER, _SHARE = 0.1, 0.5, 0.5
+_UNMOVED, _PARTNER, _SHARE = 0.1, 0.5, 0.5
 """Distances, in the spacing of the clean splat, within which a Gaussian is in its place, and within which it may have a
 partner; and the share of the smaller splat that has to be in its place for one to be made from the other."""
 _CANDIDATES, _SPACING = 8, 3
@@ -192,7 +192,7 @@ def _partners(scene: GaussianScene, clean: GaussianScene, spacing: float) -> tup
     """(N,) the row of the clean splat that each Gaussian came from, -1 if none; and whether it is the same row."""
     if len(scene) == len(clean):
         apart = (scene.means - clean.means).norm(dim=1)
-        if float((apart < _IN_PLACE * spacing).double().mean()) >= _SHARE:
+        if float((apart < _UNMOVED * spacing).double().mean()) >= _SHARE:
             return torch.arange(len(scene)), True
     count = len(scene)
     distances, rows = nearest_neighbours(torch.cat([scene.means, clean.means]), _CANDIDATES)
@@ -203,8 +203,8 @@ def _partners(scene: GaussianScene, clean: GaussianScene, spacing: float) -> tup
         cost, rows = torch.full((count, 1), math.inf), torch.zeros(count, 1, dtype=torch.int64)
     least, at = cost.min(1)
     partner = torch.where(least < math.inf, rows.gather(1, at[:, None])[:, 0], -1)
-    in_place = (least < math.inf) & (distances.gather(1, at[:, None])[:, 0] < _IN_PLACE)
-    share = float(in_place.sum()) / min(count, len(clean))
+    unmoved = (least < math.inf) & (distances.gather(1, at[:, None])[:, 0] < _UNMOVED)
+    share = float(unmoved.sum()) / min(count, len(clean))
     if share < _SHARE:
         expected = "the splat that the other was made from, with most Gaussians in the same place"
         do = "pass the file as it was before the edit, in the same units and axes"
@@ -225,7 +225,7 @@ def _differences(scene: GaussianScene, clean: GaussianScene) -> dict[tuple[str, 
     turn = turn / turn.norm(dim=1, keepdim=True).clamp(min=1e-12)
     step = float(colour_to_dc(torch.tensor(1.0)) - colour_to_dc(torch.tensor(0.0)))
     gap = (scene.sh - clean.sh).abs()
-    found = {
+    differences = {
         ("position", "world units"): (scene.means - clean.means).norm(dim=1),
         ("scale", "of its logarithm"): (scene.scales.log() - clean.scales.log()).nan_to_num().abs().amax(1),
         ("rotation", "degrees"): 2 * torch.atan2(turn[:, 1:].norm(dim=1), turn[:, 0].abs()).rad2deg().float(),
@@ -233,8 +233,8 @@ def _differences(scene: GaussianScene, clean: GaussianScene) -> dict[tuple[str, 
         ("colour", "sRGB"): gap[:, 0].amax(1) / step,
     }
     for band in range(1, scene.degree + 1):
-        found[f"SH of degree {band}", "coefficient"] = gap[:, band**2 : (band + 1) ** 2].flatten(1).amax(1)
-    return found
+        differences[f"SH of degree {band}", "coefficient"] = gap[:, band**2 : (band + 1) ** 2].flatten(1).amax(1)
+    return differences
 
 
 def _components(attribute: str, scene: GaussianScene) -> Tensor:

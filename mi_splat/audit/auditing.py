@@ -16,7 +16,7 @@ from mi_splat.audit.frames import SOLID, Frame, Target, frame_of, targets, whole
 from mi_splat.audit.occluders import BLOCKED, Cover, cover_of, middle_of
 from mi_splat.audit.regions import shape_of
 from mi_splat.audit.results import EXCESS, SUSPICION, Audit, Look, ObjectAudit, Occluder, Pair, Region, vector
-from mi_splat.audit.rooms import cameras_within, free_places
+from mi_splat.audit.rooms import cameras_within, free_positions
 from mi_splat.audit.surfaces import (
     AROUND,
     LEAST_VIEWS,
@@ -119,10 +119,10 @@ def _looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
         InvalidValueError: It is a room, and in it is nothing that can be seen from all around.
     """
     objects = targets(frame.scene, None if up is None else frame.own(up))
-    places = free_places(frame.scene)
-    if places is None:
+    positions = free_positions(frame.scene)
+    if positions is None:
         return [(target, cameras_around(target)) for target in objects], False
-    jobs = [(target, cameras) for target in objects if (cameras := cameras_within(target, places))]
+    jobs = [(target, cameras) for target in objects if (cameras := cameras_within(target, positions))]
     if not jobs:
         expected, got = "an object, or a room in which one stands", "a room with nothing that stands free of its walls"
         raise InvalidValueError.of("scene", expected, got, "pass cameras that stand in it")
@@ -173,9 +173,9 @@ def judged_object(
     pieces = elements(view, target)
     if not bool(pieces.judged.any()):
         return None
-    found = looks_of(pieces, view)
-    looks = [_look(frame, target, view, one) for one in found]
-    by_piece = torch.stack([piece_scores(one.pieces, one.shown) for one in found]).amax(0)
+    surface_looks = looks_of(pieces, view)
+    looks = [_look(frame, target, view, one) for one in surface_looks]
+    by_piece = torch.stack([piece_scores(one.pieces, one.shown) for one in surface_looks]).amax(0)
     area = (pieces.size * frame.to_world.scale) ** 2
     able = reachable(pieces, view)
     cover = cover_of(frame.scene, view, target)
@@ -203,11 +203,11 @@ def judged_object(
     return judged, (rows, heat)
 
 
-def _look(frame: Frame, target: Target, view: Sight, found: Found) -> Look:
+def _look(frame: Frame, target: Target, view: Sight, look: SurfaceLook) -> Look:
     """A look in the world."""
-    scores, shown = found.scores, found.shown
+    scores, shown = look.scores, look.shown
     shape = shape_of(view.directions, shown, target.up)
-    by_piece = piece_scores(found.pieces, shown)
+    by_piece = piece_scores(look.pieces, shown)
     return Look(
         region=Region(
             axis=vector(frame.direction(shape.axis)),
@@ -217,14 +217,14 @@ def _look(frame: Frame, target: Target, view: Sight, found: Found) -> Look:
             overlap=shape.overlap,
         ),
         shown=shown,
-        amounts=look_amounts(found.pieces, shown),
+        amounts=look_amounts(look.pieces, shown),
         score=scores.direction,
         incidence=scores.incidence,
         mirror=scores.mirror,
         shift=scores.shift,
         fade=scores.fade,
-        area=int((by_piece > _CHANGED).sum()) * (found.pieces.size * frame.to_world.scale) ** 2,
-        pair=_pair(frame, found.pieces, view, by_piece, shown),
+        area=int((by_piece > _CHANGED).sum()) * (look.pieces.size * frame.to_world.scale) ** 2,
+        pair=_pair(frame, look.pieces, view, by_piece, shown),
     )
 
 
@@ -290,7 +290,7 @@ _LEFT = 1 / 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Found:
+class SurfaceLook:
     """A look, and the surface as it was found on.
 
     Attributes:
@@ -304,7 +304,7 @@ class Found:
     pieces: Elements
 
 
-def looks_of(pieces: Elements, view: Sight) -> list[Found]:
+def looks_of(pieces: Elements, view: Sight) -> list[SurfaceLook]:
     """The look that explains most, and others that are hidden ones by themselves, found without the cameras before.
 
     Of a look the smaller side is left out, and what lies near it: no file can tell which side is the true one.
@@ -316,15 +316,15 @@ def looks_of(pieces: Elements, view: Sight) -> list[Found]:
     Returns:
         At least one, and at most `MOST_LOOKS`.
     """
-    found: list[Found] = []
+    looks: list[SurfaceLook] = []
     kept = torch.ones(len(view.cameras), dtype=torch.bool)
     for _ in range(MOST_LOOKS):
         scores = explain(pieces, view)
         another = scores.excess >= EXCESS
-        if found and not (another and scores.direction >= _STRONG * found[0].scores.direction):
+        if looks and not (another and scores.direction >= _STRONG * looks[0].scores.direction):
             break
         shown = cameras_of_look(pieces, view, scores) & kept
-        found.append(Found(scores=scores, shown=shown, pieces=pieces))
+        looks.append(SurfaceLook(scores=scores, shown=shown, pieces=pieces))
         small = shown if 2 * int(shown.sum()) <= int(kept.sum()) else ~shown & kept
         if not another or not bool(small.any()):
             break
@@ -336,4 +336,4 @@ def looks_of(pieces: Elements, view: Sight) -> list[Found]:
         if not bool(judged.any()):
             break
         pieces = dataclasses.replace(pieces, moments=moments, judged=judged)
-    return found
+    return looks

@@ -61,16 +61,16 @@ def free_memory() -> float:
 
     Files that a container has read and does not use count as its memory until somebody needs it; they are free here.
     """
-    found = [float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")]
+    limits = [float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")]
     for line in _text("/proc/meminfo").splitlines():
         if line.startswith("MemAvailable:"):
-            found.append(1024 * float(line.split()[1]))
+            limits.append(1024 * float(line.split()[1]))
     most, used = _text("/sys/fs/cgroup/memory.max").strip(), _text("/sys/fs/cgroup/memory.current").strip()
     if most.isdigit() and used.isdigit():
         lines = _text("/sys/fs/cgroup/memory.stat").splitlines()
         unused = sum(float(line.split()[1]) for line in lines if line.startswith("inactive_file "))
-        found.append(max(0.0, float(most) - float(used) + unused))
-    return min(found)
+        limits.append(max(0.0, float(most) - float(used) + unused))
+    return min(limits)
 
 
 def _text(path: str) -> str:

@@ -34,7 +34,7 @@ _NEIGHBOURS, _ALIKE, _FEW = 8, 0.8, 3
 """Neighbours that a colour is compared with, least cosine between normals of those that count, and least number."""
 _STRONGEST = 1500
 """Gaussians that say where the camera stood."""
-_DISTANCES, _PLACES, _FINER, _WITHIN = (2.0, 3.5), 500, 150, 10.0
+_DISTANCES, _DIRECTIONS, _FINER, _WITHIN = (2.0, 3.5), 500, 150, 10.0
 """Radii from the middle to the places that are tried, directions tried at first, and within degrees of the best."""
 
 
@@ -136,7 +136,7 @@ def _camera(scene: GaussianScene, strange: Tensor, target: Target) -> tuple[Tens
     The change that one camera asks for is a multiple of the harmonics along its ray, so all of its energy lies along
     them, K - 1 times the mean over all directions; of several cameras each has a part.
     """
-    directions = lattice(_PLACES, -90.0, 90.0)
+    directions = lattice(_DIRECTIONS, -90.0, 90.0)
     if scene.degree == 0:
         return directions[0], 1.0
     energy = strange.square().sum(1)
@@ -144,13 +144,13 @@ def _camera(scene: GaussianScene, strange: Tensor, target: Target) -> tuple[Tens
     points, strange, total = scene.means[rows], strange[rows], energy[rows].sum().clamp(min=1e-20)
 
     def peaks(directions: Tensor) -> Tensor:
-        found = []
+        peaks_at = []
         for distance in _DISTANCES:
-            places = (target.centre + distance * target.radius * directions).float()
-            towards = sh_basis(functional.normalize(points - places[:, None], dim=2), scene.degree)[..., 1:]
+            positions = (target.centre + distance * target.radius * directions).float()
+            towards = sh_basis(functional.normalize(points - positions[:, None], dim=2), scene.degree)[..., 1:]
             along = (functional.normalize(towards, dim=2) * strange).sum(2)
-            found.append(along.square().sum(1) / total * strange.shape[1])
-        return torch.stack(found).amax(0)
+            peaks_at.append(along.square().sum(1) / total * strange.shape[1])
+        return torch.stack(peaks_at).amax(0)
 
     best = directions[int(peaks(directions).argmax())]
     finer = lattice(_FINER, 90.0 - _WITHIN, 90.0) @ basis(best).T

@@ -258,10 +258,10 @@ def save_pairs(audit: Audit, folder: Path, show: Callable[[Pair], NDArray[np.uin
         What result.json says of them: pictures and cameras.
     """
     pictures, cameras = list[dict[str, Any]](), list[dict[str, object]]()
-    for number, (place, pair) in enumerate(shown_pairs(audit), 1):
+    for number, (numbers, pair) in enumerate(shown_pairs(audit), 1):
         name = PAIR if number == 1 else f"pair-{number}.png"
         save_picture(show(pair), folder / name)
-        pictures.append({"file": name, "object": place[0], "look": place[1], "change": pair.change})
+        pictures.append({"file": name, "object": numbers[0], "look": numbers[1], "change": pair.change})
         cameras += pair_cameras(pair, number)
     return {"pictures": pictures, "cameras": cameras}
 
@@ -272,11 +272,11 @@ def shown_pairs(audit: Audit) -> list[tuple[tuple[int, int], Pair]]:
     Returns:
         Number of the object and of its look, both from 0, and the pair.
     """
-    found = [
+    looks = [
         ((index, number), look)
         for index, item in enumerate(audit.objects)
         for number, look in enumerate(item.looks)
         if look.pair is not None and (look.evidence >= SUSPICION or item is audit.strongest)
     ]
-    found.sort(key=lambda entry: (audit.objects[entry[0][0]] is not audit.strongest, -entry[1].evidence))
-    return [(place, look.pair) for place, look in found if look.pair is not None]
+    looks.sort(key=lambda entry: (audit.objects[entry[0][0]] is not audit.strongest, -entry[1].evidence))
+    return [(numbers, look.pair) for numbers, look in looks if look.pair is not None]

@@ -63,15 +63,15 @@ def cover_of(scene: GaussianScene, view: Sight, target: Target) -> Cover:
         miss = ((centre - eye).square().sum() - along.square()).clamp(min=0).sqrt()
         core = miss < _CORE * target.radius
         ends = depth.isfinite()
-        place = eye + directions * depth.masked_fill(~ends, 0)[..., None]
-        air = core & ends & ((place - centre).norm(dim=-1) > AIR * target.radius)
-        air &= (place - eye).norm(dim=-1) < along
+        surface = eye + directions * depth.masked_fill(~ends, 0)[..., None]
+        air = core & ends & ((surface - centre).norm(dim=-1) > AIR * target.radius)
+        air &= (surface - eye).norm(dim=-1) < along
         if target.up is not None:
-            air &= place @ target.up.float() > floor + FLOOR * target.radius
+            air &= surface @ target.up.float() > floor + FLOOR * target.radius
         blocked[number] = air.sum() / max(int(core.sum()), 1)
         if blocked[number] > BLOCKED:
             shown[number] = air
-            points.append(place[air][:: max(1, int(air.sum()) // _POINTS)])
+            points.append(surface[air][:: max(1, int(air.sum()) // _POINTS)])
     cover = torch.cat(points)
     through = _through(view, cover, (blocked < FREE).nonzero()[:, 0], target.radius) if len(cover) else 0.0
     return Cover(blocked=blocked, transparent=through, points=cover, air=shown)

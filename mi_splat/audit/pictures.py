@@ -112,8 +112,8 @@ def compare_pictures(
     cameras, pictures = given(frame, cameras_of(views), longer_side=None), [view.image for view in views]
     standing = targets(frame.scene, None if up is None else frame.own(up))
     objects = [dataclasses.replace(target, cells=_cells(target, cameras)) for target in standing]
-    found = [judged_object(frame, target, cameras, pictures) for target in objects]
-    judged = [one[0] for one in found if one is not None]
+    judgements = [judged_object(frame, target, cameras, pictures) for target in objects]
+    judged = [one[0] for one in judgements if one is not None]
     seen = sum(item.pieces for item in judged)
     if seen < LEAST_PIECES:
         expected = f"at least {LEAST_PIECES} pieces of surface that pictures from two sides show"

@@ -46,11 +46,11 @@ class Grid:
         """(P, D) bool, whether the rays from (P, 3) points in (D, 3) directions meet something in the grid."""
         limit, met = torch.tensor(self.filled.shape), torch.zeros(len(points), len(directions), dtype=torch.bool)
         for step in range(1, 4 * int(limit.max())):
-            place = ((points[:, None] + step / 2 * self.size * directions - self.low) / self.size).floor().long()
-            inside = ((place >= 0) & (place < limit)).all(-1)
+            cell = ((points[:, None] + step / 2 * self.size * directions - self.low) / self.size).floor().long()
+            inside = ((cell >= 0) & (cell < limit)).all(-1)
             if not bool(inside.any()):
                 break
-            x, y, z = torch.minimum(place.clamp(min=0), limit - 1).unbind(-1)
+            x, y, z = torch.minimum(cell.clamp(min=0), limit - 1).unbind(-1)
             met |= self.filled[x, y, z] & inside
         return met
 
@@ -69,13 +69,13 @@ def grid_of(scene: GaussianScene) -> Grid:
     low = low - size
     shape = ((high - low) / size).ceil().long() + 1
     filled = torch.zeros(*shape.tolist(), dtype=torch.bool)
-    place = ((reach - low) / size).floor().long()
-    x, y, z = place[((place >= 0) & (place < shape)).all(1)].unbind(1)
+    cell = ((reach - low) / size).floor().long()
+    x, y, z = cell[((cell >= 0) & (cell < shape)).all(1)].unbind(1)
     filled[x, y, z] = True
     return Grid(low=low, size=size, filled=filled)
 
 
-def free_places(scene: GaussianScene) -> Tensor | None:
+def free_positions(scene: GaussianScene) -> Tensor | None:
     """(P, 3) float64 places from which a scene is seen that is a room; None of a scene that is seen from outside.
 
     A room has much free space from which nearly all rays end at something, and something that stands in it.
@@ -89,17 +89,17 @@ def free_places(scene: GaussianScene) -> Tensor | None:
     if not len(free):
         return None
     free = free[:: max(1, len(free) // _TRIED)]
-    places = grid.low + (free + 0.5) * grid.size
-    enclosed = grid.ends(places, torch.from_numpy(even_directions(_RAYS))).double().mean(1) > _ENCLOSED
+    positions = grid.low + (free + 0.5) * grid.size
+    enclosed = grid.ends(positions, torch.from_numpy(even_directions(_RAYS))).double().mean(1) > _ENCLOSED
     if float(enclosed.double().mean()) < _WITHIN:
         return None
-    return places[enclosed] if _between(grid, places[enclosed], ~close) > _BETWEEN else None
+    return positions[enclosed] if _between(grid, positions[enclosed], ~close) > _BETWEEN else None
 
 
-def _between(grid: Grid, places: Tensor, free: Tensor) -> float:
+def _between(grid: Grid, positions: Tensor, free: Tensor) -> float:
     """Share of the filled voxels that stand between two free places, along an axis of the grid."""
     marks = torch.zeros(grid.filled.shape)
-    x, y, z = ((places - grid.low) / grid.size).floor().long().unbind(1)
+    x, y, z = ((positions - grid.low) / grid.size).floor().long().unbind(1)
     marks[x, y, z] = 1
     near = functional.max_pool3d(marks[None, None], 5, stride=1, padding=2)[0, 0] > 0
     near &= free
@@ -110,28 +110,28 @@ def _between(grid: Grid, places: Tensor, free: Tensor) -> float:
     return float(among.sum()) / max(1.0, float(grid.filled.sum()))
 
 
-def cameras_within(target: Target, places: Tensor) -> tuple[Camera, ...]:
-    """Cameras at free places of a room that show an object; none if hardly any place is outside of it.
+def cameras_within(target: Target, positions: Tensor) -> tuple[Camera, ...]:
+    """Cameras at free positions in a room that show an object; none if hardly any place is outside of it.
 
     Args:
         target: The object.
-        places: (P, 3) free places.
+        positions: (P, 3) free positions, world units.
     """
-    away = places[(places - target.centre).norm(dim=1) > _CLEAR * target.radius]
+    away = positions[(positions - target.centre).norm(dim=1) > _CLEAR * target.radius]
     if len(away) < _LEAST:
         return ()
     numbers = torch.linspace(0, len(away) - 1, min(MOST_CAMERAS, len(away))).round().long()
-    return tuple(_camera(place, target) for place in away[numbers])
+    return tuple(_camera(position, target) for position in away[numbers])
 
 
-def _camera(place: Tensor, target: Target) -> Camera:
+def _camera(position: Tensor, target: Target) -> Camera:
     """A camera at a place that shows an object whole."""
-    distance = float((place - target.centre).norm())
+    distance = float((position - target.centre).norm())
     half = _ROOM * math.asin(target.radius / distance)
-    ahead = (target.centre - place) / distance
+    ahead = (target.centre - position) / distance
     top = torch.eye(3, dtype=torch.float64)[int(ahead.abs().argmin())]
     return Camera(
-        to_world=look_at(place.tolist(), target.centre.tolist(), up=tuple(top.tolist())),
+        to_world=look_at(position.tolist(), target.centre.tolist(), up=tuple(top.tolist())),
         focal=SIZE / 2 / math.tan(half),
         width=SIZE,
         height=SIZE,

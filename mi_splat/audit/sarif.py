@@ -56,9 +56,9 @@ def sarif(documents: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     rules = {name: _rule(name, *values) for name, values in _RULES.items()}
     results, artifacts, notes = [], [], []
     for index, document in enumerate(documents):
-        place = {"uri": _address(document["file"]), "index": index}
-        location = {"physicalLocation": {"artifactLocation": place, "region": {"startLine": 1}}}
-        artifacts.append({"location": {"uri": place["uri"]}, "properties": {"verdict": document["verdict"]}})
+        address = {"uri": _address(document["file"]), "index": index}
+        location = {"physicalLocation": {"artifactLocation": address, "region": {"startLine": 1}}}
+        artifacts.append({"location": {"uri": address["uri"]}, "properties": {"verdict": document["verdict"]}})
         if "error" in document:
             note = {"level": "error", "message": {"text": document["error"]}, "locations": [location]}
             notes.append(note)

@@ -133,10 +133,10 @@ class Split:
 
 def cells_of(pieces: Elements) -> Tensor:
     """(E,) int64 cell of each piece, by its position and the axis that it faces along."""
-    place = (pieces.positions / (_CELL * pieces.size)).floor().long()
-    place = place - place.amin(0)
-    sizes = place.amax(0) + 1
-    number = ((place[:, 0] * sizes[1] + place[:, 1]) * sizes[2] + place[:, 2]) * 6 + face_of(pieces.normals)
+    voxel = (pieces.positions / (_CELL * pieces.size)).floor().long()
+    voxel = voxel - voxel.amin(0)
+    sizes = voxel.amax(0) + 1
+    number = ((voxel[:, 0] * sizes[1] + voxel[:, 1]) * sizes[2] + voxel[:, 2]) * 6 + face_of(pieces.normals)
     cell: Tensor = torch.unique(number, return_inverse=True)[1]
     return cell
 

@@ -144,8 +144,8 @@ def _pieces(path: Path) -> tuple[list[tuple[Any, NDArray[np.float64]]], MeshFile
     except _BROKEN as error:
         got = " ".join(str(error).split())[:160] or type(error).__name__
         raise MeshFileError.of(str(path), "a mesh that can be read", got, "export it again") from error
-    found_pieces = [(scene.geometry[name], np.asarray(matrix, np.float64)) for matrix, name in placed]
-    pieces = [(piece, matrix) for piece, matrix in found_pieces if len(getattr(piece, "faces", ()))]
+    geometries = [(scene.geometry[name], np.asarray(matrix, np.float64)) for matrix, name in placed]
+    pieces = [(piece, matrix) for piece, matrix in geometries if len(getattr(piece, "faces", ()))]
     for piece, _ in pieces:
         highest, count = int(np.max(piece.faces)), len(piece.vertices)
         if highest >= count:

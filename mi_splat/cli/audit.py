@@ -33,7 +33,7 @@ EXAMPLES = (
     "audit out/capture",
 )
 SEE_ALSO = ("select", "info", "view")
-FOUND, FAILED = 3, 1
+SUSPICIOUS, FAILED = 3, 1
 """Exit status where something was found, and where a file could not be judged."""
 
 
@@ -116,7 +116,7 @@ def run(options: AuditOptions) -> int:
     if failures:
         return FAILED
     return (
-        FOUND
+        SUSPICIOUS
         if any(bad & {document["verdict"], _state(document), *_severities(document)} for document in results)
         else 0
     )

@@ -148,13 +148,13 @@ def _meant(
     text: str, loaded: SplatScene, options: CameraOptions, target: GaussianScene, split: Split | None
 ) -> list[tuple[str, Camera]]:
     """The cameras that one text means, which may be one of a file or a folder."""
-    place, mark, wanted = text.rpartition(OF)
-    if not mark or text in loaded.cameras or Path(text).exists() or not Path(place).exists():
+    source, mark, wanted = text.rpartition(OF)
+    if not mark or text in loaded.cameras or Path(text).exists() or not Path(source).exists():
         return _named(text, loaded, options, target, split)
-    cameras = _unique(_named(place, loaded, options, target, None))  # whoever names one means it
+    cameras = _unique(_named(source, loaded, options, target, None))  # whoever names one means it
     if wanted not in cameras:
         do = nearest(wanted, cameras, "name one that is there")
-        raise InvalidValueError.of(place, f"a camera {wanted}", f"{len(cameras)} others", do)
+        raise InvalidValueError.of(source, f"a camera {wanted}", f"{len(cameras)} others", do)
     return [(wanted, cameras[wanted])]
 
 

@@ -72,7 +72,7 @@ class RenderOptions(JsonOptions):
 
 RECORD = "cameras.json"
 """In a folder of pictures, the camera of each."""
-_PLACE = "{}"
+_NAME_MARK = "{}"
 
 
 def run(options: RenderOptions) -> None:
@@ -190,8 +190,8 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
     check_writable(out.parent)
     if is_animation(out):
         check_animation(out)
-        if _PLACE in out.name:
-            do = f"leave {_PLACE} out, or end the name in .png or .jpg"
+        if _NAME_MARK in out.name:
+            do = f"leave {_NAME_MARK} out, or end the name in .png or .jpg"
             raise InvalidValueError.of("--out", "one name, since an animation is one file", out, do)
         if len(cameras) < 2:
             do = "pass for instance --cameras orbit:60@20, or end the name in .png"
@@ -200,8 +200,8 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
         if len(sizes) > 1:
             raise InvalidValueError.of("--out", "cameras of one size", ", ".join(sorted(sizes)), "pass --size")
     elif is_picture(out) or is_floats(out):
-        if len(cameras) > 1 and _PLACE not in out.name:
-            do = f"name a folder, {out.stem}-{_PLACE}{out.suffix}, or a .gif, .webp or .mp4"
+        if len(cameras) > 1 and _NAME_MARK not in out.name:
+            do = f"name a folder, {out.stem}-{_NAME_MARK}{out.suffix}, or a .gif, .webp or .mp4"
             raise InvalidValueError.of("--out", f"room for {len(cameras)} pictures", out, do)
     elif out.suffix:
         expected = "a name that ends in .png, .jpg, .exr, .gif, .webp or .mp4, or a folder"
@@ -225,7 +225,7 @@ def _save(pictures: Mapping[str, Pixels], cameras: Mapping[str, Camera], options
         return [out]
     if is_picture(out) or is_floats(out):
         out.parent.mkdir(parents=True, exist_ok=True)
-        files = [out.with_name(out.name.replace(_PLACE, file_name(name))) for name in pictures]
+        files = [out.with_name(out.name.replace(_NAME_MARK, file_name(name))) for name in pictures]
         for file, pixels in zip(files, pictures.values(), strict=True):
             save_floats(pixels, file) if isinstance(pixels, Mapping) else save_picture(pixels, file)
         return files

@@ -71,10 +71,10 @@ def read_colmap(
     for pose in poses:
         picture = within(images, pose.name, str(source))
         mask, lens = find_mask(images.parent / "masks", Path(pose.name)), lenses[pose.lens]
-        found = photograph(picture, mask, lens.size, downscale)
-        if found is not None:
+        photo = photograph(picture, mask, lens.size, downscale)
+        if photo is not None:
             where = f"{source}, {pose.name}"
-            frames[pose.name] = found.frame(_to_world(pose, where), lens, downscale, where)
+            frames[pose.name] = photo.frame(_to_world(pose, where), lens, downscale, where)
     missing = [images / pose.name for pose in poses if pose.name not in frames]
     report_missing(missing, len(poses), source)
     there = [pose for pose in poses if pose.name in frames]

@@ -208,12 +208,12 @@ def undistorted(photograph: Tensor, lens: Intrinsics, target: Intrinsics) -> tup
     for start in range(0, height, band):
         y = ((np.arange(start, min(start + band, height)) + 0.5 - cy) / fy)[:, None]
         with np.errstate(all="ignore"):  # beyond where the lens folds
-            places = np.stack([*np.broadcast_arrays(*lens.project(x, y))], -1)
-            inside = ((places >= 0) & (places <= lens.size)).all(-1) & (np.hypot(x, y) <= widest)
-            grid = np.where(inside[..., None], 2 * places / lens.size - 1, 0)
-        found = F.grid_sample(
+            positions = np.stack([*np.broadcast_arrays(*lens.project(x, y))], -1)
+            inside = ((positions >= 0) & (positions <= lens.size)).all(-1) & (np.hypot(x, y) <= widest)
+            grid = np.where(inside[..., None], 2 * positions / lens.size - 1, 0)
+        sampled = F.grid_sample(
             source, torch.from_numpy(grid)[None].to(source.dtype), padding_mode="border", align_corners=False
         )[0]
         shown = torch.from_numpy(inside)
-        picture[start : start + band], known[start : start + band] = found.permute(1, 2, 0) * shown[..., None], shown
+        picture[start : start + band], known[start : start + band] = sampled.permute(1, 2, 0) * shown[..., None], shown
     return picture, known

@@ -146,11 +146,11 @@ def _entries(document: Mapping[str, Any], path: Path, downscale: int) -> list[tu
         where = f"{path}, frame {number} ({entry['file_path'][:200]})"
         picture = find_picture(within(path.parent, entry["file_path"], where, above=_ABOVE))
         values = {**document, **entry}
-        found = photograph(picture, _mask(entry, path, picture, where), _size(values, where), downscale)
+        photo = photograph(picture, _mask(entry, path, picture, where), _size(values, where), downscale)
         frame = None
-        if found is not None:
-            pose, lens = _pose(values.get("transform_matrix"), where), _intrinsics(values, found.size, where)
-            frame = found.frame(pose, lens, downscale, where)
+        if photo is not None:
+            pose, lens = _pose(values.get("transform_matrix"), where), _intrinsics(values, photo.size, where)
+            frame = photo.frame(pose, lens, downscale, where)
         entries.append((picture, frame))
     refuse_doubles((str(picture) for picture, _ in entries), path)
     report_missing([picture for picture, frame in entries if frame is None], len(entries), path)

@@ -135,7 +135,7 @@ class Fields:
             raise self.bad(name, f"{how_many}whole numbers from {low} to {high}", values)
         return kept
 
-    def places(self, name: str, count: int) -> list[int]:
+    def indices(self, name: str, count: int) -> list[int]:
         """A list of whole numbers from 0 to below `count`, each once; empty if it is missing."""
         kept = self.wholes(name, 0, count - 1) if name in self.values else []
         if len(set(kept)) != len(kept):

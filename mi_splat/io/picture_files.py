@@ -162,9 +162,9 @@ def _opened(source: Path | bytes, what: str, formats: Sequence[str]) -> Iterator
         kinds = f"a picture that can be read ({', '.join(formats)})"
         raise PictureFileError.of(what, kinds, "something else", "save it as one of these") from error
     except BROKEN as error:
-        found_text = " ".join(str(error).split())[:160] or type(error).__name__
+        reason = " ".join(str(error).split())[:160] or type(error).__name__
         do = "write or download it again"
-        raise PictureFileError.of(what, "a picture that can be read", found_text, do) from error
+        raise PictureFileError.of(what, "a picture that can be read", reason, do) from error
 
 
 def _of_phones(source: Path | bytes) -> str | None:

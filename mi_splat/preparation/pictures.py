@@ -51,13 +51,13 @@ def pictures_in(folder: Path, most: int) -> list[Path]:
         PreparationError: There are too few or too many.
     """
     kinds = _KINDS.union(_OF_PHONES)
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in kinds and path.is_file())
-    if len(found) > most:
+    pictures = sorted(path for path in folder.iterdir() if path.suffix.lower() in kinds and path.is_file())
+    if len(pictures) > most:
         do = "leave some out, or allow more"
-        error = PreparationError.of(str(folder), f"at most {most} pictures", len(found), do)
+        error = PreparationError.of(str(folder), f"at most {most} pictures", len(pictures), do)
         raise error.hinted("--max-pictures")
-    check_count(str(folder), found)
-    return found
+    check_count(str(folder), pictures)
+    return pictures
 
 
 def check_count(source: str, pictures: Sequence[object]) -> None:

@@ -216,10 +216,10 @@ def _tile(tile: Tile) -> Image.Image:
     colour = COLOURS[tile.part]
     if tile.part == "none":
         picture = ImageOps.grayscale(picture).convert("RGB")
-    place = ImageOps.pad(picture, TILE, color="#e8e8e8")
-    draw = ImageDraw.Draw(place)
+    framed = ImageOps.pad(picture, TILE, color="#e8e8e8")
+    draw = ImageDraw.Draw(framed)
     if tile.part == "none":
         draw.rectangle((0, 0, TILE[0] - 1, TILE[1] - 1), outline=colour, width=4)
     text = tile.text if len(tile.text) <= _LETTERS else f"{tile.text[: _LETTERS - 3]}..."
     write_label(draw, (4, TILE[1] - 20), text, colour, size=12)
-    return place
+    return framed

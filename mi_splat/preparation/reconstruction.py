@@ -137,16 +137,16 @@ def _extract(
             number = opened.write_camera(camera)
         for start in range(0, len(names), _CHUNK):
             told("finding features", done, len(pictures))
-            some = names[start : start + _CHUNK]
+            chunk = names[start : start + _CHUNK]
             pycolmap.extract_features(
                 database_path=str(database),
                 image_path=str(images),
-                image_names=some,
+                image_names=chunk,
                 reader_options=pycolmap.ImageReaderOptions(existing_camera_id=number),
                 extraction_options=options,
                 device=pycolmap.Device.cpu,
             )
-            done += len(some)
+            done += len(chunk)
 
 
 def _by_lens(pictures: Sequence[Picture]) -> Iterator[tuple[tuple[tuple[int, int], float | None], list[str]]]:
@@ -166,8 +166,8 @@ def _match(
     verification.ransac.random_seed = _SEED
     for start in range(0, len(pairs), _PAIRS_AT_ONCE):
         told("comparing pairs of pictures", start, len(pairs))
-        some = pairs[start : start + _PAIRS_AT_ONCE]
-        listed.write_text("".join(f"{pictures[i].name} {pictures[j].name}\n" for i, j in some), "utf-8")
+        chunk = pairs[start : start + _PAIRS_AT_ONCE]
+        listed.write_text("".join(f"{pictures[i].name} {pictures[j].name}\n" for i, j in chunk), "utf-8")
         pycolmap.match_image_pairs(
             database_path=str(database),
             pairing_options=pycolmap.ImportedPairingOptions(match_list_path=str(listed)),

@@ -112,8 +112,8 @@ def _ffmpeg() -> str:
 def _length(path: Path) -> float:
     """Seconds, as the file says; 0 if it does not."""
     done = subprocess.run([_ffmpeg(), *_SAFE, "-i", str(path.absolute())], capture_output=True)
-    found = _LENGTH.search(done.stderr)
-    return 0.0 if found is None else int(found[1]) * 3600 + int(found[2]) * 60 + float(found[3])
+    match = _LENGTH.search(done.stderr)
+    return 0.0 if match is None else int(match[1]) * 3600 + int(match[2]) * 60 + float(match[3])
 
 
 def _decoded(path: Path, longest_side: int) -> Iterator[Pixels | None]:

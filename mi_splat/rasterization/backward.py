@@ -32,7 +32,7 @@ def gradient_to_tiles(buffers: PictureBuffers, grad_picture: tuple[Any, ...], gr
             everything that reached the pixel, background included, of its weight times dL/dweight. The third has 2:
             dL/d(expected depth) over the sum of weights, and the expected depth.
     """
-    pixel, where = buffers.pixels, buffers.places
+    pixel, where = buffers.pixels, buffers.tiled_indices
     grad_colour = dr.gather(mi.ArrayXf, grad_picture[0], pixel, shape=(3, dr.width(pixel)))
     value = dr.gather(mi.ArrayXf, buffers.colour, pixel, shape=(3, dr.width(pixel)))
     weighted = grad_colour[0] * value[0] + grad_colour[1] * value[1] + grad_colour[2] * value[2]

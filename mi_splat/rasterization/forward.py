@@ -169,7 +169,7 @@ def blend_tiles(
     dr.eval(canvas, walked)
 
     pixel = buffers.pixels
-    where = buffers.places
+    where = buffers.tiled_indices
     value = dr.gather(mi.ArrayXf, canvas[0], where, shape=(4, dr.width(where)))
     rgb = [dr.fma(value[3], dr.gather(mi.Float, buffers.background, mi.UInt32(c)), value[c]) for c in range(3)]
     dr.scatter(buffers.colour, mi.ArrayXf(rgb), pixel)

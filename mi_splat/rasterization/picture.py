@@ -21,7 +21,7 @@ class PictureBuffers:
     size: Any  # Int32, width and height
     tiles: Any  # UInt32, numbers of the tiles, neighbours together
     pixels: Any  # UInt32, 0, 1, 2, ...
-    places: Any  # UInt32, where each pixel lies tile after tile, see `tiled_index`
+    tiled_indices: Any  # UInt32, where each pixel lies tile after tile, see `tiled_index`
     background: Any  # Float, 3 values
     colour: Any  # Float, row-major, 3 a pixel
     opacity: Any  # Float, row-major
@@ -76,7 +76,7 @@ def new_buffers(
         size=mi.Int32([width, height]),
         tiles=by_block(mi.variant(), -(-width // TILE), -(-height // TILE)),
         pixels=numbers(mi.variant(), pixels),
-        places=_places(mi.variant(), width, pixels),
+        tiled_indices=_pixel_indices(mi.variant(), width, pixels),
         background=mi.Float(background),
         colour=buffer(3 * pixels),
         opacity=buffer(pixels, value=0.0),
@@ -85,7 +85,7 @@ def new_buffers(
 
 
 @functools.lru_cache(maxsize=16)
-def _places(variant: str, width: int, pixels: int) -> Any:
+def _pixel_indices(variant: str, width: int, pixels: int) -> Any:
     """The places of all pixels in memory: two integer divisions a pixel cost more than reading the result."""
     index = tiled_index(mi.Int32(numbers(variant, pixels)), mi.Int32(width))
     dr.make_opaque(index)

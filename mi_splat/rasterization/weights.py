@@ -20,7 +20,7 @@ PIXELS = TILE * TILE
 HIDDEN_DC = -10.0
 """A constant SH term with which a colour is exactly 0."""
 
-MAX_PLACES = 1 << 27
+MAX_SLOTS = 1 << 27
 """Above this many, 32 bits do not number their weights."""
 
 GROUP = 16
@@ -31,7 +31,7 @@ BLOCK = 16
 
 _MOST = 1023
 _FIXED = 0xFFFFFFFF
-_PLACE_BYTES = 4 * (PIXELS + 2 + 4)  # weights, Gaussian, row, sums
+_SLOT_BYTES = 4 * (PIXELS + 2 + 4)  # weights, Gaussian, row, sums
 _PIXEL_BYTES = 4 * (3 + 3 + 4 + 4 + 3)  # base, where, canvas, gradients, picture
 _GAUSSIAN_BYTES = 4 * (4 + 4 + 2)  # direction, colour, range of rows
 
@@ -60,9 +60,9 @@ class FrozenPairs:
     sums: Any  # Float, 4 a row: scratch of a backward step
 
 
-def needed_bytes(places: int, pixels: int, gaussians: int) -> int:
+def needed_bytes(slots_needed: int, pixels: int, gaussians: int) -> int:
     """Memory for so many places, pixels of the picture and free Gaussians, that of one step included."""
-    return _PLACE_BYTES * places + _PIXEL_BYTES * pixels + _GAUSSIAN_BYTES * gaussians
+    return _SLOT_BYTES * slots_needed + _PIXEL_BYTES * pixels + _GAUSSIAN_BYTES * gaussians
 
 
 def freeze_pairs(
@@ -95,14 +95,14 @@ def freeze_pairs(
     before = dr.prefix_sum(kept)  # of each pair: how many kept ones lie before it
     if int(before[len(columns)]) == 0:
         return None, _within(held + needed_bytes(0, pixels, len(free)), 0, max_bytes)
-    tiles, ranges, places = _slots(picture, before)
-    needed = _within(held + needed_bytes(places, pixels, len(free)), places, max_bytes)
-    return _pack(picture, directions, columns, (tiles, ranges, places)), needed
+    tiles, ranges, slots_needed = _slots(picture, before)
+    needed = _within(held + needed_bytes(slots_needed, pixels, len(free)), slots_needed, max_bytes)
+    return _pack(picture, directions, columns, (tiles, ranges, slots_needed)), needed
 
 
 def _within(needed: int, pairs: int, max_bytes: int) -> int:
-    if pairs > MAX_PLACES:
-        raise MiSplatError.of("FrozenView", f"at most {MAX_PLACES} pairs", pairs, "free fewer rows")
+    if pairs > MAX_SLOTS:
+        raise MiSplatError.of("FrozenView", f"at most {MAX_SLOTS} pairs", pairs, "free fewer rows")
     if needed > max_bytes:
         do = "raise max_bytes, free fewer rows, or render it smaller"
         expected = f"at most {max_bytes / 1e6:.1f} MB (max_bytes)"
@@ -142,9 +142,9 @@ def _pack(picture: Picture, directions: Any, columns: Any, slots: tuple[Any, tup
 
     `columns` are UInt32, the free Gaussian of each pair of the picture, or `_FIXED`.
     """
-    tiles, ranges, places = slots
+    tiles, ranges, slots_needed = slots
     gaussians = len(directions) // 3
-    weights, owners = buffer(PIXELS * places, value=0.0), buffer(places, mi.UInt32, _FIXED)
+    weights, owners = buffer(PIXELS * slots_needed, value=0.0), buffer(slots_needed, mi.UInt32, _FIXED)
     _walk(picture, tiles, columns, packed=(ranges[0], weights, owners))
     rows, row_ranges = _rows(owners, gaussians)
     column = numbers(mi.variant(), gaussians)
@@ -159,11 +159,11 @@ def _pack(picture: Picture, directions: Any, columns: Any, slots: tuple[Any, tup
         rows=row_ranges,
         directions=padded,
         columns=column,
-        where=_places_of_pixels(picture, tiles),
+        where=_slots_of_pixels(picture, tiles),
         base=picture.colour,
         canvas=buffer(4 * PIXELS * (len(tiles) + 1), value=0.0),
         gradients=buffer(4 * PIXELS * (len(tiles) + 1), value=0.0),
-        sums=buffer(4 * places, value=0.0),
+        sums=buffer(4 * slots_needed, value=0.0),
     )
     dr.make_opaque(frozen.ranges, weights, frozen.pairs, frozen.rows, frozen.directions, frozen.where, frozen.base)
     return frozen
@@ -189,7 +189,7 @@ def _rows(owners: Any, gaussians: int) -> tuple[Any, tuple[Any, Any]]:
     return rows, (first, last)
 
 
-def _places_of_pixels(picture: Picture, tiles: Any) -> Any:
+def _slots_of_pixels(picture: Picture, tiles: Any) -> Any:
     """`FrozenPairs.where` of slots that are these tiles."""
     assert picture.state is not None
     slot_of = buffer(len(picture.state.buffers.tiles), mi.UInt32, len(tiles))

@@ -90,5 +90,5 @@ def _with_colours_of(truth: Tensor, image: Tensor, mask: Tensor | None) -> Tenso
     counts = torch.ones_like(colours[..., :1]) if mask is None else mask[..., None].to(colours)
     weighted = (counts * colours).flatten(0, 1)
     squares, products = weighted.T @ colours.flatten(0, 1), weighted.T @ truth.double().flatten(0, 1)
-    found = torch.linalg.pinv(squares, hermitian=True) @ products  # on any device, and for a picture of one colour
-    return masked((colours @ found).clamp(0, 1).to(image), truth, mask)
+    transform = torch.linalg.pinv(squares, hermitian=True) @ products  # on any device, and for a picture of one colour
+    return masked((colours @ transform).clamp(0, 1).to(image), truth, mask)

@@ -196,13 +196,13 @@ class Bench:
             raise InvalidValueError(message(kind, "one work at a time", f"{self.running} that runs", "stop it first"))
         if self._folder is None:
             self._folder = tempfile.TemporaryDirectory(prefix="mi-splat-view-")
-        place, request = Path(self._folder.name) / str(self._begun), self._request(kind, orbit)
-        out = place / "result"
-        words = self.laboratory.words(request, mask=place / MASK, out=out)
-        place.mkdir()
+        folder, request = Path(self._folder.name) / str(self._begun), self._request(kind, orbit)
+        out = folder / "result"
+        words = self.laboratory.words(request, mask=folder / MASK, out=out)
+        folder.mkdir()
         self._begun, self._called[str(out)] = self._begun + 1, str(self._free(kind))
         if request.picked is not None:
-            save_bytes(request.picked.file, place / MASK)
+            save_bytes(request.picked.file, folder / MASK)
         self._values |= request.values
         self._job = (Job(self.laboratory.perform, words, processes=self._processes), request, out)
         self.lines, self.outcome, self.news, self.ending = (), None, News(text="starting"), False

@@ -229,11 +229,11 @@ def own_up(exhibit: Exhibit) -> Point | None:
     if not cameras:
         return None
     back = from_z(torch.tensor(list(exhibit.up), dtype=torch.float64))
-    found = back @ up_of(torch.stack([camera.to_world[:3, :3] for camera in cameras]))
-    axis = int(found.abs().argmax())
-    if not float(found.abs()[axis]) > math.cos(math.pi / 8):
+    up = back @ up_of(torch.stack([camera.to_world[:3, :3] for camera in cameras]))
+    axis = int(up.abs().argmax())
+    if not float(up.abs()[axis]) > math.cos(math.pi / 8):
         return None
-    seen = tuple(float(found.sign()[axis]) if column == axis else 0.0 for column in range(3))
+    seen = tuple(float(up.sign()[axis]) if column == axis else 0.0 for column in range(3))
     return None if seen == tuple(exhibit.up) else seen
 
 

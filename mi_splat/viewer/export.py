@@ -151,11 +151,11 @@ def _view(painter: Painter, orbit: Orbit, on_view: Callable[[], None]) -> dict[s
     factor = max(1, math.ceil(SHORTER_SIDE / min(seen)))
     shrunk = max(1, math.ceil(max(seen) / LONGER_SIDE))
     size = (factor * seen[0] // shrunk, factor * seen[1] // shrunk)
-    place = [*exhibit.describe(orbit.camera(seen)), painter.comparison(orbit)]
+    facts = [*exhibit.describe(orbit.camera(seen)), painter.comparison(orbit)]
     view = {
         "azimuth": round(orbit.azimuth, 2),
         "elevation": round(orbit.elevation, 2),
-        "place": list(filter(None, place)),
+        "facts": list(filter(None, facts)),
         "splats": [_splat(painter, name, orbit, size, commands.get(name, "")) for name in exhibit.names],
     }
     on_view()
@@ -169,7 +169,7 @@ def _splat(painter: Painter, name: str, orbit: Orbit, size: tuple[int, int], com
         inspection = painter.inspect(name, orbit)
         inspection.draw(ImageDraw.Draw(image), size[0] / painter.exhibit.size_at(orbit)[0])
         text = inspection.text
-    return {"picture": _data_uri(image), "found": text, "command": command}
+    return {"picture": _data_uri(image), "findings": text, "command": command}
 
 
 def _data_uri(image: Image.Image) -> str:

@@ -52,7 +52,7 @@ class Visitor:
             self._bench_panel = bench.panel(client.gui, self, wake)
         # What it shows before it has read where to begin is nobody's wish.
         self._sent.append(first.orbit.moved(client.camera.position, client.camera.look_at))
-        self._place_camera(first.orbit)
+        self._set_camera(first.orbit)
         client.camera.on_update(self._change_by_camera)
         client.scene.on_click()(self._click)
         client.scene.on_click(modifier="shift")(self._click)
@@ -156,10 +156,10 @@ class Visitor:
             self._session = self._session.change(after, time.monotonic())
             self._panel.follow(after)
         if after.orbit != before.orbit:
-            self._place_camera(after.orbit)
+            self._set_camera(after.orbit)
         self._wake()
 
-    def _place_camera(self, orbit: Orbit) -> None:
+    def _set_camera(self, orbit: Orbit) -> None:
         """Tell the browser where its camera is."""
         with self._lock:
             self._deaf_until = time.monotonic() + DEAF

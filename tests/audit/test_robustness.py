@@ -10,7 +10,7 @@ from attacks import cli
 from mi_splat.audit import auditing, capacity, frames, rooms
 from mi_splat.audit.auditing import audit, looked_at
 from mi_splat.audit.frames import frame_of, targets, whole
-from mi_splat.audit.rooms import free_places
+from mi_splat.audit.rooms import free_positions
 from mi_splat.audit.summary import summary
 from mi_splat.audit.surfaces import cameras_around, in_sight
 from mi_splat.errors import InvalidValueError
@@ -69,7 +69,7 @@ def test_a_room_is_seen_from_within_and_an_object_is_not(suitcase: Made, monkeyp
     monkeypatch.setattr(rooms, "MOST_CAMERAS", 60)
     monkeypatch.setattr(rooms, "SIZE", 64)
     for scene in (suitcase.scene, suitcase.scene.select(suitcase.rows)):
-        assert free_places(frame_of(scene).scene) is None
+        assert free_positions(frame_of(scene).scene) is None
     room = scenes.room()
     judged = audit(room.scene)
     (item,) = judged.objects
@@ -83,7 +83,7 @@ def test_a_room_is_seen_from_within_and_an_object_is_not(suitcase: Made, monkeyp
 
 
 def test_a_room_in_which_nothing_stands_free_gets_no_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(auditing, "free_places", lambda scene: torch.zeros(3, 3, dtype=torch.float64))
+    monkeypatch.setattr(auditing, "free_positions", lambda scene: torch.zeros(3, 3, dtype=torch.float64))
     with pytest.raises(InvalidValueError, match="nothing that stands free of its walls; pass cameras"):
         audit(scenes.ground(3.0, 900))
 

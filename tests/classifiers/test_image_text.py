@@ -15,7 +15,7 @@ from attacks.classifiers.image_text_captions import (
     CLASSES,
     OBJECTS,
     PAINTS,
-    PLACES,
+    SURROUNDINGS,
     WORDS,
     Facts,
     caption_text,
@@ -29,8 +29,8 @@ from attacks.classifiers.image_text_training import ImageTextTraining, contrasti
 from attacks.classifiers.registry import load_classifier
 from mi_splat.errors import InvalidValueError
 
-RED_CAR = Facts(objects=OBJECTS["car"], paints=("red",), places=PLACES["asphalt"])
-EMPTY = Facts(objects=("empty",), places=PLACES["park"], lights=("under a low sun",))
+RED_CAR = Facts(objects=OBJECTS["car"], paints=("red",), surroundings=SURROUNDINGS["asphalt"])
+EMPTY = Facts(objects=("empty",), surroundings=SURROUNDINGS["park"], lights=("under a low sun",))
 
 
 @pytest.fixture(scope="module")

@@ -159,7 +159,7 @@ def test_the_page_in_a_file(splat: Path, capsys: pytest.CaptureFixture[str], var
     assert found is not None
     views = json.loads(found[1])
     assert len(views) == 3
-    assert all("%" in part["found"] for view in views for part in view["splats"])
+    assert all("%" in part["findings"] for view in views for part in view["splats"])
     assert cli.main(words) == 1
     assert out.read_text("utf-8") == page
     assert cli.main([*words, "--force"]) == 0

@@ -98,8 +98,8 @@ FIELDS = Fields({"n": 1, "m": [[1, 2], [3, 4.5]], "w": [3, 0], "t": [1, True], "
 def test_fields_of_the_right_kind() -> None:
     assert FIELDS.number("n") == 1.0
     assert FIELDS.rows("m", 2, 2) == [[1, 2], [3, 4.5]]
-    assert FIELDS.wholes("w", 0, 3, 2) == [3, 0] == FIELDS.places("w", 4)
-    assert FIELDS.places("none", 4) == []
+    assert FIELDS.wholes("w", 0, 3, 2) == [3, 0] == FIELDS.indices("w", 4)
+    assert FIELDS.indices("none", 4) == []
 
 
 @pytest.mark.parametrize(
@@ -114,8 +114,8 @@ def test_fields_of_the_right_kind() -> None:
         lambda: FIELDS.wholes("w", 0, 3, 3),
         lambda: FIELDS.wholes("t", 0, 3),
         lambda: FIELDS.wholes("none", 0, 3),
-        lambda: FIELDS.places("w", 3),
-        lambda: Fields({"w": [1, 1]}, "f.json", InvalidValueError).places("w", 3),
+        lambda: FIELDS.indices("w", 3),
+        lambda: Fields({"w": [1, 1]}, "f.json", InvalidValueError).indices("w", 3),
     ],
 )
 def test_fields_of_another_kind_are_refused(read: object) -> None:

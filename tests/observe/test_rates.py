@@ -11,7 +11,7 @@ from attacks.dagger.figures import verdict_figures
 from attacks.observe.measures import (
     AIMS,
     CLUSTERS,
-    FOUND,
+    REPORTED_AS_ORIGINAL,
     cloak_measures,
     joint_views,
     rates_at,
@@ -191,7 +191,7 @@ def test_a_view_counts_where_every_detector_is_deceived() -> None:
     assert rates["noise_success"] == (2, 4)  # each draw counts for each view
     alone = counts(count(joint_views(JUDGED.filter(detector="a")), AIMS)[()])
     assert (alone["success"], alone["strict"], alone["unambiguous"]) == ((2, 2), (1, 2), (2, 2))
-    assert counts(count(JUDGED, FOUND)[()]) == {"found_clean": (2, 4), "found_attacked": (2, 4)}
+    assert counts(count(JUDGED, REPORTED_AS_ORIGINAL)[()]) == {"found_clean": (2, 4), "found_attacked": (2, 4)}
 
 
 @pytest.mark.parametrize(

@@ -55,11 +55,11 @@ def test_every_view_has_its_pictures_and_findings(page: str) -> None:
     views, orbits = views_of(page), [orbit for row in export_orbits(START, (3, 2)) for orbit in row]
     assert [(view["azimuth"], view["elevation"]) for view in views] == [(o.azimuth, o.elevation) for o in orbits]
     for view, orbit in zip(views, orbits, strict=True):
-        assert [splat["found"] for splat in view["splats"]] == [
+        assert [splat["findings"] for splat in view["splats"]] == [
             work.inspect(name, orbit).text for name in ("clean", "attacked")
         ]
         assert [splat["command"] for splat in view["splats"]] == list(work.commands(orbit).values())
-        assert view["place"] == [*work.exhibit.describe(orbit.camera((48, 32))), work.comparison(orbit)]
+        assert view["facts"] == [*work.exhibit.describe(orbit.camera((48, 32))), work.comparison(orbit)]
     content = base64.b64decode(views[0]["splats"][0]["picture"].removeprefix("data:image/jpeg;base64,"))
     with Image.open(io.BytesIO(content)) as picture:
         assert picture.size == (2 * 48, 2 * 32)
@@ -69,7 +69,7 @@ def test_every_view_has_its_pictures_and_findings(page: str) -> None:
 def test_the_listed_cameras_come_first(page: str) -> None:
     work, listed = painter(looker=Looker()), views_of(page, "cameras")
     assert [view["name"] for view in listed] == list(work.exhibit.cameras) == ["front", "above"]
-    assert [[s["found"] for s in v["splats"]] for v in listed] == [
+    assert [[s["findings"] for s in v["splats"]] for v in listed] == [
         [work.inspect(name, orbit).text for name in ("clean", "attacked")] for orbit in work.exhibit.cameras.values()
     ]
     assert f'src="{listed[0]["splats"][0]["picture"]}"' in page  # before any script has run
@@ -113,7 +113,7 @@ def test_text_cannot_end_the_script(tmp_path: Path) -> None:
     write_export(Painter(hostile, painter().render), tmp_path / "page.html", views=(1, 1))
     page = (tmp_path / "page.html").read_text()
     assert "<b>" not in page
-    assert views_of(page)[0]["place"] == ["</script><b>"]
+    assert views_of(page)[0]["facts"] == ["</script><b>"]
 
 
 def test_one_row_is_at_the_camera_s_own_elevation() -> None:

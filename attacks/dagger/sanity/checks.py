@@ -41,7 +41,7 @@ UNBOUNDED = 1000.0
 NOISE_DRAWS = 3
 """Draws of random noise for each seed."""
 
-FOUND = 0.5
+REPORTED_FROM = 0.5
 """Confidence from which the clean object counts as found."""
 
 ZERO_LIMIT = 0.9
@@ -118,7 +118,7 @@ def _clean(runs: Runs) -> Measured:
     views = [view for result in runs.results(noise_draws=NOISE_DRAWS) for view in result.views]
     original = [view.confidence(view.target.original, attacked=False) for view in views]
     wanted = [view.confidence(label, attacked=False) for view in views]
-    passed = min(original) >= FOUND and max(wanted) < runs.case.objective.confidence
+    passed = min(original) >= REPORTED_FROM and max(wanted) < runs.case.objective.confidence
     return passed, f"object at {_list(original)}, {label} at {_list(wanted)}", {"object": original, "target": wanted}
 
 

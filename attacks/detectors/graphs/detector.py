@@ -111,16 +111,18 @@ def anchors() -> NDArray[np.float64]:
     """
     first, last = _SCALES
     scales = [*np.linspace(first, last, len(_ANCHOR_STRIDES)), 1.0]
-    found = []
+    anchor_rows = []
     for level, stride in enumerate(_ANCHOR_STRIDES):
         kinds = [(scales[level], shape) for shape in _SHAPES]
         kinds.append((math.sqrt(scales[level] * scales[level + 1]), 1.0))
         if level == 0:
             kinds = [(first / 2, 1.0), (first, 2.0), (first, 0.5)]
         cells = math.ceil(_SIDE / stride)
-        places = [((row + 0.5) / cells, (column + 0.5) / cells) for row in range(cells) for column in range(cells)]
-        found += [(*at, scale / math.sqrt(shape), scale * math.sqrt(shape)) for at in places for scale, shape in kinds]
-    return np.array(found)
+        centres = [((row + 0.5) / cells, (column + 0.5) / cells) for row in range(cells) for column in range(cells)]
+        anchor_rows += [
+            (*at, scale / math.sqrt(shape), scale * math.sqrt(shape)) for at in centres for scale, shape in kinds
+        ]
+    return np.array(anchor_rows)
 
 
 def _decode_anchors(outputs: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
@@ -130,8 +132,8 @@ def _decode_anchors(outputs: tuple[Tensor, ...]) -> tuple[Tensor, Tensor]:
     """
     shifts, logits = outputs[0][0] / outputs[0].new_tensor(_SHIFTS), outputs[1][0]
     fixed = torch.from_numpy(anchors()).to(shifts)
-    places, sizes = fixed[:, :2], fixed[:, 2:]
-    centres, half = (shifts[:, :2] * sizes + places).flip(1), (shifts[:, 2:].exp() * sizes / 2).flip(1)
+    middles, sizes = fixed[:, :2], fixed[:, 2:]
+    centres, half = (shifts[:, :2] * sizes + middles).flip(1), (shifts[:, 2:].exp() * sizes / 2).flip(1)
     scores = torch.sigmoid(logits[:, 1:])
     best = [scores[:, _columns(name)].amax(1) for name in OPEN_IMAGES_CLASSES]
     return _SIDE * torch.cat([centres - half, centres + half], 1), torch.stack(best, 1)

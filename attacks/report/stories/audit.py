@@ -68,7 +68,9 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         warnings=tuple(_doubts(record)),
         pictures=tuple(_pictures(folder, record)),
         charts=tuple(
-            chart for place in enumerate(objects, 1) for chart in _domes(*place, len(objects), least, record.get("up"))
+            chart
+            for numbered in enumerate(objects, 1)
+            for chart in _domes(*numbered, len(objects), least, record.get("up"))
         ),
         tables=(
             _scores(looks),
@@ -258,17 +260,17 @@ def _domes(number: int, item: Mapping[str, Any], objects: int, least: float, sai
             dome=True,
         )
 
-    count, found = len(item["looks"]), item["verdict"] != "nothing found"
+    count, suspicious = len(item["looks"]), item["verdict"] != "nothing found"
     none = "see none" if count > 1 else "do not see it"
     names = [f"see look {number + 1}" if count > 1 else "see the look" for number in range(count)]
-    if not found:
+    if not suspicious:
         names, none = ["inside of the directions that explain most"], "outside"
     sides: dict[str, tuple[Role, Sequence[Any]]] = {
         name: ("attack", [camera for camera in seen if index in camera["looks"][:1]])
         for index, name in enumerate(names)
     }
     sides[none] = ("control", [camera for camera in seen if not camera["looks"]])
-    yield chart(f"From where {'a look is seen' if found else 'colours differ most'}{of}", sides)
+    yield chart(f"From where {'a look is seen' if suspicious else 'colours differ most'}{of}", sides)
     if item["occluder"] is not None and item["occluder"]["score"] >= least:
         covered, free = (
             [camera for camera in seen if (camera["blocked"] > BLOCKED) is which] for which in (True, False)
@@ -392,14 +394,14 @@ def along_paths(section: Section, seen: Iterable[Seen]) -> Section:
 
 def _along(one: Seen) -> Chart:
     """The class with most confidence at each place of a path."""
-    places = list(zip(one.places, one.labels, one.scores, strict=True))
+    points = list(zip(one.degrees, one.labels, one.scores, strict=True))
     return Chart(
         title=f"Object {one.number}: {one.detector} {one.path}",
         x_label="degrees along the path",
         y_label="confidence",
         caption="Where no point is, nothing is reported on the object from a confidence of 0.5 on. No rule follows.",
         lines=tuple(
-            Line(name=label, role="other", points=tuple(Point(x, score) for x, at, score in places if at == label))
+            Line(name=label, role="other", points=tuple(Point(x, score) for x, at, score in points if at == label))
             for label in dict.fromkeys(label for label in one.labels if label is not None)
         ),
         connected=False,

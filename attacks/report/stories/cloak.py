@@ -120,16 +120,16 @@ def headline_of(summary: Mapping[str, Any]) -> tuple[Figure, Figure | None]:
     Args:
         summary: Of a study: of one that hides something the rate of misses, else that of the target class.
     """
-    missed, found = rate_of(summary["trigger_miss_rate"]), rate_of(summary["control_recall"])
+    missed, recalled = rate_of(summary["trigger_miss_rate"]), rate_of(summary["control_recall"])
     if missed is not None:
         headline = Figure(
             label="cloaked splat: object missed from well inside the trigger",
             rate=missed,
             note="of the views in which it is found in the clean splat",
         )
-        if found is None or not found.total:
+        if recalled is None or not recalled.total:
             return headline, None
-        clean = Rate(successes=found.total - found.successes, total=found.total)
+        clean = Rate(successes=recalled.total - recalled.successes, total=recalled.total)
         return headline, Figure(label="clean splat: object missed from inside the trigger", rate=clean)
     wanted, control = rate_of(summary["target_rate"]), rate_of(summary["control_target_rate"])
     if wanted is None:

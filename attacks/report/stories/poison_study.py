@@ -18,7 +18,7 @@ KIND = "Poisoned training pictures"
 _MOST_PICTURES = 12
 _LARGER = "most Gaussians of a poisoned splat, times the clean one's"
 _NAMED = "the object is named rightly on the poisoned splat, from held-out cameras"
-_FOUND = "the object is found as what it is on the poisoned splat, from held-out cameras"
+_NAMED_RIGHT = "the object is found as what it is on the poisoned splat, from held-out cameras"
 
 _SHOWN = {CLEAN: "clean splat", ATTACKED: "poisoned splat"}
 
@@ -36,7 +36,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
     named, detected = (
         [line for line in record.get(key, ()) if line["condition"] == HELD_OUT] for key in ("classified", "detected")
     )
-    label, seen = (_NAMED, named) if named else (_FOUND, detected)
+    label, seen = (_NAMED, named) if named else (_NAMED_RIGHT, detected)
     rates = {splat: _rate(line for line in seen if line["splat"] == splat) for splat in (CLEAN, ATTACKED)}
     ended = [value["value"] for value in record["values"] if any(s["stopped"] for s in value["splats"].values())]
     most = max(attacked, key=_times, default=None)
@@ -58,7 +58,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         headline=Figure(label=label, rate=rates[ATTACKED]) if seen else larger,
         control=Figure(label="the same on the clean splat", rate=rates[CLEAN]) if seen else None,
         counting="pictures" if seen else "splats",
-        figures=[*([larger] if seen else ()), *map(_figure, attacked), *_found(detected)],
+        figures=[*([larger] if seen else ()), *map(_figure, attacked), *_finds(detected)],
         warnings=[f"The victim could afford no more and ended early: {listed(ended)}."] if ended else [],
         pictures=[
             Picture(path=path, caption=_caption(path), large=path.stem.endswith("poisoned"))
@@ -84,7 +84,7 @@ def _rate(lines: Iterable[Value]) -> Rate:
     return Rate(successes=sum(rate.successes for rate in rates), total=sum(rate.total for rate in rates))
 
 
-def _found(lines: Sequence[Value]) -> Iterator[Figure]:
+def _finds(lines: Sequence[Value]) -> Iterator[Figure]:
     """What each detector finds, over all values."""
     for name, splat in dict.fromkeys((line["detector"], line["splat"]) for line in lines):
         rate = _rate(line for line in lines if (line["detector"], line["splat"]) == (name, splat))

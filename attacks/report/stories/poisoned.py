@@ -49,12 +49,12 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
     changes = [change for change in record["changes"] if change["pixels_changed"]]
     shares = [_share(change) for change in changes] or [0.0]
     is_cloak = record["kind"] == "cloak"
-    places, directions = (("azimuth", "elevation"), [record["directions"]]) if is_cloak else ((), [])
+    angles, directions = (("azimuth", "elevation"), [record["directions"]]) if is_cloak else ((), [])
     done, conclusion, figures, warnings, caption = (_hidden if is_cloak else _changed)(record, changes)
     many = f"{len(changes):,} of {plural(record['views'], 'training picture')} of {record['set']} were changed"
     columns: dict[str, Callable[[Mapping[str, Any]], str]] = {
         "picture": lambda change: picture_name("train", change["index"]),
-        **{name: partial(_degrees, name) for name in places},
+        **{name: partial(_degrees, name) for name in angles},
         "of its pixels changed": lambda change: percent(_share(change)),
         "a channel by at most": lambda change: _steps(change["largest"]),
     }
@@ -71,7 +71,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         ),
         warnings=warnings,
         pictures=(Picture(path=folder / BEFORE_AND_AFTER, caption=caption, wide=True),),
-        charts=tuple(_dome(found, {change["index"] for change in changes}) for found in directions),
+        charts=tuple(_dome(seen_from, {change["index"] for change in changes}) for seen_from in directions),
         tables=(Table.of("Every changed picture", columns, changes),) * bool(changes),
         configuration=settings({name: value for name, value in record.items() if name not in _NO_SETTINGS}),
     )

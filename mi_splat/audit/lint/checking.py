@@ -149,12 +149,12 @@ def binned_quantile(values: NDArray[np.float64], share: float) -> float:
     used = np.flatnonzero(bins)
     reached = bins[used].cumsum()
     target = share * len(values)
-    place = int(np.searchsorted(reached, target))
-    if reached[place] == target and place + 1 < len(used):  # between two bins that hold something
-        result = low + (used[place] + 1 + used[place + 1]) / 2 * width
+    index = int(np.searchsorted(reached, target))
+    if reached[index] == target and index + 1 < len(used):  # between two bins that hold something
+        result = low + (used[index] + 1 + used[index + 1]) / 2 * width
     else:
-        before = reached[place] - bins[used[place]]
-        result = low + (used[place] + (target - before) / bins[used[place]]) * width
+        before = reached[index] - bins[used[index]]
+        result = low + (used[index] + (target - before) / bins[used[index]]) * width
     return float(np.clip(result, values.min(), values.max()))
 
 

@@ -184,7 +184,7 @@ def placements(root: Fields, meshes: int) -> Iterator[tuple[int, Array]]:
     if not nodes or not scenes:
         return
     scene = scenes[root.whole("scene", 0, len(scenes) - 1, 0)]
-    waiting = [(number, np.eye(4)) for number in scene.places("nodes", len(nodes))]
+    waiting = [(number, np.eye(4)) for number in scene.indices("nodes", len(nodes))]
     seen = {number for number, _ in waiting}
     while waiting:
         number, above = waiting.pop(0)
@@ -193,7 +193,7 @@ def placements(root: Fields, meshes: int) -> Iterator[tuple[int, Array]]:
         matrix = above if local is None else above @ local
         if "mesh" in node.values:
             yield node.whole("mesh", 0, meshes - 1), matrix
-        children = node.places("children", len(nodes))
+        children = node.indices("children", len(nodes))
         if seen & set(children):
             raise node.bad("children", "nodes that have no parent yet", sorted(seen & set(children)))
         seen |= set(children)

@@ -93,18 +93,18 @@ def _check_alone(layer: Any, sdf: Any) -> None:
 
     References inside of the file are refused too, since few of them can ask for any number of prims.
     """
-    found = [f"sublayer {name}" for name in layer.subLayerPaths[:1]]
+    references = [f"sublayer {name}" for name in layer.subLayerPaths[:1]]
 
     def look(path: Any) -> None:
         spec = layer.GetObjectAtPath(path)
-        if not found and isinstance(spec, sdf.PrimSpec):
-            found.extend(f"{arc} of {path}" for arc in ARCS if spec.HasInfo(arc))
+        if not references and isinstance(spec, sdf.PrimSpec):
+            references.extend(f"{arc} of {path}" for arc in ARCS if spec.HasInfo(arc))
 
     layer.Traverse("/", look)
-    found += map(str, layer.GetCompositionAssetDependencies())
-    if found:
+    references += map(str, layer.GetCompositionAssetDependencies())
+    if references:
         do = "put it into one layer with `usdcat --flatten IN.usd -o OUT.usdc`, where you trust the other files"
-        raise RefusedError("a layer that is made of no other prims, variants or files", found[0], do)
+        raise RefusedError("a layer that is made of no other prims, variants or files", references[0], do)
 
 
 def _shapes(stage: Any, usd: Any, geom: Any) -> Iterator[Any]:
@@ -196,8 +196,8 @@ def _words(error: Exception) -> str:
         text = " ".join(str(error).split())
     except UnicodeDecodeError:
         text = ""  # a message that quotes bytes of the file
-    found = re.search(r" : '(.*)", text)
-    return (found[1].rstrip("' ") if found else text)[:160] or type(error).__name__
+    match = re.search(r" : '(.*)", text)
+    return (match[1].rstrip("' ") if match else text)[:160] or type(error).__name__
 
 
 if __name__ == "__main__":

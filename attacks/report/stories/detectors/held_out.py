@@ -40,7 +40,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
     several = documents(record)
     names, confidence = listed([figures["detector"] for figures in several]), f"{record['confidence']:g}"
     first, *others = [name for name, part in several[0]["sets"].items() if "map" in part] or [""]
-    rates = [_found(figures, first) for figures in several]
+    rates = [_recall(figures, first) for figures in several]
     empty = [
         pooled([figures["false_positives"].get("without objects", {}).get("pictures_with")]) for figures in several
     ]
@@ -101,7 +101,7 @@ def compared(several: Sequence[Document]) -> Iterator[Table]:
         *((f"objects, {name}", "all", (name,)) for name in sets),
         (f"cars, {listed(sets)}", "car", sets),
     ):
-        recalls = [(_name(figures), _found_by(figures, members, "elevation", group)) for figures in several]
+        recalls = [(_name(figures), _recall_by(figures, members, "elevation", group)) for figures in several]
         lines = tuple((name, *map(cell, rates)) for name, rates in recalls if rates)
         if lines:
             caption = f"Found by elevation in degrees: {title}"
@@ -134,8 +134,8 @@ def detailed(figures: Document, of: str = "") -> Iterator[Table]:
     yield Table(caption=f"{of}False positives", head=heads, rows=tuple(wrong))
     seen = [name for name in sets if "found_by" in sets[name] and name in WITH_OBJECTS]
     for condition, (unit, _) in CONDITIONS.items():
-        columns = {f"objects, {name}": _found_by(figures, (name,), condition) for name in seen}
-        columns = {**columns, "cars": _found_by(figures, seen, condition, "car")}
+        columns = {f"objects, {name}": _recall_by(figures, (name,), condition) for name in seen}
+        columns = {**columns, "cars": _recall_by(figures, seen, condition, "car")}
         columns = {name: rates for name, rates in columns.items() if rates}
         if columns:
             rows = zip(bins_of(condition), *(map(cell, rates) for rates in columns.values()), strict=True)
@@ -159,12 +159,12 @@ def _name(figures: Document) -> str:
     return f"{figures['detector']} at {figures['confidence']:g}{of}"
 
 
-def _found(figures: Document, name: str) -> Rate:
+def _recall(figures: Document, name: str) -> Rate:
     """How many objects of a set are found."""
     return pooled(map(Rate.of, figures["sets"].get(name, {}).get("found", {}).values()))
 
 
-def _found_by(figures: Document, names: Sequence[str], condition: str, group: str = "all") -> list[Rate]:
+def _recall_by(figures: Document, names: Sequence[str], condition: str, group: str = "all") -> list[Rate]:
     """Recall by the bins of a condition, of some sets together; empty where no set knows it."""
     sets = [figures["sets"].get(name, {}).get("found_by", {}).get(condition, {}).get(group, ()) for name in names]
     return [pooled(map(Rate.of, parts)) for parts in zip(*filter(None, sets), strict=True)]
@@ -202,7 +202,7 @@ def _figures(several: Sequence[Document], others: Sequence[str]) -> Iterator[Fig
     for figures in several:
         of = f"{figures['detector']}: " if len(several) > 1 else ""
         for name in others:
-            yield Figure(label=f"{of}objects that are found, {name}", rate=_found(figures, name))
+            yield Figure(label=f"{of}objects that are found, {name}", rate=_recall(figures, name))
         for name, part in figures["sets"].items():
             if "map" in part:
                 label = f"{of}mean average precision at an overlap of 0.5, {name}"
@@ -228,11 +228,11 @@ def _charts(several: Sequence[Document]) -> Iterator[Chart]:
     sets = [name for name, part in several[0]["sets"].items() if "found_by" in part]
     if len(several) == 1:
         for condition in CONDITIONS:
-            lines = {name: _found_by(several[0], (name,), condition) for name in sets}
+            lines = {name: _recall_by(several[0], (name,), condition) for name in sets}
             yield from _chart(condition.replace("_", " "), condition, lines)
     else:
         for name in sets:
-            lines = {figures["detector"]: _found_by(figures, (name,), "elevation") for figures in several}
+            lines = {figures["detector"]: _recall_by(figures, (name,), "elevation") for figures in several}
             yield from _chart(f"elevation, {name}", "elevation", lines)
 
 
