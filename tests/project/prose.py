@@ -2,10 +2,12 @@
 
 A page has sentences of at most 25 words with at most one figure each, and none of the words that only this project
 would understand. Pages that were there before stand in docs/style.toml with what they have above that: these figures
-may fall and not rise, and `--shrink` writes them anew. `--figures` prints the style of every page.
+may fall and not rise, and `--shrink` writes them anew. So may the words of all pages together, to the next full
+thousand. `--figures` prints the style of every page.
 """
 
 import argparse
+import math
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -48,11 +50,13 @@ class Style:
     Attributes:
         words: At most in a sentence.
         figures: At most in a sentence.
+        site: Words of all pages at most, with their tables and code.
         forbidden: Word to what to write in its place.
     """
 
     words: int
     figures: int
+    site: int
     forbidden: Mapping[str, str]
 
 
@@ -78,6 +82,11 @@ class Measured:
         """Words and figures of a sentence."""
         number = max(1, len(self.sentences))
         return self.words / number, sum(figures for *_, figures in self.sentences) / number
+
+
+def words_of(text: str) -> int:
+    """Words of a page, with those of its tables and code."""
+    return sum(bool(re.search(r"\w", word)) for word in text.split())
 
 
 def paragraphs(text: str) -> Iterator[str]:
@@ -168,7 +177,7 @@ def complaints(
 def read_style() -> tuple[Style, dict[str, tuple[int, int]]]:
     """What is asked of pages, and what is allowed to single ones."""
     document: dict[str, Any] = tomllib.loads(STYLE.read_text())
-    style = Style(words=document["words"], figures=document["figures"], forbidden=document["forbidden"])
+    style = Style(**{key: document[key] for key in ("words", "figures", "site", "forbidden")})
     return style, {name: (int(words), int(figures)) for name, (words, figures) in document["allowed"].items()}
 
 
@@ -179,9 +188,15 @@ def by_hand() -> dict[str, Path]:
     return {name: path for name, path in found.items() if not name.startswith(written)}
 
 
+def words_of_site() -> int:
+    """Words of all pages that people write, with their tables and code."""
+    return sum(words_of(path.read_text()) for path in by_hand().values())
+
+
 def shrink() -> None:
     """Write docs/style.toml anew: what is allowed falls to what the pages have; nothing rises."""
     style, allowed = read_style()
+    site = min(style.site, math.ceil(words_of_site() / 1000) * 1000)
     have = {name: measured(path.read_text()).too_much(style) for name, path in by_hand().items()}
     least = {
         name: (min(words, have[name][0]), min(figures, have[name][1]))
@@ -190,6 +205,7 @@ def shrink() -> None:
     }
     lines = [f'"{name}" = [{words}, {figures}]' for name, (words, figures) in sorted(least.items()) if words or figures]
     head, mark, _ = STYLE.read_text().partition("[allowed]\n")
+    head = re.sub(r"^site = \d+", f"site = {site}", head, flags=re.MULTILINE)
     STYLE.write_text(head + mark + "\n".join(lines) + "\n")
 
 
@@ -202,6 +218,7 @@ def figures() -> Iterator[str]:
     for name, page in [*sorted(every.items(), key=lambda item: -item[1].words), ("all pages", total)]:
         (words, counted), (long, crowded) = page.means(), page.too_much(style)
         yield f"{page.words:7}{words:12.1f}{counted:9.2f}{long:6}{crowded:9}  {name}"
+    yield f"{words_of_site():7} words with tables and code; docs/style.toml allows {style.site}"
 
 
 def check() -> list[str]:
@@ -214,6 +231,12 @@ def check() -> list[str]:
         lines += [f"{name}: {link} leads nowhere" for link in dead_links(path, text, written=written)]
     for name, path in by_hand().items():
         lines += complaints(name, path.read_text(), style, allowed.get(name, (0, 0)))
+    if (words := words_of_site()) > style.site:
+        lines.append(
+            f"the pages have {words} words with their tables and code, expected at most {style.site}: shorten what "
+            "says a thing twice (python -m tests.project.prose --figures), or raise `site` of docs/style.toml for a "
+            "page of something new"
+        )
     return lines
 
 

@@ -1,7 +1,9 @@
 """Links, style and spelling of the pages, which `make lint` checks, and that the checker sees what it shall."""
 
+import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,7 +11,7 @@ import pytest
 from tests.project import prose
 from tests.project.documented_commands import ROOT
 
-STYLE = prose.Style(words=8, figures=1, forbidden={"canopy": "occluder"})
+STYLE = prose.Style(words=8, figures=1, site=40, forbidden={"canopy": "occluder"})
 
 
 def test_pages_keep_links_and_style() -> None:
@@ -73,10 +75,24 @@ def test_what_is_allowed_falls_and_does_not_rise(tmp_path: Path, monkeypatch: py
     (tmp_path / "b.md").write_text("Short, 1, 2. " * 3)
     monkeypatch.setattr(prose, "by_hand", lambda: {f"docs/{name}.md": tmp_path / f"{name}.md" for name in "ab"})
     prose.shrink()
-    assert copy.read_text() == f'{limits}[allowed]\n"docs/a.md" = [1, 0]\n"docs/b.md" = [0, 2]\n'
+    fallen = re.sub(r"site = \d+", "site = 1000", limits)
+    assert copy.read_text() == f'{fallen}[allowed]\n"docs/a.md" = [1, 0]\n"docs/b.md" = [0, 2]\n'
+
+
+def test_the_site_cannot_grow_unseen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tables and code count, their bars do not."""
+    (tmp_path / "a.md").write_text("Three words here.\n\n| in a | table |\n|---|---|\n\n```sh\ncode --flag 3\n```\n")
+    monkeypatch.setattr(prose, "by_hand", lambda: {"docs/a.md": tmp_path / "a.md"})
+    assert prose.words_of_site() == 3 + 3 + 1 + 3
+    for most, complained in ((10, 0), (9, 1)):
+        style = replace(prose.read_style()[0], site=most)
+        monkeypatch.setattr(prose, "read_style", lambda style=style: (style, {}))
+        monkeypatch.setattr(prose, "pages", list)
+        assert len(prose.check()) == complained
 
 
 def test_the_figures_of_style_have_a_line_for_every_page() -> None:
     lines = list(prose.figures())
-    assert len(lines) == len(prose.by_hand()) + 2
-    assert lines[-1].endswith("all pages")
+    assert len(lines) == len(prose.by_hand()) + 3
+    assert lines[-2].endswith("all pages")
+    assert f"allows {prose.read_style()[0].site}" in lines[-1]
