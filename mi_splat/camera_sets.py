@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mi_splat.cameras import Camera, orbit_pose
+from mi_splat._lazy import Previewed
+from mi_splat.cameras import Camera, orbit_pose, sizes_of
 from mi_splat.datasets.transforms import read_cameras
 from mi_splat.errors import InvalidValueError
 
@@ -33,6 +34,13 @@ _PATTERNS = {
 }
 
 
+class CameraList(Previewed, list[Camera]):
+    """Cameras of a set, in their order; a list that a notebook shows as directions."""
+
+    def __repr__(self) -> str:
+        return f"CameraList({len(self)} cameras{sizes_of(self)})"
+
+
 def orbit(
     target: Sequence[float],
     *,
@@ -42,7 +50,7 @@ def orbit(
     focal: float,
     size: tuple[int, int],
     start: float = 0.0,
-) -> list[Camera]:
+) -> CameraList:
     """`count` cameras at equal azimuths around `target`, the first at azimuth `start`.
 
     Args:
@@ -54,7 +62,7 @@ def orbit(
         size: (width, height) in pixels.
         start: Azimuth of the first camera, degrees from world +x towards +y.
     """
-    return [
+    return CameraList(
         Camera(
             to_world=orbit_pose(target, azimuth=start + 360.0 * i / count, elevation=elevation, distance=distance),
             focal=focal,
@@ -62,7 +70,7 @@ def orbit(
             height=size[1],
         )
         for i in range(count)
-    ]
+    )
 
 
 def hemisphere(
@@ -75,7 +83,7 @@ def hemisphere(
     elevation: tuple[float, float] = (0.0, 90.0),
     start: float = 0.0,
     offset: float = 0.5,
-) -> list[Camera]:
+) -> CameraList:
     """`count` cameras spread evenly in area over a band of the upper hemisphere.
 
     They stand on a Fibonacci lattice (Swinbank and Purser 2006): heights in equal steps, azimuths in golden angles. A
@@ -95,7 +103,7 @@ def hemisphere(
         The cameras, in the order of a spiral from the lowest to the highest.
     """
     low, high = (math.sin(math.radians(e)) for e in elevation)
-    cameras = []
+    cameras = CameraList()
     for i in range(count):
         height = low + (high - low) * (i + offset) / count
         pose = orbit_pose(

@@ -17,13 +17,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from mi_splat._lazy import Previewed
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import several_of
 from mi_splat.scene import LARGEST, GaussianScene
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Camera:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Camera(Previewed):
     """A pinhole camera with exact pose and intrinsics.
 
     Attributes:
@@ -43,6 +44,10 @@ class Camera:
     width: int
     height: int
     principal: tuple[float, float] | None = None
+
+    def __repr__(self) -> str:
+        at = ", ".join(f"{value + 0.0:.3g}" for value in self.position.tolist())
+        return f"Camera(at ({at}), {self.width} x {self.height} pixels, focal {self.fx:.4g})"
 
     def __post_init__(self) -> None:
         pose = pose_tensor(self.to_world)
@@ -127,8 +132,8 @@ def as_cameras(cameras: Camera | Sequence[Camera]) -> tuple[Camera, ...]:
     return several_of(Camera, "cameras", cameras)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class View(Previewed):
     """A picture and the camera that took it.
 
     Attributes:
@@ -139,6 +144,9 @@ class View:
     camera: Camera
     image: Tensor
 
+    def __repr__(self) -> str:
+        return f"View({self.camera!r})"
+
     def __post_init__(self) -> None:
         expected = (self.camera.height, self.camera.width, 3)
         if tuple(self.image.shape) != expected:
@@ -147,10 +155,13 @@ class View:
             )
 
 
-class ViewSet(Sequence[View]):
+class ViewSet(Previewed, Sequence[View]):
     """Views that need not be in memory: what can be known of them without decoding a picture, the set says itself."""
 
     __slots__ = ()
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self)} views{sizes_of(self.cameras)})"
 
     @property
     @abstractmethod
@@ -161,6 +172,13 @@ class ViewSet(Sequence[View]):
     def fingerprint(self) -> str | None:
         """What tells this set from others, pixels included; None where only decoding the pictures would."""
         return None
+
+
+def sizes_of(cameras: Sequence[Camera]) -> str:
+    """The size of their pictures, as the end of a sentence."""
+    sizes = {(camera.width, camera.height) for camera in cameras}
+    width, height = max(sizes, default=(0, 0))
+    return "" if not sizes else f" of {'up to ' if len(sizes) > 1 else ''}{width} x {height} pixels"
 
 
 def cameras_of(views: Sequence[View]) -> tuple[Camera, ...]:

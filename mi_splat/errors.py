@@ -66,6 +66,29 @@ def printable(text: str) -> str:
     )
 
 
+def one_line(text: str, most: int = 400) -> str:
+    """A text as one line of so many signs at most, without what a terminal would obey.
+
+    Args:
+        text: It may come out of a file.
+        most: Signs; what is longer ends in three dots.
+    """
+    line = " ".join(printable(text[: 2 * most]).split())
+    return line if len(line) <= most else f"{line[: most - 3]}..."
+
+
+def listed(names: Iterable[str], most: int = 6) -> str:
+    """The first of some names in one line, each of at most 40 signs, and how many are left.
+
+    Args:
+        names: They may come out of a file.
+        most: Names that are told.
+    """
+    every = list(names)
+    told = [one_line(name, 40) for name in every[:most]]
+    return ", ".join([*told, f"{len(every) - most} more"] if len(every) > most else told) or "none"
+
+
 def message(what: str, expected: object, got: object, do: str) -> str:
     """The one form of an error message: what was looked at, what was expected, what came, what to do.
 

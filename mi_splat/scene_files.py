@@ -10,9 +10,10 @@ from typing import Any, Literal
 import torch
 
 from mi_splat import variant
+from mi_splat._lazy import Previewed
 from mi_splat.bounds import bounds, near_plane
 from mi_splat.cameras import Camera, orbit_pose
-from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.errors import InvalidValueError, MiSplatError, listed
 from mi_splat.io import SplatFileError, load_splat
 from mi_splat.io.errors import path_name
 from mi_splat.io.scene_parts import check_scene_file
@@ -20,8 +21,8 @@ from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, merge
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SplatScene:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class SplatScene(Previewed):
     """A splat scene file as values.
 
     Attributes:
@@ -36,6 +37,10 @@ class SplatScene:
     objects: dict[str, slice]
     cameras: dict[str, Camera]
     settings: RenderSettings
+
+    def __repr__(self) -> str:
+        objects, cameras = (listed(names) for names in (self.objects, self.cameras))
+        return f"SplatScene({len(self.scene):,} Gaussians, objects: {objects}, cameras: {cameras})"
 
 
 def read_scene(path: str | Path) -> SplatScene:

@@ -1,5 +1,8 @@
 """Sets the Mitsuba variant, with this project's plugins registered in it."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 from mi_splat import plugins
 from mi_splat.errors import MiSplatError
 from mi_splat.llvm import prepare_llvm
@@ -41,6 +44,19 @@ def use(variant: str = "") -> str:
     log_to_stderr()
     plugins.register()
     return variant
+
+
+@contextmanager
+def variant_kept() -> Iterator[None]:
+    """Have the present variant again after the block, whatever renders in it."""
+    import mitsuba as mi
+
+    before = mi.variant()
+    try:
+        yield
+    finally:
+        if before and mi.variant() != before:
+            mi.set_variant(before)
 
 
 def device_of(variant: str) -> str:

@@ -13,6 +13,8 @@ from attacks.observe.views import ImageChange
 from attacks.rate import Rate
 from attacks.search import Step
 from attacks.transformations.config import Transformations
+from mi_splat._lazy import Previewed
+from mi_splat.errors import one_line
 from mi_splat.scene import GaussianScene
 
 _ZERO_GRADIENT_LIMIT = 0.9
@@ -25,8 +27,8 @@ PSNR_SLACK = 0.5
 """How far the held-out pictures may be below the image budget before a result warns of it, dB."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Result:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Result(Previewed):
     """What an attack did, judged on the saved file and 8-bit pictures, from its own views or from held-out ones.
 
     Attributes:
@@ -76,6 +78,14 @@ class Result:
     redraws: dict[str, int] = field(default_factory=dict)
     doubts: tuple[str, ...] = ()
     stopped: bool = False
+
+    def __repr__(self) -> str:
+        aim = " ".join(filter(None, (self.objective.name, self.objective.label)))
+        rate, warnings = self.rate, len(self.warnings)
+        return (
+            f"Result({'success' if self.success else 'no success'}: {one_line(aim, 40)}, score {self.score:.2f}, "
+            f"{rate.successes} of {rate.total} views, {self.best.index} steps, {warnings} warnings)"
+        )
 
     @property
     def views(self) -> tuple[JudgedView, ...]:

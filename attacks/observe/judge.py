@@ -15,14 +15,15 @@ from attacks.observe.rates import Group, Measure, count
 from attacks.observe.rows import ATTACKED, CLEAN
 from attacks.observe.views import ViewDetections, evaluate
 from attacks.rate import Rate
+from mi_splat._lazy import Previewed
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, listed
 from mi_splat.fields import between, checked_number
 from mi_splat.scene import GaussianScene
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Judged:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Judged(Previewed):
     """What detectors report on splats from the same cameras, on the files and pictures of 8 bits.
 
     Attributes:
@@ -36,6 +37,14 @@ class Judged:
     detections: pl.DataFrame
     views: Mapping[str, Sequence[ViewDetections]]
     confidence: float
+
+    def __repr__(self) -> str:
+        rates = (
+            f"{detector + ': ' if len(self.rates) > 1 else ''}{name} {rate.successes} of {rate.total}"
+            for detector, one in self.rates.items()
+            for name, rate in one.items()
+        )
+        return f"Judged({listed(self.views)}; {listed(rates)})"
 
     @property
     def rates(self) -> dict[str, dict[str, Rate]]:

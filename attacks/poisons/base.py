@@ -15,8 +15,9 @@ from typing import Any, Protocol, overload
 import torch
 from torch import Tensor
 
+from mi_splat._lazy import Previewed
 from mi_splat.cameras import Camera, View, ViewSet, cameras_of
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, one_line
 
 OnStep = Callable[[int, int], None]
 """Called after each picture, or each step, with the number finished and the number wanted."""
@@ -65,7 +66,7 @@ class Change:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PoisonedViews(ViewSet):
     """A set of views with some replaced; the others are the very objects that the set gives, read when asked for.
 
@@ -104,8 +105,8 @@ class PoisonedViews(ViewSet):
         return self.replaced[index] if index in self.replaced else self.untouched[index]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Poisoned:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Poisoned(Previewed):
     """A poisoned set.
 
     Attributes:
@@ -117,6 +118,10 @@ class Poisoned:
     views: PoisonedViews
     changes: tuple[Change, ...]
     poison: Mapping[str, Any]
+
+    def __repr__(self) -> str:
+        kind = one_line(str(self.poison.get("kind", "")), 40)
+        return f"Poisoned({kind}: {len(self.changes)} of {len(self.views)} views changed)"
 
     @property
     def manifest(self) -> dict[str, Any]:

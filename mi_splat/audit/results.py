@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import torch
 from torch import Tensor
 
+from mi_splat._lazy import Previewed
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point
 
@@ -248,8 +249,8 @@ class ObjectAudit:
         return "suspicious" if self.evidence >= SUSPICION or self.covered or self.edited else "nothing found"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Audit:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Audit(Previewed):
     """What is hidden in a splat, as far as the file itself can tell.
 
     Attributes:
@@ -268,6 +269,11 @@ class Audit:
     near: float
     against: Changes | None = None
     up: Point | None = None
+
+    def __repr__(self) -> str:
+        carry = f"{int(self.mask.sum()):,} of {len(self.mask):,} Gaussians carry it"
+        evidence = f"evidence {self.strongest.evidence:.2f}"
+        return f"Audit({self.verdict}, {len(self.objects)} objects, {evidence}, {carry})"
 
     @property
     def strongest(self) -> ObjectAudit:

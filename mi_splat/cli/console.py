@@ -112,16 +112,17 @@ def progress(text: str, total: int | None = None) -> Iterator[Advance]:
     if not sys.stderr.isatty():
         yield _Lines(text, total)
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from tqdm import tqdm
 
-    counter = [] if total is None else [BarColumn(), MofNCompleteColumn()]
-    columns = [SpinnerColumn(), TextColumn("{task.description}", markup=False), *counter, TimeElapsedColumn()]
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(printable(text), total=total)
-        yield lambda text=None, units=1: bar.update(
-            task, advance=units, description=None if text is None else printable(text)
-        )
+    form = "{desc} [{elapsed}]" if total is None else "{desc} |{bar}| {n_fmt}/{total_fmt} [{elapsed}<{remaining}]"
+    with tqdm(total=total, desc=printable(text), bar_format=form, leave=False, dynamic_ncols=True) as bar:
+
+        def advance(text: str | None = None, units: int = 1) -> None:
+            if text is not None:
+                bar.set_description_str(printable(text), refresh=True)
+            bar.update(units)
+
+        yield advance
 
 
 Listener = Callable[[str, float | None], None]

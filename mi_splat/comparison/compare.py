@@ -1,5 +1,6 @@
 """One splat through several methods: their pictures, and each two of them beside each other."""
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -8,6 +9,7 @@ from itertools import combinations
 import torch
 from torch import Tensor
 
+from mi_splat._lazy import Previewed
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera
 from mi_splat.comparison.costs import Cost, Run, costs_of
@@ -20,7 +22,7 @@ from mi_splat.comparison.measures import (
     weighting,
 )
 from mi_splat.comparison.methods import Method
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, listed
 from mi_splat.fields import Checked, Count, Seed
 from mi_splat.io.images import quantise
 from mi_splat.metrics import Perceptual
@@ -68,8 +70,8 @@ class Pair:
         return pooled(list(self.distances.values()))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Comparison(Previewed):
     """What came of it.
 
     Attributes:
@@ -83,6 +85,10 @@ class Comparison:
     pairs: dict[tuple[str, str], Pair]
     first_seconds: dict[str, float]
     costs: dict[str, dict[str, Cost]]
+
+    def __repr__(self) -> str:
+        pairs = (f"{a} and {b} {pair.whole.psnr or math.inf:.1f} dB" for (a, b), pair in self.pairs.items())
+        return f"Comparison({len(self.pictures)} cameras, PSNR: {listed(pairs)})"
 
 
 def compare(

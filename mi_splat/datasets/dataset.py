@@ -45,7 +45,7 @@ class _Entry(NamedTuple):
         return 4 * (math.prod(self.view.image.shape) + sum(plane.numel() for plane in planes))
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class Dataset(ViewSet):
     """Views whose pictures are read when they are asked for; the last ones read are kept, so do not change them.
 

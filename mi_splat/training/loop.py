@@ -12,6 +12,7 @@ from typing import Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
+from mi_splat._lazy import Previewed
 from mi_splat.cameras import RenderFn, View, cameras_of
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.metrics import Perceptual
@@ -23,8 +24,8 @@ from mi_splat.training.state import Progress, TrainingError, TrainState, check_s
 from mi_splat.training.strategies import ScreenGradients, Step
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Fit:
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
+class Fit(Previewed):
     """A trained splat.
 
     Attributes:
@@ -38,6 +39,11 @@ class Fit:
     history: tuple[Progress, ...]
     config: FitConfig
     seed: int
+
+    def __repr__(self) -> str:
+        last = self.history[-1]
+        scores = "" if last.held_out is None else f", PSNR {last.held_out.psnr:.1f} dB held out"
+        return f"Fit({len(self.scene):,} Gaussians after {last.iteration} steps, loss {last.loss:.3g}{scores})"
 
 
 __all__ = ["Fit", "FitConfig", "Progress", "TrainState", "TrainingError", "advance", "fit", "scene_extent"]

@@ -31,6 +31,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "sun",
             "scene",
             "placement",
+            "progress",
         )
     ),
     "cameras": ("mi_splat.cameras", "mi_splat.directions", "mi_splat.bounds"),
@@ -58,6 +59,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "training": ("mi_splat.training",),
     "audit": ("mi_splat.audit",),
     "capture": ("mi_splat.capture",),
+    "notebooks": ("mi_splat.cards", "mi_splat.previews"),
     "viewer": ("mi_splat.viewer",),
     "example scenes": ("mi_splat.example_scenes",),
     "commands of mi_splat": ("mi_splat.cli",),
@@ -77,6 +79,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
         *(f"attacks.classifiers.image_text_{n}" for n in ("pictures", "evaluation", "training")),
     ),
     "attacks": ("attacks.dagger", "attacks.cloak", "attacks.poisons", "attacks.audits"),
+    "notebooks of attacks": ("attacks.previews",),
     "test kit": ("attacks.testing",),
     "studies": ("attacks.studies",),
     "reports": ("attacks.report",),

@@ -165,7 +165,7 @@ for words in (["--help"], ["--version"], *([name, "--help"] for name in COMMANDS
         assert main(words) == 0, words
     assert text.getvalue().strip(), words
 heavy = {"torch", "torchvision", "mitsuba", "drjit", "numpy", "PIL", "scipy", "matplotlib", "plyfile", "transformers"}
-heavy |= {"ultralytics", "viser", "trimesh", "jinja2", "distributed", "rich", "unittest", "asyncio"}
+heavy |= {"ultralytics", "viser", "trimesh", "jinja2", "distributed", "tqdm", "unittest", "asyncio"}
 assert not heavy & set(sys.modules), heavy & set(sys.modules)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

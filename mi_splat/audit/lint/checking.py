@@ -11,6 +11,7 @@ from mi_splat.audit.lint.cost import SIZE, Overdraw, worst_overdraw
 from mi_splat.audit.lint.findings import Finding
 from mi_splat.audit.lint.gltf import validate
 from mi_splat.audit.lint.rules import Stored, findings_of
+from mi_splat.errors import listed
 from mi_splat.io.camera_records import describe
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats.glb import open_glb
@@ -22,7 +23,7 @@ FILL = 1000.0
 """`fillRatio` from which a splat is told: healthy ones have ones to hundreds, says splat-transform."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Lint:
     """What the rules say of a splat.
 
@@ -37,6 +38,10 @@ class Lint:
     gaussians: int | None = None
     fill_ratio: float | None = None
     overdraw: Overdraw | None = None
+
+    def __repr__(self) -> str:
+        count = "unread" if self.gaussians is None else f"{self.gaussians:,} Gaussians"
+        return f"Lint({count}, findings: {listed(finding.rule for finding in self.findings)})"
 
     def document(self) -> dict[str, Any]:
         """As JSON can hold it."""
