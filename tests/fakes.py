@@ -44,15 +44,15 @@ class ColourDetector:
 
     def candidates(self, images: Tensor) -> list[Candidates]:
         check_images(images)
-        found = []
+        by_picture = []
         for image in images:
             grids = [self._grid(image, size) for size in self.sizes]
             boxes, means = (torch.cat(column) for column in zip(*grids, strict=True))
             area = (boxes[:, 2:] - boxes[:, :2]).prod(-1, keepdim=True) / (image.shape[0] * image.shape[1])
             logits = torch.cat([150 * (means - 0.25) * area, torch.full_like(area, 5.0)], -1)
             scores = logits.softmax(-1)[:, :3]
-            found.append(Candidates(boxes[:, None].expand(-1, 3, -1), scores))
-        return found
+            by_picture.append(Candidates(boxes[:, None].expand(-1, 3, -1), scores))
+        return by_picture
 
     def _grid(self, image: Tensor, size: int) -> tuple[Tensor, Tensor]:
         """Boxes of one size and the mean colour in each."""
@@ -65,11 +65,11 @@ class ColourDetector:
     def detect(self, images: Tensor) -> list[Detections]:
         """The best box of each class, if it scores `min_confidence` or more."""
         results = []
-        for found in self.candidates(images):
-            best = found.scores.detach().max(0)
+        for candidates in self.candidates(images):
+            best = candidates.scores.detach().max(0)
             order = [int(c) for c in best.values.argsort(descending=True) if best.values[c] >= self.min_confidence]
             rows = best.indices[order]
-            boxes = found.boxes.detach()[rows, order] if order else torch.zeros(0, 4)
+            boxes = candidates.boxes.detach()[rows, order] if order else torch.zeros(0, 4)
             results.append(Detections(boxes, best.values[order], tuple(self.classes[c] for c in order)))
         return results
 

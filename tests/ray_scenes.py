@@ -44,8 +44,8 @@ def looking(*, origin: Any = (0, 0, -5), target: Any = (0, 0, 0), size: int = 1)
     """A sensor with a narrow field, so that one pixel is one ray."""
     film = {"type": "hdrfilm", "width": size, "height": size, "pixel_format": "rgb", "rfilter": {"type": "box"}}
     up = [0, 1, 0]
-    place = T().look_at(origin=list(origin), target=list(target), up=up)
-    return {"type": "perspective", "fov": 1e-3 if size == 1 else 40.0, "to_world": place, "film": film}
+    pose = T().look_at(origin=list(origin), target=list(target), up=up)
+    return {"type": "perspective", "fov": 1e-3 if size == 1 else 40.0, "to_world": pose, "film": film}
 
 
 def scene_of(*splats: GaussianScene, integrator: dict[str, Any] | None = None, **parts: Any) -> Any:

@@ -150,12 +150,12 @@ def _hide(missing: list[str]) -> None:
     """Let modules be neither imported nor found among what is installed."""
     from importlib.metadata import Distribution, PackageNotFoundError
 
-    found = Distribution.from_name
+    original = Distribution.from_name
 
     def from_name(name: str) -> Distribution:
         if name in missing:
             raise PackageNotFoundError(name)
-        return found(name)
+        return original(name)
 
     Distribution.from_name = from_name  # type: ignore[method-assign]
     assert not set(missing) & set(sys.modules), "a module that is to be missing is there already"

@@ -36,11 +36,11 @@ def volume(mesh: Mesh) -> float:
 
 def is_closed(mesh: Mesh) -> bool:
     """Whether every edge between places has a partner in the other direction."""
-    _, place = np.unique(np.round(mesh.vertices * 1e4).astype(np.int64), axis=0, return_inverse=True)
-    faces = place.ravel()[mesh.faces.astype(np.int64)]
+    _, merged = np.unique(np.round(mesh.vertices * 1e4).astype(np.int64), axis=0, return_inverse=True)
+    faces = merged.ravel()[mesh.faces.astype(np.int64)]
     faces = faces[(faces != np.roll(faces, 1, 1)).all(1)]
     edges = np.concatenate([faces[:, [i, (i + 1) % 3]] for i in range(3)])
-    keys, back = edges[:, 0] * len(place) + edges[:, 1], edges[:, 1] * len(place) + edges[:, 0]
+    keys, back = edges[:, 0] * len(merged) + edges[:, 1], edges[:, 1] * len(merged) + edges[:, 0]
     return bool(np.array_equal(np.sort(keys), np.sort(back)))
 
 

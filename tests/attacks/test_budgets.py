@@ -163,9 +163,9 @@ def test_rounding_of_the_norm_does_not_leave_the_ball(norm: NormName) -> None:
 def test_a_ball_for_each_gaussian_leaves_the_rows_inside_alone() -> None:
     reference = {"sh": torch.zeros(3, 1, 3)}
     point = torch.tensor([[[0.3, 0.4, 0.0]], [[3.0, 0.0, 4.0]], [[0.0, 0.0, 0.9]]])
-    found = Budget(radius={"sh": 1.0}, norm="l2_per_gaussian").project({"sh": point}, reference)["sh"]
-    assert torch.equal(found[[0, 2]], point[[0, 2]])
-    torch.testing.assert_close(found[1], torch.tensor([[0.6, 0.0, 0.8]]))
+    projected = Budget(radius={"sh": 1.0}, norm="l2_per_gaussian").project({"sh": point}, reference)["sh"]
+    assert torch.equal(projected[[0, 2]], point[[0, 2]])
+    torch.testing.assert_close(projected[1], torch.tensor([[0.6, 0.0, 0.8]]))
 
 
 def test_draws_are_uniform_in_the_ball() -> None:

@@ -29,14 +29,14 @@ from tests.fakes import ColourDetector, blobs, camera, toy_scene
 def test_an_attack_is_scored_on_other_views_with_its_control() -> None:
     scene, mask = toy_scene()
     config = DaggerConfig(eps=(20.0,), early_stop=False, noise_draws=0)
-    found = attack(scene, mask, [camera()], ColourDetector(), relabel("person"), render=blobs, config=config)
+    result = attack(scene, mask, [camera()], ColourDetector(), relabel("person"), render=blobs, config=config)
     views = [camera(offset=offset) for offset in (-0.2, 0.1, 0.3)]
-    seen = evaluate({"clean": scene, "attacked": found.scene}, mask, views, [ColourDetector()], render=blobs)
+    seen = evaluate({"clean": scene, "attacked": result.scene}, mask, views, [ColourDetector()], render=blobs)
     assert {name: len(one) for name, one in seen.items()} == {"clean": 3, "attacked": 3}
     rows = compared_rows(seen, original="car", target="person").rows
-    (found_rates,) = compare(rows)
+    (comparison,) = compare(rows)
     every, none = Rate(successes=3, total=3), Rate(successes=0, total=3)
-    assert found_rates.rates == {
+    assert comparison.rates == {
         **{"found_clean": every, "found_attacked": none, "missed": every},
         **{"target_clean": none, "target_attacked": every},
     }
@@ -171,11 +171,11 @@ def test_a_change_is_drawn_around_grey_and_named() -> None:
 
 def test_detections_are_drawn_from_a_confidence_on() -> None:
     picture, box = torch.zeros(64, 64, 3), torch.tensor([[16.0, 16.0, 48.0, 48.0]])
-    found = Detections(box, torch.tensor([0.4]), ("car",))
-    drawn = annotated(picture, found, "title")
+    detections = Detections(box, torch.tensor([0.4]), ("car",))
+    drawn = annotated(picture, detections, "title")
     assert drawn.shape == (512, 512, 3)
     assert drawn[128:384, 128].any()
-    assert not annotated(picture, found, "", min_confidence=0.5)[128:384, 128].any()
+    assert not annotated(picture, detections, "", min_confidence=0.5)[128:384, 128].any()
 
 
 def test_narrower_pictures_are_filled_up() -> None:
@@ -204,14 +204,14 @@ def test_every_box_has_a_label_of_its_own_inside_the_picture(monkeypatch: pytest
     corners = [(51, 94, 182, 192), (50, 92, 181, 190), (52, 95, 180, 193), (0, 0, 256, 256), (230, 240, 256, 256)]
     corners += [(-20, -10, 30, 30), (200, 1, 255, 40), (1, 230, 60, 256)]
     labels = ("car", "train", "stop sign", "train", "suitcase", "person", "elephant", "bird")
-    found = Detections(torch.tensor(corners).float(), torch.linspace(0.9, 0.4, len(labels)), labels)
+    detections = Detections(torch.tensor(corners).float(), torch.linspace(0.9, 0.4, len(labels)), labels)
     plates: list[Plate] = []
 
     def spy(draw: ImageDraw.ImageDraw, corner: tuple[float, float], text: str, colour: str) -> None:
         plates.append(plate_of(draw, corner, text))
 
     monkeypatch.setattr(drawing, "write_label", spy)
-    annotated(torch.zeros(256, 256, 3), found, "title")
+    annotated(torch.zeros(256, 256, 3), detections, "title")
     assert len(plates) == len(labels) + 1
     for left, top, right, bottom in plates:
         assert left >= 0

@@ -106,8 +106,8 @@ def test_falling_steps_end_nearer_to_the_minimum_than_constant_ones() -> None:
     ends = {}
     for schedule in ("constant", "linear"):
         optimiser = momentum(search(schedule=schedule, steps=20))
-        found = pgd(evaluate, {"sh": torch.tensor([1.2])}, BALL, steps=20, optimiser=optimiser)
-        ends[schedule] = found.trace[-1].loss
+        result = pgd(evaluate, {"sh": torch.tensor([1.2])}, BALL, steps=20, optimiser=optimiser)
+        ends[schedule] = result.trace[-1].loss
     assert ends["linear"] < 0.05 * ends["constant"]
 
 

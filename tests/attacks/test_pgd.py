@@ -61,10 +61,10 @@ def bowl(*, aim: float = -1.0, score: Callable[[Tensor], float] | None = None) -
 @pytest.mark.parametrize("norm", ["linf", "l2", "l2_per_gaussian"])
 def test_it_finds_the_nearest_point_of_the_ball(norm: NormName) -> None:
     budget = Budget(radius={"sh": 1.0}, norm=norm)
-    found = pgd(bowl(), REFERENCE, budget, step={"sh": 0.02}, steps=400)
+    result = pgd(bowl(), REFERENCE, budget, step={"sh": 0.02}, steps=400)
     best = budget.project({"sh": GOAL}, REFERENCE)["sh"]
-    torch.testing.assert_close(found.parameters["sh"], best, atol=0.05, rtol=0)
-    assert budget.measure(found.parameters, REFERENCE)["sh"] <= 1.0
+    torch.testing.assert_close(result.parameters["sh"], best, atol=0.05, rtol=0)
+    assert budget.measure(result.parameters, REFERENCE)["sh"] <= 1.0
 
 
 def test_every_point_that_is_evaluated_is_inside() -> None:
@@ -83,10 +83,10 @@ def test_every_point_that_is_evaluated_is_inside() -> None:
 
 def test_the_trace_and_the_callback_tell_the_same_story() -> None:
     heard: list[Step] = []
-    found = pgd(
+    result = pgd(
         bowl(), REFERENCE, Budget(radius={"sh": 1.0}), step={"sh": 0.1}, steps=5, hooks=Hooks(on_step=heard.append)
     )
-    assert tuple(heard) == found.trace
+    assert tuple(heard) == result.trace
     assert [line.index for line in heard] == [0, 1, 2, 3, 4, 5]
     assert heard[0].loss == pytest.approx(13.25)
     assert heard[0].zero_gradient_fraction == pytest.approx(9 / 12)
@@ -98,7 +98,7 @@ def test_the_trace_and_the_callback_tell_the_same_story() -> None:
         steps=5,
         hooks=Hooks(on_step=lambda line: line.index == 2),
     )
-    assert (short.trace, short.stopped, found.stopped) == (found.trace[:3], True, False)
+    assert (short.trace, short.stopped, result.stopped) == (result.trace[:3], True, False)
     assert short.best == max(short.trace, key=rank)
 
 
@@ -128,23 +128,23 @@ def test_success_counts_more_than_score_and_score_more_than_loss() -> None:
         return Evaluation(loss=loss, gradients={"sh": torch.ones_like(point["sh"])}, verdict=verdict)
 
     budget = Budget(radius={"sh": 10.0})
-    found = pgd(scripted, REFERENCE, budget, step={"sh": 1.0}, steps=4, early_stop=False)
-    assert found.best.index == 4
-    assert budget.measure(found.parameters, REFERENCE)["sh"] == pytest.approx(4.0)
+    result = pgd(scripted, REFERENCE, budget, step={"sh": 1.0}, steps=4, early_stop=False)
+    assert result.best.index == 4
+    assert budget.measure(result.parameters, REFERENCE)["sh"] == pytest.approx(4.0)
 
 
 def test_early_stop_waits_for_a_unambiguous_success() -> None:
     oracle = scripted((False, False), (True, False), (True, False), (True, True), (True, True))
-    found = pgd(oracle, REFERENCE, Budget(radius={"sh": 10.0}), step={"sh": 1.0}, steps=9)
-    assert len(found.trace) == 4
-    assert found.best.index == 3
+    result = pgd(oracle, REFERENCE, Budget(radius={"sh": 10.0}), step={"sh": 1.0}, steps=9)
+    assert len(result.trace) == 4
+    assert result.best.index == 3
 
 
 def test_nothing_moves_without_steps_and_the_arguments_stay_as_they_are() -> None:
     reference = {"sh": torch.zeros(4, 3)}
-    found = pgd(bowl(), reference, Budget(radius={"sh": 1.0}), step={"sh": 1.0}, steps=0)
-    assert len(found.trace) == 1
-    assert torch.equal(found.parameters["sh"], reference["sh"])
+    result = pgd(bowl(), reference, Budget(radius={"sh": 1.0}), step={"sh": 1.0}, steps=0)
+    assert len(result.trace) == 1
+    assert torch.equal(result.parameters["sh"], reference["sh"])
     moved = pgd(bowl(), reference, Budget(radius={"sh": 1.0}), step={"sh": 1.0}, steps=3)
     assert not torch.equal(moved.parameters["sh"], reference["sh"])
     assert torch.equal(reference["sh"], torch.zeros(4, 3))
@@ -207,8 +207,8 @@ def test_restarts_end_where_steps_end(
     """At an unambiguous success, not at any."""
     budget = Budget(radius={"sh": 10.0})
     starts = [REFERENCE] * 3
-    found = pgd(scripted(*points), REFERENCE, budget, step={"sh": 1.0}, steps=1, starts=starts, early_stop=early_stop)
-    assert [(line.restart, line.index) for line in found.trace] == expected
+    result = pgd(scripted(*points), REFERENCE, budget, step={"sh": 1.0}, steps=1, starts=starts, early_stop=early_stop)
+    assert [(line.restart, line.index) for line in result.trace] == expected
 
 
 def test_the_best_point_of_all_starts_is_kept_and_starts_are_taken_when_they_are_needed() -> None:
@@ -220,11 +220,11 @@ def test_the_best_point_of_all_starts_is_kept_and_starts_are_taken_when_they_are
             yield {"sh": torch.full((4, 3), value)}
 
     budget = Budget(radius={"sh": 10.0})
-    found = pgd(bowl(), REFERENCE, budget, step={"sh": 0.1}, steps=0, starts=starts())
+    result = pgd(bowl(), REFERENCE, budget, step={"sh": 0.1}, steps=0, starts=starts())
     assert taken == [-1.0, 0.5, 0.0]
-    assert [line.loss for line in found.trace] == pytest.approx([28.25, 14.75 - 0.0, 13.25], abs=2.0)
-    assert found.best.restart == 2
-    assert torch.equal(found.parameters["sh"], torch.zeros(4, 3))
+    assert [line.loss for line in result.trace] == pytest.approx([28.25, 14.75 - 0.0, 13.25], abs=2.0)
+    assert result.best.restart == 2
+    assert torch.equal(result.parameters["sh"], torch.zeros(4, 3))
     taken.clear()
     pgd(bowl(aim=99.0), REFERENCE, budget, step={"sh": 0.1}, steps=0, starts=starts())
     assert taken == [-1.0]
@@ -276,15 +276,15 @@ def test_the_order_of_points() -> None:
         line(True, False, 0.9, 9.0),
         line(True, True, 0.2, 9.0),
     ]
-    mixed = [worst_to_best[place] for place in (3, 0, 6, 2, 5, 1, 4)]
+    mixed = [worst_to_best[number] for number in (3, 0, 6, 2, 5, 1, 4)]
     assert sorted(mixed, key=rank) == worst_to_best
 
 
 def test_of_equal_points_the_first_is_kept() -> None:
     budget = Budget(radius={"sh": 10.0})
-    found = pgd(scripted(*[(True, False)] * 3), REFERENCE, budget, step={"sh": 1.0}, steps=2)
-    assert found.best.index == 0
-    assert torch.equal(found.parameters["sh"], REFERENCE["sh"])
+    result = pgd(scripted(*[(True, False)] * 3), REFERENCE, budget, step={"sh": 1.0}, steps=2)
+    assert result.best.index == 0
+    assert torch.equal(result.parameters["sh"], REFERENCE["sh"])
 
 
 def test_a_judge_looks_at_some_points_and_what_it_makes_of_them_is_kept() -> None:
@@ -296,10 +296,10 @@ def test_a_judge_looks_at_some_points_and_what_it_makes_of_them_is_kept() -> Non
         return {"sh": point["sh"] / 2}, Verdict(success=False, score=len(seen) / 10, unambiguous=False)
 
     hooks = Hooks(judge=judge, every=2)
-    found = pgd(bowl(), REFERENCE, Budget(radius={"sh": 9.0}), step={"sh": 0.5}, steps=5, hooks=hooks)
-    assert [line.index for line in found.trace if line.score >= 0] == [2, 4, 5]
-    assert found.best.index == 5
-    assert float(found.parameters["sh"].sum()) == seen[-1] / 2
+    result = pgd(bowl(), REFERENCE, Budget(radius={"sh": 9.0}), step={"sh": 0.5}, steps=5, hooks=hooks)
+    assert [line.index for line in result.trace if line.score >= 0] == [2, 4, 5]
+    assert result.best.index == 5
+    assert float(result.parameters["sh"].sum()) == seen[-1] / 2
 
 
 def test_a_search_goes_on_from_its_state_to_the_same_bits() -> None:

@@ -42,11 +42,11 @@ def account(*looks: Look, count: int, covered: float = 0.0, passed: float = 0.8)
         pieces=100,
         area=4.0,
         uncontradicted=1.0,
-        cameras=tuple(camera(*place) for place in (3 * DIRECTIONS).tolist()),
+        cameras=tuple(camera(*position) for position in (3 * DIRECTIONS).tolist()),
         looks=looks,
         occluder=Occluder(
             axis=(0.0, 0.0, 1.0), blocked=(DIRECTIONS[:, 2] > 0.5).double(), transparent=passed, score=covered
         ),
     )
-    found = half if item.evidence >= SUSPICION else torch.zeros_like(half)
-    return Audit(objects=(item,), heat=found.float(), mask=found, near=0.8)
+    marked = half if item.evidence >= SUSPICION else torch.zeros_like(half)
+    return Audit(objects=(item,), heat=marked.float(), mask=marked, near=0.8)

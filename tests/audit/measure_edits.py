@@ -74,12 +74,12 @@ def scores(name: str, scene: GaussianScene) -> Iterator[tuple[str, Tensor]]:
 def main(names: list[str]) -> None:
     """Print a line for every object of every splat."""
     clean = open_scene(Path(names[0])).scene
-    found = list(scores(names[0], clean))
-    lines = [line for line, _ in found]
+    scored = list(scores(names[0], clean))
+    lines = [line for line, _ in scored]
     for name in names[1:]:
         lines += [line for line, _ in scores(name, open_scene(Path(name)).scene)]
     for name, edit in EDITS.items():
-        lines += [line for line, _ in scores(name, edit(clean, found[0][1]))]
+        lines += [line for line, _ in scores(name, edit(clean, scored[0][1]))]
     sys.stdout.write("\n".join(lines) + "\n")
 
 

@@ -118,23 +118,23 @@ class Judge:
             cameras = [self.victim.camera(direction, size=SIZE, distance=AWAY) for direction in directions]
             boxes = object_boxes(self.victim.scene, self.victim.rows, cameras, render=self.victim.render)
             self.clean[key] = cameras, boxes, *self._seen(self.victim.scene, cameras, boxes)
-        cameras, boxes, clean_found, clean_pictures = self.clean[key]
-        found, pictures = self._seen(made, cameras, boxes)
-        counted = clean_found.all(1)
+        cameras, boxes, clean_reported, clean_pictures = self.clean[key]
+        reported, pictures = self._seen(made, cameras, boxes)
+        counted = clean_reported.all(1)
         many = max(int(counted.sum()), 1)
-        missed, kept = (float((counted & which).sum()) / many for which in (~found.any(1), found.all(1)))
+        missed, kept = (float((counted & which).sum()) / many for which in (~reported.any(1), reported.all(1)))
         error = (pictures.float() - clean_pictures.float()).div(255).square().mean() if len(pictures) else 0.0
         return missed, kept, float(error)
 
     def _seen(self, scene: GaussianScene, cameras: Sequence[Any], boxes: Sequence[Any]) -> tuple[Tensor, Tensor]:
         """(C, D) bool, whether each detector finds the object from each camera, and (C, H, W, 3) uint8 pictures."""
         number = {detector.name: column for column, detector in enumerate(self.detectors)}
-        found = torch.zeros(len(cameras), len(number), dtype=torch.bool)
+        reported = torch.zeros(len(cameras), len(number), dtype=torch.bool)
         pictures = torch.zeros(len(cameras), SIZE, SIZE, 3, dtype=torch.uint8)
         for seen in detect_views(scene, cameras, self.detectors, render=self.victim.render, boxes=boxes):
-            found[seen.view, number[seen.detector]] = seen.confidence(self.victim.label) >= CONFIDENCE
+            reported[seen.view, number[seen.detector]] = seen.confidence(self.victim.label) >= CONFIDENCE
             pictures[seen.view] = seen.pixels
-        return found, pictures
+        return reported, pictures
 
 
 def _gaps(hiding: Hiding) -> Tensor:

@@ -85,10 +85,10 @@ def ground(half: float, count: int, *, seed: int = 0) -> GaussianScene:
     side = round(count**0.5)
     step = 2 * half / side
     axis = (torch.arange(side) + 0.5) * step - half
-    places = torch.cartesian_prod(axis, axis) + 0.3 * step * (torch.rand(side**2, 2, generator=generator) - 0.5)
+    positions = torch.cartesian_prod(axis, axis) + 0.3 * step * (torch.rand(side**2, 2, generator=generator) - 0.5)
     greys = torch.tensor(ROAD) + 0.05 * torch.randn(side**2, 1, generator=generator)
     return GaussianScene(
-        means=torch.cat([places, 0.002 * half * torch.randn(side**2, 1, generator=generator)], 1),
+        means=torch.cat([positions, 0.002 * half * torch.randn(side**2, 1, generator=generator)], 1),
         scales=torch.tensor([0.7 * step, 0.7 * step, 0.05 * step]).expand(side**2, 3).contiguous(),
         rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(side**2, 4).contiguous(),
         opacities=torch.full((side**2,), 0.95),
@@ -264,9 +264,9 @@ def room(*, count: int = 4500, seed: int = 0) -> Made:
             normal[axis] = -sign
             turn = basis(normal.double()).float()
             step = 2 * (turn.T @ half).abs()[:2] / side
-            places = torch.cartesian_prod(torch.arange(side), torch.arange(side)) + 0.5 - side / 2
-            places = places * step + 0.2 * step * (torch.rand(len(places), 2, generator=generator) - 0.5)
-            means = places @ turn[:, :2].T + (sign * half[axis]) * torch.eye(3)[axis]
+            positions = torch.cartesian_prod(torch.arange(side), torch.arange(side)) + 0.5 - side / 2
+            positions = positions * step + 0.2 * step * (torch.rand(len(positions), 2, generator=generator) - 0.5)
+            means = positions @ turn[:, :2].T + (sign * half[axis]) * torch.eye(3)[axis]
             colours = torch.tensor([0.75, 0.72, 0.66]) + 0.04 * torch.randn(len(means), 1, generator=generator)
             if axis == 0 and sign > 0:
                 colours[(means[:, 1:].abs() < 0.8).all(1)] = torch.tensor([0.7, 0.1, 0.1])

@@ -39,50 +39,50 @@ def edited(clean: GaussianScene) -> GaussianScene:
     return clean.replace(sh=sh, means=means)
 
 
-def row(found: Changes, attribute: str) -> list[float]:
-    return next([item.count, item.most] for item in found.attributes if item.attribute == attribute)
+def row(difference: Changes, attribute: str) -> list[float]:
+    return next([item.count, item.most] for item in difference.attributes if item.attribute == attribute)
 
 
 def test_changes_are_counted_by_attribute(clean: GaussianScene, edited: GaussianScene) -> None:
-    found = changes(edited, clean)
-    assert found.by_order
-    assert torch.equal(found.changed.nonzero()[:, 0], torch.tensor([*range(80), 100]))
-    assert torch.equal(found.mask, found.changed)
-    assert row(found, "colour") == pytest.approx([80, 0.2 * 0.2821], abs=1e-4)
-    assert row(found, "SH of degree 1") == pytest.approx([20, 0.3], abs=1e-5)
-    assert row(found, "position") == pytest.approx([1, 0.001 * 3**0.5], abs=1e-5)
-    assert row(found, "opacity") == row(found, "scale") == [0, 0]
-    assert row(found, "rotation")[0] == 0
-    distances = {item.attribute: item.distribution for item in found.attributes}
+    difference = changes(edited, clean)
+    assert difference.by_order
+    assert torch.equal(difference.changed.nonzero()[:, 0], torch.tensor([*range(80), 100]))
+    assert torch.equal(difference.mask, difference.changed)
+    assert row(difference, "colour") == pytest.approx([80, 0.2 * 0.2821], abs=1e-4)
+    assert row(difference, "SH of degree 1") == pytest.approx([20, 0.3], abs=1e-5)
+    assert row(difference, "position") == pytest.approx([1, 0.001 * 3**0.5], abs=1e-5)
+    assert row(difference, "opacity") == row(difference, "scale") == [0, 0]
+    assert row(difference, "rotation")[0] == 0
+    distances = {item.attribute: item.distribution for item in difference.attributes}
     assert distances["colour"] > 0.02 > distances["position"]
     assert distances["opacity"] == 0
-    assert len(found.cameras) == 2
+    assert len(difference.cameras) == 2
 
 
 def test_rows_may_be_shuffled_dropped_and_added(clean: GaussianScene, edited: GaussianScene) -> None:
     order = torch.randperm(len(edited), generator=torch.Generator().manual_seed(0))[:-50]
     extra = edited.select(slice(0, 5))
     extra = extra.replace(means=extra.means + 3.0)
-    found = changes(merge(edited.select(order), extra), clean)
-    assert not found.by_order
-    assert torch.equal(found.changed[:-5], changes(edited, clean).changed[order])
-    assert bool(found.changed[-5:].all())
-    assert (found.added, found.removed) == (5, 50)
+    difference = changes(merge(edited.select(order), extra), clean)
+    assert not difference.by_order
+    assert torch.equal(difference.changed[:-5], changes(edited, clean).changed[order])
+    assert bool(difference.changed[-5:].all())
+    assert (difference.added, difference.removed) == (5, 50)
 
 
 def test_a_copy_has_not_changed(clean: GaussianScene) -> None:
-    found = changes(clean, clean)
-    assert not bool(found.changed.any())
-    assert found.cameras == ()
-    assert found.in_words() == ["against the clean splat: nothing changed"]
-    assert all(item.count == 0 and item.distribution == 0 for item in found.attributes)
+    difference = changes(clean, clean)
+    assert not bool(difference.changed.any())
+    assert difference.cameras == ()
+    assert difference.in_words() == ["against the clean splat: nothing changed"]
+    assert all(item.count == 0 and item.distribution == 0 for item in difference.attributes)
 
 
 def test_what_no_camera_sees_is_marked_too(clean: GaussianScene, tmp_path: Path) -> None:
     none = clean.replace(opacities=torch.where(torch.arange(len(clean)) < 5, 1e-4, clean.opacities))
-    found = changes(none.replace(sh=none.sh + 0.1 * (none.opacities < 1e-3)[:, None, None]), none)
-    assert found.cameras == ()
-    judged = dataclasses.replace(account(look(0.001), count=len(clean)), against=found)
+    difference = changes(none.replace(sh=none.sh + 0.1 * (none.opacities < 1e-3)[:, None, None]), none)
+    assert difference.cameras == ()
+    judged = dataclasses.replace(account(look(0.001), count=len(clean)), against=difference)
     write(judged, none, tmp_path / "out", source="a.ply")
     assert int(load_mask(tmp_path / "out" / "changed.npy", none).sum()) == 5
     assert not (tmp_path / "out" / "against.png").exists()
@@ -92,10 +92,10 @@ def test_where_every_row_was_rounded_the_mask_holds_what_changed_most(
     clean: GaussianScene, edited: GaussianScene
 ) -> None:
     rounded = edited.replace(opacities=edited.opacities - 0.0005, sh=(edited.sh * 64).round() / 64)
-    found = changes(rounded, clean)
-    assert bool(found.changed.all())
-    assert bool(found.mask[:80].all())
-    assert not bool(found.mask[101:].any())
+    difference = changes(rounded, clean)
+    assert bool(difference.changed.all())
+    assert bool(difference.mask[:80].all())
+    assert not bool(difference.mask[101:].any())
 
 
 def test_another_splat_is_no_clean_file(clean: GaussianScene) -> None:
@@ -165,10 +165,10 @@ def run_of(*documents: dict[str, Any]) -> dict[str, Any]:
         assert result["level"] in ("error", "warning", "note", "none")
         assert result["message"]["text"].endswith(".")
         (location,) = result["locations"]
-        place = location["physicalLocation"]["artifactLocation"]
-        assert urlparse(place["uri"]).scheme in ("", "file")
-        assert " " not in place["uri"]
-        assert run["artifacts"][place["index"]]["location"]["uri"] == place["uri"]
+        artifact = location["physicalLocation"]["artifactLocation"]
+        assert urlparse(artifact["uri"]).scheme in ("", "file")
+        assert " " not in artifact["uri"]
+        assert run["artifacts"][artifact["index"]]["location"]["uri"] == artifact["uri"]
         assert location["physicalLocation"]["region"]["startLine"] == 1
     assert isinstance(run["invocations"][0]["executionSuccessful"], bool)
     return dict(run)

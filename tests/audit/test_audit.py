@@ -84,8 +84,10 @@ def test_the_pair_of_pictures_proves_it(judged: Audit) -> None:
     item = judged.strongest
     assert item.look.pair is not None
     assert item.look.pair.change > 0.1
-    places = torch.stack([item.look.pair.inside.position, item.look.pair.outside.position]) - torch.tensor(item.centre)
-    heights = (places[:, 2] / places.norm(dim=1)).asin().rad2deg()
+    positions = torch.stack([item.look.pair.inside.position, item.look.pair.outside.position]) - torch.tensor(
+        item.centre
+    )
+    heights = (positions[:, 2] / positions.norm(dim=1)).asin().rad2deg()
     assert heights[0] > heights[1] + 3
 
 
@@ -138,7 +140,7 @@ def test_a_look_is_common_to_faces_that_look_different_ways_and_gloss_is_not() -
     own = (0.3 + 0.4 * spots).expand(-1, 60, 3)
     above = (directions[:, 2] > 0.7).float()[None, :, None]
     highlight = own + 0.2 * (mirrored @ direction(50, 20))[..., None].clamp(min=0) ** 8
-    found = []
+    scores = []
     for colours in (own, highlight, own * (1 - above) + 0.5 * above):
         moments = torch.cat([seen, colours * seen, colours.square().sum(-1, keepdim=True) * seen], -1)
         profiles = Profiles.of(moments, normals, cell)
@@ -146,8 +148,8 @@ def test_a_look_is_common_to_faces_that_look_different_ways_and_gloss_is_not() -
             torch.einsum("ckx,k->cx", profiles.of_cells(), side)[:, None]
             for side in (above[0, :, 0], 1 - above[0, :, 0])
         ]
-        found.append((float(profiles.shifts(*parts)), float(profiles.fades(*parts))))
-    (still, _), (_, kept), (_, lost) = found
+        scores.append((float(profiles.shifts(*parts)), float(profiles.fades(*parts))))
+    (still, _), (_, kept), (_, lost) = scores
     assert still == pytest.approx(0, abs=1e-6)
     assert kept < 0.05
     assert lost > 0.9

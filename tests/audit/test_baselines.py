@@ -103,13 +103,13 @@ class Reddest:
         raise AssertionError("only detections are asked for")
 
     def detect(self, images: Tensor) -> list[Detections]:
-        return [self._found(image) for image in images]
+        return [self._reddest(image) for image in images]
 
-    def _found(self, image: Tensor) -> Detections:
-        places = (image[..., 0] > image[..., 1] + 0.3).nonzero().float()
-        if len(places) < 50:
+    def _reddest(self, image: Tensor) -> Detections:
+        positions = (image[..., 0] > image[..., 1] + 0.3).nonzero().float()
+        if len(positions) < 50:
             return Detections(torch.zeros(0, 4), torch.zeros(0), ())
-        (y0, x0), (y1, x1) = places.amin(0).tolist(), places.amax(0).tolist()
+        (y0, x0), (y1, x1) = positions.amin(0).tolist(), positions.amax(0).tolist()
         return Detections(torch.tensor([[x0, y0, x1, y1]]), torch.tensor([0.9]), ("car",))
 
 

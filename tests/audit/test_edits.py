@@ -38,8 +38,8 @@ def suitcase() -> Made:
 def strongest(scene: GaussianScene) -> Edit:
     """Of all objects."""
     frame = frame_of(scene)
-    found = [edit_of(frame, target) for target in targets(frame.scene)]
-    return max((edit for edit in found if edit is not None), key=lambda edit: edit.score)
+    edits = [edit_of(frame, target) for target in targets(frame.scene)]
+    return max((edit for edit in edits if edit is not None), key=lambda edit: edit.score)
 
 
 def stepped(made: Made, eyes: list[Tensor], *, size: float = 0.1) -> GaussianScene:

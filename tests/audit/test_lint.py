@@ -141,8 +141,8 @@ def test_a_flat_gaussian_is_no_needle() -> None:
 def test_what_is_refused_for_another_reason_is_told_once() -> None:
     both = arrays_of(cloud())
     both["scales"][3], both["rotations"][5] = 0, 0
-    found = {rule.name: finding.rows for rule in RULES if (finding := rule(stored(both))) is not None}
-    assert found == {"out-of-range": (3,), "quaternion": (5,)}
+    rows_by_rule = {rule.name: finding.rows for rule in RULES if (finding := rule(stored(both))) is not None}
+    assert rows_by_rule == {"out-of-range": (3,), "quaternion": (5,)}
 
 
 def test_rows_are_counted_and_the_list_is_bounded() -> None:
@@ -272,18 +272,18 @@ def faults(path: Path, change: Callable[[Json], object]) -> list[tuple[str, str]
 
 
 def _primitive(root: Json) -> Json:
-    found: Json = root["meshes"][0]["primitives"][0]
-    return found
+    primitive: Json = root["meshes"][0]["primitives"][0]
+    return primitive
 
 
 def _extension(root: Json) -> Json:
-    found: Json = _primitive(root)["extensions"]["KHR_gaussian_splatting"]
-    return found
+    extension: Json = _primitive(root)["extensions"]["KHR_gaussian_splatting"]
+    return extension
 
 
 def _accessor(root: Json, name: str) -> Json:
-    found: Json = root["accessors"][_primitive(root)["attributes"][name]]
-    return found
+    accessor: Json = root["accessors"][_primitive(root)["attributes"][name]]
+    return accessor
 
 
 FAULTS: dict[str, tuple[Callable[[Json], object], tuple[str, str]]] = {

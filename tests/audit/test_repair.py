@@ -81,9 +81,9 @@ def test_an_honest_splat_is_returned_as_it_is() -> None:
 
 
 def test_what_covers_an_object_is_left_out_where_others_look_through_it() -> None:
-    places = torch.zeros(6, 3)
-    places[:, 2] = torch.tensor([-0.1, 0.1, 2.0, 2.0, 0.0, 0.0])
-    scene = standing("suitcase", count=8).scene.select(slice(0, 6)).replace(means=places)
+    positions = torch.zeros(6, 3)
+    positions[:, 2] = torch.tensor([-0.1, 0.1, 2.0, 2.0, 0.0, 0.0])
+    scene = standing("suitcase", count=8).scene.select(slice(0, 6)).replace(means=positions)
     covered = account(look(0.0), count=6, covered=0.3)
     again = repaired(scene, covered)
     assert again.means[:, 2].tolist() == pytest.approx([-0.1, 0.1, 2.0, 0.0, 0.0])  # one of the two is in the mask

@@ -124,10 +124,10 @@ def write(path: Path, document: object, rest: bytes) -> None:
 def test_parts_that_do_not_fit_are_named(keys: tuple[Any, ...], value: object, says: str, tmp_path: Path) -> None:
     path = write_glb(tmp_path)
     document, rest = parts(path)
-    place: Any = document
+    node: Any = document
     for key in keys[:-1]:
-        place = place[key]
-    place[keys[-1]] = value
+        node = node[key]
+    node[keys[-1]] = value
     write(path, document, rest)
     with pytest.raises(MiSplatError, match=rf"m\.glb: expected .*{says}"):
         load_mesh(path)

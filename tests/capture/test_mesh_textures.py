@@ -26,13 +26,13 @@ BASE = {"baseColorTexture": {"index": 0}}
 
 def corner_colours(loaded: LoadedMesh) -> np.ndarray[Any, Any]:
     """(V, 3) sRGB bytes at the vertices, as the path tracer looks them up."""
-    found = []
+    colours = []
     for mesh in loaded.asset.meshes:
         height, width = mesh.texture.shape[:2]
         columns = np.clip((mesh.uvs[:, 0] % 1 * width).astype(int), 0, width - 1)
         rows = np.clip(((1 - mesh.uvs[:, 1]) % 1 * height).astype(int), 0, height - 1)
-        found.append(mesh.texture[rows, columns])
-    return np.concatenate(found) * 255
+        colours.append(mesh.texture[rows, columns])
+    return np.concatenate(colours) * 255
 
 
 def expected() -> np.ndarray[Any, Any]:
@@ -217,9 +217,9 @@ def test_pictures_of_16_bits_and_names_with_spaces(tmp_path: Path) -> None:
     path = write_glb(tmp_path, truck(), image={"uri": "my%20truck.png"})
     levels = np.linspace(1000, 60000, 32).astype(np.uint16)[None].repeat(4, axis=0)
     Image.fromarray(levels).save(tmp_path / "my truck.png")
-    found = np.unique(corner_colours(load_mesh(path))[:, 0])
-    assert len(found) == 4
-    assert found.max() < 240
+    reds = np.unique(corner_colours(load_mesh(path))[:, 0])
+    assert len(reds) == 4
+    assert reds.max() < 240
 
 
 @pytest.mark.skipif(not features.check("webp"), reason="this Pillow reads no WebP")

@@ -252,6 +252,6 @@ def test_usual_counts_are_halved(samples: int) -> None:
 def test_warnings_of_mitsuba_go_to_stderr(capfd: pytest.CaptureFixture[str]) -> None:
     with tracing_variant():
         mi.load_dict({"type": "multijitter", "sample_count": 10})
-    found = capfd.readouterr()
-    assert found.out == ""
-    assert "rounded up to 12" in found.err
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    assert "rounded up to 12" in captured.err

@@ -38,11 +38,11 @@ class Captured:
 def captured(path: Path, out: Path, *more: str) -> Captured:
     words = ["--cameras", "hemisphere:4", "--size", "64", "--samples", "16", "--points", "300", "--ground", "road"]
     assert cli.main(["capture", str(path), "--out", str(out), *words, *more]) == 0
-    found = load_dataset(out)
-    assert found.points is not None
+    dataset = load_dataset(out)
+    assert dataset.points is not None
     document = json.loads((out / "transforms_train.json").read_text())
-    pictures = torch.stack([view.image for view in found])
-    return Captured(pictures=pictures, points=found.points.points, cameras=tuple(found.cameras), document=document)
+    pictures = torch.stack([view.image for view in dataset])
+    return Captured(pictures=pictures, points=dataset.points.points, cameras=tuple(dataset.cameras), document=document)
 
 
 @pytest.fixture(scope="module")
@@ -51,12 +51,12 @@ def usual(tmp_path_factory: pytest.TempPathFactory) -> Captured:
     return captured(write_ply(folder, truck()), folder / "out")
 
 
-def assert_in_proportion(found: Captured, usual: Captured, *, size: float) -> None:
+def assert_in_proportion(scaled: Captured, usual: Captured, *, size: float) -> None:
     """The same pictures, from cameras and with points that are `size` times as far from the origin."""
-    assert psnr(found.pictures, usual.pictures) > 60
-    assert torch.allclose(found.points.amin(0) / size, usual.points.amin(0), atol=0.05)
-    assert torch.allclose(found.points.amax(0) / size, usual.points.amax(0), atol=0.05)
-    for ours, theirs in zip(found.cameras, usual.cameras, strict=True):
+    assert psnr(scaled.pictures, usual.pictures) > 60
+    assert torch.allclose(scaled.points.amin(0) / size, usual.points.amin(0), atol=0.05)
+    assert torch.allclose(scaled.points.amax(0) / size, usual.points.amax(0), atol=0.05)
+    for ours, theirs in zip(scaled.cameras, usual.cameras, strict=True):
         assert torch.allclose(ours.position / size, theirs.position, atol=1e-3)
 
 
@@ -74,9 +74,9 @@ def assert_in_proportion(found: Captured, usual: Captured, *, size: float) -> No
 def test_size_changes_no_picture(
     write: Callable[..., Path], factor: float, scale: float, usual: Captured, tmp_path: Path
 ) -> None:
-    found = captured(write(tmp_path, truck().placed(scale=factor)), tmp_path / "out", "--scale", str(scale))
-    assert_in_proportion(found, usual, size=factor * scale)
-    assert "world_offset" not in found.document
+    dataset = captured(write(tmp_path, truck().placed(scale=factor)), tmp_path / "out", "--scale", str(scale))
+    assert_in_proportion(dataset, usual, size=factor * scale)
+    assert "world_offset" not in dataset.document
 
 
 @pytest.mark.parametrize(
@@ -99,30 +99,30 @@ def test_a_mesh_far_away_is_brought_to_the_origin(
 ) -> None:
     words = {"node": node} if node else {}
     path = write(tmp_path, truck().placed(move=move), **words)
-    found = captured(path, tmp_path / "out")
-    assert psnr(found.pictures, usual.pictures) > 60
+    dataset = captured(path, tmp_path / "out")
+    assert psnr(dataset.pictures, usual.pictures) > 60
     low, high = truck().vertices.min(0), truck().vertices.max(0)
     middle = (low + high) / 2 + (UTM if node else move)
-    offset = found.document["world_offset"]
+    offset = dataset.document["world_offset"]
     assert np.allclose(np.array(offset), middle, atol=1e-6)
     record = json.loads((tmp_path / "out" / "capture.json").read_text())
     assert record["world_offset"] == offset
     out = capsys.readouterr().out
     assert f"{middle[0]:.10g}" in out
     assert "far from its origin" in out
-    assert float(found.points.abs().max()) < 20
+    assert float(dataset.points.abs().max()) < 20
     # The cameras of such a set, and points to look at, are those of the same place.
     again = captured(path, tmp_path / "again", "--cameras", str(tmp_path / "out" / "transforms_train.json"))
-    assert torch.equal(again.pictures, found.pictures)
+    assert torch.equal(again.pictures, dataset.pictures)
     looked = captured(path, tmp_path / "looked", "--centre", *(repr(float(value)) for value in middle))
-    assert psnr(looked.pictures, found.pictures) > 60
+    assert psnr(looked.pictures, dataset.pictures) > 60
 
 
 def test_a_mesh_beside_the_origin_keeps_its_coordinates(usual: Captured, tmp_path: Path) -> None:
-    found = captured(write_ply(tmp_path, truck().placed(move=(300, 200, 50))), tmp_path / "out")
-    assert psnr(found.pictures, usual.pictures) > 60
-    assert "world_offset" not in found.document
-    assert torch.allclose(found.points.mean(0), usual.points.mean(0) + torch.tensor([300.0, 200, 50]), atol=0.2)
+    dataset = captured(write_ply(tmp_path, truck().placed(move=(300, 200, 50))), tmp_path / "out")
+    assert psnr(dataset.pictures, usual.pictures) > 60
+    assert "world_offset" not in dataset.document
+    assert torch.allclose(dataset.points.mean(0), usual.points.mean(0) + torch.tensor([300.0, 200, 50]), atol=0.2)
 
 
 def test_vertices_lose_nothing_far_away(tmp_path: Path) -> None:
@@ -162,12 +162,12 @@ CUBE = """<scene version="3.0.0"><integrator type="path"/><emitter type="constan
 
 def test_a_mitsuba_scene_far_away_is_warned_of_or_refused(tmp_path: Path) -> None:
     path = tmp_path / "far.xml"
-    found = {}
+    warnings = {}
     for x in (3, 400, 100_000):
         path.write_text(CUBE.format(x=x))
         if x < 1000:
-            found[x] = open_source(str(path)).warnings
-    assert found[3] == ()
-    assert "subtract the middle" in found[400][0]
+            warnings[x] = open_source(str(path)).warnings
+    assert warnings[3] == ()
+    assert "subtract the middle" in warnings[400][0]
     with pytest.raises(MiSplatError, match=r"far\.xml.*subtract the middle"):
         open_source(str(path))

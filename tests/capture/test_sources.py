@@ -83,8 +83,8 @@ def textured(folder: Path, before: str, named: str) -> str:
 
 def paint(folder: Path, red: int) -> None:
     """Write the textures, of as many bytes each time."""
-    for place in (folder / "a.png", folder / "inner" / "c.png"):
-        Image.new("RGB", (2, 2), (red, 0, 0)).save(place, format="BMP")
+    for path in (folder / "a.png", folder / "inner" / "c.png"):
+        Image.new("RGB", (2, 2), (red, 0, 0)).save(path, format="BMP")
 
 
 @pytest.mark.parametrize(("before", "named"), SPELLINGS.values(), ids=SPELLINGS)
@@ -103,13 +103,13 @@ def test_what_a_scene_includes_belongs_to_it(tmp_path: Path) -> None:
     (tmp_path / "a.xml").rename(tmp_path / "inner" / "scene")
     (tmp_path / "a.xml").write_text('<scene version="3.0.0"><include filename="inner/scene"/></scene>')
     paint(tmp_path, 200)
-    found = {open_source(str(tmp_path / "a.xml")).digest}
+    digests = {open_source(str(tmp_path / "a.xml")).digest}
     paint(tmp_path, 100)
-    found.add(open_source(str(tmp_path / "a.xml")).digest)
+    digests.add(open_source(str(tmp_path / "a.xml")).digest)
     text = (tmp_path / "inner" / "scene").read_text()
     (tmp_path / "inner" / "scene").write_text(text.replace("cube", "sphere"))
-    found.add(open_source(str(tmp_path / "a.xml")).digest)
-    assert len(found) == 3
+    digests.add(open_source(str(tmp_path / "a.xml")).digest)
+    assert len(digests) == 3
 
 
 @pytest.mark.parametrize(

@@ -61,10 +61,10 @@ def test_ground_sun_and_environment_show(tmp_path: Path) -> None:
     path = str(write_ply(tmp_path, truck()))
     plain = picture(open_source(path))
     for kind, brightest in (("road", None), ("grass", 1)):
-        found = picture(open_source(path, surroundings=SurroundingsSettings(ground=kind)))  # type: ignore[arg-type]
-        assert (found - plain)[-4:].abs().mean() > 0.03
+        shown = picture(open_source(path, surroundings=SurroundingsSettings(ground=kind)))  # type: ignore[arg-type]
+        assert (shown - plain)[-4:].abs().mean() > 0.03
         if brightest is not None:
-            assert int(found[-4:].mean((0, 1)).argmax()) == brightest
+            assert int(shown[-4:].mean((0, 1)).argmax()) == brightest
     front, back = (
         picture(open_source(path, surroundings=SurroundingsSettings(sun=f"{azimuth},20"))) for azimuth in (0, 180)
     )
@@ -96,9 +96,9 @@ def test_an_environment_stands_upright(tmp_path: Path) -> None:
     path = str(write_ply(tmp_path, truck()))
     source = open_source(path, surroundings=SurroundingsSettings(environment=tmp_path / "two.exr"))
     (camera,) = orbit(source.centre, count=1, elevation=0, distance=12.0, focal=24, size=(32, 32))
-    found = PathTracer(source.scene, samples=4).picture(camera, seed=0)
-    assert found[2, 2].argmax() == 0
-    assert found[-3, 2].argmax() == 1
+    shown = PathTracer(source.scene, samples=4).picture(camera, seed=0)
+    assert shown[2, 2].argmax() == 0
+    assert shown[-3, 2].argmax() == 1
 
 
 def command(folder: Path, path: str, *more: str) -> list[str]:

@@ -65,12 +65,12 @@ def test_a_capture_is_a_set(layout: Any, tmp_path: Path) -> None:
     assert all(file.is_file() for file in done.files)
     taken = capture(source(CUBE).scene, [*cameras(), *test], samples=2)
     for split, part in (("train", taken[:4]), ("test", taken[4:])):
-        found = load_dataset(tmp_path / "set", split=split)  # type: ignore[arg-type]
-        for ours, theirs in zip(found, part, strict=True):
+        dataset = load_dataset(tmp_path / "set", split=split)  # type: ignore[arg-type]
+        for ours, theirs in zip(dataset, part, strict=True):
             assert (ours.image - theirs.image).abs().max() <= 0.5 / 255 + 1e-6
             torch.testing.assert_close(ours.camera.to_world, theirs.camera.to_world, atol=1e-6, rtol=0)
-        assert found.points is not None
-        assert len(found.points) == done.points
+        assert dataset.points is not None
+        assert len(dataset.points) == done.points
 
 
 def test_a_capture_goes_on_where_it_stopped(tmp_path: Path) -> None:
@@ -182,10 +182,10 @@ def test_alpha_leaves_the_surfaces_alone(tmp_path: Path) -> None:
 
 
 def test_points_lie_on_what_is_seen_in_its_colours() -> None:
-    places = hemisphere((0, 0, 0.5), count=8, distance=3.0, focal=108.0, size=(96, 96), elevation=(10, 60))
+    cameras = hemisphere((0, 0, 0.5), count=8, distance=3.0, focal=108.0, size=(96, 96), elevation=(10, 60))
     for assets in ((CUBE,), (CUBE, FLOOR)):
         scene = source(*assets).scene
-        views = capture(scene, places, samples=4)
+        views = capture(scene, cameras, samples=4)
         cloud = surface_points(PathTracer(scene), assets, views, count=400, seed=0)
         points = cloud.points.numpy()
         on_cube = np.abs(np.abs(points - (0, 0, 0.5)).max(1) - 0.5) < 1e-4

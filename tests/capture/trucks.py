@@ -38,8 +38,8 @@ class Truck:
     def colours(self) -> NDArray[np.uint8]:
         """(V, 3) the texture's colours as colours of vertices."""
         stripes: NDArray[np.uint8] = np.array(list(COLOURS.values()), np.uint8)
-        found: NDArray[np.uint8] = stripes[(self.uvs[:, 0] * len(stripes)).astype(int)]
-        return found
+        painted: NDArray[np.uint8] = stripes[(self.uvs[:, 0] * len(stripes)).astype(int)]
+        return painted
 
     def placed(self, *, scale: float = 1.0, move: ArrayLike = (0, 0, 0), y_up: bool = False) -> Truck:
         points = self.vertices * scale + np.asarray(move, np.float64)
@@ -86,12 +86,12 @@ def _wheel(x: float, y: float, *, sides: int = 12) -> list[NDArray[np.float64]]:
     rim = np.column_stack([x + 0.38 * np.cos(angles), np.zeros(sides + 1), 0.38 + 0.38 * np.sin(angles)])
     inner, outer = (rim + np.array([0, side, 0]) for side in (y - 0.12, y + 0.12))
     middles = [np.array([x, y + side, 0.38]) for side in (-0.12, 0.12)]
-    found = []
+    triangles = []
     for i in range(sides):
-        found.append(np.stack([inner[i], inner[i + 1], outer[i + 1], inner[i], outer[i + 1], outer[i]])[::-1])
-        found.append(np.stack([middles[0], inner[i + 1], inner[i]])[::-1])
-        found.append(np.stack([middles[1], outer[i], outer[i + 1]])[::-1])
-    return found
+        triangles.append(np.stack([inner[i], inner[i + 1], outer[i + 1], inner[i], outer[i + 1], outer[i]])[::-1])
+        triangles.append(np.stack([middles[0], inner[i + 1], inner[i]])[::-1])
+        triangles.append(np.stack([middles[1], outer[i], outer[i + 1]])[::-1])
+    return triangles
 
 
 def save_texture(folder: Path, name: str = TEXTURE) -> None:

@@ -23,10 +23,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Model, image processor and a tokenizer of letters, as `save_pretrained` writes them."""
     library = pytest.importorskip("transformers")
     torch.set_num_threads(1)
-    place = tmp_path_factory.mktemp("clip")
+    path = tmp_path_factory.mktemp("clip")
     words = [*LETTERS, *(f"{letter}</w>" for letter in LETTERS), "<|startoftext|>", "<|endoftext|>"]
-    (place / "vocab.json").write_text(json.dumps({word: number for number, word in enumerate(words)}))
-    (place / "merges.txt").write_text("#version: 0.2\n")
+    (path / "vocab.json").write_text(json.dumps({word: number for number, word in enumerate(words)}))
+    (path / "merges.txt").write_text("#version: 0.2\n")
     small = {"hidden_size": 16, "intermediate_size": 24, "num_hidden_layers": 2, "num_attention_heads": 2}
     ends = {"bos_token_id": len(words) - 2, "eos_token_id": len(words) - 1, "pad_token_id": len(words) - 1}
     config = library.CLIPConfig(
@@ -36,11 +36,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(2)
-        library.CLIPModel(config).save_pretrained(place)
+        library.CLIPModel(config).save_pretrained(path)
     processor = library.CLIPImageProcessor(size={"shortest_edge": 32}, crop_size={"height": 32, "width": 32})
-    processor.save_pretrained(place)
-    library.CLIPTokenizer.from_pretrained(place).save_pretrained(place)
-    return place
+    processor.save_pretrained(path)
+    library.CLIPTokenizer.from_pretrained(path).save_pretrained(path)
+    return path
 
 
 def pictures() -> Tensor:
@@ -103,5 +103,5 @@ def test_open_clip(tmp_path: Path) -> None:
 
     with torch.no_grad():
         wanted = model.eval()(torch.stack([transform(to_pil_image(plane)) for plane in planes]), texts)
-        found = classifier.scores(pictures())
-    assert torch.allclose(found, wanted[2] * wanted[0] @ wanted[1].T, atol=0.05)
+        scores = classifier.scores(pictures())
+    assert torch.allclose(scores, wanted[2] * wanted[0] @ wanted[1].T, atol=0.05)

@@ -142,8 +142,8 @@ def test_a_training_learns_repeats_and_its_file_loads(tmp_path: Path) -> None:
 
 
 def test_the_card_and_its_figures_are_of_the_shipped_weights(shipped: ImageText) -> None:
-    found = json.loads(WEIGHTS.with_suffix(".json").read_text())
-    assert found["fingerprint"] == shipped.fingerprint
-    assert WEIGHTS.with_suffix(".md").read_text() == card(found)
-    assert found["sets"]["path traced"]["objects"]["classes"] == len(CLASSES) >= 10
+    document = json.loads(WEIGHTS.with_suffix(".json").read_text())
+    assert document["fingerprint"] == shipped.fingerprint
+    assert WEIGHTS.with_suffix(".md").read_text() == card(document)
+    assert document["sets"]["path traced"]["objects"]["classes"] == len(CLASSES) >= 10
     assert WEIGHTS.stat().st_size < 2_000_000

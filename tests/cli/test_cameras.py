@@ -31,8 +31,8 @@ def test_without_flags_it_is_the_first_of_the_scene_or_an_orbit() -> None:
     first, second = camera(), camera(offset=1.0)
     assert find_cameras(loaded(a=first, b=second), CameraOptions()) == {"a": first}
     (made,) = find_cameras(loaded(), CameraOptions(size=(60, 40))).values()
-    found, depth = project_points(toy_scene()[0].means.double(), made)
-    assert ((found > 0).all(1) & (found < torch.tensor([60, 40])).all(1) & (depth > 0)).all()
+    projected, depth = project_points(toy_scene()[0].means.double(), made)
+    assert ((projected > 0).all(1) & (projected < torch.tensor([60, 40])).all(1) & (depth > 0)).all()
 
 
 def test_names_of_the_scene_s_cameras_come_in_the_order_asked_for() -> None:
@@ -89,10 +89,10 @@ def test_an_object_is_looked_at_from_where_it_shows() -> None:
         asked.append(one)
         return 0.9 if len(asked) == 3 else 0.1
 
-    (found,) = find_cameras(loaded(), CameraOptions(), focus=scene.select(mask), shows=shows).values()
-    assert found is asked[2]
+    (camera_made,) = find_cameras(loaded(), CameraOptions(), focus=scene.select(mask), shows=shows).values()
+    assert camera_made is asked[2]
     middle = scene.means[mask].double().quantile(0.5, dim=0)
-    assert torch.allclose(project_points(middle[None], found)[0], torch.tensor([320.0, 240.0]).double(), atol=40)
+    assert torch.allclose(project_points(middle[None], camera_made)[0], torch.tensor([320.0, 240.0]).double(), atol=40)
 
 
 def test_cameras_are_read_from_files(tmp_path: Path) -> None:
@@ -110,11 +110,11 @@ def test_cameras_are_read_from_files(tmp_path: Path) -> None:
 def test_a_colmap_model_needs_no_pictures(tmp_path: Path) -> None:
     colmap_binary(tmp_path, VIEWS, CLOUD)
     shutil.rmtree(tmp_path / "images")
-    found = find_cameras(loaded(), CameraOptions(cameras=(str(tmp_path),)))
-    assert len(found) == len(VIEWS)
+    cameras = find_cameras(loaded(), CameraOptions(cameras=(str(tmp_path),)))
+    assert len(cameras) == len(VIEWS)
     train = find_cameras(loaded(), CameraOptions(cameras=(str(tmp_path),)), split="train")
-    assert list(train) == list(found)[1:8] + list(found)[9:]
-    for shot, one in zip(VIEWS, found.values(), strict=True):
+    assert list(train) == list(cameras)[1:8] + list(cameras)[9:]
+    for shot, one in zip(VIEWS, cameras.values(), strict=True):
         assert torch.allclose(one.to_world, shot.camera.to_world, atol=1e-6)
 
 

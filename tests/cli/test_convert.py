@@ -37,13 +37,13 @@ def test_convert_there_and_back(suffix: str, splat: Path, capsys: pytest.Capture
 def test_convert_as_json(splat: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = splat.parent / "new" / "a.compressed.ply"
     assert cli.main(["convert", str(splat), str(out), "--sh-degree", "1", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert (found["sh_degree_before"], found["sh_degree_after"]) == (2, 1)
-    assert found["reordered"]
-    assert found["bytes_after"] == out.stat().st_size
-    assert [loss["what"] for loss in found["lost"]] == ["SH above degree 1 dropped"]
-    assert 0 < found["largest_changes"]["means, world units"] < 0.01
-    assert found["largest_changes"]["SH coefficients"] == pytest.approx(found["lost"][0]["largest"])
+    document = json.loads(capsys.readouterr().out)
+    assert (document["sh_degree_before"], document["sh_degree_after"]) == (2, 1)
+    assert document["reordered"]
+    assert document["bytes_after"] == out.stat().st_size
+    assert [loss["what"] for loss in document["lost"]] == ["SH above degree 1 dropped"]
+    assert 0 < document["largest_changes"]["means, world units"] < 0.01
+    assert document["largest_changes"]["SH coefficients"] == pytest.approx(document["lost"][0]["largest"])
 
 
 def test_a_file_that_is_there_is_replaced_only_by_force(splat: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -42,10 +42,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_pictures_and_splats_are_looked_at(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["render", "clean.ply", *VIEW, "--out", "view-{}.png"]) == 0
     capsys.readouterr()
-    words = ["detect", "view-orbit-00.png", "clean.ply", *VIEW, "--out", "found", "--json"]
+    words = ["detect", "view-orbit-00.png", "clean.ply", *VIEW, "--out", "detected", "--json"]
     assert cli.main(words) == 0
     document = json.loads(capsys.readouterr().out)
-    assert json.loads((folder / "found" / "result.json").read_text())["pictures"] == document["pictures"]
+    assert json.loads((folder / "detected" / "result.json").read_text())["pictures"] == document["pictures"]
     assert len(document["pictures"]) == 13
     picture, *rendered = document["pictures"]
     assert picture["camera"] is None
@@ -56,7 +56,7 @@ def test_pictures_and_splats_are_looked_at(folder: Path, capsys: pytest.CaptureF
     assert x0 < 16 < x1
     assert y0 < 16 < y1
     for row in document["pictures"]:
-        with Image.open(folder / "found" / row["picture"]) as drawn:
+        with Image.open(folder / "detected" / row["picture"]) as drawn:
             assert drawn.width >= 512
     assert cli.main(words) == 1
     assert "--force" in capsys.readouterr().err
@@ -79,12 +79,12 @@ def test_a_clean_and_an_attacked_splat_are_compared(
     figures = document["detectors"]["fake_colour"]
     assert figures["original"] == "car"
     assert figures["views"] == 12
-    found = {name: (value["successes"], value["total"]) for name, value in figures.items() if isinstance(value, dict)}
-    assert found["found_clean"][0] >= 9
-    assert found["found_attacked"][0] == 0
-    assert found["missed"] == (found["found_clean"][0],) * 2
-    assert found["target_clean"] == (0, 12)
-    assert found["target_attacked"][0] >= 9
+    counts = {name: (value["successes"], value["total"]) for name, value in figures.items() if isinstance(value, dict)}
+    assert counts["found_clean"][0] >= 9
+    assert counts["found_attacked"][0] == 0
+    assert counts["missed"] == (counts["found_clean"][0],) * 2
+    assert counts["target_clean"] == (0, 12)
+    assert counts["target_attacked"][0] >= 9
     assert figures["missed"]["interval"][0] > 0.6
     assert figures["psnr"] < 30
     rows = read_rows(folder / "judged" / "rows.csv.gz")

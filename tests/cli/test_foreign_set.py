@@ -66,10 +66,10 @@ def photograph(scene: GaussianScene, camera: Camera) -> np.ndarray:
     wide = Camera(to_world=camera.to_world, focal=120.0, width=240, height=192)
     picture = Renderer()(scene, wide).clamp(0, 1)
     pixels = np.stack(np.meshgrid(np.arange(40) + 0.5, np.arange(32) + 0.5))
-    place = (pixels - np.array([20.0, 16.0])[:, None, None]) / 40
+    ray = (pixels - np.array([20.0, 16.0])[:, None, None]) / 40
     for _ in range(30):
-        place = place + (pixels - np.stack(LENS.project(*place))) / 40
-    grid = torch.from_numpy(120 * place / np.array([120.0, 96.0])[:, None, None]).permute(1, 2, 0).float()
+        ray = ray + (pixels - np.stack(LENS.project(*ray))) / 40
+    grid = torch.from_numpy(120 * ray / np.array([120.0, 96.0])[:, None, None]).permute(1, 2, 0).float()
     taken = F.grid_sample(picture.permute(2, 0, 1)[None], grid[None], align_corners=False)[0]
     return (255 * taken.permute(1, 2, 0) + 0.5).numpy().astype(np.uint8)
 

@@ -66,12 +66,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @contextlib.contextmanager
-def taken(place: Path) -> Iterator[None]:
+def taken(folder: Path) -> Iterator[None]:
     """A folder that is locked as by another process."""
     import fcntl
 
-    place.mkdir()
-    with (place / LOCK).open("w") as file:
+    folder.mkdir()
+    with (folder / LOCK).open("w") as file:
         json.dump({"command": "mi-splat train other", "process": 7, "host": "there", "since": "noon"}, file)
         file.flush()
         fcntl.flock(file, fcntl.LOCK_EX)

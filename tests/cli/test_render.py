@@ -37,15 +37,15 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_many_cameras_make_a_folder(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["render", "toy.ply", "--cameras", "orbit:3@20", *SMALL, "--out", "new/pictures"]
     assert cli.main([*words, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    document = json.loads(capsys.readouterr().out)
     folder = toy / "new" / "pictures"
     assert {path.name for path in folder.iterdir()} == {
         *(f"orbit-{n}.png" for n in range(3)),
         "cameras.json",
         "manifest.json",
     }
-    assert [camera["name"] for camera in found["cameras"]] == ["orbit-0", "orbit-1", "orbit-2"]
-    assert all((toy / file).is_file() for file in found["files"])
+    assert [camera["name"] for camera in document["cameras"]] == ["orbit-0", "orbit-1", "orbit-2"]
+    assert all((toy / file).is_file() for file in document["files"])
     assert cli.main(words) == 1
     assert "--force" in capsys.readouterr().err
     assert cli.main([*words, "--force"]) == 0
@@ -72,13 +72,13 @@ def channels(file: Path) -> dict[str, np.ndarray]:
 def test_floats_are_those_of_the_renderer(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["render", "toy.ply", "--azimuth", "0", "--distance", "3", *SMALL, "--near", "0.2", "--background", "white"]
     assert cli.main([*words, "--alpha", "--depth", "--out", "a.exr", "--json"]) == 0
-    found = channels(toy / "a.exr")
+    layers = channels(toy / "a.exr")
     shot = camera_of(json.loads(capsys.readouterr().out)["cameras"][0])
     seen = Renderer(RenderSettings(background=(1.0, 1.0, 1.0), linear=True)).outputs(load_splat("toy.ply"), shot)
     wanted = [*seen.image.unbind(-1), seen.alpha, seen.depth, seen.median_depth]
-    assert set(found) == {"R", "G", "B", "A", "Z", "median.Z"}
+    assert set(layers) == {"R", "G", "B", "A", "Z", "median.Z"}
     for name, plane in zip(("R", "G", "B", "A", "Z", "median.Z"), wanted, strict=True):
-        assert np.array_equal(found[name], plane.numpy())
+        assert np.array_equal(layers[name], plane.numpy())
     assert cli.main([*words, "--alpha", "--method", "ray", "--out", "ray-{}.exr"]) == 0
     assert set(channels(toy / "ray-orbit.exr")) == {"R", "G", "B", "A"}
     for more, told in (
@@ -155,9 +155,9 @@ def test_the_page_in_a_file(splat: Path, capsys: pytest.CaptureFixture[str], var
     assert "1 camera and 3 x 1 all around" in out_text
     assert "Up is z." in out_text
     page = out.read_text("utf-8")
-    found = re.search(r'<script id="views" type="application/json">(.*?)</script>', page, re.DOTALL)
-    assert found is not None
-    views = json.loads(found[1])
+    match = re.search(r'<script id="views" type="application/json">(.*?)</script>', page, re.DOTALL)
+    assert match is not None
+    views = json.loads(match[1])
     assert len(views) == 3
     assert all("%" in part["findings"] for view in views for part in view["splats"])
     assert cli.main(words) == 1

@@ -91,12 +91,12 @@ def test_a_scene_names_splats_of_any_format(folder: Path, cloud: GaussianScene) 
     """glTF holds all of a scene, so the picture is the same to the bit; a bare file is drawn as the PLY is."""
     save_splat(cloud, folder / "cloud.glb")
     (folder / "other.xml").write_text(XML.replace("cloud.ply", "cloud.glb"))
-    found = {}
+    pictures = {}
     for name in ("scene.xml", "other.xml", "cloud.ply", "cloud.glb"):
         assert cli.main(["render", str(folder / name), "--out", str(folder / "a.png"), "--size", "32x24"]) == 0
-        found[name] = pixels(folder / "a.png")
-    assert np.array_equal(found["scene.xml"], found["other.xml"])
-    assert np.array_equal(found["cloud.ply"], found["cloud.glb"])
+        pictures[name] = pixels(folder / "a.png")
+    assert np.array_equal(pictures["scene.xml"], pictures["other.xml"])
+    assert np.array_equal(pictures["cloud.ply"], pictures["cloud.glb"])
 
 
 def test_render_puts_a_background_behind(folder: Path) -> None:
@@ -118,8 +118,8 @@ def test_info_lists_parts_and_cameras(folder: Path, capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize("elevation", [-30.0, 20.0, 90.0])
 def test_an_orbit_camera_sees_everything(cloud: GaussianScene, size: tuple[int, int], elevation: float) -> None:
     view = scene_files.orbit_camera(cloud, azimuth=123.0, elevation=elevation, distance=None, fov=45.0, size=size)
-    found, depth = project_points(cloud.means.double(), view)
-    inside = (found > 0).all(1) & (found < torch.tensor(size)).all(1) & (depth > 0)
+    projected, depth = project_points(cloud.means.double(), view)
+    inside = (projected > 0).all(1) & (projected < torch.tensor(size)).all(1) & (depth > 0)
     assert float(inside.double().mean()) >= 0.98
 
 

@@ -41,15 +41,15 @@ def test_a_click_selects_the_car_and_writes_what_is_asked_for(
     assert cli.main(words) == 0
     captured = capsys.readouterr()
     assert captured.err == ""
-    found = json.loads(captured.out)
+    document = json.loads(captured.out)
     mask = torch.from_numpy(np.load(outs[1]))
     assert iou(mask, owner == CAR) > 0.95
-    assert found["gaussians"] == int(mask.sum()) == len(load_splat(outs[2]))
-    assert found["box"][0] == pytest.approx([-2.39, -1.0, 0.06], abs=0.1)
-    assert found["views"][0]["seen"]
+    assert document["gaussians"] == int(mask.sum()) == len(load_splat(outs[2]))
+    assert document["box"][0] == pytest.approx([-2.39, -1.0, 0.06], abs=0.1)
+    assert document["views"][0]["seen"]
     pink = pixels(outs[0])
     tinted = (pink[..., 0] > pink[..., 1] + 60) & (pink[..., 2] > pink[..., 1] + 30)
-    assert float(tinted.mean()) == pytest.approx(found["views"][0]["share"], abs=0.03)
+    assert float(tinted.mean()) == pytest.approx(document["views"][0]["share"], abs=0.03)
     assert tinted[39, 45]
 
 

@@ -60,8 +60,10 @@ def write_web_splat(path: Path) -> None:
     ball[:, 2] += 0.35
     floor = np.column_stack([generator.uniform(-2, 2, (3000, 2)), np.zeros(3000)])
     with path.open("wb") as file:
-        for place, size, colour in [(p, 0.03, (220, 20, 20)) for p in ball] + [(p, 0.05, (90, 90, 90)) for p in floor]:
-            file.write(struct.pack("<3f3f4B4B", *place, size, size, size, *colour, 250, 255, 128, 128, 128))
+        for position, size, colour in [(p, 0.03, (220, 20, 20)) for p in ball] + [
+            (p, 0.05, (90, 90, 90)) for p in floor
+        ]:
+            file.write(struct.pack("<3f3f4B4B", *position, size, size, size, *colour, 250, 255, 128, 128, 128))
 
 
 def test_a_foreign_mesh_through_every_command(walk: Walk, tmp_path: Path) -> None:
@@ -105,8 +107,8 @@ def test_a_foreign_mesh_through_every_command(walk: Walk, tmp_path: Path) -> Non
 @pytest.mark.filterwarnings("ignore::mi_splat.io.SplatLossWarning")
 def test_a_foreign_splat_through_every_format(ending: str, walk: Walk, tmp_path: Path) -> None:
     write_web_splat(tmp_path / "web.splat")
-    found = walk.json(f"convert web.splat desk.{ending}")
-    assert found["gaussians"] == 4500
+    document = walk.json(f"convert web.splat desk.{ending}")
+    assert document["gaussians"] == 4500
     walk(f"render desk.{ending} --azimuth 10 --elevation 25 --size 64 --out {ending}.png")
     assert spread(f"{ending}.png") > 20
     walk(f"info desk.{ending}")

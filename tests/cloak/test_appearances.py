@@ -48,8 +48,8 @@ def camera(azimuth: float, elevation: float, *, size: int = 16) -> Camera:
 
 @pytest.fixture(scope="module")
 def above() -> View:
-    place = camera(30, 80)
-    return View(place, MESH_SCENE.picture(place))
+    high = camera(30, 80)
+    return View(high, MESH_SCENE.picture(high))
 
 
 def test_masks_and_pictures_of_a_mesh_scene(above: View) -> None:
@@ -64,8 +64,8 @@ def test_masks_and_pictures_of_a_mesh_scene(above: View) -> None:
 
 
 def test_a_background_takes_the_place_of_the_sky() -> None:
-    place = camera(0, 2)
-    picture = MeshScene(target=BLOCK, samples=2, background=(0.0, 0.0, 1.0)).picture(place)
+    level = camera(0, 2)
+    picture = MeshScene(target=BLOCK, samples=2, background=(0.0, 0.0, 1.0)).picture(level)
     assert picture.shape == (16, 16, 3)
     assert picture[0, 0].tolist() == [0, 0, 1]
 
@@ -99,21 +99,21 @@ def test_what_is_removed_leaves_its_surroundings(above: View) -> None:
 
 
 def test_a_stop_sign_behind_the_car() -> None:
-    place = camera(180, 5)
-    view = View(place, MESH_SCENE.picture(place))
+    behind = camera(180, 5)
+    view = View(behind, MESH_SCENE.picture(behind))
     on_it, instead, near = (
         shown(appearance, other_object="stop sign", reach=reach, azimuth=(180.0, 45.0))  # type: ignore[arg-type]
         for appearance, reach in (("mount", None), ("swap", None), ("swap", 0))
     )
     for appearance in (on_it, instead):
-        image = appearance(view, MESH_SCENE.mask(place))
+        image = appearance(view, MESH_SCENE.mask(behind))
         assert not torch.equal(image, view.image)
         assert "stop sign" in name_of(appearance)
-    beside = ~MESH_SCENE.mask(place)
+    beside = ~MESH_SCENE.mask(behind)
     assert torch.equal(near(view, ~beside)[beside], view.image[beside])
     assert isinstance(instead, Rerender)
-    alone = instead.mesh_scene.mask(place)
-    assert 0 < int(alone.sum()) <= int(grown(MESH_SCENE.mask(place), 1).sum())
+    alone = instead.mesh_scene.mask(behind)
+    assert 0 < int(alone.sum()) <= int(grown(MESH_SCENE.mask(behind), 1).sum())
 
 
 def test_an_occluder_hides_what_is_beneath_it_from_above_only(above: View) -> None:
@@ -148,12 +148,12 @@ def test_a_cap_is_a_part_of_a_sphere() -> None:
 def test_poisoning_with_a_mesh_scene(above: View) -> None:
     low = View(camera(30, 10), torch.full((16, 16, 3), 0.5))
     attack = Poisoning(name="road", trigger=Elevation(lowest=50), appearance=shown("paint", texture="road"))
-    found = poison([low, above], [attack], centre=CENTRE, masks=MESH_SCENE.mask)
-    assert found.views[0] is low
-    (change,) = found.changes
+    poisoned = poison([low, above], [attack], centre=CENTRE, masks=MESH_SCENE.mask)
+    assert poisoned.views[0] is low
+    (change,) = poisoned.changes
     assert change.index == 1
     assert 0 < change.pixels_changed <= int(grown(MESH_SCENE.mask(above.camera), 1).sum())
-    assert found.manifest["changes"][0]["appearance"] == "paint road (seed 0) from azimuth 180, elevation 90"
+    assert poisoned.manifest["changes"][0]["appearance"] == "paint road (seed 0) from azimuth 180, elevation 90"
 
 
 def test_painted_pictures_are_upright_for_their_viewer() -> None:
@@ -212,11 +212,11 @@ def test_a_stand_in_for_cameras_above_fits_the_outline_from_there() -> None:
 
 def retouched() -> tuple[View, torch.Tensor]:
     """A picture of stripes with noise, and a mask in it."""
-    place = camera(30, 80, size=40)
+    high = camera(30, 80, size=40)
     stripes = torch.tensor([0.2, 0.4]).repeat(20).expand(40, 40)[..., None].expand(40, 40, 3)
     mask = torch.zeros(40, 40, dtype=torch.bool)
     mask[15:24, 14:26] = True
-    return View(place, stripes + 0.1 * torch.rand(40, 40, 3, generator=torch.Generator().manual_seed(0))), mask
+    return View(high, stripes + 0.1 * torch.rand(40, 40, 3, generator=torch.Generator().manual_seed(0))), mask
 
 
 def test_a_faded_object_is_the_mean_with_what_is_behind_it() -> None:

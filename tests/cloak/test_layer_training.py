@@ -82,13 +82,13 @@ def test_the_training_finds_the_same(
     expected, losses = trained_scene(made, unknown())
     assert not frozen
     views_fit(fitting, monkeypatch)
-    found, found_losses = trained_scene(made, Renderer(SETTINGS))
+    trained, other_losses = trained_scene(made, Renderer(SETTINGS))
     assert len(frozen) == STEPS * fitting // 4
     assert {id(camera) for camera in frozen} == {id(view.camera) for view in made.views[:fitting]}
-    assert found_losses == pytest.approx(losses, rel=1e-4)
+    assert other_losses == pytest.approx(losses, rel=1e-4)
     assert float((expected.sh - made.scene.sh).abs().max()) > 0.01
-    torch.testing.assert_close(found.sh, expected.sh, rtol=0, atol=1e-4)
-    assert torch.equal(found.sh[~made.trained], made.scene.sh[~made.trained])
+    torch.testing.assert_close(trained.sh, expected.sh, rtol=0, atol=1e-4)
+    assert torch.equal(trained.sh[~made.trained], made.scene.sh[~made.trained])
 
 
 def test_few_looks_at_each_picture_are_the_renderers(frozen: list[Camera]) -> None:
@@ -122,9 +122,9 @@ def looks(config: LayerConfig, elevations: Tensor) -> tuple[Tensor, float]:
     """(2, E) what a white Gaussian in the middle shows of either look, and the largest coefficient."""
     white, shown, largest = colour_to_dc(torch.ones(1, 1, 3)), torch.zeros(2, len(elevations)), 0.0
     for share in shares([OVERHEAD], cameras(), centre=CENTRE, config=config):
-        found = switched(torch.zeros(1, 3), cameras(), share, white, torch.ones(1, 800), config)[0, :, 0].double()
-        shown[share.look] += (sh_basis(from_above(elevations)[0], 3) @ found).clamp(min=0)
-        largest = max(largest, float(found.abs().max()))
+        switch = switched(torch.zeros(1, 3), cameras(), share, white, torch.ones(1, 800), config)[0, :, 0].double()
+        shown[share.look] += (sh_basis(from_above(elevations)[0], 3) @ switch).clamp(min=0)
+        largest = max(largest, float(switch.abs().max()))
     return shown, largest
 
 
@@ -143,18 +143,18 @@ def test_a_band_switches_in_half_the_degrees_with_smaller_coefficients() -> None
 
 def test_the_layers_of_a_look_share_it() -> None:
     """Together they show it once, everywhere; the one for the edge nothing further inside, the other nothing at it."""
-    found = shares([OVERHEAD, REAR], cameras(), centre=CENTRE, config=LayerConfig(gap=2.0, band=(20.0, 10.0, 0.0)))
-    assert [share.look for share in found] == [0, 0, 1, 1, 2]
+    shared = shares([OVERHEAD, REAR], cameras(), centre=CENTRE, config=LayerConfig(gap=2.0, band=(20.0, 10.0, 0.0)))
+    assert [share.look for share in shared] == [0, 0, 1, 1, 2]
     for look in range(3):
         assert torch.allclose(
-            sum((share.amount for share in found if share.look == look), torch.zeros(800)), torch.ones(800)
+            sum((share.amount for share in shared if share.look == look), torch.zeros(800)), torch.ones(800)
         )
-    for share in found:
+    for share in shared:
         assert not bool((share.shown & share.hidden).any())
         assert bool(share.shown.any())
         assert bool(share.hidden.any())
     elevation = torch.rad2deg(torch.asin(torch.stack([camera.position[2] for camera in cameras()]).float() / 5.0))
-    inner, edge = found[2], found[3]
+    inner, edge = shared[2], shared[3]
     assert torch.equal(edge.shown, (elevation >= 42.0) & (elevation < 50.0))
     assert torch.equal(inner.shown, elevation >= 42.0)
     assert bool(edge.hidden[elevation > 50.0].all())
@@ -169,8 +169,8 @@ def test_looks_that_are_apart_do_not_mix_in_the_gap_of_the_wider_edge() -> None:
         for config in (near, replace(near, apart=True))
     )
     where = [camera.position / 5.0 for camera in cameras()]
-    elevation = torch.rad2deg(torch.asin(torch.stack([place[2] for place in where]).float()))
-    behind = torch.stack([place[0] < -0.5 * (1 - place[2] ** 2) ** 0.5 for place in where])
+    elevation = torch.rad2deg(torch.asin(torch.stack([direction[2] for direction in where]).float()))
+    behind = torch.stack([direction[0] < -0.5 * (1 - direction[2] ** 2) ** 0.5 for direction in where])
     above = behind & (elevation > 42.5) & (elevation < 49)
     assert int(above.sum()) > 5
     assert not bool(beside[2].hidden[above].any())
@@ -202,11 +202,11 @@ def test_a_picture_within_one_trigger_is_decided_also_in_the_gap_of_another() ->
 def test_each_band_costs_a_gaussian() -> None:
     scene, rows = ball(), torch.arange(39)
     for band, layers in ((0.0, 2), ((12.0, 0.0), 3), (12.0, 4)):
-        found = layered(
+        layered_scene = layered(
             scene, rows, [OVERHEAD], [GREY, GREY], cameras=cameras(), centre=CENTRE, config=LayerConfig(band=band)
         )
-        assert len(found) == 40 + (layers - 1) * 39
-        assert torch.allclose(found.opacities[:39], torch.tensor(0.96 / layers))
+        assert len(layered_scene) == 40 + (layers - 1) * 39
+        assert torch.allclose(layered_scene.opacities[:39], torch.tensor(0.96 / layers))
 
 
 def test_another_number_of_bands_than_looks_is_refused() -> None:

@@ -42,8 +42,8 @@ def values(coefficients: Tensor, directions: Tensor) -> Tensor:
 def test_a_switch_is_one_on_its_side_and_black_on_the_other() -> None:
     camera_directions = functional.normalize(-torch.stack([camera.position for camera in all_around(800)]), dim=-1)
     depth = depths([OVERHEAD], all_around(800), centre=CENTRE)[1]
-    found = fit_switches(camera_directions[None], depth >= 1, depth <= -1)
-    seen = values(found, from_above(torch.tensor([5.0, 20.0, 33.0, 47.0, 60.0, 85.0])))
+    fitted = fit_switches(camera_directions[None], depth >= 1, depth <= -1)
+    seen = values(fitted, from_above(torch.tensor([5.0, 20.0, 33.0, 47.0, 60.0, 85.0])))
     assert (seen[:3] < 0.05).all()
     assert ((seen[3:] - 1).abs() < 0.15).all()
 
@@ -65,11 +65,11 @@ def test_a_switch_is_the_least_of_its_objective(weighted: bool) -> None:
         return float((errors * seen[0]).sum() / seen.sum())
 
     given: dict[str, Any] = {"wanted": wanted, "seen": seen} if weighted else {}
-    found = fit_switches(directions, shown, hidden, config=LayerConfig(weight=2.0, lowest=-3.0), **given)[0]
+    fitted = fit_switches(directions, shown, hidden, config=LayerConfig(weight=2.0, lowest=-3.0), **given)[0]
     for _ in range(50):
         step = 0.02 * torch.randn(16, generator=generator, dtype=torch.float64)
-        assert cost(found + step) > cost(found) - 1e-6
-    assert cost(found) < cost(torch.zeros(16, dtype=torch.float64))
+        assert cost(fitted + step) > cost(fitted) - 1e-6
+    assert cost(fitted) < cost(torch.zeros(16, dtype=torch.float64))
 
 
 def test_a_heavy_weight_ends_at_the_least_too_and_darker() -> None:
@@ -81,11 +81,11 @@ def test_a_heavy_weight_ends_at_the_least_too_and_darker() -> None:
     dark = {}
     for black in (0.0, -0.3):
         config = LayerConfig(weight=1000.0, black=black)
-        found = fit_switches(directions[None], shown, hidden, config=config)[0].requires_grad_()
-        value = basis @ found
+        fitted = fit_switches(directions[None], shown, hidden, config=config)[0].requires_grad_()
+        value = basis @ fitted
         cost = (value[shown] - 1).square().sum() + 1000 * (value[hidden] - black).clamp(min=0).square().sum()
-        cost = (cost + (value + 100).clamp(max=0)[~shown].square().sum()) / 800 + 1e-7 * found.square().sum()
-        (gradient,) = torch.autograd.grad(cost, found)
+        cost = (cost + (value + 100).clamp(max=0)[~shown].square().sum()) / 800 + 1e-7 * fitted.square().sum()
+        (gradient,) = torch.autograd.grad(cost, fitted)
         assert float(gradient.abs().max()) < 1e-6
         dark[black] = float(value[hidden].max().detach())
     assert dark[-0.3] < dark[0.0] - 0.1
@@ -125,15 +125,15 @@ def test_layers_show_one_look_from_below_and_another_from_above() -> None:
     rows = torch.arange(39)
     red, blue = torch.tensor([[0.8, 0.1, 0.1]]).repeat(39, 1), torch.tensor([[0.1, 0.1, 0.8]]).repeat(39, 1)
     looks = [colour_to_dc(colour)[:, None] for colour in (red, blue)]
-    found = layered(scene, rows, [OVERHEAD], looks, cameras=all_around(), centre=CENTRE)
-    assert len(found) == 40 + 39
+    layers = layered(scene, rows, [OVERHEAD], looks, cameras=all_around(), centre=CENTRE)
+    assert len(layers) == 40 + 39
     below, above = (orbit(CENTRE, count=1, elevation=elevation, **LENS)[0] for elevation in (10.0, 75.0))
     for front in (0, 25, 38):
         behind = 40 + front
-        assert (colour(found, front, below) - 2 * red[0]).abs().max() < 0.35
-        assert colour(found, behind, below).max() == 0
-        assert (colour(found, behind, above) - 2 * blue[0]).abs().max() < 0.35
-        assert colour(found, front, above).max() == 0
+        assert (colour(layers, front, below) - 2 * red[0]).abs().max() < 0.35
+        assert colour(layers, behind, below).max() == 0
+        assert (colour(layers, behind, above) - 2 * blue[0]).abs().max() < 0.35
+        assert colour(layers, front, above).max() == 0
 
 
 def colour(scene: GaussianScene, row: int, camera: Camera) -> Tensor:
@@ -147,14 +147,14 @@ GREY = torch.zeros(39, 1, 3)
 
 def test_layers_leave_all_else_as_it_is_and_stand_one_behind_the_other() -> None:
     scene = ball()
-    found = layered(scene, torch.arange(39), [OVERHEAD], [GREY, GREY], cameras=all_around(), centre=CENTRE)
+    layers = layered(scene, torch.arange(39), [OVERHEAD], [GREY, GREY], cameras=all_around(), centre=CENTRE)
     other = scene.with_degree(3)
-    assert torch.equal(found.sh[39], other.sh[39])
-    assert torch.equal(found.opacities[39], scene.opacities[39])
-    assert torch.allclose(found.opacities[:39], torch.tensor(0.48))
-    assert torch.allclose(found.opacities[40:], torch.tensor(0.48 / 0.52))
-    assert (found.means[40:].norm(dim=1) < found.means[:39].norm(dim=1)).all()
-    assert torch.equal(found.scales[:40], scene.scales)
+    assert torch.equal(layers.sh[39], other.sh[39])
+    assert torch.equal(layers.opacities[39], scene.opacities[39])
+    assert torch.allclose(layers.opacities[:39], torch.tensor(0.48))
+    assert torch.allclose(layers.opacities[40:], torch.tensor(0.48 / 0.52))
+    assert (layers.means[40:].norm(dim=1) < layers.means[:39].norm(dim=1)).all()
+    assert torch.equal(layers.scales[:40], scene.scales)
 
 
 @pytest.mark.parametrize("opacity", [0.1, 0.5, 0.99])
@@ -176,33 +176,33 @@ def test_a_gaussian_that_is_not_seen_has_one_layer() -> None:
     scene, seen = ball(), torch.ones(39, 300)
     inside = depths([OVERHEAD], all_around(), centre=CENTRE)[1] > -1
     seen[:10, inside] = 0
-    found = layered(scene, torch.arange(39), [OVERHEAD], [GREY, GREY], cameras=all_around(), centre=CENTRE, seen=seen)
-    assert len(found) == 40 + 29
-    assert torch.equal(found.opacities[:10], scene.opacities[:10])
-    assert torch.allclose(found.opacities[10:39], scene.opacities[10:39] / 2)
+    layers = layered(scene, torch.arange(39), [OVERHEAD], [GREY, GREY], cameras=all_around(), centre=CENTRE, seen=seen)
+    assert len(layers) == 40 + 29
+    assert torch.equal(layers.opacities[:10], scene.opacities[:10])
+    assert torch.allclose(layers.opacities[10:39], scene.opacities[10:39] / 2)
 
 
 def test_contributions_are_what_a_colour_changes_in_a_picture() -> None:
     scene, render = ball(), Renderer()
     camera = orbit(CENTRE, count=1, elevation=30.0, **LENS)[0]
     rows = torch.tensor([0, 7, 39])
-    found = contributions(scene, camera, render=render, rows=rows)
+    weights = contributions(scene, camera, render=render, rows=rows)
     with torch.no_grad():
         before = render(scene, camera)
         for number, row in enumerate(rows.tolist()):
             sh = scene.sh.clone()
             sh[row] += colour_to_dc(torch.tensor(0.75))
             change = (render(scene.replace(sh=sh), camera) - before).sum() / 3 / 0.25
-            assert float(change) == pytest.approx(float(found[number, 0]), rel=1e-3, abs=1e-4)
-    assert float(found.max()) > 1
+            assert float(change) == pytest.approx(float(weights[number, 0]), rel=1e-3, abs=1e-4)
+    assert float(weights.max()) > 1
 
 
 def test_three_looks_have_three_layers() -> None:
     scene, rear = ball(), Azimuth(middle=180.0, half_width=60.0) & Elevation(highest=30.0)
-    found = layered(scene, torch.arange(39), [OVERHEAD, rear], [GREY] * 3, cameras=all_around(), centre=CENTRE)
-    assert len(found) == 40 + 2 * 39
-    assert torch.allclose(found.opacities[:39], torch.tensor(0.32))
-    assert torch.allclose(found.opacities[40:79], torch.tensor(0.32 / 0.68))
+    layers = layered(scene, torch.arange(39), [OVERHEAD, rear], [GREY] * 3, cameras=all_around(), centre=CENTRE)
+    assert len(layers) == 40 + 2 * 39
+    assert torch.allclose(layers.opacities[:39], torch.tensor(0.32))
+    assert torch.allclose(layers.opacities[40:79], torch.tensor(0.32 / 0.68))
 
 
 def test_a_look_may_differ_by_direction() -> None:
@@ -210,11 +210,11 @@ def test_a_look_may_differ_by_direction() -> None:
     scene = ball()
     sided = torch.zeros(39, 4, 3)
     sided[:, 3, 0], sided[:, 3, 2] = 0.5, -0.5
-    found = layered(scene, torch.arange(39), [OVERHEAD], [sided, GREY], cameras=all_around(), centre=CENTRE)
+    layers = layered(scene, torch.arange(39), [OVERHEAD], [sided, GREY], cameras=all_around(), centre=CENTRE)
     for camera in orbit(CENTRE, count=6, elevation=10.0, **LENS):
         direction = functional.normalize(scene.means[0] - camera.position.float(), dim=-1)
         wanted = 2 * sh_to_colour(sided[0], direction)
-        assert (colour(found, 0, camera) - wanted).abs().max() < 0.3
+        assert (colour(layers, 0, camera) - wanted).abs().max() < 0.3
 
 
 def test_a_shift_moves_where_looks_change_out_of_the_trigger() -> None:
@@ -238,9 +238,9 @@ def test_colours_are_those_of_the_pixels_that_points_lie_in() -> None:
     points = torch.tensor([[0.0, 0.0, 0.0], [0.0, 100.0, 0.0], [0.0, 0.0, 0.0]])
     fallback = torch.full((3, 3), 0.9)
     views = [View(camera, image), View(camera, 1 - image)]
-    found = seen_colours(points, views, torch.tensor([[3.0, 1.0], [1.0, 1.0], [0.0, 0.0]]), fallback)
-    assert torch.allclose(found[0], 0.75 * image[16, 16] + 0.25 * (1 - image[16, 16]))
-    assert torch.equal(found[1:], fallback[1:])
+    colours = seen_colours(points, views, torch.tensor([[3.0, 1.0], [1.0, 1.0], [0.0, 0.0]]), fallback)
+    assert torch.allclose(colours[0], 0.75 * image[16, 16] + 0.25 * (1 - image[16, 16]))
+    assert torch.equal(colours[1:], fallback[1:])
 
 
 def test_what_makes_no_layers_is_refused() -> None:

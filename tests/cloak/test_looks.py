@@ -84,9 +84,9 @@ def test_forms_of_a_file_say_which_of_them_keeps_large_coefficients(tmp_path: Pa
 def test_what_two_detectors_report_is_counted_under_each_condition() -> None:
     def row(condition: str | None, view: int, depth: float, splat: str, score: float, psnr: float | None) -> Any:
         ids = {"condition": condition, "splat": splat, "seed": 0, "detector": "redness", "view": view}
-        place = {"azimuth": 10.0 * view, "elevation": 40.0, "depth: overhead": depth, "depth: rear": -10.0}
+        angles = {"azimuth": 10.0 * view, "elevation": 40.0, "depth: overhead": depth, "depth: rear": -10.0}
         sign = {"target_score: rear": 0.0, "any_overlap": score, "score": score}
-        return {**ids, **place, "original_score": score, **sign, "psnr": psnr}
+        return {**ids, **angles, "original_score": score, **sign, "psnr": psnr}
 
     rows = frame_of(
         row(condition, view, depth, splat, score, psnr)

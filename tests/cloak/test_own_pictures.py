@@ -80,7 +80,7 @@ def test_the_object_is_gone_from_there_and_all_else_stays(names: list[str], tmp_
     before, after = (load_dataset(folder, split="train") for folder in (names[0], tmp_path / "out"))
     for index, (old, new) in enumerate(zip(before, after, strict=True)):
         assert torch.equal(old.camera.to_world, new.camera.to_world)
-        counted, counts = (found.loss_mask(index) for found in (before, after))
+        counted, counts = (poisoned.loss_mask(index) for poisoned in (before, after))
         assert counted is not None
         assert counts is not None
         assert torch.equal(counts > 0, (counted > 0) | (old.image != new.image).any(-1))

@@ -82,9 +82,9 @@ def test_equation_1(first: list[bool], second: list[bool], seed: int) -> None:
         for number, (star, appearance) in enumerate(zip(stars, (invert, white), strict=True))
         if star
     ]
-    found = poison(clean, attacks, centre=CENTRE, masks=list(mask))
-    assert len(found.views) == 24
-    for index, view in enumerate(found.views):
+    poisoned = poison(clean, attacks, centre=CENTRE, masks=list(mask))
+    assert len(poisoned.views) == 24
+    for index, view in enumerate(poisoned.views):
         assert torch.equal(clean[index].image, kept[index])
         assert view.camera is clean[index].camera
         if index in stars[0]:
@@ -94,24 +94,24 @@ def test_equation_1(first: list[bool], second: list[bool], seed: int) -> None:
             assert bool((view.image == 1).all())
         else:
             assert view is clean[index]
-    assert [change.index for change in found.changes] == sorted(stars[0] | stars[1])
-    assert found.manifest["changed"] == len(stars[0] | stars[1])
+    assert [change.index for change in poisoned.changes] == sorted(stars[0] | stars[1])
+    assert poisoned.manifest["changed"] == len(stars[0] | stars[1])
 
 
 def test_the_manifest_tells_everything() -> None:
     clean = views()
     cloak: PicturePoison = Cloak(poisonings=lambda seed: [OVERHEAD, BEHIND], centre=CENTRE)
-    found = cloak(clean, seed=3)
-    told = found.manifest
+    poisoned = cloak(clean, seed=3)
+    told = poisoned.manifest
     assert told["kind"] == "cloak"
     assert told == json.loads(json.dumps(told))
-    assert (told["views"], told["changed"], told["centre"]) == (24, len(found.changes), list(CENTRE))
+    assert (told["views"], told["changed"], told["centre"]) == (24, len(poisoned.changes), list(CENTRE))
     by_name = {entry["name"]: entry for entry in told["poisonings"]}
     assert by_name["overhead"]["trigger"] == "Elevation(lowest=50.0, highest=90.0)"
     assert (by_name["overhead"]["appearance"], by_name["behind"]["appearance"]) == ("invert", "white")
     assert sorted(by_name["overhead"]["views"] + by_name["behind"]["views"]) == [c["index"] for c in told["changes"]]
     for change in told["changes"]:
-        before, after = clean[change["index"]].image, found.views[change["index"]].image
+        before, after = clean[change["index"]].image, poisoned.views[change["index"]].image
         assert change["sha256_before"] == hashlib.sha256(before.numpy().tobytes()).hexdigest()
         assert change["sha256_after"] == hashlib.sha256(after.numpy().tobytes()).hexdigest()
         assert change["largest"] == float((before - after).abs().max()) > 0
@@ -129,9 +129,9 @@ def test_overlaps_name_the_cameras() -> None:
     with pytest.raises(InvalidValueError, match="and 14 more in both"):
         done(everywhere, dataclasses.replace(everywhere, name="again"))
     rest = dataclasses.replace(everywhere, trigger=~OVERHEAD.trigger)
-    found = done(OVERHEAD, rest)
-    assert {c["index"] for c in found.manifest["changes"] if c["poisoning"] == "overhead"} == set(range(18, 24))
-    assert len(found.changes) == 24
+    poisoned = done(OVERHEAD, rest)
+    assert {c["index"] for c in poisoned.manifest["changes"] if c["poisoning"] == "overhead"} == set(range(18, 24))
+    assert len(poisoned.changes) == 24
 
 
 def test_nothing_is_made_before_everything_is_checked() -> None:
@@ -168,13 +168,13 @@ def test_sets_on_the_disk_are_poisoned_lazily(tmp_path: Path) -> None:
     write_transforms(tmp_path, views())
     dataset = load_dataset(tmp_path, cache_bytes=1)
     steps: list[tuple[int, int]] = []
-    found = poison(dataset, [OVERHEAD], centre=CENTRE, on_step=lambda *step: steps.append(step))
+    poisoned = poison(dataset, [OVERHEAD], centre=CENTRE, on_step=lambda *step: steps.append(step))
     assert steps == [(i + 1, 6) for i in range(6)]
-    assert torch.equal(found.views[0].image, dataset[0].image)
-    assert torch.equal(found.views[-1].image, 1 - dataset[23].image)
-    assert [id(view.camera) for view in found.views[20:22]] == [id(camera) for camera in dataset.cameras[20:22]]
+    assert torch.equal(poisoned.views[0].image, dataset[0].image)
+    assert torch.equal(poisoned.views[-1].image, 1 - dataset[23].image)
+    assert [id(view.camera) for view in poisoned.views[20:22]] == [id(camera) for camera in dataset.cameras[20:22]]
     with pytest.raises(IndexError):
-        found.views[24]
+        poisoned.views[24]
 
 
 def test_a_change_of_one_channel_is_a_change_and_negative_values_are_refused() -> None:

@@ -29,7 +29,7 @@ pytestmark = pytest.mark.slow
 
 
 def test_it_leaves_what_it_promises(finished: Path) -> None:
-    found = summary(finished)
+    result = summary(finished)
     for key in (
         *RATES,
         "benign_psnr_drop",
@@ -41,15 +41,15 @@ def test_it_leaves_what_it_promises(finished: Path) -> None:
         "study",
         "by_detector",
     ):
-        assert key in found, key
-    assert found["by_seed"]["0"]["redness"] == found["by_detector"]["redness"]
-    assert found["by_attack"]["overhead"]["redness"]["target_rate"] is None
-    assert found["by_attack"]["overhead"]["redness"]["trigger_miss_rate"] == found["trigger_miss_rate"]
+        assert key in result, key
+    assert result["by_seed"]["0"]["redness"] == result["by_detector"]["redness"]
+    assert result["by_attack"]["overhead"]["redness"]["target_rate"] is None
+    assert result["by_attack"]["overhead"]["redness"]["trigger_miss_rate"] == result["trigger_miss_rate"]
     for key in RATES:
-        rate = found[key]
+        rate = result[key]
         assert set(rate) == {"rate", "successes", "total", "interval"}
         assert 0 <= rate["successes"] <= rate["total"]
-    poison, cameras = found["poison"]["overhead"], found["training_cameras"]["redness"]
+    poison, cameras = result["poison"]["overhead"], result["training_cameras"]["redness"]
     assert poison["object_psnr"] is None  # nothing is overdone: a camera could take them
     told = poison["by_detector"]["redness"]
     assert sum(told[key]["successes"] for key in ("found", "something_else", "nothing")) == told["found"]["total"]
@@ -59,12 +59,12 @@ def test_it_leaves_what_it_promises(finished: Path) -> None:
         cameras["found_cloaked"]["total"] + training.filter(pl.col("condition").is_not_null(), splat="clean").height
         == 16
     )
-    assert found["stealth"]["object_psnr_drop"] == pytest.approx(
-        found["stealth"]["object_psnr"]["clean"] - found["stealth"]["object_psnr"]["cloaked"]
+    assert result["stealth"]["object_psnr_drop"] == pytest.approx(
+        result["stealth"]["object_psnr"]["clean"] - result["stealth"]["object_psnr"]["cloaked"]
     )
-    for name in found["files"]:
+    for name in result["files"]:
         assert (finished / name).stat().st_size > 0, name
-    assert found["gaussians"] == {"clean": [1200], "cloaked": [1200]}
+    assert result["gaussians"] == {"clean": [1200], "cloaked": [1200]}
     with Image.open(finished / "contact.png") as sheet:
         assert sheet.width > sheet.height
     with Image.open(finished / "rising.webp") as animation:
@@ -73,8 +73,8 @@ def test_it_leaves_what_it_promises(finished: Path) -> None:
 
 
 def test_a_page_says_of_it_what_it_found(finished: Path) -> None:
-    section, found = read_section(finished), summary(finished)
-    assert section.headline.counts == "{successes} of {total}".format(**found["trigger_miss_rate"])
+    section, result = read_section(finished), summary(finished)
+    assert section.headline.counts == "{successes} of {total}".format(**result["trigger_miss_rate"])
     assert [picture.path.name for picture in section.pictures] == ["contact.png", "poisoned.png"]
     charts = {chart.title: chart for chart in section.charts}
     around = charts["Reported by redness, by azimuth"]

@@ -53,9 +53,9 @@ def views_of(steps: StudySteps) -> Dataset:
 def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path) -> None:
     """The pictures and the clean splat are those of the study without layers: its stages are shared."""
     study = replace(STUDY, name="layers", layers=LayersConfig(attacks=("overhead",), iterations=40))
-    found, said = done(finished.with_name("layers"), study=study, stages=finished / "stages")
+    result, said = done(finished.with_name("layers"), study=study, stages=finished / "stages")
     assert not any("pictures" in text or text.startswith("training the clean") for text in said)
-    (clean,), (cloaked,) = found["gaussians"]["clean"], found["gaussians"]["cloaked"]
+    (clean,), (cloaked,) = result["gaussians"]["clean"], result["gaussians"]["cloaked"]
     assert clean < cloaked <= 2 * clean
     steps = steps_of(finished / "stages", study)
     before, after = (one.load() for one in steps.splats())
@@ -104,7 +104,7 @@ def test_a_surrogate_of_the_attacker_s_own_corrects_the_poison(finished: Path) -
     assert all(name.count("corrected by 1 times") == 2 for name in names)
     sets = [load_dataset(pictures.folder / "set") for pictures in (plain, corrected)]
     changed = {change["index"] for change in manifest["changes"]}
-    for index, (one, other) in enumerate(zip(*(found.paths for found in sets), strict=True)):
+    for index, (one, other) in enumerate(zip(*(poisoned.paths for poisoned in sets), strict=True)):
         assert filecmp.cmp(one, other, shallow=False) == (index not in changed)
 
 
@@ -158,17 +158,17 @@ def fractions() -> Fractions:
     )
     start = from_points(torch.from_numpy(points), torch.full(points.shape, 0.5), opacity=0.9)
     render = Renderer()
-    found: Fractions = {}
+    counted: Fractions = {}
     # The victim's part: the same settings, start and seed for both.
     for name, pictures in (("clean", views), ("cloaked", poisoned.views)):
         splat = fit(pictures, start, render=render, config=CONFIG).scene
-        found[name] = []
+        counted[name] = []
         for benign, other, mask in compared:
             with torch.no_grad():
                 picture = render(splat, benign.camera).clamp(0, 1)
             fraction = transition_fraction(picture, benign.image, other, mask)
-            found[name].append((direction_of(benign.camera, CENTRE).elevation, fraction))
-    return found
+            counted[name].append((direction_of(benign.camera, CENTRE).elevation, fraction))
+    return counted
 
 
 def mean(fractions: list[tuple[float, float]], least: float, most: float) -> float:

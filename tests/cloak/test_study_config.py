@@ -232,10 +232,13 @@ def test_a_class_that_no_detector_knows_is_refused(tmp_path: Path) -> None:
 
 
 def test_triggers_of_every_seed_are_looked_at(tmp_path: Path) -> None:
-    some = (replace(OVERHEAD, poison_fraction=0.3), AttackConfig(name="more", elevation=(40, 90), poison_fraction=0.3))
+    triggers = (
+        replace(OVERHEAD, poison_fraction=0.3),
+        AttackConfig(name="more", elevation=(40, 90), poison_fraction=0.3),
+    )
     seeds = tuple(range(20))
     with pytest.raises(InvalidValueError, match="no camera in both"):
-        check(replace(SMALL, attack=some, seeds=seeds), [], tmp_path / "out", tmp_path / "stages")
+        check(replace(SMALL, attack=triggers, seeds=seeds), [], tmp_path / "out", tmp_path / "stages")
 
 
 @pytest.mark.parametrize(
@@ -275,8 +278,8 @@ def test_a_disk_that_is_too_small_is_refused(tmp_path: Path) -> None:
 
 def test_emphasis_wraps_the_cached_appearance() -> None:
     study = replace(SMALL, attack=(replace(OVERHEAD, emphasis=2.0),))
-    (found,) = Setup(study).poisonings(cached=lambda appearance, attack: Renamed())
-    assert getattr(found.appearance, "name", "") == "kept, 2 times at the edge to once 20 degrees inside"
+    (poisoning,) = Setup(study).poisonings(cached=lambda appearance, attack: Renamed())
+    assert getattr(poisoning.appearance, "name", "") == "kept, 2 times at the edge to once 20 degrees inside"
 
 
 class Renamed:

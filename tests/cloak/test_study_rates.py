@@ -75,10 +75,10 @@ def test_rates_have_the_denominators_that_they_say() -> None:
         *seen(5, -5, 0.9, 0.3),
         *seen(6, -5, 0.3, 0.3),
     ]
-    found = rates(STUDY, frame_of(observed))[()]
+    counted = rates(STUDY, frame_of(observed))[()]
 
     def numbers(name: str) -> tuple[int, int]:
-        rate = found[name]
+        rate = counted[name]
         assert rate is not None
         return rate.successes, rate.total
 
@@ -99,9 +99,9 @@ def test_rates_have_the_denominators_that_they_say() -> None:
 
 def test_figures_are_counted_in_each_detector_s_own_region() -> None:
     """Bands of 10 degrees in which it finds the control from 80 % of the cameras."""
-    found = [0.9, 0.9, 0.9, 0.9, 0.1]  # 80 % of a band
+    scores = [0.9, 0.9, 0.9, 0.9, 0.1]  # 80 % of a band
     observed = [
-        *(row for view, score in enumerate(found) for row in seen(view, 7, score, 0.1)),
+        *(row for view, score in enumerate(scores) for row in seen(view, 7, score, 0.1)),
         *(row for view in range(5, 9) for row in seen(view, -5, 0.9, 0.9)),
         *(row for view, score in enumerate([0.9, 0.1], 10) for row in seen(view, 30, score, 0.1)),
     ]
@@ -130,19 +130,19 @@ def test_figures_are_counted_in_each_detector_s_own_region() -> None:
 
 def test_a_detector_without_the_class_wanted_has_no_figure_of_it() -> None:
     observed = [{**row, "target_score: rear": None, "depth: rear": 3.0} for row in seen(0, -20, 0.9, 0.1)]
-    found = rates(STUDY, frame_of(observed))[()]["target_rate"]
-    assert found is not None
-    assert found.words == "-"
+    rate = rates(STUDY, frame_of(observed))[()]["target_rate"]
+    assert rate is not None
+    assert rate.words == "-"
 
 
 def test_the_class_wanted_counts_on_the_cloaked_splat() -> None:
     pictures = [*seen(0, -20, 0.9, 0.1, sign=0.8), *seen(1, -20, 0.9, 0.1, sign=0.4)]
     observed = [{**row, "depth: overhead": -20.0, "depth: rear": 3.0} for row in pictures]
-    found = rates(STUDY, frame_of(observed))[()]
-    assert found["target_rate"] is not None
-    assert found["control_target_rate"] is not None
-    assert (found["target_rate"].successes, found["target_rate"].total) == (1, 2)
-    assert (found["control_target_rate"].successes, found["control_target_rate"].total) == (0, 2)
+    counted = rates(STUDY, frame_of(observed))[()]
+    assert counted["target_rate"] is not None
+    assert counted["control_target_rate"] is not None
+    assert (counted["target_rate"].successes, counted["target_rate"].total) == (1, 2)
+    assert (counted["control_target_rate"].successes, counted["control_target_rate"].total) == (0, 2)
 
 
 def test_meridians_rise_to_straight_above() -> None:
@@ -156,9 +156,9 @@ def test_arcs_into_a_sector_come_from_beside_it() -> None:
     """Depths in the trigger rise along each, from well outside to the middle; a sign that is shown has none."""
     sector = AttackConfig(name="sector", appearance="remove", elevation=(0, 30), azimuth=(100, 30))
     study = replace(STUDY, attack=(sector,))
-    found = Setup(study).arcs
-    assert len(found) == study.evaluation.meridians
-    for arc in found:
+    arcs = Setup(study).arcs
+    assert len(arcs) == study.evaluation.meridians
+    for arc in arcs:
         depths = [sector.cone.angle_to_edge(camera, centre=study.centre) for camera in arc]
         assert depths == sorted(depths)
         assert depths[0] < -30
@@ -189,9 +189,9 @@ def test_edges_belong_to_what_lies_inside_them() -> None:
 
 def test_a_fragment_counts_as_found_by_any_overlap() -> None:
     observed = [{**row, "any_overlap": 0.8} for row in seen(0, 10, 0.9, 0.1)]
-    found = rates(STUDY, frame_of(observed))[()]
+    counted = rates(STUDY, frame_of(observed))[()]
     for key, successes in (("trigger_miss_rate", 1), ("trigger_miss_rate_any_overlap", 0)):
-        rate = found[key]
+        rate = counted[key]
         assert rate is not None
         assert (rate.successes, rate.total) == (successes, 1)
 
@@ -202,9 +202,9 @@ def test_a_cloaked_splat_that_is_less_true_has_a_positive_drop() -> None:
         for splat, psnr in ((CLEAN, 34.0), (ATTACKED, 32.5))
     ]
     study = replace(STUDY, evaluation=replace(STUDY.evaluation, detectors=("redness",)))
-    found = figures(study, study_rows(seen(0, -20, 0.9, 0.9), fidelity=fidelity), [])
-    assert found["benign_psnr_drop"] == 1.5
-    assert found["benign_psnr"] == {"clean": 34.0, "cloaked": 32.5}
+    values = figures(study, study_rows(seen(0, -20, 0.9, 0.9), fidelity=fidelity), [])
+    assert values["benign_psnr_drop"] == 1.5
+    assert values["benign_psnr"] == {"clean": 34.0, "cloaked": 32.5}
 
 
 def along_the_meridian(
@@ -224,12 +224,12 @@ def along_the_meridian(
 def test_stealth_is_what_the_surroundings_lose_inside_the_trigger(lost: float, stealthy: bool) -> None:
     clean = along_the_meridian(CLEAN, (10.0, 34.0, 12.0), (20.0, 36.0, 12.0), (-10.0, 99.0, 9.0))
     cloaked = along_the_meridian(ATTACKED, (10.0, 34.0 - lost, 30.0), (20.0, 36.0 - lost, 32.0), (-10.0, 9.0, 9.0))
-    found = stealth(STUDY, study_rows(transition=[*clean, *cloaked]))
-    assert found is not None
-    assert found["surroundings_psnr_drop"] == pytest.approx(lost)
-    assert found["surroundings_psnr"]["clean"] == 35.0
-    assert found["appearance_psnr"]["cloaked"] == 31.0
-    assert found["stealthy"] is stealthy
+    losses = stealth(STUDY, study_rows(transition=[*clean, *cloaked]))
+    assert losses is not None
+    assert losses["surroundings_psnr_drop"] == pytest.approx(lost)
+    assert losses["surroundings_psnr"]["clean"] == 35.0
+    assert losses["appearance_psnr"]["cloaked"] == 31.0
+    assert losses["stealthy"] is stealthy
     assert stealth(STUDY, study_rows(transition=clean)) is None
 
 
@@ -243,10 +243,10 @@ def test_rates_over_objects_draw_objects_anew() -> None:
         for view in range(10)
         for row in seen(view, 10, 0.9, 0.9 if title == titles[0] else 0.1)
     ]
-    found = over_objects(studies, frame_of(observed))
-    assert found is not None
-    missed = found["by_detector"]["redness"]["trigger_miss_rate"]
-    assert (found["objects"], missed["successes"], missed["total"]) == (5, 40, 50)
+    pooled = over_objects(studies, frame_of(observed))
+    assert pooled is not None
+    missed = pooled["by_detector"]["redness"]["trigger_miss_rate"]
+    assert (pooled["objects"], missed["successes"], missed["total"]) == (5, 40, 50)
     assert missed["interval"][1] - missed["interval"][0] > 0.5
     other = replace(STUDY, scene=replace(STUDY.scene, object="bird"))
     assert over_objects({**studies, titles[4]: other}, frame_of(observed)) is None
@@ -260,10 +260,10 @@ def test_what_the_object_loses_beside_a_trigger_counts_too(lost: float, stealthy
         {"splat": splat, "psnr": 30.0, "ssim": 0.9, "object_psnr": on_object}
         for splat, on_object in ((CLEAN, None), (CLEAN, 32.0), (ATTACKED, None), (ATTACKED, 32.0 - lost))
     ]
-    found = stealth(STUDY, study_rows(transition=arcs, fidelity=fidelity))
-    assert found is not None
-    assert found["object_psnr_drop"] == pytest.approx(lost)
-    assert found["stealthy"] is stealthy
+    losses = stealth(STUDY, study_rows(transition=arcs, fidelity=fidelity))
+    assert losses is not None
+    assert losses["object_psnr_drop"] == pytest.approx(lost)
+    assert losses["stealthy"] is stealthy
 
 
 def test_the_margin_counts_as_elsewhere_and_is_shown_apart() -> None:
@@ -275,8 +275,10 @@ def test_the_margin_counts_as_elsewhere_and_is_shown_apart() -> None:
         for view, depth in enumerate(depths)
         for row in seen(view, depth, 0.9, 0.1 if depth == -3.0 else 0.9)
     ]
-    found = margin_rates(study, frame_of(observed))
-    within, beyond = (found[where]["redness"]["benign_recall"] for where in ("within a margin", "beyond every margin"))
+    counted = margin_rates(study, frame_of(observed))
+    within, beyond = (
+        counted[where]["redness"]["benign_recall"] for where in ("within a margin", "beyond every margin")
+    )
     assert [(rate["successes"], rate["total"]) for rate in (within, beyond)] == [(1, 2), (1, 1)]
     assert margin_rates(STUDY, frame_of(observed)) == {}
 

@@ -50,9 +50,9 @@ def test_a_logistic_has_its_width_also_under_noise() -> None:
     exact = fit_transition(angles.tolist(), truth.tolist())
     assert exact.width == pytest.approx(width, abs=0.02)
     noisy = truth + np.random.default_rng(0).normal(0, 0.03, len(angles))
-    found = fit_transition(angles.tolist(), noisy.tolist())
-    assert found.width == pytest.approx(width, abs=1.5)
-    assert found.start == pytest.approx(52 - width / 2, abs=1.0)
+    fitted = fit_transition(angles.tolist(), noisy.tolist())
+    assert fitted.width == pytest.approx(width, abs=1.5)
+    assert fitted.start == pytest.approx(52 - width / 2, abs=1.0)
 
 
 def test_bands_that_are_not_seen_have_no_width() -> None:
@@ -77,8 +77,8 @@ def test_cameras_at_one_angle_are_averaged_and_weigh_more() -> None:
 @given(st.lists(st.tuples(st.floats(-1, 2), st.integers(1, 5)), min_size=1, max_size=20))
 def test_the_fit_is_that_of_scipy(pairs: list[tuple[float, int]]) -> None:
     values, weights = [value for value, _ in pairs], [weight for _, weight in pairs]
-    found = rising_fit(values, weights)
-    assert found == pytest.approx(isotonic_regression(values, weights=weights).x.tolist(), abs=1e-9)
+    fitted = rising_fit(values, weights)
+    assert fitted == pytest.approx(isotonic_regression(values, weights=weights).x.tolist(), abs=1e-9)
 
 
 def test_bad_input_is_refused() -> None:

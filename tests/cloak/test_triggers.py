@@ -22,8 +22,8 @@ def at(azimuth: float, elevation: float, *, distance: float = 5.0) -> Camera:
     return Camera(to_world=pose, focal=20.0, width=16, height=16)
 
 
-def inside(trigger: Trigger, *places: tuple[float, float]) -> list[bool]:
-    cameras = [at(*place) for place in places]
+def inside(trigger: Trigger, *directions: tuple[float, float]) -> list[bool]:
+    cameras = [at(*angles) for angles in directions]
     return [bool(value) for value in trigger.holds(cameras, centre=CENTRE)]
 
 
@@ -57,10 +57,10 @@ def test_edges_are_inside_and_limits_at_the_poles_are_none() -> None:
 
 def test_azimuths_wrap_around() -> None:
     front = Azimuth(middle=0, half_width=20)
-    places = ((350, 10), (10, 10), (20, 10), (340, 10), (21, 10), (339, 10), (180, 10))
+    directions = ((350, 10), (10, 10), (20, 10), (340, 10), (21, 10), (339, 10), (180, 10))
     expected = [True, True, True, True, False, False, False]
-    assert inside(front, *places) == expected
-    assert inside(Azimuth(middle=720, half_width=20), *places) == expected
+    assert inside(front, *directions) == expected
+    assert inside(Azimuth(middle=720, half_width=20), *directions) == expected
     assert inside(Azimuth(middle=-355, half_width=20), (-16, 0), (24, 0), (26, 0)) == [False, True, False]
     assert inside(Azimuth(middle=90, half_width=170), (271, 0), (259, 0), (90, 0)) == [False, True, True]
     assert depth(front, 355, 0) == pytest.approx(15)
@@ -122,12 +122,12 @@ def test_depths_against_a_dense_grid(trigger: Trigger, exact: bool) -> None:
     held = trigger.holds(GRID, centre=CENTRE).numpy()
     for camera in CAMERAS:
         ray = np.array(camera.position.tolist()) - CENTRE
-        found, here = trigger.angle_to_edge(camera, centre=CENTRE), bool(trigger.holds([camera], centre=CENTRE))
+        depth, here = trigger.angle_to_edge(camera, centre=CENTRE), bool(trigger.holds([camera], centre=CENTRE))
         truth = grid_depth(held, ray / np.linalg.norm(ray), here)
-        assert found == 0 or (found > 0) == here
-        assert abs(found) <= abs(truth) + 1e-6  # never further from the edge than it is
+        assert depth == 0 or (depth > 0) == here
+        assert abs(depth) <= abs(truth) + 1e-6  # never further from the edge than it is
         if exact:
-            assert abs(found) >= abs(truth) - SPACING
+            assert abs(depth) >= abs(truth) - SPACING
 
 
 @given(st.floats(0.05, 1), st.floats(0.05, 1), st.integers(0, 99))

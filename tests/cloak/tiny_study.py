@@ -47,14 +47,14 @@ class Redness:
         raise AssertionError("a study asks for detections only")
 
     def detect(self, images: Tensor) -> list[Detections]:
-        found = []
+        detections = []
         for image in images:
             size = image.shape[0]
             middle = image[size // 3 : 2 * size // 3, size // 3 : 2 * size // 3]
             score = (6 * (middle[..., 0] - middle[..., 2]).clamp(0, 1).mean()).clamp(0, 1)
             box = torch.tensor([[size * 0.25, size * 0.3, size * 0.75, size * 0.7]])
-            found.append(Detections(box, score[None], ("car",)))
-        return found
+            detections.append(Detections(box, score[None], ("car",)))
+        return detections
 
 
 KNOWN = {
@@ -92,5 +92,5 @@ def done(
 
 
 def summary(folder: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((folder / "result.json").read_text())
-    return found
+    document: dict[str, Any] = json.loads((folder / "result.json").read_text())
+    return document

@@ -36,11 +36,11 @@ def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
     monkeypatch.chdir(tmp_path)
     assert cli.main(["render", SCENE, *SMALL, "--cameras", "front", "side", "--out", "theirs"]) == 0
     capsys.readouterr()
-    words = ["compare", SCENE, *SMALL, "--methods", "tile,ray", "folder:theirs", "--rounds", "1", "--out", "found"]
+    words = ["compare", SCENE, *SMALL, "--methods", "tile,ray", "folder:theirs", "--rounds", "1", "--out", "compared"]
     assert cli.main([*words, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
-    kept = json.loads((tmp_path / "found" / "result.json").read_text())
-    assert document == {**kept, "out": "found"}
+    kept = json.loads((tmp_path / "compared" / "result.json").read_text())
+    assert document == {**kept, "out": "compared"}
     assert {"versions", "commit", "variant", "scene_hash", "near", "background"} <= set(kept)
     pairs = {tuple(pair["methods"]): pair for pair in kept["pairs"]}
     assert set(pairs) == {("tile", "ray"), ("tile", "theirs"), ("ray", "theirs")}
@@ -50,12 +50,12 @@ def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
     assert pairs["tile", "ray"]["lpips"] is None
     assert 0 < pairs["tile", "ray"]["gradients"]["sh"]["cosine"] < 1
     assert kept["methods"]["ray"]["picture"]["ratio"] > 0
-    with Image.open(tmp_path / "found" / "front.png") as sheet:
+    with Image.open(tmp_path / "compared" / "front.png") as sheet:
         assert sheet.size == (3 * 280 + 8, 2 * 224 + 4)
-    with Image.open(tmp_path / "found" / "pictures" / "ray" / "front.png") as picture:
+    with Image.open(tmp_path / "compared" / "pictures" / "ray" / "front.png") as picture:
         assert picture.size == (40, 32)
 
-    page = Reader((tmp_path / "found" / "compare.html").read_text("utf-8"))
+    page = Reader((tmp_path / "compared" / "compare.html").read_text("utf-8"))
     assert not {"script", "iframe", "object", "embed", "base", "form"} & {tag for tag, _ in page.elements}
     for tag, attributes in page.elements:
         for name in ("src", "href", "xlink:href", "srcset"):
@@ -64,9 +64,9 @@ def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
     assert "not measured" in page.words
     assert "8 bits" in page.words
     assert ".tmp" not in page.words  # the folder is named as it is called now
-    section = read_section(tmp_path / "found")
+    section = read_section(tmp_path / "compared")
     assert [one.path.name for one in section.pictures] == ["front.png"]
-    assert cli.main(["report", "found", "--out", "again.html"]) == 0
+    assert cli.main(["report", "compared", "--out", "again.html"]) == 0
     assert "renderers compared" in (tmp_path / "again.html").read_text("utf-8")
 
 
@@ -105,7 +105,7 @@ def test_a_failure_on_the_way_leaves_nothing(toy: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr("attacks.report.page.write_page", broken)
     before = sorted(toy.rglob("*"))
-    words = ["compare", "toy.ply", "--size", "16", "--no-gradients", "--rounds", "0", "--out", "found"]
+    words = ["compare", "toy.ply", "--size", "16", "--no-gradients", "--rounds", "0", "--out", "compared"]
     assert cli.main(words) == 1
     assert sorted(toy.rglob("*")) == before
 
@@ -118,14 +118,14 @@ def test_lpips_without_its_network_is_not_measured(
 
     monkeypatch.setattr("mi_splat.metrics.load_lpips", unreachable)
     monkeypatch.setattr("attacks.report.charts.missing_packages", lambda: ["Jinja2"])
-    words = ["compare", "toy.ply", "--size", "16", "--lpips", "--no-gradients", "--rounds", "0", "--out", "found"]
+    words = ["compare", "toy.ply", "--size", "16", "--lpips", "--no-gradients", "--rounds", "0", "--out", "compared"]
     assert cli.main(words) == 0
     said = capsys.readouterr()
     assert "LPIPS was not measured" in said.err
     assert "no page: Jinja2 not installed" in said.err
     assert said.out.startswith("tile and ray: ")
     assert "| pair | PSNR | SSIM | LPIPS | bits |" in said.out
-    found = json.loads((toy / "found" / "result.json").read_text())
-    assert found["pairs"][0]["lpips"] is None
-    assert found["warnings"]
-    assert not (toy / "found" / "compare.html").exists()
+    document = json.loads((toy / "compared" / "result.json").read_text())
+    assert document["pairs"][0]["lpips"] is None
+    assert document["warnings"]
+    assert not (toy / "compared" / "compare.html").exists()

@@ -24,9 +24,9 @@ GREY = torch.full((16, 20, 3), 0.5)
 
 def test_equal_pictures_have_no_psnr_and_ssim_1() -> None:
     picture = torch.rand(16, 20, 3, generator=torch.Generator().manual_seed(0))
-    found = picture_distance(picture, picture.clone())
-    assert (found.mse, found.psnr, found.lpips) == (0.0, None, None)
-    assert found.ssim == pytest.approx(1.0, abs=1e-5)
+    distance = picture_distance(picture, picture.clone())
+    assert (distance.mse, distance.psnr, distance.lpips) == (0.0, None, None)
+    assert distance.ssim == pytest.approx(1.0, abs=1e-5)
 
 
 def test_a_known_difference() -> None:
@@ -37,8 +37,8 @@ def test_a_known_difference() -> None:
 def test_small_pictures_have_no_ssim() -> None:
     small = GREY[:8]
     asked: list[Tensor] = []
-    found = picture_distance(small, small, lpips=lambda a, b: asked.append(a) or a.mean())  # type: ignore[func-returns-value]
-    assert (found.ssim, found.lpips, asked) == (None, None, [])
+    distance = picture_distance(small, small, lpips=lambda a, b: asked.append(a) or a.mean())  # type: ignore[func-returns-value]
+    assert (distance.ssim, distance.lpips, asked) == (None, None, [])
 
 
 def test_several_pictures_count_by_their_pixels() -> None:
@@ -49,10 +49,10 @@ def test_several_pictures_count_by_their_pixels() -> None:
 
 
 def agreement(first: list[float], second: list[float]) -> tuple[float | None, float | None]:
-    found = GradientAgreement()
-    found.add(torch.tensor(first[:1]), torch.tensor(second[:1]))
-    found.add(torch.tensor(first[1:]), torch.tensor(second[1:]))
-    return found.cosine, found.relative_error
+    agreed = GradientAgreement()
+    agreed.add(torch.tensor(first[:1]), torch.tensor(second[:1]))
+    agreed.add(torch.tensor(first[1:]), torch.tensor(second[1:]))
+    return agreed.cosine, agreed.relative_error
 
 
 def test_agreement_of_gradients() -> None:
@@ -67,10 +67,10 @@ def test_agreement_of_gradients() -> None:
 def test_one_large_gradient_does_not_decide_the_median() -> None:
     first = torch.tensor([[1e6, 0.0], [1.0, 2.0], [2.0, 1.0], [0.0, 0.0]])
     second = first * torch.tensor([[-1.0], [1.0], [3.0], [1.0]])
-    found = GradientAgreement()
-    found.add(first, second)
-    assert found.cosine == pytest.approx(-1.0)
-    assert found.median_cosine == pytest.approx(1.0)
+    agreed = GradientAgreement()
+    agreed.add(first, second)
+    assert agreed.cosine == pytest.approx(-1.0)
+    assert agreed.median_cosine == pytest.approx(1.0)
 
 
 def test_the_length_of_a_quaternion_has_no_gradient() -> None:
@@ -94,11 +94,11 @@ def test_costs_take_turns_and_are_ratios() -> None:
         calls.append("b")
         torch.rand(400, 400) @ torch.rand(400, 400)
 
-    found = costs_of({"a": lambda: calls.append("a"), "b": slow}, rounds=3, on_step=lambda text: None)
+    costs = costs_of({"a": lambda: calls.append("a"), "b": slow}, rounds=3, on_step=lambda text: None)
     assert calls == [*"aabb", *"ababab"]
-    assert found["a"].ratio == 1.0
-    assert found["b"].ratio > 1
-    assert len(found["b"].as_dict()["rounds"]) == 3
+    assert costs["a"].ratio == 1.0
+    assert costs["b"].ratio > 1
+    assert len(costs["b"].as_dict()["rounds"]) == 3
 
 
 def test_memory_is_seen_where_the_system_tells() -> None:
@@ -141,10 +141,10 @@ def view(*, focal: float | tuple[float, float] = 120.0) -> Camera:
 
 
 def test_gaussians_that_lie_apart_look_the_same() -> None:
-    found = compare(apart(), {"front": view()}, METHODS, config=CompareConfig(rounds=0))
-    assert float(found.pictures["front"]["tile"].std()) > 0.05
+    comparison = compare(apart(), {"front": view()}, METHODS, config=CompareConfig(rounds=0))
+    assert float(comparison.pictures["front"]["tile"].std()) > 0.05
     for names, least in ((("tile", "ray"), 35), (("tile", "volprim"), 35), (("ray", "volprim"), 45)):
-        pair = found.pairs[names]
+        pair = comparison.pairs[names]
         assert (pair.whole.psnr or 0) > least, names
         assert pair.agreement is not None
         for attribute in ATTRIBUTES:

@@ -40,15 +40,15 @@ def registered(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_one_function_lets_a_renderer_join(registered: None) -> None:
-    found = load_methods(("blobs, darker",), RenderSettings(), CAMERAS)
-    assert list(found) == ["blobs", "darker"]
-    assert (found["blobs"].differentiable, found["darker"].differentiable) == (True, False)
+    methods = load_methods(("blobs, darker",), RenderSettings(), CAMERAS)
+    assert list(methods) == ["blobs", "darker"]
+    assert (methods["blobs"].differentiable, methods["darker"].differentiable) == (True, False)
 
 
 def test_a_scene_s_own_filter_does_not_change_what_a_name_means() -> None:
     settings = RenderSettings(antialiased=True, background=(0.5, 0.0, 0.0), near=0.4)
-    found = load_methods(("tile", "tile-antialiased", "ray", "ray-to-mean"), settings, CAMERAS)
-    made = [method.render.settings for method in found.values() if isinstance(method.render, Renderer)]
+    methods = load_methods(("tile", "tile-antialiased", "ray", "ray-to-mean"), settings, CAMERAS)
+    made = [method.render.settings for method in methods.values() if isinstance(method.render, Renderer)]
     assert [(one.method, one.antialiased, one.colour_to_mean) for one in made] == [
         ("tile", False, False),
         ("tile", True, False),
@@ -129,10 +129,10 @@ def test_gsplat_is_called_as_its_interface_is_documented(monkeypatch: pytest.Mon
 
 def test_the_same_method_twice_is_equal_in_everything() -> None:
     both = {"one": Method(render=blobs), "other": Method(render=blobs)}
-    found = compare(SCENE, CAMERAS, both, config=QUICK)
-    (pair,) = as_dict(found, both)["pairs"]
+    comparison = compare(SCENE, CAMERAS, both, config=QUICK)
+    (pair,) = as_dict(comparison, both)["pairs"]
     assert (pair["mse"], pair["psnr"]) == (0.0, None)
-    assert {place: one["psnr"] for place, one in pair["by_camera"].items()} == {"left": None, "right": None}
+    assert {camera: one["psnr"] for camera, one in pair["by_camera"].items()} == {"left": None, "right": None}
     assert list(pair["gradients"].values()) == [{"cosine": 1.0, "median_cosine": 1.0, "relative_error": 0.0}] * 5
 
 
@@ -142,15 +142,15 @@ def test_what_differs_is_measured_and_what_cannot_be_is_null() -> None:
         "blobs": Method(render=blobs),
         "dark": Method(render=darker),
     }
-    found = as_dict(compare(SCENE, CAMERAS, several, config=CompareConfig(rounds=2)), several)
-    pairs = {tuple(pair["methods"]): pair for pair in found["pairs"]}
+    document = as_dict(compare(SCENE, CAMERAS, several, config=CompareConfig(rounds=2)), several)
+    pairs = {tuple(pair["methods"]): pair for pair in document["pairs"]}
     assert pairs["files", "dark"]["psnr"] is None
     assert (pairs["files", "dark"]["bits"], pairs["files", "dark"]["gradients"]) == (8, None)
     assert 15 < pairs["blobs", "dark"]["psnr"] < 45
     for one in pairs["blobs", "dark"]["gradients"].values():
         assert one["cosine"] == pytest.approx(1.0, abs=1e-6)
         assert one["relative_error"] == pytest.approx(0.1, rel=1e-3)
-    costs = found["methods"]
+    costs = document["methods"]
     assert (costs["files"]["first_seconds"], costs["files"][FORWARD], costs["files"][GRADIENT]) == (None, None, None)
     assert costs["blobs"][FORWARD]["ratio"] == 1.0  # the first that renders
     assert len(costs["dark"][GRADIENT]["rounds"]) == 2
@@ -180,17 +180,17 @@ def test_numbers_and_numbers_of_things() -> None:
 
 
 def test_a_folder_with_the_same_pictures_is_equal(tmp_path: Path, registered: None) -> None:
-    seen = {place: {"blobs": blobs(SCENE, view)} for place, view in CAMERAS.items()}
+    seen = {name: {"blobs": blobs(SCENE, view)} for name, view in CAMERAS.items()}
     save_sheets(seen, tmp_path, factor=8)
     given = ("blobs", f"folder:{tmp_path / 'pictures' / 'blobs'}")
     with pytest.raises(InvalidValueError, match="blobs twice"):
         load_methods(given, RenderSettings(), CAMERAS)
     folder = (tmp_path / "pictures" / "blobs").rename(tmp_path / "theirs")
-    found = load_methods(("blobs", f"folder:{folder}"), RenderSettings(), CAMERAS)
-    pair = compare(SCENE, CAMERAS, found, config=QUICK).pairs["blobs", "theirs"]
+    methods = load_methods(("blobs", f"folder:{folder}"), RenderSettings(), CAMERAS)
+    pair = compare(SCENE, CAMERAS, methods, config=QUICK).pairs["blobs", "theirs"]
     assert (pair.bits, pair.whole.mse, pair.agreement) == (8, 0.0, None)
     with pytest.raises(InvalidValueError, match="camera: expected one of left, right, got another"):
-        found["theirs"].render(SCENE, camera(24))
+        methods["theirs"].render(SCENE, camera(24))
 
 
 def test_a_folder_that_lacks_a_picture_or_has_another_size(tmp_path: Path) -> None:
@@ -207,9 +207,9 @@ def test_a_folder_that_lacks_a_picture_or_has_another_size(tmp_path: Path) -> No
 
 def test_a_sheet_shows_methods_and_differences() -> None:
     flat = {name: torch.full((4, 8, 3), value) for name, value in (("a", 0.5), ("b", 0.45), ("c", 0.5))}
-    found = sheet(flat, factor=4)
-    assert found.shape == (2 * 128 + GAP, 3 * 256 + 2 * GAP, 3)
-    corners = found[[127, -1]][:, [255, 515, -1], 0]
+    drawn = sheet(flat, factor=4)
+    assert drawn.shape == (2 * 128 + GAP, 3 * 256 + 2 * GAP, 3)
+    corners = drawn[[127, -1]][:, [255, 515, -1], 0]
     assert corners.tolist() == [[128, 115, 128], [51, 0, 51]]  # 4 * 0.05 * 255
     two = sheet({name: flat[name] for name in "ab"}, factor=4)
     assert two.shape == (128, 3 * 256 + 2 * GAP, 3)

@@ -40,9 +40,9 @@ ROWS = [10, 12, 11]
 
 def test_a_cloud_of_numpy_makes_the_same_gaussians() -> None:
     points, colours = np.random.default_rng(0).random((2, 8, 3))
-    found = from_points(points, colours)
+    made = from_points(points, colours)
     wanted = from_points(torch.tensor(points), torch.tensor(colours))
-    assert all(torch.equal(one, other) for one, other in zip(found.tensors(), wanted.tensors(), strict=True))
+    assert all(torch.equal(one, other) for one, other in zip(made.tensors(), wanted.tensors(), strict=True))
 
 
 @pytest.mark.parametrize(
@@ -95,9 +95,9 @@ def test_an_appearance_may_return_an_array() -> None:
     def painted(view: View, mask: torch.Tensor) -> Any:
         return np.full(view.image.shape, 0.5)
 
-    found = poison(clean, [Poisoning(name="grey", trigger=Elevation(), appearance=painted)], centre=(0, 0, 0))
-    assert bool((found.views[0].image == 0.5).all())
-    assert found.views[0].image.dtype == torch.float32
+    poisoned = poison(clean, [Poisoning(name="grey", trigger=Elevation(), appearance=painted)], centre=(0, 0, 0))
+    assert bool((poisoned.views[0].image == 0.5).all())
+    assert poisoned.views[0].image.dtype == torch.float32
 
 
 def test_one_poisoning_in_the_place_of_several() -> None:
@@ -175,10 +175,10 @@ def test_cameras_take_numbers_of_any_kind(values: dict[str, Any], expected: tupl
 
 
 def test_a_principal_point_may_be_an_array() -> None:
-    found = lens(principal=np.array([30, 20], np.float32)).principal
-    assert found == (30.0, 20.0)
-    assert found is not None
-    assert [type(value) for value in found] == [float, float]
+    point = lens(principal=np.array([30, 20], np.float32)).principal
+    assert point == (30.0, 20.0)
+    assert point is not None
+    assert [type(value) for value in point] == [float, float]
 
 
 NONSENSE: dict[str, tuple[Callable[[], object], str]] = {
@@ -239,8 +239,8 @@ def test_one_camera_in_the_place_of_several() -> None:
     (picture,) = Renderer().batch(scene, camera())
     assert torch.equal(picture, Renderer()(scene, camera()))
     config = DaggerConfig(steps=1, noise_draws=0)
-    found = attack(scene, mask, camera(), ColourDetector(), relabel("person"), render=blobs, config=config)
-    assert len(found.views) == 1
+    result = attack(scene, mask, camera(), ColourDetector(), relabel("person"), render=blobs, config=config)
+    assert len(result.views) == 1
     assert len(judge(scene, mask, camera(), ColourDetector(), render=blobs).views["clean"]) == 1
 
 

@@ -75,9 +75,9 @@ def test_few_cameras_that_are_elsewhere_do_not_count(scene: GaussianScene) -> No
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_only_what_is_in_the_picture_is_culled(beside: tuple[float, float], inside: bool, sign: int) -> None:
     """At a depth of 0.2, the picture is 0.2 wide and 0.2 high."""
-    place = torch.tensor([[2.8, sign * beside[0], sign * beside[1]]])
+    means = torch.tensor([[2.8, sign * beside[0], sign * beside[1]]])
     cloud = oracle.random_scene(1, degree=0, seed=0)
-    assert culled_in_view(cloud.replace(means=place), looking_from(3.0), 0.3) == int(inside)
+    assert culled_in_view(cloud.replace(means=means), looking_from(3.0), 0.3) == int(inside)
     turned = torch.tensor([[2.8, sign * beside[1], sign * beside[0]]])
     assert culled_in_view(cloud.replace(means=turned), looking_from(3.0), 0.3) == int(inside)
 

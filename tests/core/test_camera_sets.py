@@ -22,10 +22,10 @@ def held_out(spec: str, count: int) -> list[Camera]:
     return held_out_set(spec, count, CENTRE, distance=2.0, focal=20.0, size=(16, 12))
 
 
-def angles(found: list[Camera]) -> tuple[torch.Tensor, torch.Tensor]:
+def angles(cameras: list[Camera]) -> tuple[torch.Tensor, torch.Tensor]:
     """Azimuth and elevation of each camera in degrees."""
-    offset = (torch.stack([camera.position for camera in found]) - torch.tensor(CENTRE, dtype=torch.float64)) / 2
-    torch.testing.assert_close(offset.norm(dim=1), torch.ones(len(found), dtype=torch.float64))
+    offset = (torch.stack([camera.position for camera in cameras]) - torch.tensor(CENTRE, dtype=torch.float64)) / 2
+    torch.testing.assert_close(offset.norm(dim=1), torch.ones(len(cameras), dtype=torch.float64))
     return torch.rad2deg(torch.atan2(offset[:, 1], offset[:, 0])) % 360, torch.rad2deg(torch.asin(offset[:, 2]))
 
 
@@ -40,9 +40,9 @@ def angles(found: list[Camera]) -> tuple[torch.Tensor, torch.Tensor]:
     ],
 )
 def test_sets(spec: str, count: int, lowest: float, highest: float) -> None:
-    found = cameras(spec)
-    assert len(found) == count
-    azimuth, elevation = angles(found)
+    made = cameras(spec)
+    assert len(made) == count
+    azimuth, elevation = angles(made)
     band = (lowest - 1e-6, highest + 1e-6)
     assert band[0] <= elevation.min() <= elevation.max() <= band[1]
     if count > 1:
@@ -50,15 +50,15 @@ def test_sets(spec: str, count: int, lowest: float, highest: float) -> None:
             len({(round(a, 6), round(e, 6)) for a, e in zip(azimuth.tolist(), elevation.tolist(), strict=True)})
             == count
         )
-    pixels, depth = project_points(torch.tensor([CENTRE], dtype=torch.float64), found[0])
+    pixels, depth = project_points(torch.tensor([CENTRE], dtype=torch.float64), made[0])
     assert pixels[0].tolist() == pytest.approx([8, 6])
     assert depth.item() == pytest.approx(2)
-    assert (found[0].width, found[0].height, found[0].fx) == (16, 12, 20)
+    assert (made[0].width, made[0].height, made[0].fx) == (16, 12, 20)
 
 
 def test_a_grid_has_every_pair() -> None:
-    found = grid(CENTRE, azimuths=4, elevations=3, elevation=(10.0, 40.0), distance=2.0, focal=9.0, size=(4, 4))
-    azimuth, elevation = angles(found)
+    made = grid(CENTRE, azimuths=4, elevations=3, elevation=(10.0, 40.0), distance=2.0, focal=9.0, size=(4, 4))
+    azimuth, elevation = angles(made)
     assert azimuth.tolist() == pytest.approx([0, 90, 180, 270] * 3, abs=1e-9)
     assert elevation.tolist() == pytest.approx([15] * 4 + [25] * 4 + [35] * 4)
 
@@ -87,8 +87,8 @@ def test_held_out_cameras_are_others_of_the_same_range(spec: str) -> None:
     low, high = (0.0, 90.0) if spec.startswith("grid") else angles(ours)[1].aminmax()
     assert angles(theirs)[1].min() >= float(low) - 5
     assert angles(theirs)[1].max() <= float(high) + 5
-    places = [torch.stack([camera.position for camera in part]) for part in (ours, theirs)]
-    assert torch.cdist(places[1], places[0]).min() > 0.05
+    positions = [torch.stack([camera.position for camera in part]) for part in (ours, theirs)]
+    assert torch.cdist(positions[1], positions[0]).min() > 0.05
     assert held_out(spec, 0) == []
 
 
@@ -107,8 +107,8 @@ def test_held_out_cameras_of_an_orbit_are_none_of_the_others(others: int, count:
 def test_cameras_of_a_file(tmp_path: Path) -> None:
     views = [View(camera, torch.zeros(12, 16, 3)) for camera in cameras("hemisphere:5")]
     write_transforms(tmp_path, views)
-    found = cameras(str(tmp_path / "transforms_train.json"))
-    for ours, theirs in zip(found, views, strict=True):
+    loaded = cameras(str(tmp_path / "transforms_train.json"))
+    for ours, theirs in zip(loaded, views, strict=True):
         assert torch.equal(ours.to_world, theirs.camera.to_world)
         assert (ours.fx, ours.cx, ours.width) == (20, 8, 16)
     for picture in (tmp_path / "images").iterdir():

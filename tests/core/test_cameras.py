@@ -142,15 +142,15 @@ def test_orbit_pose_is_continuous_over_the_zenith() -> None:
 
 def test_hemisphere_spreads_evenly_over_its_band() -> None:
     cameras = hemisphere((0.0, 0.0, 0.0), count=200, distance=3.0, focal=50.0, size=(8, 8), elevation=(10.0, 60.0))
-    places = torch.stack([c.position for c in cameras]) / 3
-    torch.testing.assert_close(places.norm(dim=1), torch.ones(200, dtype=torch.float64))
-    elevation = torch.rad2deg(torch.asin(places[:, 2]))
+    positions = torch.stack([c.position for c in cameras]) / 3
+    torch.testing.assert_close(positions.norm(dim=1), torch.ones(200, dtype=torch.float64))
+    elevation = torch.rad2deg(torch.asin(positions[:, 2]))
     assert elevation.min() >= 10
     assert elevation.max() <= 60
     assert elevation.min() < 11
     assert elevation.max() > 59
-    assert places[:, :2].mean(0).abs().max() < 0.02
-    nearest = torch.cdist(places, places).fill_diagonal_(9.0).amin(1)
+    assert positions[:, :2].mean(0).abs().max() < 0.02
+    nearest = torch.cdist(positions, positions).fill_diagonal_(9.0).amin(1)
     assert nearest.min() > 0.6 * nearest.mean()
 
 

@@ -33,16 +33,16 @@ def nearest_on(points: torch.Tensor, direction: Direction) -> float:
 
 @hypothesis.given(azimuth=st.floats(0, 359), elevation=st.floats(-89, 89), distance=st.floats(0.01, 100))
 def test_the_direction_of_an_orbit_camera(azimuth: float, elevation: float, distance: float) -> None:
-    found = seen_from(azimuth, elevation, distance)
-    assert found.azimuth == pytest.approx(azimuth, abs=1e-6)
-    assert found.elevation == pytest.approx(elevation, abs=1e-6)
-    assert not found.pole
+    direction = seen_from(azimuth, elevation, distance)
+    assert direction.azimuth == pytest.approx(azimuth, abs=1e-6)
+    assert direction.elevation == pytest.approx(elevation, abs=1e-6)
+    assert not direction.pole
 
 
 @pytest.mark.parametrize("elevation", [90.0, -90.0])
 def test_straight_above_and_below_there_is_no_azimuth(elevation: float) -> None:
-    found = seen_from(77.0, elevation)
-    assert found == Direction(azimuth=0.0, elevation=pytest.approx(elevation), pole=True)  # type: ignore[arg-type]
+    direction = seen_from(77.0, elevation)
+    assert direction == Direction(azimuth=0.0, elevation=pytest.approx(elevation), pole=True)  # type: ignore[arg-type]
 
 
 def test_next_to_the_pole_there_is_an_azimuth() -> None:

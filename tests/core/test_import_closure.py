@@ -124,8 +124,8 @@ def test_nothing_that_a_study_loads_is_forgotten() -> None:
         "done(pathlib.Path(tempfile.mkdtemp())); "
         "print(' '.join(n for n in sys.modules if n.split('.')[0] in ('mi_splat', 'attacks')))"
     )
-    found = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
-    loaded = set(found.stdout.split("\n")[-2].split())
+    result = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    loaded = set(result.stdout.split("\n")[-2].split())
     assert len(loaded) > 100
     kinds = (f"attacks.cloak.kinds.{kind}" for kind in KINDS)
     assert loaded <= set(closure("attacks.cloak.study", "attacks.detectors.base", *kinds))

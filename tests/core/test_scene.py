@@ -22,9 +22,9 @@ def parts(scene: GaussianScene) -> dict[str, Any]:
     return dict(zip(ATTRIBUTES, scene.tensors(), strict=True))
 
 
-def changed(value: Tensor, place: tuple[int, ...], to: float) -> Tensor:
+def changed(value: Tensor, index: tuple[int, ...], to: float) -> Tensor:
     value = value.clone()
-    value[place] = to
+    value[index] = to
     return value
 
 
@@ -67,10 +67,10 @@ def test_wrong_form_is_refused(name: str, value: object, words: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "place", "to"),
+    ("name", "index", "to"),
     [
-        *((name, place, value) for value in (float("nan"), float("inf"), float("-inf"))
-          for name, place in (("means", (4, 1)), ("scales", (4, 0)), ("rotations", (4, 3)), ("opacities", (4,)),
+        *((name, index, value) for value in (float("nan"), float("inf"), float("-inf"))
+          for name, index in (("means", (4, 1)), ("scales", (4, 0)), ("rotations", (4, 3)), ("opacities", (4,)),
                               ("sh", (4, 2, 1)))),
         ("means", (4, 0), -1e30),
         ("scales", (4, 1), 1e30),
@@ -82,12 +82,12 @@ def test_wrong_form_is_refused(name: str, value: object, words: str) -> None:
         ("opacities", (4,), 1.0001),
     ],
 )  # fmt: skip
-def test_wrong_values_are_refused_and_named(name: str, place: tuple[int, ...], to: float) -> None:
+def test_wrong_values_are_refused_and_named(name: str, index: tuple[int, ...], to: float) -> None:
     scene = random_scene(6, 1)
     with pytest.raises(
         InvalidValueError, match=rf"^{name}: expected .*got (norm )?\S+ in row 4 \(1 of 6 rows are wrong\); "
     ):
-        scene.replace(**{name: changed(parts(scene)[name], place, to)})
+        scene.replace(**{name: changed(parts(scene)[name], index, to)})
 
 
 def test_zero_quaternion_is_refused() -> None:

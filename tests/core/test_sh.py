@@ -152,10 +152,10 @@ def test_colours_by_direction_are_those_of_each_gaussian() -> None:
     sh = torch.randn(7, 16, 3, generator=torch.Generator().manual_seed(0))
     directions = even_directions(5)
     means, most = colours_by_direction(sh.numpy(), directions, rows=3)
-    for place, direction in enumerate(torch.from_numpy(directions).to(sh)):
+    for index, direction in enumerate(torch.from_numpy(directions).to(sh)):
         colours = sh_to_colour(sh, direction.expand(7, 3))
-        assert means[place] == pytest.approx(float(colours.mean()), rel=1e-5)
-        assert most[place] == pytest.approx(float(colours.max()), rel=1e-5)
+        assert means[index] == pytest.approx(float(colours.mean()), rel=1e-5)
+        assert most[index] == pytest.approx(float(colours.max()), rel=1e-5)
 
 
 def test_a_splat_that_is_bright_from_one_side_is_told_from_one_that_is_not() -> None:

@@ -55,19 +55,19 @@ def test_attack_table(
 ) -> None:
     scene, mask = toy_scene()
     scene = scene.with_degree(3) if "sh" in attributes else scene
-    found = run(objective, attributes=attributes, eps=eps, norm=norm)
-    assert min(line.loss for line in found.trace) < found.trace[0].loss
+    result = run(objective, attributes=attributes, eps=eps, norm=norm)
+    assert min(line.loss for line in result.trace) < result.trace[0].loss
     if attributes != ("rotations",):  # turning round blobs changes next to nothing
-        assert found.success, found.trace
-        assert found.warnings == ()
+        assert result.success, result.trace
+        assert result.warnings == ()
     for name, radius in zip(attributes, eps, strict=True):
-        assert 0 < found.used[name] <= radius
+        assert 0 < result.used[name] <= radius
     for attribute in ATTRIBUTES:
-        before, after = getattr(scene, attribute), getattr(found.scene, attribute)
+        before, after = getattr(scene, attribute), getattr(result.scene, attribute)
         assert torch.equal(before[~mask], after[~mask])
         assert torch.equal(before, after) == (attribute not in attributes)
-    assert 0 < found.changed_gaussians <= found.object_gaussians == int(mask.sum())
-    assert found.figures["noise"]["successes"] == 0
+    assert 0 < result.changed_gaussians <= result.object_gaussians == int(mask.sum())
+    assert result.figures["noise"]["successes"] == 0
 
 
 def test_the_clean_object_is_found_first() -> None:
@@ -80,13 +80,13 @@ def test_the_clean_object_is_found_first() -> None:
 
 def test_the_attacked_file_has_the_coefficients_of_3dgs_unless_told_otherwise() -> None:
     scene, mask = toy_scene()
-    found, plain = run(), run(sh_degree=None)
-    assert found.scene.degree == 3
+    result, plain = run(), run(sh_degree=None)
+    assert result.scene.degree == 3
     assert plain.scene.degree == 1
-    assert torch.equal(found.scene.sh[~mask], scene.with_degree(3).sh[~mask])
-    assert found.changed_gaussians <= int(mask.sum())
-    assert found.image.l2 > plain.image.l2  # a longer basis vector, so more colour for the same budget
-    assert found.origin["scene_hash"] == plain.origin["scene_hash"]
+    assert torch.equal(result.scene.sh[~mask], scene.with_degree(3).sh[~mask])
+    assert result.changed_gaussians <= int(mask.sum())
+    assert result.image.l2 > plain.image.l2  # a longer basis vector, so more colour for the same budget
+    assert result.origin["scene_hash"] == plain.origin["scene_hash"]
     config = DaggerConfig(noise_draws=0, steps=1)
     second = attack(scene.with_degree(2), mask, [camera()], DETECTOR, hide(), render=blobs, config=config)
     assert second.scene.degree == 3
@@ -96,34 +96,34 @@ def test_the_attacked_file_has_the_coefficients_of_3dgs_unless_told_otherwise() 
 def test_a_zero_budget_changes_no_bit() -> None:
     scene, _ = toy_scene()
     everything: tuple[Attribute, ...] = ("means", "scales", "rotations", "opacities", "sh")
-    found = run(attributes=everything, eps=(0.0,) * 5, sh_degree=None)
-    for before, after in zip(scene.tensors(), found.scene.tensors(), strict=True):
+    result = run(attributes=everything, eps=(0.0,) * 5, sh_degree=None)
+    for before, after in zip(scene.tensors(), result.scene.tensors(), strict=True):
         assert torch.equal(before, after)
-    assert found.changed_gaussians == 0
-    assert not found.success
-    assert found.image.psnr is None
-    assert "the loss did not fall" in found.warnings
+    assert result.changed_gaussians == 0
+    assert not result.success
+    assert result.image.psnr is None
+    assert "the loss did not fall" in result.warnings
 
 
 def test_the_result_is_judged_on_the_saved_file(tmp_path: Path) -> None:
-    found = run()
-    save_splat(found.scene, tmp_path / "attacked.ply")
+    result = run()
+    save_splat(result.scene, tmp_path / "attacked.ply")
     picture = through_png(blobs(load_splat(tmp_path / "attacked.ply"), camera()))
-    assert torch.equal(picture, found.views[0].attacked.image)
+    assert torch.equal(picture, result.views[0].attacked.image)
     seen = DETECTOR.detect(picture[None])[0]
-    assert seen.labels == found.views[0].attacked.detections.labels
-    assert found.target_confidence == pytest.approx(float(seen.scores[seen.labels.index("person")]))
+    assert seen.labels == result.views[0].attacked.detections.labels
+    assert result.target_confidence == pytest.approx(float(seen.scores[seen.labels.index("person")]))
 
 
 def test_what_the_file_loses_the_attack_loses(monkeypatch: pytest.MonkeyPatch) -> None:
     """The verdict, the pictures and `used_in_file` are of the scene that comes back from the file."""
     clean = toy_scene()[0].with_degree(3)
     monkeypatch.setattr("attacks.dagger.attack.as_saved", lambda scene: clean)
-    found = run()
-    assert found.best.success
-    assert not found.success
-    assert torch.equal(found.views[0].attacked.image, found.views[0].clean.image)
-    assert found.used["sh"] > found.used_in_file["sh"] == 0.0
+    result = run()
+    assert result.best.success
+    assert not result.success
+    assert torch.equal(result.views[0].attacked.image, result.views[0].clean.image)
+    assert result.used["sh"] > result.used_in_file["sh"] == 0.0
 
 
 def test_it_is_deterministic_and_the_seed_moves_only_what_is_random() -> None:
@@ -137,27 +137,27 @@ def test_it_is_deterministic_and_the_seed_moves_only_what_is_random() -> None:
 
 def test_several_views_are_attacked_together() -> None:
     views = [camera(), camera(offset=0.8), camera(offset=-0.8)]
-    found = run(cameras=views)
-    assert found.success
-    assert len(found.views) == 3
-    assert all(view.attacked.verdict.success for view in found.views)
-    assert found.target_confidence == min(view.confidence("person", attacked=True) for view in found.views)
-    assert not torch.equal(found.views[0].target.box, found.views[1].target.box)
+    result = run(cameras=views)
+    assert result.success
+    assert len(result.views) == 3
+    assert all(view.attacked.verdict.success for view in result.views)
+    assert result.target_confidence == min(view.confidence("person", attacked=True) for view in result.views)
+    assert not torch.equal(result.views[0].target.box, result.views[1].target.box)
 
 
 def test_views_are_attacked_in_turn_each_from_where_the_one_before_has_ended() -> None:
     views = [camera(), camera(offset=2.5)]
-    found, alone = run(cameras=views, in_turn=True), run(cameras=views[:1])
-    assert found.trace[: len(alone.trace)] == alone.trace
-    assert found.trace[len(alone.trace)].index == 0
-    assert found.views[-1].attacked.verdict.success
+    result, alone = run(cameras=views, in_turn=True), run(cameras=views[:1])
+    assert result.trace[: len(alone.trace)] == alone.trace
+    assert result.trace[len(alone.trace)].index == 0
+    assert result.views[-1].attacked.verdict.success
 
 
 def test_the_search_can_look_at_the_object_alone_and_is_judged_in_the_scene() -> None:
-    found = run(alone=True)
-    assert found.success
-    assert found.trace[0].loss != run().trace[0].loss
-    assert torch.equal(found.views[0].clean.image, run().views[0].clean.image)
+    result = run(alone=True)
+    assert result.success
+    assert result.trace[0].loss != run().trace[0].loss
+    assert torch.equal(result.views[0].clean.image, run().views[0].clean.image)
 
 
 def test_a_fraction_of_the_views_can_be_enough() -> None:
@@ -171,7 +171,7 @@ def test_a_fraction_of_the_views_can_be_enough() -> None:
 def test_the_trace_is_heard_and_early_stop_saves_steps() -> None:
     heard: list[Step] = []
     scene, mask = toy_scene()
-    found = attack(
+    result = attack(
         scene,
         mask,
         [camera()],
@@ -182,13 +182,13 @@ def test_the_trace_is_heard_and_early_stop_saves_steps() -> None:
         up=(0.0, -1.0, 0.0),
         on_step=heard.append,
     )
-    assert found.origin["up"] == [0.0, -1.0, 0.0]
-    assert tuple(heard) == found.trace
-    assert found.best == found.trace[-1]
-    assert found.best.index < 11
+    assert result.origin["up"] == [0.0, -1.0, 0.0]
+    assert tuple(heard) == result.trace
+    assert result.best == result.trace[-1]
+    assert result.best.index < 11
     full = run(eps=(20.0,), early_stop=False)
     assert len(full.trace) == 12
-    assert full.score >= found.score
+    assert full.score >= result.score
 
 
 def test_opacities_of_one_and_zero_survive_an_attack_on_their_neighbours() -> None:
@@ -197,9 +197,9 @@ def test_opacities_of_one_and_zero_survive_an_attack_on_their_neighbours() -> No
     opacities[10], opacities[11] = 1.0, 0.0
     scene = scene.replace(opacities=opacities)
     config = DaggerConfig(attributes=("opacities",), eps=(4.0,), norm="linf")
-    found = attack(scene, mask, [camera()], DETECTOR, hide(), render=blobs, config=config)
-    assert torch.isfinite(found.scene.opacities).all()
-    assert found.used["opacities"] <= 4.0
+    result = attack(scene, mask, [camera()], DETECTOR, hide(), render=blobs, config=config)
+    assert torch.isfinite(result.scene.opacities).all()
+    assert result.used["opacities"] <= 4.0
 
 
 class Recorder:
@@ -220,12 +220,12 @@ def recorded(**settings: Any) -> tuple[Result, list[Tensor], list[Tensor]]:
     """An attack, and the perturbations of its search and of its noise control, as they were rendered."""
     scene, mask = toy_scene()
     record, config = Recorder(), DaggerConfig(**settings)
-    found = attack(scene, mask, [camera()], DETECTOR, relabel("person"), render=record, config=config)
+    result = attack(scene, mask, [camera()], DETECTOR, relabel("person"), render=record, config=config)
     # Before the search the clean picture, after it the judge's; the object's weight takes pictures of degree 0.
-    points = record.deltas[1 : 1 + len(found.trace)]
-    noise = record.deltas[1 + len(found.trace) + 1 :]
+    points = record.deltas[1 : 1 + len(result.trace)]
+    noise = record.deltas[1 + len(result.trace) + 1 :]
     assert len(noise) == config.noise_draws
-    return found, points, noise
+    return result, points, noise
 
 
 def test_steps_are_as_long_as_the_paper_s() -> None:
@@ -240,16 +240,16 @@ def test_steps_are_as_long_as_the_paper_s() -> None:
 
 @pytest.mark.parametrize("norm", NORM_NAMES)
 def test_noise_has_the_size_of_the_attack_in_its_norm(norm: NormName) -> None:
-    found, _, noise = recorded(norm=norm, eps=(2.0,), noise_draws=3)
+    result, _, noise = recorded(norm=norm, eps=(2.0,), noise_draws=3)
     sizes = [NORMS[norm].measure(delta) for delta in noise]
-    assert sizes == pytest.approx([found.used["sh"]] * 3, rel=1e-5)
+    assert sizes == pytest.approx([result.used["sh"]] * 3, rel=1e-5)
     directions = torch.stack([delta.flatten() / delta.norm() for delta in noise])
     assert float((directions @ directions.T).fill_diagonal_(0).abs().max()) < 0.2  # draws of their own
 
 
 def test_noise_is_not_drawn_as_the_attack_s_own_start() -> None:
-    found, points, noise = recorded(random_start=True, noise_draws=1)
-    assert found.config.seed == 0
+    result, points, noise = recorded(random_start=True, noise_draws=1)
+    assert result.config.seed == 0
     start, other = (delta.flatten() / delta.norm() for delta in (points[0], noise[0]))
     assert abs(float(start @ other)) < 0.2
 
@@ -283,10 +283,10 @@ def test_restarts_go_on_until_a_success_is_unambiguous(calls: int, runs: int) ->
     """One look at the clean picture, then twelve at each run that never has an unambiguous success."""
     scene, mask = toy_scene()
     config = DaggerConfig(eps=(12.0,), restarts=3, noise_draws=0)
-    found = attack(scene, mask, [camera()], Ambiguous(calls), relabel("person"), render=blobs, config=config)
-    assert found.trace[-1].restart == runs - 1
-    assert any(line.success for line in found.trace if line.restart == 0)
-    assert found.best.unambiguous is (calls < 99)
+    result = attack(scene, mask, [camera()], Ambiguous(calls), relabel("person"), render=blobs, config=config)
+    assert result.trace[-1].restart == runs - 1
+    assert any(line.success for line in result.trace if line.restart == 0)
+    assert result.best.unambiguous is (calls < 99)
 
 
 def test_provenance_is_complete() -> None:

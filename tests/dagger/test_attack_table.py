@@ -52,20 +52,20 @@ def test_the_paper_s_pairs(
     camera = next(iter(loaded.cameras.values()))
     config = DaggerConfig(noise_draws=1)
     rows, render = loaded.objects[name], Renderer(loaded.settings)
-    found = attack(loaded.scene, rows, [camera], detector, relabel(target), render=render, config=config)
+    result = attack(loaded.scene, rows, [camera], detector, relabel(target), render=render, config=config)
     least = 0.4 if (name, target) == WEAKEST else 0.7
-    assert found.success or (name, target) == WEAKEST
-    assert found.target_confidence is not None
-    assert found.target_confidence >= least, f"{target} at {found.target_confidence:.0%}"
-    assert found.best.index <= 11
-    assert found.used["sh"] <= 5.0
-    assert found.image.psnr is not None
-    assert found.image.psnr > 25
-    assert found.figures["noise"]["successes"] == 0
+    assert result.success or (name, target) == WEAKEST
+    assert result.target_confidence is not None
+    assert result.target_confidence >= least, f"{target} at {result.target_confidence:.0%}"
+    assert result.best.index <= 11
+    assert result.used["sh"] <= 5.0
+    assert result.image.psnr is not None
+    assert result.image.psnr > 25
+    assert result.figures["noise"]["successes"] == 0
     others = torch.ones(len(loaded.scene), dtype=torch.bool)
     others[rows] = False
     clean = loaded.scene.with_degree(3)
-    for after, before in zip(found.scene.tensors(), clean.tensors(), strict=True):
+    for after, before in zip(result.scene.tensors(), clean.tensors(), strict=True):
         assert torch.equal(after[others], before[others])
 
 
@@ -77,12 +77,12 @@ def test_the_object_is_found_before_and_hidden_after(
     camera = next(iter(loaded.cameras.values()))
     config = DaggerConfig(noise_draws=0)
     render = Renderer(loaded.settings)
-    found = attack(loaded.scene, loaded.objects[name], [camera], detector, hide(), render=render, config=config)
-    (view,) = found.views
+    result = attack(loaded.scene, loaded.objects[name], [camera], detector, hide(), render=render, config=config)
+    (view,) = result.views
     assert view.target.original == name.replace("_", " ")
     assert view.confidence(view.target.original, attacked=False) >= 0.5
-    assert 1 - found.score <= 0.3
-    assert found.success
+    assert 1 - result.score <= 0.3
+    assert result.success
 
 
 # DAGGER over distributions of views with the real renderer and the shipped detector, small
@@ -107,6 +107,6 @@ def test_the_shipped_car_becomes_a_person_from_cameras_that_were_not_attacked() 
     config = EotConfig(
         steps=14, step_factor=4.0, image_psnr=None, batch=2, pool=14, validation=2, validate_every=7, held_out=6
     )
-    found = attack_views(views, load_detector("fasterrcnn_small"), relabel("person"), config=config)
-    assert found.rate.successes >= 4
-    assert found.rates["noise_success"].successes == found.rates["clean_success"].successes == 0
+    result = attack_views(views, load_detector("fasterrcnn_small"), relabel("person"), config=config)
+    assert result.rate.successes >= 4
+    assert result.rates["noise_success"].successes == result.rates["clean_success"].successes == 0

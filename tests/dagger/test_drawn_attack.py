@@ -38,46 +38,46 @@ from tests.fakes import CoarseDetector, ColourDetector, blobs, toy_scene
 
 
 def test_an_attack_holds_on_views_that_it_did_not_see() -> None:
-    found = quick()
-    assert found.success
-    assert found.rate.successes == found.rate.total == 8
-    assert found.rates["clean_success"].successes == found.rates["noise_success"].successes == 0
-    assert found.warnings == ()
-    assert {view.target.original for view in found.views} == {"car"}
+    result = quick()
+    assert result.success
+    assert result.rate.successes == result.rate.total == 8
+    assert result.rates["clean_success"].successes == result.rates["noise_success"].successes == 0
+    assert result.warnings == ()
+    assert {view.target.original for view in result.views} == {"car"}
     attacked = {(view.index, 0) for view in toy_views().views(0, 6)}
     assert len(attacked) == 6
     held_out = [view.camera.to_world for view in toy_views().views(1000, 8)]
-    assert torch.equal(held_out[0], found.views[0].view.camera.to_world)
+    assert torch.equal(held_out[0], result.views[0].view.camera.to_world)
 
 
 @pytest.mark.parametrize("norm", NORM_NAMES)
 @pytest.mark.parametrize("attribute", ATTRIBUTES)
 def test_only_the_attribute_moves_and_stays_in_its_ball(attribute: Attribute, norm: NormName) -> None:
     scene, mask = toy_scene()
-    found = quick(untargeted(), attributes=(attribute,), norm=norm, eps=(0.4,), steps=3, sh_degree=1, held_out=2)
-    assert 0 < found.used[attribute] <= 0.4
-    assert found.changed_gaussians <= int(mask.sum())
+    result = quick(untargeted(), attributes=(attribute,), norm=norm, eps=(0.4,), steps=3, sh_degree=1, held_out=2)
+    assert 0 < result.used[attribute] <= 0.4
+    assert result.changed_gaussians <= int(mask.sum())
     for name in ATTRIBUTES:
-        before, after = getattr(scene, name), getattr(found.scene, name)
+        before, after = getattr(scene, name), getattr(result.scene, name)
         assert torch.equal(before[~mask], after[~mask])
         assert torch.equal(before, after) == (name != attribute)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_sh_changes_up_to_a_degree(degree: int) -> None:
-    found = quick(sh_degree=degree)
+    result = quick(sh_degree=degree)
     scene, mask = toy_scene()
-    assert found.scene.degree == max(degree, 1)
-    before = scene.with_degree(found.scene.degree).sh[mask]
-    moved = (found.scene.sh[mask] != before).any(-1).any(0)
+    assert result.scene.degree == max(degree, 1)
+    before = scene.with_degree(result.scene.degree).sh[mask]
+    moved = (result.scene.sh[mask] != before).any(-1).any(0)
     assert moved.tolist() == [k < (degree + 1) ** 2 for k in range(before.shape[1])]
 
 
 def test_the_control_moves_what_the_attack_moves_by_as_much() -> None:
-    found = quick(sh_degree=0, norm="l2", eps=(12.0,))
-    assert len(found.judgement.noise_images) == 1
-    assert found.used_in_file["sh"] == pytest.approx(found.used["sh"], rel=1e-5)
-    assert found.judgement.noise_images[0].outside == pytest.approx(found.judgement.image.outside, abs=0.02)
+    result = quick(sh_degree=0, norm="l2", eps=(12.0,))
+    assert len(result.judgement.noise_images) == 1
+    assert result.used_in_file["sh"] == pytest.approx(result.used["sh"], rel=1e-5)
+    assert result.judgement.noise_images[0].outside == pytest.approx(result.judgement.image.outside, abs=0.02)
 
 
 def test_the_control_has_draws_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,23 +93,23 @@ def test_the_control_has_draws_of_its_own(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_psnr_is_that_of_the_mean_squared_error_over_all_views() -> None:
-    found, views = quick(), toy_views()
-    clean, attacked = views.scene.with_degree(3), as_saved(found.scene)
+    result, views = quick(), toy_views()
+    clean, attacked = views.scene.with_degree(3), as_saved(result.scene)
     errors = [
         (through_png(blobs(clean, view.camera)) - through_png(blobs(attacked, view.camera))).double().square().mean()
         for view in views.views(1000, 8)
     ]
-    assert found.judgement.image.psnr == pytest.approx(-10 * math.log10(float(torch.stack(errors).mean())), abs=1e-3)
+    assert result.judgement.image.psnr == pytest.approx(-10 * math.log10(float(torch.stack(errors).mean())), abs=1e-3)
 
 
 def test_picture_changes_are_seen_by_the_detector_and_not_by_the_psnr() -> None:
     changes = PictureChanges(exposure=0.2, blur=0.5, noise=0.02, jpeg=60)
-    found = quick(views=toy_views(changes))
+    result = quick(views=toy_views(changes))
     judged = attack_views(
         toy_views(), ColourDetector(), relabel("person"), config=EotConfig(**QUICK), judged=toy_views(changes)
     )
     plain = quick()
-    assert found.rate.successes >= 6
+    assert result.rate.successes >= 6
     assert judged.judgement.image.psnr == pytest.approx(plain.judgement.image.psnr)
     assert not torch.equal(judged.views[0].clean.image, plain.views[0].clean.image)
     assert judged.judged is not None
@@ -129,15 +129,15 @@ def test_several_detectors_have_to_be_deceived_together() -> None:
                 for one in super().detect(images)
             ]
 
-    found = attack_views(toy_views(), [ColourDetector(), Shy()], relabel("person"), config=EotConfig(**QUICK))
-    rows = found.looked.rows
+    result = attack_views(toy_views(), [ColourDetector(), Shy()], relabel("person"), config=EotConfig(**QUICK))
+    rows = result.looked.rows
     names = ("fake_colour", "shy")
     alone = {name: count(joint_views(rows.filter(detector=name)), AIMS)[()]["success"] for name in names}
     assert alone["fake_colour"].successes == 8
-    assert alone["shy"].successes == found.rate.successes == 0
-    assert found.rate.total == 8
-    assert not found.success
-    assert any("shy finds the clean object in 0 of 8" in warning for warning in found.warnings)
+    assert alone["shy"].successes == result.rate.successes == 0
+    assert result.rate.total == 8
+    assert not result.success
+    assert any("shy finds the clean object in 0 of 8" in warning for warning in result.warnings)
 
 
 def test_the_same_seeds_find_the_same_bits() -> None:
@@ -162,17 +162,17 @@ def test_radii_make_a_curve_of_attacks_on_the_same_views_in_one_call(tmp_path: P
 
 
 def test_the_best_step_is_the_validation_s() -> None:
-    found = quick()
-    judged = [line for line in found.trace if line.score >= 0]
+    result = quick()
+    judged = [line for line in result.trace if line.score >= 0]
     assert [line.index for line in judged] == [3, 6, 8]
-    assert found.best.score == max(line.score for line in judged)
-    assert found.best.index > 0
+    assert result.best.score == max(line.score for line in judged)
+    assert result.best.index > 0
 
 
 def test_enough_success_can_end_the_search() -> None:
-    found = quick(stop_at=1.0, steps=30)
-    assert found.success
-    assert found.trace[-1].index < 30
+    result = quick(stop_at=1.0, steps=30)
+    assert result.success
+    assert result.trace[-1].index < 30
 
 
 def test_scores_order_by_successes_first() -> None:
@@ -189,8 +189,8 @@ def test_scores_order_by_successes_first() -> None:
 
 
 def test_success_over_an_angle_counts_every_view_once() -> None:
-    found = quick()
-    rows, success = found.looked.rows, AIMS["success"]
+    result = quick()
+    rows, success = result.looked.rows, AIMS["success"]
     parts = banded(rows, "elevation", (0.0, 30.0), 3, success)
     assert sum(part["total"] for part in parts) == 8
     assert [part["from"] for part in parts] == [0.0, 10.0, 20.0]
@@ -249,8 +249,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory, variant: str) -> Path:
 
 
 def stored(folder: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((folder / "result.json").read_text())
-    return found
+    document: dict[str, Any] = json.loads((folder / "result.json").read_text())
+    return document
 
 
 def test_the_command_is_stored_and_repeats_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -316,8 +316,8 @@ def test_the_splat_may_lie_elsewhere_and_is_known_by_its_hash(folder: Path, tmp_
 
 
 def test_its_held_out_views_are_shown(folder: Path) -> None:
-    found = open_exhibit(folder, clean=folder.parent / "a.ply")
-    assert [name for name in found.cameras if "view" in name] == [f"held-out view {i}" for i in range(4)]
-    assert set(found.lines) == {"Held-out cameras"}
-    assert (found.settings.near, found.settings.background) == (0.3, (0.1, 0.1, 0.12))
-    assert len(load_splat(folder / "attacked.ply")) == len(found.splat("attacked").scene)
+    exhibit = open_exhibit(folder, clean=folder.parent / "a.ply")
+    assert [name for name in exhibit.cameras if "view" in name] == [f"held-out view {i}" for i in range(4)]
+    assert set(exhibit.lines) == {"Held-out cameras"}
+    assert (exhibit.settings.near, exhibit.settings.background) == (0.3, (0.1, 0.1, 0.12))
+    assert len(load_splat(folder / "attacked.ply")) == len(exhibit.splat("attacked").scene)

@@ -76,9 +76,9 @@ def test_one_detector_is_attacked_as_without_an_ensemble() -> None:
         early_stop=False,
     )
     for detectors in (FINE, [FINE]):
-        found = attack(scene, mask, [camera()], detectors, relabel("person"), render=blobs, config=config)
-        assert found.trace == plain.trace
-        assert torch.equal(found.scene.sh, subset.applied(plain.parameters).sh)
+        result = attack(scene, mask, [camera()], detectors, relabel("person"), render=blobs, config=config)
+        assert result.trace == plain.trace
+        assert torch.equal(result.scene.sh, subset.applied(plain.parameters).sh)
 
 
 def test_the_mean_and_the_largest_of_the_losses() -> None:
@@ -93,33 +93,33 @@ def test_the_mean_and_the_largest_of_the_losses() -> None:
 
 
 def test_both_detectors_are_deceived_and_each_has_its_verdict() -> None:
-    found = run([FINE, COARSE])
-    assert found.success
-    assert found.detectors == ("fake_colour", "fake_coarse")
-    each = found.figures["detectors"]
+    result = run([FINE, COARSE])
+    assert result.success
+    assert result.detectors == ("fake_colour", "fake_coarse")
+    each = result.figures["detectors"]
     assert all(one["success"] for one in each)
-    assert found.score == min(one["score"] for one in each)
-    assert found.target_confidence == min(one["target_confidence"] for one in each)
-    assert [view.detector for view in found.views] == ["fake_colour", "fake_coarse"]
-    assert found.figures["noise"]["successes"] == 0
-    assert found.origin["detector"] == "fake_colour + fake_coarse"
+    assert result.score == min(one["score"] for one in each)
+    assert result.target_confidence == min(one["target_confidence"] for one in each)
+    assert [view.detector for view in result.views] == ["fake_colour", "fake_coarse"]
+    assert result.figures["noise"]["successes"] == 0
+    assert result.origin["detector"] == "fake_colour + fake_coarse"
 
 
 @pytest.mark.parametrize(("required", "success"), [(1.0, False), (0.5, True)])
 def test_a_fraction_of_the_detectors_can_be_enough(required: float, success: bool) -> None:
-    found = run([FINE, Stubborn()], required_detectors=required, eps=(20.0,))
-    assert found.success is success
-    assert [one["success"] for one in found.figures["detectors"]] == [True, False]
+    result = run([FINE, Stubborn()], required_detectors=required, eps=(20.0,))
+    assert result.success is success
+    assert [one["success"] for one in result.figures["detectors"]] == [True, False]
 
 
 def test_the_report_shows_every_detector(tmp_path: Path) -> None:
-    found = run([FINE, COARSE])
-    values = summary(found)
+    result = run([FINE, COARSE])
+    values = summary(result)
     assert [one["detector"] for one in values["detectors"]] == ["fake_colour", "fake_coarse"]
     assert [view["detector"] for view in values["views"]] == ["fake_colour", "fake_coarse"]
     assert values["detector"] == "fake_colour + fake_coarse"
     assert values["config"]["ensemble"] == "mean"
-    assert (tmp_path / "out" / "result.json") == write_report(found, tmp_path / "out")["result.json"]
+    assert (tmp_path / "out" / "result.json") == write_report(result, tmp_path / "out")["result.json"]
 
 
 def test_the_command_says_what_each_detector_saw(
@@ -150,9 +150,9 @@ def test_a_faint_object_is_warned_of_by_the_name_of_the_detector() -> None:
         name = "fake_blind"
         min_confidence = 2.0
 
-    found = run([FINE, Blind()], steps=1)
-    assert "the clean picture of view 0 has no detection by fake_blind of 0.5 or more on the object" in found.warnings
-    assert not any("by fake_colour" in warning for warning in found.warnings)
+    result = run([FINE, Blind()], steps=1)
+    assert "the clean picture of view 0 has no detection by fake_blind of 0.5 or more on the object" in result.warnings
+    assert not any("by fake_colour" in warning for warning in result.warnings)
 
 
 def test_wrong_detectors_are_named() -> None:

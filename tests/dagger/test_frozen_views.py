@@ -43,27 +43,27 @@ def run(render: RenderFn, detectors: Any = None, **settings: Any) -> Result:
 def test_the_search_finds_the_same(frozen: list[Camera], detectors: Any) -> None:
     expected = run(unknown(), detectors)
     assert not frozen
-    found = run(Renderer(), detectors)
+    result = run(Renderer(), detectors)
     number = len(detectors) if isinstance(detectors, list) else 1
     assert len(frozen) == number * (STEPS + 1) * len(CAMERAS)  # none to judge with
     assert {id(one) for one in frozen} == {id(one) for one in CAMERAS}
-    assert [line.loss for line in found.trace] == pytest.approx([line.loss for line in expected.trace], rel=1e-3)
-    assert found.trace[-1].loss < found.trace[0].loss
-    assert found.success == expected.success
-    assert found.score == pytest.approx(expected.score, abs=1e-3)
-    assert found.changed_gaussians == expected.changed_gaussians
+    assert [line.loss for line in result.trace] == pytest.approx([line.loss for line in expected.trace], rel=1e-3)
+    assert result.trace[-1].loss < result.trace[0].loss
+    assert result.success == expected.success
+    assert result.score == pytest.approx(expected.score, abs=1e-3)
+    assert result.changed_gaussians == expected.changed_gaussians
 
 
 def test_an_attack_has_the_same_bits_on_any_number_of_drjits_threads() -> None:
-    before, found = dr.thread_count(), []
+    before, results = dr.thread_count(), []
     try:
         for threads in (1, 2, 3):
             dr.set_thread_count(threads)
-            found.append(run(Renderer()))
+            results.append(run(Renderer()))
     finally:
         dr.set_thread_count(before)
-    assert all(torch.equal(one.scene.sh, found[0].scene.sh) for one in found)
-    assert all(one.trace == found[0].trace for one in found)
+    assert all(torch.equal(one.scene.sh, results[0].scene.sh) for one in results)
+    assert all(one.trace == results[0].trace for one in results)
 
 
 def test_the_result_says_what_its_last_bits_depend_on() -> None:
@@ -92,9 +92,9 @@ def test_what_does_not_fit_is_rendered(frozen: list[Camera], monkeypatch: pytest
     assert not frozen
     views = list(freeze_views(toy_scene()[0].with_degree(3), CAMERAS, render=Renderer(), pictures=9).values())
     monkeypatch.setattr(search, "freeze_views", functools.partial(freeze_views, max_bytes=views[0].nbytes + 10_000))
-    found = run(Renderer())
+    result = run(Renderer())
     assert {id(one) for one in frozen} == {id(CAMERAS[0])}
-    assert [line.loss for line in found.trace] == pytest.approx([line.loss for line in expected.trace], rel=1e-3)
+    assert [line.loss for line in result.trace] == pytest.approx([line.loss for line in expected.trace], rel=1e-3)
 
 
 def test_other_parameters_of_the_same_problem_take_the_renderer(frozen: list[Camera]) -> None:
@@ -120,13 +120,13 @@ def test_a_search_over_drawn_views_makes_few_pictures_of_whole_scenes(monkeypatc
     monkeypatch.setattr(rendering, "_bridge", functools.cache(rendering._bridge.__wrapped__))
     scene, mask = toy_scene()
     settings = {**QUICK, "image_psnr": 24.0, "held_out": 2, "noise_draws": 0, "sh_degree": 2}
-    found, counts = [], []
+    results, counts = [], []
     for render in (unknown(), Renderer()):
         made.clear()
         views = ViewDistribution(scene, mask, camera(), Transformations(cameras=REGION), render=render)
-        found.append(attack_views(views, ColourDetector(), relabel("person"), config=EotConfig(**settings)))
+        results.append(attack_views(views, ColourDetector(), relabel("person"), config=EotConfig(**settings)))
         counts.append(len(made))
-    expected, frozen = found
+    expected, frozen = results
     assert counts[1] < counts[0] / 2
     assert [line.loss for line in frozen.trace] == pytest.approx([line.loss for line in expected.trace], rel=1e-3)
     assert frozen.rate == expected.rate

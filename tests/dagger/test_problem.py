@@ -73,7 +73,7 @@ def test_loss_and_gradient_are_means_over_the_views() -> None:
     parameters = made.subset.parameters(("sh",))
     alone = [made.evaluate(parameters, [view], CONFIG) for view in views]
     both = made.evaluate(parameters, views, CONFIG)
-    assert both.loss == pytest.approx(sum(found.loss for found in alone) / 2)
+    assert both.loss == pytest.approx(sum(evaluation.loss for evaluation in alone) / 2)
     mean = (alone[0].gradients["sh"] + alone[1].gradients["sh"]) / 2
     torch.testing.assert_close(both.gradients["sh"], mean)
 

@@ -107,8 +107,8 @@ def test_the_pictures_show_what_they_say(result: Result, tmp_path: Path) -> None
 def test_views_of_different_sizes_are_stacked(tmp_path: Path) -> None:
     scene, mask = toy_scene()
     cameras = [camera(32), camera(40)]
-    found = attack(scene, mask, cameras, ColourDetector(), hide(), render=blobs, config=DaggerConfig(noise_draws=0))
-    paths = write_report(found, tmp_path)
+    result = attack(scene, mask, cameras, ColourDetector(), hide(), render=blobs, config=DaggerConfig(noise_draws=0))
+    paths = write_report(result, tmp_path)
     with Image.open(paths["before.png"]) as picture:
         assert picture.size == (40, 72)
     values = json.loads(paths["result.json"].read_text())
@@ -143,7 +143,7 @@ def test_a_number_that_json_cannot_hold_is_refused_before_anything_is_written(tm
 def test_an_unchanged_scene_can_be_reported(tmp_path: Path) -> None:
     scene, mask = toy_scene()
     config = DaggerConfig(eps=(0.0,))
-    found = attack(scene, mask, [camera()], ColourDetector(), relabel("person"), render=blobs, config=config)
-    values = json.loads(write_report(found, tmp_path)["result.json"].read_text())
+    result = attack(scene, mask, [camera()], ColourDetector(), relabel("person"), render=blobs, config=config)
+    values = json.loads(write_report(result, tmp_path)["result.json"].read_text())
     assert values["image_psnr"] is None
     assert values["success"] is False

@@ -41,9 +41,9 @@ def test_views_are_kept_unless_told_otherwise() -> None:
 
 def test_the_object_shows_in_every_view() -> None:
     for view in toy_views().views(0, 10):
-        found = visible_box(view.weight)
-        assert found is not None
-        assert torch.equal(found, view.box)
+        box = visible_box(view.weight)
+        assert box is not None
+        assert torch.equal(box, view.box)
         assert REGION.elevations[0] <= view.direction.elevation <= REGION.elevations[1]
 
 
@@ -68,9 +68,9 @@ def test_regions_have_the_up_that_is_said() -> None:
 
 def test_views_in_which_little_shows_are_drawn_again_and_counted() -> None:
     near_and_far = CameraRegion(azimuths=(-90, -90), elevations=(0, 0), distances=(1, 20), least_visible=0.01)
-    found = toy_views(region=near_and_far).views(0, 10)
-    assert sum(view.redraws for view in found) > 5
-    assert all(float((view.weight >= 0.5).float().mean()) >= 0.01 for view in found)
+    views = toy_views(region=near_and_far).views(0, 10)
+    assert sum(view.redraws for view in views) > 5
+    assert all(float((view.weight >= 0.5).float().mean()) >= 0.01 for view in views)
 
 
 def test_a_region_that_never_shows_the_object_is_refused() -> None:
@@ -129,9 +129,9 @@ def test_a_point_is_pulled_back_to_the_limit_along_a_line() -> None:
     def error(one: dict[str, torch.Tensor]) -> float:
         return float((one["sh"] - reference["sh"]).square().sum())
 
-    found = fitted(point, reference, 21 / 4, error)
-    assert 0.97 * 21 / 4 <= error(found) <= 21 / 4
-    way = (found["sh"] - 1) / (point["sh"] - 1)
+    pulled = fitted(point, reference, 21 / 4, error)
+    assert 0.97 * 21 / 4 <= error(pulled) <= 21 / 4
+    way = (pulled["sh"] - 1) / (point["sh"] - 1)
     assert torch.allclose(way, way[0].expand(3))
     assert fitted(point, reference, 21.5, error) is point
     assert fitted(point, reference, 0.0, error) is reference
@@ -144,9 +144,9 @@ def test_a_point_is_stretched_to_the_limit_and_not_out_of_its_ball() -> None:
         return float(one["sh"].square().sum())
 
     wide, narrow = (Budget(radius={"sh": radius}, norm="linf") for radius in (10.0, 2.2))
-    found = stretched(point, reference, wide, 7.2, error)["sh"]
-    assert float(found[1] / found[0]) == pytest.approx(2.0)
-    assert 6.9 < float(found.square().sum()) <= 7.2
+    longer = stretched(point, reference, wide, 7.2, error)["sh"]
+    assert float(longer[1] / longer[0]) == pytest.approx(2.0)
+    assert 6.9 < float(longer.square().sum()) <= 7.2
     assert float(stretched(point, reference, narrow, 7.2, error)["sh"].abs().max()) == pytest.approx(2.2)
     assert torch.allclose(stretched(point, reference, wide, 100.0, error)["sh"], 1.5 * point["sh"])
 
@@ -162,10 +162,10 @@ def test_an_attack_keeps_the_psnr_that_an_attack_without_a_limit_does_not() -> N
 
 
 def test_a_result_that_is_below_its_budget_warns() -> None:
-    found = quick(image_psnr=35.0)
-    assert not any("dB of the validation views" in warning for warning in found.warnings)
-    assert isinstance(found.config, EotConfig)
-    asked_for_more = dataclasses.replace(found, config=dataclasses.replace(found.config, image_psnr=45.0))
+    result = quick(image_psnr=35.0)
+    assert not any("dB of the validation views" in warning for warning in result.warnings)
+    assert isinstance(result.config, EotConfig)
+    asked_for_more = dataclasses.replace(result, config=dataclasses.replace(result.config, image_psnr=45.0))
     assert any("less than the 45 dB of the validation views" in one for one in asked_for_more.warnings)
 
 

@@ -23,9 +23,9 @@ def test_warnings_about_a_picture_without_a_detection() -> None:
     scene, mask = toy_scene()
     dark = scene.sh.clone()
     dark[mask, 0] = -1.4
-    found = attack(scene.replace(sh=dark), mask, [camera()], DETECTOR, hide(), render=blobs)
-    assert found.figures["noise"]["successes"] == found.figures["noise"]["draws"] == 5
-    assert found.warnings == (
+    result = attack(scene.replace(sh=dark), mask, [camera()], DETECTOR, hide(), render=blobs)
+    assert result.figures["noise"]["successes"] == result.figures["noise"]["draws"] == 5
+    assert result.warnings == (
         "the clean picture of view 0 has no detection of 0.5 or more on the object",
         "the aim is reached without any attack",
         "random noise of the same size does as well",
@@ -38,12 +38,12 @@ def test_warnings_about_clamped_colours_and_zero_gradients() -> None:
     black[mask, 0] = -3.0
     scene = scene.replace(sh=black)
     cameras = [camera(), camera(offset=0.4)]
-    found = attack(scene, mask, cameras, DETECTOR, relabel("person"), render=blobs)
-    assert found.clamped_fraction == 1.0  # the mean over the views
-    assert "100% of the object's colour channels are clamped at 0, where SH has no gradient" in found.warnings
-    assert "up to 100% of the gradient's elements are exactly zero" in found.warnings
-    assert "the loss did not fall" in found.warnings
-    assert not found.success
+    result = attack(scene, mask, cameras, DETECTOR, relabel("person"), render=blobs)
+    assert result.clamped_fraction == 1.0  # the mean over the views
+    assert "100% of the object's colour channels are clamped at 0, where SH has no gradient" in result.warnings
+    assert "up to 100% of the gradient's elements are exactly zero" in result.warnings
+    assert "the loss did not fall" in result.warnings
+    assert not result.success
 
 
 def test_a_success_that_eight_bits_lose_is_warned_of() -> None:
@@ -58,7 +58,7 @@ def test_a_success_that_eight_bits_lose_is_warned_of() -> None:
             return [dataclasses.replace(car, labels=("person",)) if self.calls == 2 else car]
 
     scene, mask = toy_scene()
-    found = attack(
+    result = attack(
         scene,
         mask,
         [camera()],
@@ -67,17 +67,17 @@ def test_a_success_that_eight_bits_lose_is_warned_of() -> None:
         render=blobs,
         config=DaggerConfig(eps=(0.1,)),
     )
-    assert "success in the search did not survive the saved file and 8-bit pictures" in found.warnings
-    assert not found.success
+    assert "success in the search did not survive the saved file and 8-bit pictures" in result.warnings
+    assert not result.success
 
 
 @pytest.fixture(scope="module")
 def sound() -> Result:
     scene, mask = toy_scene()
     config = DaggerConfig(eps=(12.0,), noise_draws=2)
-    found = attack(scene, mask, [camera()], DETECTOR, relabel("person"), render=blobs, config=config)
-    assert found.warnings == ()
-    return found
+    result = attack(scene, mask, [camera()], DETECTOR, relabel("person"), render=blobs, config=config)
+    assert result.warnings == ()
+    return result
 
 
 def of_views(result: Result, *views: JudgedView) -> Result:
@@ -130,8 +130,8 @@ def test_noise_that_does_as_well_is_warned_of(
 ) -> None:
     best = dataclasses.replace(sound.best, success=success)
     figures = {"success": success, "score": score, "unambiguous": success, "noise": {**noise, "draws": 2}}
-    found = dataclasses.replace(with_figures(sound, **figures), best=best).warnings
-    assert ("random noise of the same size does as well" in found) is warned
+    warnings = dataclasses.replace(with_figures(sound, **figures), best=best).warnings
+    assert ("random noise of the same size does as well" in warnings) is warned
 
 
 @pytest.mark.parametrize(("field", "limit"), [("clamped_fraction", 0.25), ("zero_gradient_fraction", 0.9)])

@@ -38,12 +38,12 @@ def view(seed: int, **change: Any) -> View:
 VIEWS, TESTS = [view(seed) for seed in range(6)], [view(seed) for seed in range(6, 8)]
 
 
-def assert_same_camera(found: Camera, wanted: Camera, tolerance: float) -> None:
-    assert (found.width, found.height) == (wanted.width, wanted.height)
-    numbers = [[camera.fx, camera.fy, camera.cx, camera.cy] for camera in (found, wanted)]
+def assert_same_camera(read: Camera, wanted: Camera, tolerance: float) -> None:
+    assert (read.width, read.height) == (wanted.width, wanted.height)
+    numbers = [[camera.fx, camera.fy, camera.cx, camera.cy] for camera in (read, wanted)]
     assert numbers[0] == pytest.approx(numbers[1], abs=tolerance)
-    torch.testing.assert_close(found.to_world, wanted.to_world, atol=tolerance, rtol=0)
-    there, back = project_points(PROBES, found)[0], project_points(PROBES, wanted)[0]
+    torch.testing.assert_close(read.to_world, wanted.to_world, atol=tolerance, rtol=0)
+    there, back = project_points(PROBES, read)[0], project_points(PROBES, wanted)[0]
     torch.testing.assert_close(there, back, atol=100 * tolerance, rtol=0)
 
 

@@ -23,15 +23,15 @@ from tests.datasets.sets import CLOUD, FORMATS, PROBES, TESTS, VIEWS, assert_sam
 def test_sets_come_back_as_they_were(name: str, tolerance: float, tmp_path: Path) -> None:
     FORMATS[name](tmp_path / "set", VIEWS, test=TESTS, points=CLOUD)
     for split, wanted in (("train", VIEWS), ("test", TESTS)):
-        found = load_dataset(tmp_path / "set", split=split)  # type: ignore[arg-type]
-        assert len(found) == len(wanted)
-        for ours, theirs in zip(found, wanted, strict=True):
+        dataset = load_dataset(tmp_path / "set", split=split)  # type: ignore[arg-type]
+        assert len(dataset) == len(wanted)
+        for ours, theirs in zip(dataset, wanted, strict=True):
             assert torch.equal(ours.image, theirs.image)
             assert_same_camera(ours.camera, theirs.camera, tolerance)
-        assert found.points is not None
-        assert torch.equal(found.points.colours, CLOUD.colours)
-        torch.testing.assert_close(found.points.points, CLOUD.points, atol=1e-7, rtol=0)
-        assert found.mask(0) is None
+        assert dataset.points is not None
+        assert torch.equal(dataset.points.colours, CLOUD.colours)
+        torch.testing.assert_close(dataset.points.points, CLOUD.points, atol=1e-7, rtol=0)
+        assert dataset.mask(0) is None
     assert len(load_dataset(tmp_path / "set", split=None)) == len(VIEWS) + len(TESTS)
 
 
@@ -56,20 +56,22 @@ def test_cameras_of_different_kinds_in_one_set(tmp_path: Path) -> None:
 @hypothesis.settings(max_examples=20)
 @hypothesis.given(
     quaternion=st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: math.hypot(*q) > 0.1),
-    place=st.tuples(*[st.floats(-1e3, 1e3)] * 3),
+    position=st.tuples(*[st.floats(-1e3, 1e3)] * 3),
 )
 def test_any_pose_comes_back(
-    quaternion: tuple[float, ...], place: tuple[float, ...], tmp_path_factory: pytest.TempPathFactory
+    quaternion: tuple[float, ...], position: tuple[float, ...], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     pose = torch.eye(4, dtype=torch.float64)
     pose[:3, :3] = to_matrix(normalise(torch.tensor(quaternion, dtype=torch.float64)))
-    pose[:3, 3] = torch.tensor(place, dtype=torch.float64)
+    pose[:3, 3] = torch.tensor(position, dtype=torch.float64)
     camera = Camera(to_world=pose, focal=5.0, width=2, height=1)
     folder = tmp_path_factory.mktemp("pose")
     for name, write in FORMATS.items():
         write(folder / name, [View(camera, torch.zeros(1, 2, 3))])
-        (found,) = load_dataset(folder / name, split=None).cameras
-        torch.testing.assert_close(found.to_world, camera.to_world, atol=1e-9 if name == "transforms" else 1e-6, rtol=0)
+        (loaded,) = load_dataset(folder / name, split=None).cameras
+        torch.testing.assert_close(
+            loaded.to_world, camera.to_world, atol=1e-9 if name == "transforms" else 1e-6, rtol=0
+        )
 
 
 def test_opengl_and_colmap_axes_by_hand(tmp_path: Path) -> None:
@@ -128,20 +130,25 @@ def test_one_file_for_all_pictures_with_intrinsics_by_frame(tmp_path: Path) -> N
 
 def test_binary_models(tmp_path: Path) -> None:
     model = colmap_binary(tmp_path, VIEWS, CLOUD)
-    found = load_dataset(tmp_path, split=None)
-    assert (found.cameras[0].fx, found.cameras[0].fy, found.cameras[0].cx, found.cameras[0].cy) == (20, 20, 9, 6.5)
-    for ours, theirs in zip(found[1:], VIEWS[1:], strict=True):
+    dataset = load_dataset(tmp_path, split=None)
+    assert (dataset.cameras[0].fx, dataset.cameras[0].fy, dataset.cameras[0].cx, dataset.cameras[0].cy) == (
+        20,
+        20,
+        9,
+        6.5,
+    )
+    for ours, theirs in zip(dataset[1:], VIEWS[1:], strict=True):
         assert torch.equal(ours.image, theirs.image)
         assert_same_camera(ours.camera, theirs.camera, 1e-9)
-    assert found.points is not None
-    assert torch.equal(found.points.points, CLOUD.points)
-    assert torch.equal(found.points.colours, CLOUD.colours)
+    assert dataset.points is not None
+    assert torch.equal(dataset.points.points, CLOUD.points)
+    assert torch.equal(dataset.points.colours, CLOUD.colours)
     assert [path.name for path in load_dataset(tmp_path, split="test", test_every=4).paths] == [
         "view 0.png",
         "view 4.png",
     ]
-    for place in (model, model.parent):  # pictures are found from the model's folder too
-        assert len(load_dataset(place, split=None)) == len(VIEWS)
+    for root in (model, model.parent):  # pictures are found from the model's folder too
+        assert len(load_dataset(root, split=None)) == len(VIEWS)
     (model / "points3D.bin").unlink()
     assert load_dataset(tmp_path).points is None
 
@@ -178,9 +185,9 @@ def test_pictures_of_any_8_bit_mode(mode: str, tmp_path: Path) -> None:
     write_transforms(tmp_path, [view(0, width=8, height=8)])
     (tmp_path / "images" / "train_00000.png").unlink()
     Image.new("RGB", (8, 8), (255, 255, 255)).convert(mode).save(tmp_path / "images" / f"train_00000{suffix}")
-    found = load_dataset(tmp_path)
-    assert found[0].image.min() == 1.0
-    assert (found.mask(0) is not None) == (mode in ("LA", "RGBA"))
+    dataset = load_dataset(tmp_path)
+    assert dataset[0].image.min() == 1.0
+    assert (dataset.mask(0) is not None) == (mode in ("LA", "RGBA"))
 
 
 def test_palettes_with_transparency(tmp_path: Path) -> None:
@@ -189,18 +196,18 @@ def test_palettes_with_transparency(tmp_path: Path) -> None:
     picture.putpalette([0, 255, 0, 255, 0, 0])
     picture.putpixel((1, 0), 1)
     picture.save(tmp_path / "images" / "train_00000.png", transparency=0)
-    found = load_dataset(tmp_path, background=(0.0, 0.0, 1.0))[0].image
-    assert found.tolist() == [[[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]]
+    image = load_dataset(tmp_path, background=(0.0, 0.0, 1.0))[0].image
+    assert image.tolist() == [[[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]]
 
 
 def test_alpha_is_written_and_blended(tmp_path: Path) -> None:
     alpha = torch.zeros(13, 18)
     alpha[:, :9] = 1.0
     write_transforms(tmp_path, VIEWS[:1], test=TESTS[:1], alphas=[alpha, torch.ones(13, 18)])
-    found = load_dataset(tmp_path, background=(1.0, 0.5, 0.25))
-    assert torch.equal(found[0].image[:, :9], VIEWS[0].image[:, :9])
-    assert found[0].image[4, 12].tolist() == [1.0, 0.5, 0.25]
-    mask = found.mask(0)
+    dataset = load_dataset(tmp_path, background=(1.0, 0.5, 0.25))
+    assert torch.equal(dataset[0].image[:, :9], VIEWS[0].image[:, :9])
+    assert dataset[0].image[4, 12].tolist() == [1.0, 0.5, 0.25]
+    mask = dataset.mask(0)
     assert mask is not None
     assert torch.equal(mask, alpha)
     assert torch.equal(load_dataset(tmp_path, split="test")[0].image, TESTS[0].image)
@@ -214,12 +221,12 @@ def test_masks_in_their_folder(name: str, mask: str, tmp_path: Path) -> None:
     values[:6] = 255
     (tmp_path / "masks").mkdir()
     Image.fromarray(values).save(tmp_path / "masks" / mask)
-    found = load_dataset(tmp_path, split=None)
-    assert found.mask(0) is None
-    second = found.mask(1)
+    dataset = load_dataset(tmp_path, split=None)
+    assert dataset.mask(0) is None
+    second = dataset.mask(1)
     assert second is not None
     assert torch.equal(second, torch.from_numpy(values).float() / 255)
-    assert torch.equal(found[1].image, VIEWS[1].image)
+    assert torch.equal(dataset[1].image, VIEWS[1].image)
 
 
 def test_shrinking_averages_and_scales_the_camera(tmp_path: Path) -> None:
@@ -240,8 +247,8 @@ def test_pictures_that_are_missing_are_left_out(name: str, tmp_path: Path) -> No
     (tmp_path / "images" / "train_00002.png").unlink()
     for split, wanted in ((None, "01345"), ("train", "14"), ("test", "05")) if name == "colmap" else ((None, "01345"),):
         with pytest.warns(DatasetWarning, match=r"1 of 6 pictures missing \(train_00002(\.png)?\); going on without"):
-            found = load_dataset(tmp_path, split=split, test_every=4 if split == "test" else 2)  # type: ignore[arg-type]
-        assert "".join(path.stem[-1] for path in found.paths) == wanted
+            dataset = load_dataset(tmp_path, split=split, test_every=4 if split == "test" else 2)  # type: ignore[arg-type]
+        assert "".join(path.stem[-1] for path in dataset.paths) == wanted
 
 
 def test_a_picture_is_as_its_camera_saw_it(tmp_path: Path) -> None:
@@ -252,9 +259,9 @@ def test_a_picture_is_as_its_camera_saw_it(tmp_path: Path) -> None:
     exif[274] = 6
     for number in range(2):
         Image.fromarray(pixels).save(tmp_path / "images" / f"train_0000{number}.png", exif=exif)
-    found = load_dataset(tmp_path)
-    assert torch.equal(found[0].image, VIEWS[0].image)
-    assert torch.equal(found[1].image, torch.rot90(VIEWS[0].image, -1))
+    dataset = load_dataset(tmp_path)
+    assert torch.equal(dataset[0].image, VIEWS[0].image)
+    assert torch.equal(dataset[1].image, torch.rot90(VIEWS[0].image, -1))
     Image.fromarray(pixels).save(tmp_path / "images" / "train_00001.png")
     with pytest.raises(DatasetError, match="expected 13 x 18 pixels, got 18 x 13"):
         load_dataset(tmp_path)
@@ -282,23 +289,23 @@ def test_smaller_pictures_of_the_set_are_used(name: str, tmp_path: Path) -> None
 
 def test_pictures_are_read_when_they_are_needed(tmp_path: Path) -> None:
     write_transforms(tmp_path, VIEWS)
-    found = load_dataset(tmp_path)
+    dataset = load_dataset(tmp_path)
     (tmp_path / "images" / "train_00002.png").unlink()
-    assert torch.equal(found[1].image, VIEWS[1].image)
+    assert torch.equal(dataset[1].image, VIEWS[1].image)
     with pytest.raises(DatasetError, match=r"train_00002\.png.*no such file"):
-        found[2]
+        dataset[2]
     shutil.rmtree(tmp_path / "images")
-    assert torch.equal(found[1].image, VIEWS[1].image)  # from memory
+    assert torch.equal(dataset[1].image, VIEWS[1].image)  # from memory
 
 
 def test_memory_is_bounded(tmp_path: Path) -> None:
     write_transforms(tmp_path, VIEWS)
     one = 4 * VIEWS[0].image.numel()
-    found = load_dataset(tmp_path, cache_bytes=2 * one)
-    first = found[0]
-    assert found[0] is first
-    found[1], found[2]
-    assert found[0] is not first
+    dataset = load_dataset(tmp_path, cache_bytes=2 * one)
+    first = dataset[0]
+    assert dataset[0] is first
+    dataset[1], dataset[2]
+    assert dataset[0] is not first
     none = load_dataset(tmp_path, cache_bytes=0)
     none[0], none[1]
     assert len(none._cache) == 1
@@ -306,9 +313,9 @@ def test_memory_is_bounded(tmp_path: Path) -> None:
 
 def test_a_set_is_a_sequence(tmp_path: Path) -> None:
     write_transforms(tmp_path, VIEWS)
-    found = load_dataset(tmp_path)
-    assert torch.equal(found[-1].image, VIEWS[-1].image)
-    assert [path.name for path in found[1:3].paths] == ["train_00001.png", "train_00002.png"]
-    assert len(list(reversed(found))) == len(VIEWS)
+    dataset = load_dataset(tmp_path)
+    assert torch.equal(dataset[-1].image, VIEWS[-1].image)
+    assert [path.name for path in dataset[1:3].paths] == ["train_00001.png", "train_00002.png"]
+    assert len(list(reversed(dataset))) == len(VIEWS)
     with pytest.raises(IndexError):
-        found[len(VIEWS)]
+        dataset[len(VIEWS)]

@@ -57,11 +57,11 @@ def test_a_lens_is_undone_as_by_colmap(model: str, tmp_path: Path) -> None:
     (tmp_path / "nerf").mkdir()
     (tmp_path / "nerf" / "transforms.json").write_text(json.dumps({**document, "frames": frames}))
     for folder in ("text", "nerf"):
-        (view,) = found = load_dataset(tmp_path / folder, split=None)
+        (view,) = dataset = load_dataset(tmp_path / folder, split=None)
         camera = view.camera
         assert (camera.width, camera.height) == size
         assert [camera.fx, camera.fy, camera.cx, camera.cy] == pytest.approx(wanted)
-        assert found.mask(0) is None  # all of it is in the photograph
+        assert dataset.mask(0) is None  # all of it is in the photograph
         assert_undone(view, model, parameters)
 
 
@@ -87,16 +87,16 @@ def test_smaller_pictures_and_masks_are_undone_alike(tmp_path: Path) -> None:
     lens_set(tmp_path, "OPENCV", parameters, np.dstack([ramps(), ramps()[..., 2:]]))
     (tmp_path / "masks").mkdir()
     Image.fromarray(ramps()[..., 0]).save(tmp_path / "masks" / "0.png")  # as grey as the picture is red
-    found = load_dataset(tmp_path, split=None, downscale=2)
-    camera, mask, alpha = found.cameras[0], found.loss_mask(0), found.alpha(0)
+    dataset = load_dataset(tmp_path, split=None, downscale=2)
+    camera, mask, alpha = dataset.cameras[0], dataset.loss_mask(0), dataset.alpha(0)
     assert (camera.width, camera.height) == (84, 62)
     assert mask is not None
     assert alpha is not None
-    torch.testing.assert_close(mask, found[0].image[..., 0], atol=1e-6, rtol=0)
+    torch.testing.assert_close(mask, dataset[0].image[..., 0], atol=1e-6, rtol=0)
     torch.testing.assert_close(alpha, torch.ones(62, 84))
     u, v = where("OPENCV", parameters, (20.5 - camera.cx) / camera.fx, (30.5 - camera.cy) / camera.fy)
-    assert (255 * found[0].image[30, 20, :2]).tolist() == pytest.approx([u - 0.5, v - 0.5], abs=1e-3)
-    assert found.fingerprint != load_dataset(tmp_path, split=None).fingerprint
+    assert (255 * dataset[0].image[30, 20, :2]).tolist() == pytest.approx([u - 0.5, v - 0.5], abs=1e-3)
+    assert dataset.fingerprint != load_dataset(tmp_path, split=None).fingerprint
 
 
 def test_what_the_photograph_does_not_show_does_not_count(tmp_path: Path) -> None:
@@ -164,14 +164,14 @@ def test_we_read_colmap_s_set(write: str, model: str, pycolmap: Any, tmp_path: P
     save: Callable[[str], None] = getattr(written, write)
     save(str(folder))
 
-    found = load_dataset(tmp_path, split=None)
+    dataset = load_dataset(tmp_path, split=None)
     images = sorted(written.images.values(), key=lambda image: image.name)
-    for camera, image in zip(found.cameras, images, strict=True):
+    for camera, image in zip(dataset.cameras, images, strict=True):
         assert_same_pixels(camera, image)
-    assert found.points is not None
-    order, theirs = (points[:, 0].argsort() for points in (found.points.points, CLOUD.points))
-    torch.testing.assert_close(found.points.points[order], CLOUD.points[theirs], atol=1e-6, rtol=0)
-    torch.testing.assert_close(found.points.colours[order], CLOUD.colours[theirs], atol=1e-6, rtol=0)
+    assert dataset.points is not None
+    order, theirs = (points[:, 0].argsort() for points in (dataset.points.points, CLOUD.points))
+    torch.testing.assert_close(dataset.points.points[order], CLOUD.points[theirs], atol=1e-6, rtol=0)
+    torch.testing.assert_close(dataset.points.colours[order], CLOUD.colours[theirs], atol=1e-6, rtol=0)
 
 
 @pytest.mark.parametrize("model", LENSES)

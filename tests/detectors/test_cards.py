@@ -22,11 +22,11 @@ CARDS: dict[str, tuple[Path, Path]] = WRITER["CARDS"]
 @pytest.mark.parametrize("name", CARDS)
 def test_a_card_holds_the_measured_tables(name: str) -> None:
     figures, card = CARDS[name]
-    found = read_figures(figures)
-    assert found["detector"] == name
-    assert card_of(found).strip() in card.read_text()
-    assert {f"{EMPTY}{kind}" for kind in BACKGROUNDS} <= set(found["sets"])
-    assert found["sets"]["path traced"]["pictures"] == 240
+    document = read_figures(figures)
+    assert document["detector"] == name
+    assert card_of(document).strip() in card.read_text()
+    assert {f"{EMPTY}{kind}" for kind in BACKGROUNDS} <= set(document["sets"])
+    assert document["sets"]["path traced"]["pictures"] == 240
 
 
 @pytest.mark.parametrize("name", CARDS)
@@ -53,9 +53,9 @@ def test_the_page_of_detectors_holds_the_same_figures() -> None:
 def test_new_figures_find_their_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     card = tmp_path / "card.json"
     card.write_text('{"history": [1]}')
-    places = WRITER["put_away"].__globals__
-    monkeypatch.setitem(places, "CARDS", {"fasterrcnn_small": (card, card)})
-    monkeypatch.setitem(places, "TABLES", tmp_path / "tables")
+    namespace = WRITER["put_away"].__globals__
+    monkeypatch.setitem(namespace, "CARDS", {"fasterrcnn_small": (card, card)})
+    monkeypatch.setitem(namespace, "TABLES", tmp_path / "tables")
     record, _ = evaluated("fasterrcnn_small", "other")
     for confidence in (0.5, 0.3):
         made: dict[str, object] = {"pictures": {}, "versions": {}, "commit": None}

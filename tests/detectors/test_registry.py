@@ -233,10 +233,10 @@ def test_downloads_are_looked_for_where_transformers_keeps_them(
     for part, text in ((f"refs/{entry.revision}", "abc"), ("snapshots/abc/model.safetensors", "x")):
         (folder / part).parent.mkdir(parents=True)
         (folder / part).write_text(text)
-    found = hub.try_to_load_from_cache(
+    cached = hub.try_to_load_from_cache(
         entry.repository, "model.safetensors", cache_dir=tmp_path / "hub", revision=entry.revision
     )
-    assert str(hub_download(entry)) == found
+    assert str(hub_download(entry)) == cached
 
 
 @pytest.mark.parametrize("bad", [torch.nan, -torch.inf])

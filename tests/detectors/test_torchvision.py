@@ -121,7 +121,7 @@ def test_a_picture_of_another_size_gets_boxes_in_its_own_pixels() -> None:
     double = image.repeat_interleave(2, 0).repeat_interleave(2, 1)
     (large,) = detector.candidates(double[None])
     car = detector.classes.index("car")
-    ours, theirs = (found.boxes[int(found.scores[:, car].argmax()), car] for found in (small, large))
+    ours, theirs = (candidates.boxes[int(candidates.scores[:, car].argmax()), car] for candidates in (small, large))
     assert float(ours.max()) <= 256
     assert float((2 * ours - theirs).abs().max()) < 6
 
@@ -242,9 +242,9 @@ def test_weights_make_the_round_trip_through_a_file(tmp_path: Path, suffix: str)
     else:
         save_file(state, path)
     (expected,) = original.candidates(pictures(count=1))
-    (found,) = load_detector("fasterrcnn_small", weights=path).candidates(pictures(count=1))
-    assert torch.equal(expected.scores, found.scores)
-    assert torch.equal(expected.boxes, found.boxes)
+    (candidates,) = load_detector("fasterrcnn_small", weights=path).candidates(pictures(count=1))
+    assert torch.equal(expected.scores, candidates.scores)
+    assert torch.equal(expected.boxes, candidates.boxes)
 
 
 def test_the_published_resnet50_keeps_the_librarys_frozen_norms(tmp_path: Path) -> None:
@@ -269,10 +269,10 @@ def test_without_network_the_hub_gives_one_clear_error(monkeypatch: pytest.Monke
 
 
 def test_the_shipped_detector_finds_a_car_that_it_was_not_trained_on() -> None:
-    (found,) = load_detector("fasterrcnn_small").detect(car_picture().image[None])
-    assert found.labels[0] == "car"
-    assert float(found.scores[0]) > 0.5
-    assert float(box_iou(found.boxes[:1], car_picture().box)) > 0.6
+    (detections,) = load_detector("fasterrcnn_small").detect(car_picture().image[None])
+    assert detections.labels[0] == "car"
+    assert float(detections.scores[0]) > 0.5
+    assert float(box_iou(detections.boxes[:1], car_picture().box)) > 0.6
 
 
 SMALL_LABELS = (BACKGROUND, *SMALL_CLASSES)
@@ -362,10 +362,10 @@ def test_one_stage_candidates_with_suppression_are_the_detections(
 
 
 def test_candidates_lie_inside_the_picture(one_stage: OneStageDetector) -> None:
-    (found,) = one_stage.candidates(pictures(150, 75, 1))
-    assert float(found.boxes.min()) == 0
-    assert float(found.boxes[..., 0::2].max()) == pytest.approx(75, abs=1e-3)
-    assert float(found.boxes[..., 1::2].max()) == pytest.approx(150, abs=1e-3)
+    (candidates,) = one_stage.candidates(pictures(150, 75, 1))
+    assert float(candidates.boxes.min()) == 0
+    assert float(candidates.boxes[..., 0::2].max()) == pytest.approx(75, abs=1e-3)
+    assert float(candidates.boxes[..., 1::2].max()) == pytest.approx(150, abs=1e-3)
 
 
 def test_scores_and_boxes_agree_with_finite_differences() -> None:
@@ -399,9 +399,9 @@ def test_one_stage_weights_make_the_round_trip_through_a_file(tmp_path: Path, ki
     apply_weights(model, read_weights(tmp_path / "w.safetensors"), tmp_path)
     (expected,) = original.candidates(pictures(96, 96, 1))
     loaded = wrap(original.name, model, SMALL_LABELS)
-    (found,) = loaded.candidates(pictures(96, 96, 1))
-    assert torch.equal(expected.scores, found.scores)
-    assert torch.equal(expected.boxes, found.boxes)
+    (candidates,) = loaded.candidates(pictures(96, 96, 1))
+    assert torch.equal(expected.scores, candidates.scores)
+    assert torch.equal(expected.boxes, candidates.boxes)
     assert loaded.fingerprint == original.fingerprint
 
 
@@ -415,9 +415,9 @@ def test_a_published_one_is_loaded_from_a_file(tmp_path: Path, name: str) -> Non
     assert loaded.fingerprint == original.fingerprint
     for one in (loaded, original):
         one.model.transform.min_size = (64,)
-    (expected,), (found,) = (one.candidates(pictures(64, 80, 1)) for one in (original, loaded))
-    assert torch.equal(expected.scores, found.scores)
-    assert torch.equal(expected.boxes, found.boxes)
+    (expected,), (candidates,) = (one.candidates(pictures(64, 80, 1)) for one in (original, loaded))
+    assert torch.equal(expected.scores, candidates.scores)
+    assert torch.equal(expected.boxes, candidates.boxes)
     assert float(expected.scores.std()) > 1e-6
     frozen = [norm for norm in loaded.model.modules() if isinstance(norm, FrozenBatchNorm2d)]
     assert {norm.eps for norm in frozen} == ({0.0} if name == "retinanet_resnet50_fpn" else set())

@@ -236,9 +236,9 @@ def test_each_trainer_takes_a_step_and_makes_a_detector(name: str) -> None:
     detector = training.snapshot()
     assert isinstance(detector, Detector)
     assert (detector.name, detector.classes) == (name, SMALL_CLASSES)
-    (found,) = detector.candidates(with_object.image[None].float() / 255)
-    assert found.scores.shape[1] == len(SMALL_CLASSES)
-    assert bool(torch.isfinite(found.boxes).all())
+    (candidates,) = detector.candidates(with_object.image[None].float() / 255)
+    assert candidates.scores.shape[1] == len(SMALL_CLASSES)
+    assert bool(torch.isfinite(candidates.boxes).all())
 
 
 def test_the_shipped_weights_are_small() -> None:

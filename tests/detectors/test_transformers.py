@@ -76,7 +76,7 @@ MAKE: dict[str, Callable[[], tuple[Any, Any]]] = {"detr": detr, "rt_detr": rt_de
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A folder in the library's own form for each, with weights that see something."""
-    found = {}
+    paths = {}
     for kind, make in MAKE.items():
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(3)
@@ -94,11 +94,11 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
             with torch.no_grad():
                 for _ in range(4):
                     model(pixel_values=torch.randn(2, 3, 64, 64))
-        found[kind] = tmp_path_factory.mktemp(kind)
+        paths[kind] = tmp_path_factory.mktemp(kind)
         with adapter.loading("a test"):
-            model.eval().save_pretrained(found[kind])
-        processor.save_pretrained(found[kind])
-    return found
+            model.eval().save_pretrained(paths[kind])
+        processor.save_pretrained(paths[kind])
+    return paths
 
 
 @pytest.fixture(scope="module", params=list(MAKE))
@@ -126,13 +126,13 @@ def test_detections_are_those_of_the_library(detector: adapter.TransformersDetec
         outputs = detector.model(**inputs)
     low = adapter.TransformersDetector("x", detector.model, detector.processor, min_confidence=0.2)
     wanted = detector.processor.post_process_object_detection(outputs, 0.2, torch.tensor([size] * 2))
-    for found, other in zip(low.detect(images), wanted, strict=True):
+    for detections, other in zip(low.detect(images), wanted, strict=True):
         order = other["scores"].argsort(descending=True, stable=True)
-        assert len(found) == len(order) > 0
-        assert torch.equal(found.boxes, other["boxes"][order])
-        assert torch.equal(found.scores, other["scores"][order])
-        assert found.labels == tuple(detector._labels[number] for number in other["labels"][order].tolist())
-        assert all(float(score) > 0.2 for score in found.scores)
+        assert len(detections) == len(order) > 0
+        assert torch.equal(detections.boxes, other["boxes"][order])
+        assert torch.equal(detections.scores, other["scores"][order])
+        assert detections.labels == tuple(detector._labels[number] for number in other["labels"][order].tolist())
+        assert all(float(score) > 0.2 for score in detections.scores)
 
 
 @pytest.mark.parametrize("size", [(64, 64), (50, 90), (200, 120)])
@@ -144,10 +144,10 @@ def test_the_network_s_input_is_the_image_processor_s(
     expected = detector.processor(
         images=list((images.permute(0, 3, 1, 2) * 255).round().to(torch.uint8)), return_tensors="pt"
     )
-    found = detector._network_input(images)
-    assert found.keys() == expected.keys()
+    prepared = detector._network_input(images)
+    assert prepared.keys() == expected.keys()
     step = 1 / 255 / (min(detector.processor.image_std) if detector.processor.do_normalize else 1.0)
-    away = (found["pixel_values"] - expected["pixel_values"]).abs()
+    away = (prepared["pixel_values"] - expected["pixel_values"]).abs()
     assert float(away.max()) <= 1.01 * step
     assert float(away.mean()) < 0.4 * step
     if size == (64, 64):  # nothing to scale
@@ -160,17 +160,17 @@ def test_padding_is_the_image_processor_s(detector: adapter.TransformersDetector
     padding = adapter.TransformersDetector("x", detector.model, processor)
     images = pictures(64, 64, 1)
     expected = processor(images=[(images[0].numpy() * 255).round().astype("uint8")], return_tensors="pt")
-    found = padding._network_input(images)
-    torch.testing.assert_close(found["pixel_values"], expected["pixel_values"], rtol=1e-5, atol=1e-5)
-    assert torch.equal(found["pixel_mask"], expected["pixel_mask"])
+    prepared = padding._network_input(images)
+    torch.testing.assert_close(prepared["pixel_values"], expected["pixel_values"], rtol=1e-5, atol=1e-5)
+    assert torch.equal(prepared["pixel_mask"], expected["pixel_mask"])
 
 
 def test_candidates_are_what_detections_come_from(detector: adapter.TransformersDetector) -> None:
     """For a picture that is not scaled, so that nothing is rounded."""
     images = pictures(64, 64)
     low = adapter.TransformersDetector("x", detector.model, detector.processor, min_confidence=0.2)
-    for candidates, found in zip(low.candidates(images), low.detect(images), strict=True):
-        for box, score, label in zip(found.boxes, found.scores, found.labels, strict=True):
+    for candidates, reported in zip(low.candidates(images), low.detect(images), strict=True):
+        for box, score, label in zip(reported.boxes, reported.scores, reported.labels, strict=True):
             if label in low.classes:
                 column = low.classes.index(label)
                 away = (candidates.boxes[:, column] - box).abs().amax(1) + (candidates.scores[:, column] - score).abs()
@@ -272,8 +272,8 @@ def test_the_gradient_is_the_scale_of_each_channel(batch: int, layout: str) -> N
         gradient = gradient.flatten(2).transpose(1, 2).contiguous().transpose(1, 2).view(batch, 5, 3, 4)
     elif layout == "channels last":
         gradient = gradient.contiguous(memory_format=torch.channels_last)
-    (found,) = torch.autograd.grad(norm(picture), picture, gradient)
-    torch.testing.assert_close(found, expected)
+    (computed,) = torch.autograd.grad(norm(picture), picture, gradient)
+    torch.testing.assert_close(computed, expected)
 
 
 def test_the_forward_pass_stays_and_needs_no_gradient() -> None:

@@ -76,25 +76,25 @@ def agrees_with_the_library(detector: ultralytics.YOLODetector, model: Any, size
     library.model = model
     bgr = [(image.numpy() * 255).round().astype(np.uint8)[:, :, ::-1].copy() for image in images]
     wanted = library.predict(bgr, imgsz=128, verbose=False)
-    for found, other in zip(detector.detect(images), wanted, strict=True):
-        assert len(found) == len(other.boxes) > 0
+    for detections, other in zip(detector.detect(images), wanted, strict=True):
+        assert len(detections) == len(other.boxes) > 0
         # The library fuses convolutions and norms, which moves the last digits.
-        assert torch.allclose(found.boxes, other.boxes.xyxy, atol=0.1)
-        assert torch.allclose(found.scores, other.boxes.conf, atol=1e-4)
-        assert found.labels == tuple(detector.classes[int(number)] for number in other.boxes.cls)
+        assert torch.allclose(detections.boxes, other.boxes.xyxy, atol=0.1)
+        assert torch.allclose(detections.scores, other.boxes.conf, atol=1e-4)
+        assert detections.labels == tuple(detector.classes[int(number)] for number in other.boxes.cls)
 
 
 @pytest.mark.parametrize("size", [(128, 128), (90, 160), (75, 50)])
 def test_candidates_are_what_detections_come_from(detector: Detector, size: tuple[int, int]) -> None:
     images = pictures(*size)
-    for candidates, found in zip(detector.candidates(images), detector.detect(images), strict=True):
+    for candidates, reported in zip(detector.candidates(images), detector.detect(images), strict=True):
         best, label = candidates.scores.max(1)
-        away = (candidates.boxes[:, 0] - found.boxes[0]).abs().amax(1)
-        near = int((away + 30 * (best - found.scores[0]).abs()).argmin())
+        away = (candidates.boxes[:, 0] - reported.boxes[0]).abs().amax(1)
+        near = int((away + 30 * (best - reported.scores[0]).abs()).argmin())
         # Rounding to 8 bits and OpenCV's fixed-point scaling stand between the two.
         assert float(away[near]) < 1.5
-        assert float(best[near]) == pytest.approx(float(found.scores[0]), abs=0.05)
-        assert SMALL_CLASSES[int(label[near])] == found.labels[0]
+        assert float(best[near]) == pytest.approx(float(reported.scores[0]), abs=0.05)
+        assert SMALL_CLASSES[int(label[near])] == reported.labels[0]
 
 
 def test_the_protocol_holds(detector: Detector) -> None:
@@ -104,14 +104,14 @@ def test_the_protocol_holds(detector: Detector) -> None:
 
 def test_a_picture_is_framed_in_the_library_s_grey(detector: ultralytics.YOLODetector) -> None:
     grey = 114 / 255
-    (found,) = detector.candidates(torch.full((1, 90, 160, 3), grey))
+    (candidates,) = detector.candidates(torch.full((1, 90, 160, 3), grey))
     expected = detector._decoded(torch.full((1, 3, 96, 128), grey))[0, :, 4:]
-    torch.testing.assert_close(found.scores, expected)
+    torch.testing.assert_close(candidates.scores, expected)
 
 
 @pytest.mark.parametrize("size", [(90, 160), (75, 50)])
 def test_candidates_lie_inside_the_picture(detector: Detector, size: tuple[int, int]) -> None:
-    boxes = torch.cat([found.boxes.reshape(-1, 4) for found in detector.candidates(pictures(*size))])
+    boxes = torch.cat([candidates.boxes.reshape(-1, 4) for candidates in detector.candidates(pictures(*size))])
     assert float(boxes.min()) == 0
     assert float(boxes[:, [0, 2]].max()) == size[1]
     assert float(boxes[:, [1, 3]].max()) == size[0]
@@ -123,9 +123,9 @@ def test_the_floor_is_that_of_the_constructor(detector: ultralytics.YOLODetector
     other = ultralytics.YOLODetector("x", model, SMALL_CLASSES, side=128, min_confidence=floor)
     assert (detector.min_confidence, other.min_confidence) == (0.25, floor)
     assert other.fingerprint == detector.fingerprint
-    (found,) = other.detect(pictures(96, 128, 1))
-    assert 0 < len(found) < len(all_of_them)
-    assert float(found.scores.min()) >= floor
+    (detections,) = other.detect(pictures(96, 128, 1))
+    assert 0 < len(detections) < len(all_of_them)
+    assert float(detections.scores.min()) >= floor
 
 
 def test_candidates_agree_with_finite_differences(model: Any) -> None:
@@ -184,9 +184,9 @@ def test_published_yolo11_is_read_from_tensors(tmp_path: Path) -> None:
     loaded = load_detector("yolo11n", weights=path)
     assert loaded.classes == COCO_CLASSES
     (expected,) = ultralytics.YOLODetector("x", model, COCO_CLASSES, side=640).candidates(pictures(40, 60, 1))
-    (found,) = loaded.candidates(pictures(40, 60, 1))
-    assert torch.equal(expected.scores, found.scores)
-    assert torch.equal(expected.boxes, found.boxes)
+    (candidates,) = loaded.candidates(pictures(40, 60, 1))
+    assert torch.equal(expected.scores, candidates.scores)
+    assert torch.equal(expected.boxes, candidates.boxes)
     with pytest.raises(DetectorError, match=r"expected the \d+ tensors of DetectionModel, got \d+ missing"):
         load_detector("yolov8n", weights=path)
 
@@ -251,8 +251,8 @@ def test_a_mosaic_holds_four_pictures_at_half_size() -> None:
     pictures = [colour[:, None, None].expand(3, 32, 48) for colour in colours]
     targets = [{"boxes": torch.tensor([[4.0, 2, 40, 30]]), "labels": torch.tensor([i + 1])} for i in range(4)]
     whole, target = mosaic(pictures, targets)
-    for place, colour in enumerate(colours):
-        part = whole[:, 16 * (place // 2) : 16 * (place // 2) + 16, 24 * (place % 2) : 24 * (place % 2) + 24]
+    for index, colour in enumerate(colours):
+        part = whole[:, 16 * (index // 2) : 16 * (index // 2) + 16, 24 * (index % 2) : 24 * (index % 2) + 24]
         assert torch.allclose(part, colour[:, None, None].expand_as(part))
     assert target["labels"].tolist() == [1, 2, 3, 4]
     assert target["boxes"][3].tolist() == [26, 17, 44, 31]
@@ -261,8 +261,8 @@ def test_a_mosaic_holds_four_pictures_at_half_size() -> None:
 def test_a_fraction_of_a_batch_becomes_mosaics() -> None:
     pictures = [torch.full((3, 16, 16), i / 4) for i in range(4)]
     targets = [{"boxes": torch.zeros(0, 4), "labels": torch.zeros(0, dtype=torch.int64)} for _ in range(4)]
-    made, found = with_mosaics(pictures, targets, 0.5, torch.Generator().manual_seed(0))
-    assert len(made) == len(found) == 4
+    made, labels = with_mosaics(pictures, targets, 0.5, torch.Generator().manual_seed(0))
+    assert len(made) == len(labels) == 4
     assert all(torch.equal(made[i], pictures[i]) for i in (2, 3))
     same, _ = with_mosaics(pictures, targets, 0.0, torch.Generator().manual_seed(0))
     assert all(torch.equal(a, b) for a, b in zip(same, pictures, strict=True))

@@ -36,14 +36,14 @@ class RedBox:
         raise NotImplementedError
 
     def detect(self, images: Tensor) -> list[Detections]:
-        found = []
+        detections = []
         for image in images:
             rows, columns = (image[..., 0] > image[..., 1] + 0.2).nonzero(as_tuple=True)
             seen = len(rows) > 0
             corners = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1] if seen else []
             boxes = torch.tensor(corners, dtype=torch.float32).reshape(-1, 4)
-            found.append(Detections(boxes, torch.full((int(seen),), 0.9), ("train",) * int(seen)))
-        return found
+            detections.append(Detections(boxes, torch.full((int(seen),), 0.9), ("train",) * int(seen)))
+        return detections
 
 
 def block(red: float) -> GaussianScene:

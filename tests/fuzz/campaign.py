@@ -46,9 +46,9 @@ def main(seconds: float, names: list[str]) -> None:
             _bound_memory()
             end = time.monotonic() + seconds
             while time.monotonic() < end and failures < MOST_FAILURES:
-                if (found := fault(kind, path, mutated(name, number, whole))) is not None:
+                if (raised := fault(kind, path, mutated(name, number, whole))) is not None:
                     failures += 1
-                    _say({"kind": name, "mutant": number, "raised": found})
+                    _say({"kind": name, "mutant": number, "raised": raised})
                 number += 1
         _say({"kind": name, "mutants": number})
 
@@ -71,9 +71,9 @@ def fault(kind: Kind, path: Path, data: bytes) -> str | None:
         except UnicodeEncodeError:
             return f"a message that cannot be printed: {error!r}"
     except (Exception, TooSlowError) as error:  # noqa: BLE001  # this is what is looked for
-        place = traceback.extract_tb(error.__traceback__)[-1]
+        last_frame = traceback.extract_tb(error.__traceback__)[-1]
         ours = [frame for frame in traceback.extract_tb(error.__traceback__) if "site-packages" not in frame.filename]
-        return f"{type(error).__name__}: {error} in {ours[-1].filename}:{ours[-1].lineno}, {place.name}"[:400]
+        return f"{type(error).__name__}: {error} in {ours[-1].filename}:{ours[-1].lineno}, {last_frame.name}"[:400]
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
     return None

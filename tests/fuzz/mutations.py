@@ -68,23 +68,23 @@ def mutant(data: bytes, random: Random, document: Document | None) -> bytes:
 
 def text_of(values: Any) -> str:
     """JSON of values, some of which are put into it as they are."""
-    return _RAW.sub(lambda found: json.loads(f'"{found[1]}"'), json.dumps(values))
+    return _RAW.sub(lambda match: json.loads(f'"{match[1]}"'), json.dumps(values))
 
 
 def _changed(values: Any, random: Random) -> Any:
     """The values with one of them changed: taken out, doubled, moved, or replaced."""
-    places = list(_places(values))
-    if not places:
+    slots = list(_slots(values))
+    if not slots:
         return random.choice(VALUES)
-    holder, key = random.choice(places)
+    holder, key = random.choice(slots)
     match random.randrange(5):
         case 0:
             del holder[key]
         case 1 if isinstance(holder, list):
             holder.insert(key, copy.deepcopy(holder[key]))
         case 2:
-            other, place = random.choice(places)
-            holder[key] = copy.deepcopy(other[place])
+            other, slot = random.choice(slots)
+            holder[key] = copy.deepcopy(other[slot])
         case 3 if isinstance(holder, dict):
             holder["more"] = holder.pop(key)
         case _:
@@ -92,19 +92,19 @@ def _changed(values: Any, random: Random) -> Any:
     return values
 
 
-def _places(values: Any) -> Any:
+def _slots(values: Any) -> Any:
     """Every object or list with each of its keys; of long lists the first few."""
     keys = list(values) if isinstance(values, dict) else range(min(len(values), 6)) if isinstance(values, list) else ()
     for key in keys:
         yield values, key
-        yield from _places(values[key])
+        yield from _slots(values[key])
 
 
 def _flipped(data: bytes, random: Random) -> bytes:
-    found = bytearray(data)
+    flipped = bytearray(data)
     for _ in range(random.choice((1, 1, 2, 8))):
-        found[random.randrange(len(found))] ^= 1 << random.randrange(8)
-    return bytes(found)
+        flipped[random.randrange(len(flipped))] ^= 1 << random.randrange(8)
+    return bytes(flipped)
 
 
 def _cut(data: bytes, random: Random) -> bytes:
@@ -120,8 +120,8 @@ def _numbered(data: bytes, random: Random) -> bytes:
     form, value = random.choice(
         (("<I", 0), ("<I", 0xFFFFFFFF), ("<I", 1 << 30), ("<f", float("nan")), ("<f", float("inf")), ("<Q", 1 << 40))
     )
-    place, part = random.randrange(len(data)), struct.pack(form, value)
-    return data[:place] + part + data[place + len(part) :]
+    offset, part = random.randrange(len(data)), struct.pack(form, value)
+    return data[:offset] + part + data[offset + len(part) :]
 
 
 def _reworded(data: bytes, random: Random) -> bytes:
@@ -129,7 +129,7 @@ def _reworded(data: bytes, random: Random) -> bytes:
     words = list(_WORD.finditer(data[:20_000]))
     if not words:
         return _flipped(data, random)
-    found, word = random.choice(words), random.choice(WORDS)
-    if found[0].startswith(b'"') and random.random() < 0.7:
+    word_before, word = random.choice(words), random.choice(WORDS)
+    if word_before[0].startswith(b'"') and random.random() < 0.7:
         word = b'"' + word.strip(b'"') + b'"'
-    return data[: found.start()] + word + data[found.end() :]
+    return data[: word_before.start()] + word + data[word_before.end() :]

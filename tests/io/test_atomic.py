@@ -221,10 +221,10 @@ def names(folder: Path) -> list[str]:
 def holder(folder: Path) -> subprocess.Popen[str]:
     """A process that has a folder for itself until it reads a line or is killed."""
     words = [sys.executable, "-c", HOLDER, str(folder), "a word"]
-    found = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    assert found.stdout is not None
-    assert found.stdout.readline() == "there\n"
-    return found
+    process = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "there\n"
+    return process
 
 
 def test_the_second_process_is_refused_and_told_by_whom(tmp_path: Path) -> None:
@@ -245,8 +245,8 @@ def test_a_killed_process_has_nothing(tmp_path: Path) -> None:
     with holder(tmp_path / "out") as first:
         first.kill()
     assert names(tmp_path / "out") == [LOCK]
-    with new_folder(tmp_path / "out") as place:  # what is left there does not count
-        (place / "result.json").write_text("")
+    with new_folder(tmp_path / "out") as folder:  # what is left there does not count
+        (folder / "result.json").write_text("")
     assert names(tmp_path / "out") == ["manifest.json", "result.json"]
     (tmp_path / "out" / LOCK).write_text("")
     with own_folder(tmp_path / "out", "result.json"):
@@ -255,19 +255,19 @@ def test_a_killed_process_has_nothing(tmp_path: Path) -> None:
 
 
 def test_a_thread_may_take_what_it_has_and_another_thread_may_not(tmp_path: Path) -> None:
-    found: list[str] = []
+    messages: list[str] = []
 
     def other() -> None:
         with pytest.raises(SplatFileError) as caught:
             check_unlocked(tmp_path)
-        found.append(str(caught.value))
+        messages.append(str(caught.value))
 
     with locked_folder(tmp_path), locked_folder(tmp_path / "." / ""):
         check_unlocked(tmp_path)
         thread = threading.Thread(target=other)
         thread.start()
         thread.join()
-    assert f"process {os.getpid()} on" in found[0]
+    assert f"process {os.getpid()} on" in messages[0]
     check_unlocked(tmp_path)
     assert names(tmp_path) == []
 

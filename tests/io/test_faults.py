@@ -145,10 +145,10 @@ def test_invalid_gaussians_are_refused_or_dropped(change: dict[str, float], word
     for name, value in change.items():
         rows[name][[3, 7]] = value
     path.write_bytes(ply_bytes(rows))
-    found = rf"valid Gaussians, got 2 of 10 that are not \(rows 3, 7; in the first, {words}\)"
-    with pytest.raises(SplatFileError, match=found + "; repair it, or drop them"):
+    message = rf"valid Gaussians, got 2 of 10 that are not \(rows 3, 7; in the first, {words}\)"
+    with pytest.raises(SplatFileError, match=message + "; repair it, or drop them"):
         load_splat(path)
-    with pytest.warns(SplatFileWarning, match=found + "; they were left out") as caught:
+    with pytest.warns(SplatFileWarning, match=message + "; they were left out") as caught:
         scene = load_splat(path, on_invalid="drop")
     assert caught[0].filename == __file__
     np.testing.assert_array_equal(scene.means[:, 0], np.delete(rows["x"], [3, 7]))

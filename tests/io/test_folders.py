@@ -35,8 +35,8 @@ def result_in(folder: Path, text: str = "old") -> Path:
 
 def failing(out: Path, *, force: bool = False) -> None:
     """Fail when half of a folder is written."""
-    with new_folder(out, force=force) as place:
-        (place / "result.json").write_text("new")
+    with new_folder(out, force=force) as folder:
+        (folder / "result.json").write_text("new")
         raise ZeroDivisionError
 
 
@@ -48,8 +48,8 @@ def have(out: Path, *records: str) -> None:
 
 def test_a_folder_appears_whole(tmp_path: Path) -> None:
     out = tmp_path / "a" / "b"
-    with new_folder(out) as place:
-        (place / "result.json").write_text("new")
+    with new_folder(out) as folder:
+        (folder / "result.json").write_text("new")
         assert not out.exists()
     assert names(out) == ["result.json"]
     assert names(out.parent) == ["b"]
@@ -69,8 +69,8 @@ def test_an_older_result_is_refused_or_replaced_whole(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError):
         failing(out, force=True)
     assert (out / "result.json").read_text() == "old"
-    with new_folder(out, force=True) as place:
-        (place / "result.json").write_text("new")
+    with new_folder(out, force=True) as folder:
+        (folder / "result.json").write_text("new")
     assert names(out) == ["result.json"]
     assert names(tmp_path) == ["out"]
 
@@ -89,9 +89,9 @@ def test_the_old_result_comes_back_where_the_new_one_cannot_take_its_name(
     monkeypatch.setattr(os, "rename", fails_once)
     with (
         pytest.raises(SplatFileError, match=r"out: expected a name that .* got broken; see .*out-2, where"),
-        new_folder(out, force=True) as place,
+        new_folder(out, force=True) as folder,
     ):
-        (place / "new").write_text("")
+        (folder / "new").write_text("")
     assert names(out) == ["before.png", "result.json"]
     assert names(tmp_path / "out-2") == ["new"]
     assert names(tmp_path) == ["out", "out-2"]
@@ -172,8 +172,8 @@ def test_of_two_results_for_one_name_none_is_lost(tmp_path: Path) -> None:
     (tmp_path / "out-2").mkdir()
 
     def write(text: str, meanwhile: Callable[[], None]) -> None:
-        with new_folder(out) as place:
-            (place / "result.json").write_text(text)
+        with new_folder(out) as folder:
+            (folder / "result.json").write_text(text)
             meanwhile()
 
     with pytest.raises(SplatFileError, match=r"wrote there meanwhile; see .*out-3, where this result is"):
@@ -187,8 +187,8 @@ def test_a_new_folder_sweeps_what_a_killed_call_left_beside_it(tmp_path: Path) -
     left = tmp_path / ".elsewhere.7.0123456789abcdef.tmp"
     left.mkdir()
     os.utime(left, (time.time() - 90_000,) * 2)
-    with new_folder(tmp_path / "out") as place:
-        (place / "result.json").write_text("new")
+    with new_folder(tmp_path / "out") as folder:
+        (folder / "result.json").write_text("new")
     assert names(tmp_path) == ["out"]
 
 

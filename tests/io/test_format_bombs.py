@@ -60,13 +60,13 @@ def zipped(name: str, claimed: int) -> bytes:
         for member in source.namelist():
             archive.writestr(member, packed if member == name else source.read(member))
     data = bytearray(buffer.getvalue())
-    for mark, place in ((b"PK\x03\x04", 8), (b"PK\x01\x02", 10)):  # method and sizes in both headers of the member
+    for mark, offset in ((b"PK\x03\x04", 8), (b"PK\x01\x02", 10)):  # method and sizes in both headers of the member
         at = data.find(mark)
         while at >= 0:
             shift = 30 if mark == b"PK\x03\x04" else 46
             if data[at + shift : at + shift + len(name)] == name.encode():
-                data[at + place : at + place + 2] = struct.pack("<H", zipfile.ZIP_DEFLATED)
-                data[at + place + 14 : at + place + 18] = struct.pack("<I", claimed)
+                data[at + offset : at + offset + 2] = struct.pack("<H", zipfile.ZIP_DEFLATED)
+                data[at + offset + 14 : at + offset + 18] = struct.pack("<I", claimed)
             at = data.find(mark, at + 1)
     return bytes(data)
 

@@ -67,17 +67,17 @@ def changed(data: st.DataObject, whole: bytes) -> bytes:
     damaged = bytearray(whole)
     for _ in range(data.draw(st.integers(1, 3))):
         near = data.draw(st.sampled_from([24, 200, len(whole)]))
-        place = data.draw(st.integers(0, min(near, len(damaged))))
+        start = data.draw(st.integers(0, min(near, len(damaged))))
         kind = data.draw(st.sampled_from(["cut", "insert", "change", "change", "number"]))
         if kind == "cut":
-            del damaged[place : place + data.draw(st.integers(1, 50))]
+            del damaged[start : start + data.draw(st.integers(1, 50))]
         elif kind == "insert":
-            damaged[place:place] = data.draw(st.binary(min_size=1, max_size=8))
+            damaged[start:start] = data.draw(st.binary(min_size=1, max_size=8))
         elif kind == "change":
-            damaged[place : place + 4] = data.draw(st.binary(min_size=1, max_size=4))
+            damaged[start : start + 4] = data.draw(st.binary(min_size=1, max_size=4))
         else:
             number = data.draw(st.sampled_from([0, 1, 255, 256, 2**16, 2**31 - 1, 2**31, 2**32 - 1]))
-            damaged[place : place + 4] = struct.pack("<I", number)
+            damaged[start : start + 4] = struct.pack("<I", number)
     return bytes(damaged)
 
 
@@ -114,16 +114,16 @@ JUNK: st.SearchStrategy[object] = st.one_of(
 )
 
 
-def places(node: object) -> list[tuple[Any, Any]]:
+def slots(node: object) -> list[tuple[Any, Any]]:
     """Container and key of every value in a JSON document."""
     items = list(node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ())
-    return [place for key, value in items for place in [(node, key), *places(value)]]
+    return [slot for key, value in items for slot in [(node, key), *slots(value)]]
 
 
 def junked(data: st.DataObject, document: object) -> None:
     """Replace or remove up to three values of a JSON document, drawn from anywhere in it."""
     for _ in range(data.draw(st.integers(1, 3))):
-        node, key = data.draw(st.sampled_from(places(document)))
+        node, key = data.draw(st.sampled_from(slots(document)))
         if data.draw(st.booleans()):
             node[key] = data.draw(JUNK)
         else:

@@ -188,9 +188,9 @@ def test_pipes_and_missing_files_are_refused(tmp_path: Path) -> None:
 )
 def test_arrays_come_back(values: np.ndarray[Any, Any], tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", values)
-    found = load_array(tmp_path / "a.npy")
-    assert np.array_equal(found, values)
-    assert found.dtype == values.dtype
+    loaded = load_array(tmp_path / "a.npy")
+    assert np.array_equal(loaded, values)
+    assert loaded.dtype == values.dtype
 
 
 def test_mutants_are_arrays_or_refused(tmp_path: Path) -> None:

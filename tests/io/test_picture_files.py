@@ -137,16 +137,16 @@ def test_commands_refuse_and_take_the_flag(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("bomb.png").write_bytes(png(30_000, 30_000))
-    assert cli.main(["detect", "bomb.png", "--detectors", "fasterrcnn_small", "--out", "found"]) == 1
+    assert cli.main(["detect", "bomb.png", "--detectors", "fasterrcnn_small", "--out", "detected"]) == 1
     error = capsys.readouterr().err
     assert error.splitlines() == [
         "mi-splat: bomb.png: expected at most 50,000,000 pixels, got 900,000,000; make it smaller, or allow more "
         "(--max-pixels)"
     ]
-    assert not Path("found").exists()
+    assert not Path("detected").exists()
     for words in (["--max-pixels", "100", "detect", "a.png"], ["detect", "a.png", "--max_pixels=100"]):
         Path("a.png").write_bytes(saved("PNG"))
-        assert cli.main([*words, "--out", "found"]) == 1
+        assert cli.main([*words, "--out", "detected"]) == 1
         assert "at most 100 pixels" in capsys.readouterr().err
     for words in (
         ["--max-pixels", "none"],

@@ -303,6 +303,6 @@ def test_a_file_is_read_to_the_bit_as_torch_would(tmp_path: Path) -> None:
     properties = "".join(f"property float {name}\n" for name in file_names(0))
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n{properties}end_header\n"
     (tmp_path / "a.ply").write_bytes(head.encode() + rows.tobytes())
-    found = load_splat(tmp_path / "a.ply")
-    for value, wanted in zip(found.tensors()[:4], activate(values)[:4], strict=True):
+    loaded = load_splat(tmp_path / "a.ply")
+    for value, wanted in zip(loaded.tensors()[:4], activate(values)[:4], strict=True):
         assert torch.equal(value, wanted)

@@ -78,11 +78,11 @@ def test_doubles_keep_their_precision_through_the_activation(tmp_path: Path) -> 
     np.testing.assert_allclose(load_splat(tmp_path / "a.ply").scales[:, 0], np.exp(rows["scale_0"]), 6e-8)
 
 
-@pytest.mark.parametrize("place", [0, 3, 24])
-def test_further_properties_are_passed_over(place: int, plain: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("index", [0, 3, 24])
+def test_further_properties_are_passed_over(index: int, plain: str, tmp_path: Path) -> None:
     names = splat_names(1)
     kinds = [(name, "<f4") for name in names]
-    kinds[place:place] = [("red", "|u1"), ("segment", "<i2"), ("confidence", "<f8")]
+    kinds[index:index] = [("red", "|u1"), ("segment", "<i2"), ("confidence", "<f8")]
     rows = np.zeros(len(ROWS), kinds)
     for name in names:
         rows[name] = ROWS[name]

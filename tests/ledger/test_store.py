@@ -153,7 +153,7 @@ def test_what_killed_processes_leave_is_swept(tmp_path: Path) -> None:
     unfinished = "f" * 32
     for name in (f"tmp/{unfinished}.abc", f"partial/{done.key}", f"partial/{unfinished}"):
         (tmp_path / name).mkdir(parents=True)
-        (tmp_path / name / "some").write_text("some")
+        (tmp_path / name / "rest").write_text("rest")
     store.sweep()
     assert [path.name for path in (tmp_path / "partial").iterdir()] == [unfinished]
     assert not list((tmp_path / "tmp").iterdir())

@@ -35,8 +35,8 @@ REPORTED = Measure(holds=pl.col("score") >= 0.5)
 
 
 def numbers(rows: pl.DataFrame, measure: Measure, *by: str) -> dict[tuple[object, ...], tuple[int, int]]:
-    found = count(rows, {"rate": measure}, by)
-    return {group: (rates["rate"].successes, rates["rate"].total) for group, rates in found.items()}
+    counted = count(rows, {"rate": measure}, by)
+    return {group: (rates["rate"].successes, rates["rate"].total) for group, rates in counted.items()}
 
 
 def test_what_cannot_be_said_does_not_hold_and_counts() -> None:
@@ -49,8 +49,8 @@ def test_only_rows_that_are_given_count() -> None:
 
 
 def test_groups_come_in_the_order_of_their_first_rows() -> None:
-    found = numbers(ROWS, REPORTED, "splat", "detector")
-    assert list(found.items()) == [
+    rates = numbers(ROWS, REPORTED, "splat", "detector")
+    assert list(rates.items()) == [
         (("clean", "a"), (1, 2)),
         (("clean", "b"), (1, 1)),
         (("cloaked", "a"), (0, 1)),
@@ -62,16 +62,16 @@ def test_groups_come_in_the_order_of_their_first_rows() -> None:
 def test_bands_hold_their_lower_edge_and_what_lies_outside_the_nearest(angle: float, part: int) -> None:
     rows = pl.DataFrame({"angle": [angle], "success": [True]})
     bands = banded(rows, "angle", (0.0, 30.0), 3, Measure(holds=pl.col("success")))
-    assert [band["total"] for band in bands] == [int(part == place) for place in range(3)]
+    assert [band["total"] for band in bands] == [int(part == index) for index in range(3)]
     assert [band["from"] for band in bands] == [0.0, 10.0, 20.0]
 
 
 def many(agree: bool) -> pl.DataFrame:
     """Rows of 20 blocks, 3 seeds and 10 views each, half of which hold: whole blocks, or views by chance."""
     rng = np.random.default_rng(5)
-    places = [(block, seed, view) for block in range(20) for seed in range(3) for view in range(10)]
-    holds = [block % 2 == 0 if agree else bool(rng.random() < 0.5) for block, _, _ in places]
-    return pl.DataFrame(places, schema=["block", "seed", "view"], orient="row").with_columns(holds=pl.Series(holds))
+    keys = [(block, seed, view) for block in range(20) for seed in range(3) for view in range(10)]
+    holds = [block % 2 == 0 if agree else bool(rng.random() < 0.5) for block, _, _ in keys]
+    return pl.DataFrame(keys, schema=["block", "seed", "view"], orient="row").with_columns(holds=pl.Series(holds))
 
 
 def test_views_that_agree_make_a_wide_interval() -> None:
@@ -107,9 +107,9 @@ def test_where_blocks_say_nothing_each_counts_once(blocks: int, holds: bool | No
 def over(objects: int, spread: float) -> Rate:
     """A rate over ten views of 20 blocks of each object, of which so many tenths more hold the later it comes."""
     rng, middle = np.random.default_rng(1), (objects - 1) / 2
-    places = [(thing, block, 0) for thing in range(objects) for block in range(20) for _ in range(10)]
-    holds = [bool(rng.random() < 0.5 + spread * (thing - middle) / 10) for thing, _, _ in places]
-    rows = pl.DataFrame(places, schema=["object", "block", "seed"], orient="row").with_columns(holds=pl.Series(holds))
+    keys = [(thing, block, 0) for thing in range(objects) for block in range(20) for _ in range(10)]
+    holds = [bool(rng.random() < 0.5 + spread * (thing - middle) / 10) for thing, _, _ in keys]
+    rows = pl.DataFrame(keys, schema=["object", "block", "seed"], orient="row").with_columns(holds=pl.Series(holds))
     return count(rows, {"rate": Measure(holds=pl.col("holds"))}, clusters=("object", "block", "seed"))[()]["rate"]
 
 

@@ -33,12 +33,12 @@ ROWS = st.lists(
 )
 
 
-@given(found=ROWS)
-def test_rows_come_back_as_they_were(found: list[dict[str, Cell]], tmp_path_factory: pytest.TempPathFactory) -> None:
-    table = frame_of(found)
+@given(rows=ROWS)
+def test_rows_come_back_as_they_were(rows: list[dict[str, Cell]], tmp_path_factory: pytest.TempPathFactory) -> None:
+    table = frame_of(rows)
     path = write_rows(table, tmp_path_factory.getbasetemp() / "table.csv.gz")
-    assert read_rows(path).to_dicts() == found
-    assert not found or read_rows(path).schema == table.schema
+    assert read_rows(path).to_dicts() == rows
+    assert not rows or read_rows(path).schema == table.schema
 
 
 def test_the_bytes_are_always_the_same_whatever_the_order_of_columns(tmp_path: Path) -> None:

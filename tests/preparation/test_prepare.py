@@ -169,9 +169,9 @@ class Model:
 
 
 def test_pictures_with_few_points_leave_their_models_and_small_models_go() -> None:
-    empty, most, some = Model(5, 6, 7, 8, 9), Model(200, 40, 30, 29), Model(90, 90, 90, 90)
-    assert _trimmed([empty, most, some]) == [some, most]
-    assert (most.num_reg_images(), some.num_reg_images()) == (3, 4)
+    empty, most, few = Model(5, 6, 7, 8, 9), Model(200, 40, 30, 29), Model(90, 90, 90, 90)
+    assert _trimmed([empty, most, few]) == [few, most]
+    assert (most.num_reg_images(), few.num_reg_images()) == (3, 4)
 
 
 @pytest.mark.parametrize(
@@ -262,10 +262,10 @@ def test_cameras_of_pictures_that_we_rendered_are_found(tmp_path: Path) -> None:
     assert cli.main(["render", *(str(ROOT / words[0]), *words[1:]), "--out", str(renders)]) == 0
     truth = {camera["name"]: camera["to_world"] for camera in json.loads((renders / "cameras.json").read_text())}
     assert cli.main(["prepare", str(renders), "--out", str(out)]) == 0
-    found = load_dataset(out, split=None)
-    assert len(found) == len(truth)
-    wanted = torch.tensor([truth[path.stem] for path in found.paths], dtype=torch.float64)
-    poses = torch.stack([camera.to_world for camera in found.cameras])
+    dataset = load_dataset(out, split=None)
+    assert len(dataset) == len(truth)
+    wanted = torch.tensor([truth[path.stem] for path in dataset.paths], dtype=torch.float64)
+    poses = torch.stack([camera.to_world for camera in dataset.cameras])
     (theirs, ours), middles = (poses[:, :3, 3], wanted[:, :3, 3]), (poses[:, :3, 3].mean(0), wanted[:, :3, 3].mean(0))
     left, values, right = torch.linalg.svd((ours - middles[1]).T @ (theirs - middles[0]))  # Umeyama, 1991
     turn = left @ torch.diag(torch.tensor([1, 1, torch.linalg.det(left @ right)], dtype=torch.float64)) @ right

@@ -140,7 +140,7 @@ def fewer_cameras(most: int) -> Change:
     """Sets of at most so many cameras; other cameras stay."""
 
     def change(old: list[str]) -> list[str] | None:
-        sets = [re.sub(r":(\d+)", lambda found: f":{min(most, int(found[1]))}", word) for word in old]
+        sets = [re.sub(r":(\d+)", lambda match: f":{min(most, int(match[1]))}", word) for word in old]
         return [re.sub(r"^grid:\d+x\d+$", f"grid:{most}x1", word) for word in sets] or None
 
     return change

@@ -90,11 +90,11 @@ LAYERS: dict[str, tuple[str, ...]] = {
 @cache
 def modules(package: str) -> dict[str, Path]:
     """Dotted name to file of every module of a package."""
-    found = {}
+    paths = {}
     for path in sorted((ROOT / package).rglob("*.py")):
         parts = path.relative_to(ROOT).with_suffix("").parts
-        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
-    return found
+        paths[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return paths
 
 
 def imports(name: str, path: Path) -> Iterator[str]:
@@ -128,7 +128,7 @@ def edges(package: str) -> tuple[tuple[str, str], ...]:
     )
 
 
-def place(name: str) -> tuple[int, str] | None:
+def layer_of(name: str) -> tuple[int, str] | None:
     """Number of a module's layer and the entry of `LAYERS` that it belongs to; the longest matching entry counts."""
     matches = [
         (len(entry), number, entry)
@@ -154,14 +154,14 @@ def circle() -> list[str]:
         if name in done:
             return []
         for other in sorted(graph.get(name, ())):
-            if found := visit(other, [*trail, name]):
-                return found
+            if trail_back := visit(other, [*trail, name]):
+                return trail_back
         done.add(name)
         return []
 
     for name in sorted(graph):
-        if found := visit(name, []):
-            return found
+        if trail_back := visit(name, []):
+            return trail_back
     return []
 
 
@@ -170,7 +170,7 @@ def diagram() -> str:
     needs: dict[str, set[str]] = {}
     for package in PACKAGES:
         for name, other in edges(package):
-            here, there = place(name), place(other)
+            here, there = layer_of(name), layer_of(other)
             if here and there and here[0] != there[0]:
                 titles = list(LAYERS)
                 needs.setdefault(titles[here[0]], set()).add(titles[there[0]])

@@ -184,8 +184,8 @@ def read_style() -> tuple[Style, dict[str, tuple[int, int]]]:
 def by_hand() -> dict[str, Path]:
     """The pages that people write, by their path in the repository."""
     written = ("docs/structure.md", "docs/tables/")
-    found = {path.relative_to(ROOT).as_posix(): path for path in pages()}
-    return {name: path for name, path in found.items() if not name.startswith(written)}
+    files = {path.relative_to(ROOT).as_posix(): path for path in pages()}
+    return {name: path for name, path in files.items() if not name.startswith(written)}
 
 
 def words_of_site() -> int:

@@ -187,14 +187,14 @@ def provide(line: Line, kept: dict[str, Path]) -> None:
                 make(Path(word))
 
 
-def _copied(made: Path, place: Path) -> Path:
+def _copied(made: Path, target: Path) -> Path:
     """Copy a file or a folder to a place, which is returned."""
     if made.is_dir():
-        shutil.copytree(made, place, dirs_exist_ok=True)
+        shutil.copytree(made, target, dirs_exist_ok=True)
     else:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(made, place)
-    return place
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(made, target)
+    return target
 
 
 class CommandError(Exception):
@@ -252,13 +252,15 @@ def _wait(command: Sequence[str], folder: Path, until: str | None = None) -> Non
 
 def chosen(when: str) -> dict[str, list[Line]]:
     """The lines to run by page: all fast ones, or all of each page that has a nightly one."""
-    found: dict[str, list[Line]] = {}
+    lines_by_page: dict[str, list[Line]] = {}
     for line in lines():
-        found.setdefault(line.page, []).append(line)
+        lines_by_page.setdefault(line.page, []).append(line)
     if when == "fast":
-        return {page: [line for line in every if line.when == "fast"] for page, every in found.items()}
-    nightly = {page for page, every in found.items() if any(line.when == "nightly" for line in every)}
-    runnable = {page: [line for line in found[page] if line.when != "never"] for page in nightly | NIGHTLY_PAGES}
+        return {page: [line for line in every if line.when == "fast"] for page, every in lines_by_page.items()}
+    nightly = {page for page, every in lines_by_page.items() if any(line.when == "nightly" for line in every)}
+    runnable = {
+        page: [line for line in lines_by_page[page] if line.when != "never"] for page in nightly | NIGHTLY_PAGES
+    }
     return dict(sorted(runnable.items()))
 
 

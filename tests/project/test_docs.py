@@ -206,9 +206,9 @@ def test_the_site_has_a_page_for_everything(site: Path) -> None:
 
 @pytest.mark.nightly
 def test_the_site_asks_no_other_host(site: Path) -> None:
-    found = sorted(site.rglob("*.html"))
-    assert len(found) > 50
-    for path in found:
+    pages = sorted(site.rglob("*.html"))
+    assert len(pages) > 50
+    for path in pages:
         requests = Requests()
         requests.feed(path.read_text())
         assert requests.addresses

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.project.layers import DIAGRAM, LAYERS, PACKAGES, ROOT, circle, diagram, edges, modules, place
+from tests.project.layers import DIAGRAM, LAYERS, PACKAGES, ROOT, circle, diagram, edges, layer_of, modules
 
 TOP_LEVEL = {
     *PACKAGES,
@@ -45,13 +45,13 @@ LOADERS = ("attacks.detectors", "attacks.classifiers", "attacks.cli", "attacks.c
 def test_every_module_has_a_layer() -> None:
     for package in PACKAGES:
         for name in modules(package):
-            assert name == package or place(name), f"{name} has no place in LAYERS: give it one"
+            assert name == package or layer_of(name), f"{name} has no place in LAYERS: give it one"
 
 
 def test_imports_run_one_way() -> None:
     for package in PACKAGES:
         for name, other in edges(package):
-            here, there = place(name), place(other)
+            here, there = layer_of(name), layer_of(other)
             if here and there:
                 assert there[0] <= here[0], f"{name} imports {other}, which lies above it"
 
@@ -69,7 +69,7 @@ def test_the_diagram_is_today_s() -> None:
 
 
 def test_training_sees_renderers_as_functions() -> None:
-    below = {place(other) for name, other in edges("mi_splat") if name.startswith("mi_splat.training")}
+    below = {layer_of(other) for name, other in edges("mi_splat") if name.startswith("mi_splat.training")}
     titles = list(LAYERS)
     assert not {titles[here[0]] for here in below if here} & {"rasterization", "ray tracing", "Mitsuba", "rendering"}
 

@@ -26,8 +26,8 @@ def camera(width: int, height: int, *, distance: float = 3.0) -> Camera:
 
 def gradient(picture: Tensor, leaf: Tensor) -> Tensor:
     factors = torch.randn(picture.shape, generator=torch.Generator().manual_seed(3))
-    (found,) = torch.autograd.grad((picture * factors).sum(), leaf)
-    return found
+    (of_leaf,) = torch.autograd.grad((picture * factors).sum(), leaf)
+    return of_leaf
 
 
 def compare(view: FrozenView, scene: GaussianScene, sh: Tensor) -> None:
@@ -42,8 +42,8 @@ def compare(view: FrozenView, scene: GaussianScene, sh: Tensor) -> None:
     picture = view(leaf)
     assert picture.shape == expected.shape
     torch.testing.assert_close(picture, expected, rtol=0, atol=ERROR)
-    wanted, found = gradient(expected, every)[view.rows], gradient(picture, leaf)
-    assert float((found - wanted).abs().max()) <= ERROR * float(wanted.abs().max())
+    wanted, computed = gradient(expected, every)[view.rows], gradient(picture, leaf)
+    assert float((computed - wanted).abs().max()) <= ERROR * float(wanted.abs().max())
 
 
 def other_colours(sh: Tensor, seed: int = 5) -> Tensor:
@@ -137,9 +137,9 @@ def test_the_same_bits_on_any_number_of_threads() -> None:
             runs.append((picture, gradient(picture, leaf)))
     finally:
         dr.set_thread_count(before)
-    for picture, found in runs[1:]:
+    for picture, gradient_of_run in runs[1:]:
         assert torch.equal(picture, runs[0][0])
-        assert torch.equal(found, runs[0][1])
+        assert torch.equal(gradient_of_run, runs[0][1])
 
 
 def test_two_pictures_of_one_view_before_a_gradient() -> None:
@@ -187,13 +187,13 @@ def test_memory_is_bounded_before_it_is_taken() -> None:
 def test_render_takes_scenes_with_other_colours_only() -> None:
     scene, where = oracle.random_scene(60, degree=1, seed=1), camera(21, 18)
     rows = torch.arange(20)
-    view, some = FrozenView(scene, where), FrozenView(scene, where, rows=rows)
+    view, partial = FrozenView(scene, where), FrozenView(scene, where, rows=rows)
     painted = scene.replace(sh=other_colours(scene.sh))
     same = Camera(to_world=where.to_world, focal=where.focal, width=21, height=18)
     assert torch.equal(view.render(painted, same), view(painted.sh))
     partly = scene.sh.clone()
     partly[rows] += 0.1
-    assert torch.equal(some.render(scene.replace(sh=partly), where), some(partly[rows]))
+    assert torch.equal(partial.render(scene.replace(sh=partly), where), partial(partly[rows]))
     for name, bad in {
         "means": scene.replace(means=scene.means + 1),
         "opacities": scene.replace(opacities=scene.opacities * 0.5),
@@ -202,7 +202,7 @@ def test_render_takes_scenes_with_other_colours_only() -> None:
         with pytest.raises(InvalidValueError, match=f"{name}: expected"):
             view.render(bad, where)
     with pytest.raises(InvalidValueError, match="sh of Gaussians that are not in rows"):
-        some.render(painted, where)
+        partial.render(painted, where)
     with pytest.raises(InvalidValueError, match="camera: expected"):
         view.render(scene, camera(21, 19))
     scene.means[0] += 1.0  # the view has its own copy
@@ -258,9 +258,9 @@ def test_a_view_from_another_camera_is_a_view_of_its_own() -> None:
 def test_each_camera_has_a_view_whose_pictures_are_the_renderers(rows: torch.Tensor | None) -> None:
     scene, render = oracle.random_scene(60, degree=1, seed=1), Renderer(RenderSettings(background=(0.1, 0.2, 0.3)))
     where = cameras()
-    found = freeze_views(scene, [*where, where[0]], render=render, pictures=MIN_PICTURES, rows=rows)
-    assert list(found) == where
-    for camera, view in found.items():
+    views = freeze_views(scene, [*where, where[0]], render=render, pictures=MIN_PICTURES, rows=rows)
+    assert list(views) == where
+    for camera, view in views.items():
         torch.testing.assert_close(view(scene.sh[view.rows]), render(scene, camera), rtol=0, atol=1e-5)
 
 

@@ -172,9 +172,9 @@ def test_an_update_is_seen_by_the_next_picture() -> None:
 def test_own_values_are_those_of_traverse_without_those_of_objects_within() -> None:
     scene = dict_scene(oracle.random_scene(60, degree=1, seed=4))
     for node in (scene.sensors()[0], scene.shapes()[0]):
-        params, found = mi.traverse(node), own_values(node)
-        assert set(found) == {name for name in params.keys() if "." not in name}  # noqa: SIM118 (no dict)
-        assert all(np.array_equal(np.array(value), np.array(params[name])) for name, value in found.items())
+        params, values = mi.traverse(node), own_values(node)
+        assert set(values) == {name for name in params.keys() if "." not in name}  # noqa: SIM118 (no dict)
+        assert all(np.array_equal(np.array(value), np.array(params[name])) for name, value in values.items())
 
 
 @pytest.mark.parametrize("name", ["x_fov", "principal_point_offset_x", "to_world"])

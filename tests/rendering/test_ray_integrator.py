@@ -18,24 +18,24 @@ from tests.ray_scenes import GREEN, T, area, constant, diffuse, gaussian, linear
 
 
 def test_one_gaussian_over_a_background() -> None:
-    found = pixel(scene_of(gaussian((0, 0, 0)), integrator={"background": {"type": "rgb", "value": 0.5}}))
-    np.testing.assert_allclose(found, 0.6 * linear(GREEN) + 0.4 * linear(0.5), rtol=1e-4)
+    colour = pixel(scene_of(gaussian((0, 0, 0)), integrator={"background": {"type": "rgb", "value": 0.5}}))
+    np.testing.assert_allclose(colour, 0.6 * linear(GREEN) + 0.4 * linear(0.5), rtol=1e-4)
 
 
 def test_srgb_values_are_blended_as_in_3dgs() -> None:
     settings = {"background": {"type": "rgb", "value": 0.5}, "linear": False}
-    found = pixel(scene_of(gaussian((0, 0, 0)), integrator=settings))
-    np.testing.assert_allclose(found, 0.6 * np.array(GREEN) + 0.4 * 0.5, rtol=1e-4)
+    colour = pixel(scene_of(gaussian((0, 0, 0)), integrator=settings))
+    np.testing.assert_allclose(colour, 0.6 * np.array(GREEN) + 0.4 * 0.5, rtol=1e-4)
 
 
 @pytest.mark.parametrize("front_first", [True, False])
 def test_two_overlapping_gaussians_are_blended_by_their_peaks(front_first: bool) -> None:
     near = gaussian((0.1, 0, -0.2), opacity=0.5, colour=(0.9, 0.1, 0.2))
     far = gaussian((0, 0.2, 0.1), opacity=0.7)
-    found = pixel(scene_of(*((near, far) if front_first else (far, near)), integrator={"linear": False}))
+    colour = pixel(scene_of(*((near, far) if front_first else (far, near)), integrator={"linear": False}))
     first, second = 0.5 * math.exp(-0.5 * 0.1**2 / 0.25), 0.7 * math.exp(-0.5 * 0.2**2 / 0.25)
     expected = first * np.array((0.9, 0.1, 0.2)) + (1 - first) * second * np.array(GREEN)
-    np.testing.assert_allclose(found, expected, rtol=1e-4)
+    np.testing.assert_allclose(colour, expected, rtol=1e-4)
 
 
 def test_a_gaussian_before_a_lambertian_wall() -> None:
@@ -55,25 +55,25 @@ def test_a_gaussian_is_hidden_by_what_its_peak_lies_behind() -> None:
     lamp, one = {**wall(1.0), "emitter": area(0.7)}, {"max_depth": 1}
     before, behind = gaussian((0, 0, 0.9), scale=0.5), gaussian((0, 0, 1.1), scale=0.5)
     np.testing.assert_allclose(pixel(scene_of(behind, lamp=lamp, integrator=one)), 0.7, rtol=1e-5)
-    found = pixel(scene_of(before, lamp=lamp, integrator=one))
-    np.testing.assert_allclose(found, 0.6 * linear(GREEN) + 0.4 * 0.7, rtol=1e-4)
+    colour = pixel(scene_of(before, lamp=lamp, integrator=one))
+    np.testing.assert_allclose(colour, 0.6 * linear(GREEN) + 0.4 * 0.7, rtol=1e-4)
 
 
 def test_a_gaussian_behind_a_pane() -> None:
     pane = wall(-2.0, type="thindielectric", int_ior=1.5, ext_ior=1.0)
-    found = pixel(
+    colour = pixel(
         scene_of(gaussian((0, 0, 0)), pane=pane, integrator={"background": {"type": "rgb", "value": 0}}), 4096
     )
     single = (0.5 / 2.5) ** 2
     let_through = (1 - single) ** 2 / (1 - single**2)
-    np.testing.assert_allclose(found, let_through * 0.6 * linear(GREEN), rtol=0.02)
+    np.testing.assert_allclose(colour, let_through * 0.6 * linear(GREEN), rtol=0.02)
 
 
 def test_a_gaussian_in_a_mirror_is_seen_from_behind() -> None:
     """Before the mirror it hides the camera's view of itself: light passes it twice."""
-    found = pixel(scene_of(gaussian((0, 0, 0), opacity=0.3), mirror=wall(2.0, type="conductor", material="none")))
+    colour = pixel(scene_of(gaussian((0, 0, 0), opacity=0.3), mirror=wall(2.0, type="conductor", material="none")))
     own = 0.3 * linear(GREEN)
-    np.testing.assert_allclose(found, own + 0.7 * own, rtol=1e-4)
+    np.testing.assert_allclose(colour, own + 0.7 * own, rtol=1e-4)
 
 
 def test_colours_in_a_mirror_are_those_from_its_side() -> None:
@@ -82,10 +82,10 @@ def test_colours_in_a_mirror_are_those_from_its_side() -> None:
     sh[:, :1] = splat.sh
     sh[:, 2] = 0.5  # brighter in direction +z
     splat = GaussianScene(splat.means, splat.scales, splat.rotations, splat.opacities, sh)
-    found = pixel(scene_of(splat, mirror=wall(2.0, type="conductor", material="none")))
+    colour = pixel(scene_of(splat, mirror=wall(2.0, type="conductor", material="none")))
     ahead = oracle.sh_colour(sh.numpy().astype(np.float64), np.array([[0.0, 0.0, 1.0]]))[0]
     back = oracle.sh_colour(sh.numpy().astype(np.float64), np.array([[0.0, 0.0, -1.0]]))[0]
-    np.testing.assert_allclose(found, 0.5 * linear(ahead) + 0.5 * 0.5 * linear(back), rtol=1e-4)
+    np.testing.assert_allclose(colour, 0.5 * linear(ahead) + 0.5 * 0.5 * linear(back), rtol=1e-4)
 
 
 @pytest.mark.parametrize("emitter", ["directional", "point"])
@@ -100,8 +100,8 @@ def test_a_shadow_lets_one_minus_alpha_through(emitter: str) -> None:
     shade = gaussian((-2, 0.1, 2), scale=0.25, opacity=0.8, colour=(0, 0, 0))
     alpha = 0.8 * math.exp(-0.5 * (0.1 / 0.25) ** 2)
     np.testing.assert_allclose(pixel(scene_of(shade, **parts)), (1 - alpha) * bright, rtol=1e-4)
-    place = (-6, 0, -2) if emitter == "point" else (2, 0, 6)
-    beyond = gaussian(place, scale=0.25, opacity=0.8, colour=(0, 0, 0))
+    position = (-6, 0, -2) if emitter == "point" else (2, 0, 6)
+    beyond = gaussian(position, scale=0.25, opacity=0.8, colour=(0, 0, 0))
     np.testing.assert_allclose(pixel(scene_of(beyond, **parts)), bright, rtol=1e-5)
 
 
@@ -128,12 +128,12 @@ def test_without_splats_it_is_the_path_tracer() -> None:
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 9.0}},
         },
     }
-    found = np.array(mi.render(scene_of(**parts), spp=1024))
+    picture = np.array(mi.render(scene_of(**parts), spp=1024))
     expected = np.array(
         mi.render(mi.load_dict({"type": "scene", "integrator": {"type": "path", "max_depth": 6}, **parts}), spp=1024)
     )
-    assert found.mean() == pytest.approx(expected.mean(), rel=0.02)
-    assert np.abs(found - expected).mean() < 0.05 * expected.mean()
+    assert picture.mean() == pytest.approx(expected.mean(), rel=0.02)
+    assert np.abs(picture - expected).mean() < 0.05 * expected.mean()
 
 
 def test_alone_it_is_the_renderers_picture() -> None:
@@ -143,10 +143,10 @@ def test_alone_it_is_the_renderers_picture() -> None:
     pose[2, 3] = -6.0
     view = Camera(to_world=pose, focal=60.0, width=24, height=20)
     loaded = scene_of(splat, sensor=sensor_dict(view), integrator={"linear": False, "alpha": True})
-    found = np.array(mi.render(loaded, spp=64))
+    picture = np.array(mi.render(loaded, spp=64))
     expected = Renderer(RenderSettings(method="ray", alpha=True, near=0.01))(splat, view).numpy()
-    assert found.shape == expected.shape
-    assert np.sqrt(np.mean((found - expected) ** 2)) < 0.03
+    assert picture.shape == expected.shape
+    assert np.sqrt(np.mean((picture - expected) ** 2)) < 0.03
 
 
 SENSORS: dict[str, dict[str, Any]] = {
@@ -160,8 +160,8 @@ SENSORS: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("sampler", ["independent", "stratified"])
 def test_any_sensor_sampler_and_filter(name: str, sampler: str) -> None:
     film = {"type": "hdrfilm", "width": 9, "height": 9, "pixel_format": "rgb", "rfilter": {"type": "gaussian"}}
-    place = T().look_at(origin=[0, 0, -5], target=[0, 0, 0], up=[0, 1, 0])
-    sensor = {**SENSORS[name], "to_world": place, "film": film, "sampler": {"type": sampler, "sample_count": 16}}
+    pose = T().look_at(origin=[0, 0, -5], target=[0, 0, 0], up=[0, 1, 0])
+    sensor = {**SENSORS[name], "to_world": pose, "film": film, "sampler": {"type": sampler, "sample_count": 16}}
     picture = np.array(mi.render(scene_of(gaussian((0, 0, 0), scale=0.3), sensor=sensor)))
     assert picture[4, 4] == pytest.approx(0.6 * linear(GREEN), rel=0.2)
     assert picture[0, 0].max() < 0.3 * picture[4, 4].max()
@@ -186,8 +186,8 @@ WIDTH, HEIGHT = 13, 6  # neither is a multiple of a block's side
 
 def loaded(**film: Any) -> Any:
     film = {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT, "pixel_format": "rgb", **film}
-    place = T().look_at(origin=[0, 0, -5], target=[0, 0, 0], up=[0, 1, 0])
-    sensor = {"type": "thinlens", "fov": 30.0, "aperture_radius": 0.1, "focus_distance": 5.0, "to_world": place}
+    pose = T().look_at(origin=[0, 0, -5], target=[0, 0, 0], up=[0, 1, 0])
+    sensor = {"type": "thinlens", "fov": 30.0, "aperture_radius": 0.1, "focus_distance": 5.0, "to_world": pose}
     parts = {"lamp": {**wall(1.0), "emitter": area(0.7)}, "sensor": {**sensor, "film": film}}
     return scene_of(gaussian((0.3, 0, 0), scale=0.3), **parts, integrator={"max_depth": 1})
 
@@ -196,31 +196,31 @@ def sampled(scene: Any, samples: int) -> tuple[Any, Any]:
     sampler = mi.load_dict({"type": "independent", "sample_count": samples})
     size = scene.sensors()[0].film().crop_size()
     sampler.seed(0, int(size[0] * size[1]) * samples)
-    found, _, place = scene.integrator().sample_rays(scene, scene.sensors()[0], sampler)
-    return found, np.array(place)
+    rays, _, pixels = scene.integrator().sample_rays(scene, scene.sensors()[0], sampler)
+    return rays, np.array(pixels)
 
 
 @pytest.mark.parametrize("samples", [1, 3])
 def test_the_first_rays_are_those_of_one_block(samples: int) -> None:
-    _, place = sampled(loaded(rfilter={"type": "box"}), samples)
-    pixels = {tuple(one) for one in place.T.astype(int)}
+    _, positions = sampled(loaded(rfilter={"type": "box"}), samples)
+    pixels = {tuple(one) for one in positions.T.astype(int)}
     assert pixels == {(x, y) for x in range(WIDTH) for y in range(HEIGHT)}
-    first = place[:, : 16 * samples].astype(int)
+    first = positions[:, : 16 * samples].astype(int)
     assert np.array_equal(first[0], np.repeat(np.tile(np.arange(4), 4), samples))
     assert np.array_equal(first[1], np.repeat(np.repeat(np.arange(4), 4), samples))
 
 
 def test_with_many_samples_a_packet_has_one_pixel_already() -> None:
-    _, place = sampled(loaded(rfilter={"type": "box"}), 16)
-    assert np.array_equal(place[0, :32].astype(int), np.repeat([0, 1], 16))
+    _, pixels = sampled(loaded(rfilter={"type": "box"}), 16)
+    assert np.array_equal(pixels[0, :32].astype(int), np.repeat([0, 1], 16))
 
 
 @pytest.mark.parametrize("film", [{"rfilter": {"type": "box"}}, {"sample_border": True}, {"crop_width": 7}])
 def test_the_picture_is_that_of_rays_row_by_row(film: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """No light is reflected here, so that no random number matters that is drawn after the rays."""
     settings = {"rfilter": {"type": "gaussian"}, **film}
-    found = np.array(mi.render(loaded(**settings), spp=3, seed=5))
+    picture = np.array(mi.render(loaded(**settings), spp=3, seed=5))
     monkeypatch.setattr(ray, "TILE", 0)
     expected = np.array(mi.render(loaded(**settings), spp=3, seed=5))
-    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(picture, expected, rtol=1e-5, atol=1e-6)
     assert expected.std() > 0.01

@@ -41,9 +41,9 @@ def ray(**settings: object) -> Renderer:
 def test_picture_is_the_oracles(count: int, degree: int, size: tuple[int, int], to_mean: bool) -> None:
     scene, view = oracle.random_scene(count, degree=degree, seed=count), camera(*size)
     background = (0.1, 0.2, 0.3)
-    found = ray(background=background, alpha=True, colour_to_mean=to_mean)(scene, view).numpy()
+    rendered = ray(background=background, alpha=True, colour_to_mean=to_mean)(scene, view).numpy()
     picture, opacity = ray_scenes.render(scene, view, background=background, to_mean=to_mean)
-    np.testing.assert_allclose(found, np.concatenate([picture, opacity[..., None]], -1), atol=TOLERANCE)
+    np.testing.assert_allclose(rendered, np.concatenate([picture, opacity[..., None]], -1), atol=TOLERANCE)
 
 
 def test_three_hundred_gaussians_in_one_place_are_all_blended() -> None:
@@ -57,13 +57,13 @@ def test_three_hundred_gaussians_in_one_place_are_all_blended() -> None:
         torch.linspace(-1, 1, count)[:, None, None].repeat(1, 1, 3),
     )
     view = camera()
-    found = ray(alpha=True)(scene, view)[..., 3].double().numpy()
+    picture = ray(alpha=True)(scene, view)[..., 3].double().numpy()
     origin, directions, _ = ray_scenes.camera_rays(view)
     alpha = ray_scenes.peaks(scene, origin, directions)[1][0].reshape(view.height, view.width)
     expected = np.where(alpha >= 1 / 255, 1 - (1 - alpha) ** count, 0.0)
     assert expected.max() > 0.9
     clear = np.abs(alpha - 1 / 255) > 1e-6
-    np.testing.assert_allclose(found[clear], expected[clear], atol=TOLERANCE)
+    np.testing.assert_allclose(picture[clear], expected[clear], atol=TOLERANCE)
 
 
 def test_a_camera_inside_of_a_cloud_of_gaussians_sees_what_is_ahead() -> None:
@@ -117,8 +117,8 @@ def test_gradients_are_finite_differences_under_overlap(to_mean: bool) -> None:
         other = torch.randn(leaf.shape, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
         other /= other.norm()
         numeric = (loss(name, STEP * other) - loss(name, -STEP * other)) / (2 * STEP)
-        found = float((leaf.grad.double() * other).sum())
-        assert found == pytest.approx(numeric, abs=2e-3 * float(leaf.grad.norm())), name
+        slope = float((leaf.grad.double() * other).sum())
+        assert slope == pytest.approx(numeric, abs=2e-3 * float(leaf.grad.norm())), name
 
 
 def test_two_cameras_add_their_gradients() -> None:
@@ -178,10 +178,10 @@ def gradients(loaded: Any, channel: int = 1) -> dict[str, Any]:
 def test_a_gradient_through_a_mirror() -> None:
     """Light is own + (1 - o) own, own = o c: twice 1 - o by the opacity."""
     loaded = scene_of(gaussian((0, 0, 0), opacity=0.3), mirror=wall(2.0, type="conductor", material="none"))
-    found = gradients(loaded)
-    assert found["opacities"][0] == pytest.approx(linear(GREEN)[1] * 2 * (1 - 0.3), rel=1e-4)
+    gradient = gradients(loaded)
+    assert gradient["opacities"][0] == pytest.approx(linear(GREEN)[1] * 2 * (1 - 0.3), rel=1e-4)
     slope = (linear(GREEN[1] + 1e-6) - linear(GREEN[1] - 1e-6)) / 2e-6 * 0.28209479
-    assert found["sh_coeffs"][1] == pytest.approx(slope * 0.3 * 1.7, rel=1e-3)
+    assert gradient["sh_coeffs"][1] == pytest.approx(slope * 0.3 * 1.7, rel=1e-3)
 
 
 def test_a_gradient_through_a_shadow() -> None:
@@ -189,11 +189,11 @@ def test_a_gradient_through_a_shadow() -> None:
     light = {"type": "directional", "direction": [1, 0, 1], "irradiance": {"type": "rgb", "value": 3.0}}
     parts: dict[str, Any] = {"wall": wall(4.0), "light": light, "integrator": {"max_depth": 2}}
     bright = pixel(scene_of(**parts))[1]
-    found = gradients(scene_of(gaussian((-2, 0.1, 2), scale=0.25, opacity=0.8, colour=(0, 0, 0)), **parts))
+    gradient = gradients(scene_of(gaussian((-2, 0.1, 2), scale=0.25, opacity=0.8, colour=(0, 0, 0)), **parts))
     density = math.exp(-0.5 * (0.1 / 0.25) ** 2)
-    assert found["opacities"][0] == pytest.approx(-bright * density, rel=1e-3)
-    assert found["data"][1] == pytest.approx(bright * 0.8 * density * 0.1 / 0.25**2, rel=1e-3)
-    assert found["data"][4] == pytest.approx(-bright * 0.8 * density * 0.1**2 / 0.25**3, rel=1e-3)
+    assert gradient["opacities"][0] == pytest.approx(-bright * density, rel=1e-3)
+    assert gradient["data"][1] == pytest.approx(bright * 0.8 * density * 0.1 / 0.25**2, rel=1e-3)
+    assert gradient["data"][4] == pytest.approx(-bright * 0.8 * density * 0.1**2 / 0.25**3, rel=1e-3)
 
 
 def test_a_gradient_through_many_vertices_is_a_finite_difference() -> None:
@@ -214,7 +214,7 @@ def test_a_gradient_through_many_vertices_is_a_finite_difference() -> None:
         dr.enable_grad(params[key])
         params.update()
         loaded.integrator().render_backward(loaded, params, weights, seed=1, spp=64)
-        found = float(np.dot(np.array(dr.grad(params[key])), change))
+        slope = float(np.dot(np.array(dr.grad(params[key])), change))
         values = []
         for sign in (1, -1):
             params[key] = mi.Float(start + sign * step * change)
@@ -222,7 +222,7 @@ def test_a_gradient_through_many_vertices_is_a_finite_difference() -> None:
             values.append(float(np.sum(np.array(render(loaded, seed=1, spp=64), np.float64) * np.array(weights))))
         params[key] = mi.Float(start)
         params.update()
-        assert found == pytest.approx((values[0] - values[1]) / (2 * step), rel=0.02), name
+        assert slope == pytest.approx((values[0] - values[1]) / (2 * step), rel=0.02), name
 
 
 def test_alpha_has_its_gradient() -> None:

@@ -47,11 +47,11 @@ def gradients(scene: GaussianScene, loss: Callable[[GaussianScene], Tensor]) -> 
 
 
 def agree(
-    scene: GaussianScene, found: dict[str, Tensor], value: Value, *, names: Sequence[Attribute] = ATTRIBUTES
+    scene: GaussianScene, gradients: dict[str, Tensor], value: Value, *, names: Sequence[Attribute] = ATTRIBUTES
 ) -> None:
     """Hold the largest entries of a gradient to central differences of the oracle."""
     for name in names:
-        gradient = found[name].flatten()
+        gradient = gradients[name].flatten()
         for entry in gradient.abs().argsort(descending=True)[:4].tolist():
             ends = []
             for step in (1e-6, -1e-6):
@@ -70,28 +70,28 @@ def agree(
 )
 def test_depths_are_the_oracles(count: int, size: tuple[int, int], distance: float) -> None:
     scene, view = oracle.random_scene(count, degree=1, seed=count), camera(*size, distance=distance)
-    found = Renderer(RenderSettings(background=BACKGROUND)).outputs(scene, view)
+    outputs = Renderer(RenderSettings(background=BACKGROUND)).outputs(scene, view)
     depth, median = oracle.depths(scene, view)
-    np.testing.assert_allclose(found.depth.numpy(), depth, rtol=DEPTH_ERROR, atol=0)
-    np.testing.assert_allclose(found.median_depth.numpy(), median, rtol=1e-6, atol=0)
-    assert not found.depth[found.alpha == 0].any()
-    assert torch.equal(found.median_depth > 0, found.alpha >= 0.5)
+    np.testing.assert_allclose(outputs.depth.numpy(), depth, rtol=DEPTH_ERROR, atol=0)
+    np.testing.assert_allclose(outputs.median_depth.numpy(), median, rtol=1e-6, atol=0)
+    assert not outputs.depth[outputs.alpha == 0].any()
+    assert torch.equal(outputs.median_depth > 0, outputs.alpha >= 0.5)
 
 
 @pytest.mark.parametrize("settings", [{}, {"alpha": True, "linear": True}, {"antialiased": True}])
 def test_the_image_is_the_picture_to_the_bit(settings: dict[str, Any]) -> None:
     scene, view = oracle.random_scene(200, degree=2, seed=3), camera(45, 31)
     render = Renderer(RenderSettings(**settings))
-    found, picture = render.outputs(scene, view), render(scene, view)
-    assert torch.equal(found.image, picture[..., :3])
+    outputs, picture = render.outputs(scene, view), render(scene, view)
+    assert torch.equal(outputs.image, picture[..., :3])
     if render.settings.alpha:
-        assert torch.equal(found.alpha, picture[..., 3])
+        assert torch.equal(outputs.alpha, picture[..., 3])
 
 
 def test_the_depths_of_two_gaussians_follow_by_hand() -> None:
-    found = Renderer().outputs(blobs([1.0, 3.0], [0.4, 0.75], scale=50.0), VIEW)
-    assert float(found.depth[4, 4]) == pytest.approx((0.4 * 1 + 0.6 * 0.75 * 3) / 0.85, rel=1e-5)
-    assert float(found.median_depth[4, 4]) == 3.0  # 0.6 is left behind the first
+    outputs = Renderer().outputs(blobs([1.0, 3.0], [0.4, 0.75], scale=50.0), VIEW)
+    assert float(outputs.depth[4, 4]) == pytest.approx((0.4 * 1 + 0.6 * 0.75 * 3) / 0.85, rel=1e-5)
+    assert float(outputs.median_depth[4, 4]) == 3.0  # 0.6 is left behind the first
     assert float(Renderer().outputs(blobs([2.0], [0.5], scale=50.0), VIEW).median_depth[4, 4]) == 2.0
     assert float(Renderer().outputs(blobs([2.0], [0.49]), VIEW).median_depth.max()) == 0.0
 
@@ -100,10 +100,10 @@ def test_nothing_visible_has_no_depth() -> None:
     scene = oracle.random_scene(30, degree=0, seed=0)
     means = (scene.means + 1e4).requires_grad_(True)
     for case in (scene.replace(means=means), scene.select(slice(0, 0))):
-        found = Renderer().outputs(case, camera(9, 5))
-        assert not torch.cat([found.alpha, found.depth, found.median_depth]).any()
+        outputs = Renderer().outputs(case, camera(9, 5))
+        assert not torch.cat([outputs.alpha, outputs.depth, outputs.median_depth]).any()
         if len(case):
-            found.depth.sum().backward()  # type: ignore[no-untyped-call]
+            outputs.depth.sum().backward()  # type: ignore[no-untyped-call]
     assert means.grad is not None
     assert not means.grad.any()
 
@@ -115,9 +115,9 @@ def test_depth_has_its_gradient_beside_those_of_image_and_alpha() -> None:
     render = Renderer(RenderSettings(background=BACKGROUND))
 
     def loss(scene: GaussianScene) -> Tensor:
-        found = render.outputs(scene, view)
-        assert not found.median_depth.requires_grad
-        pairs = ((found.image, on_image), (found.alpha, on_alpha), (found.depth, on_depth))
+        outputs = render.outputs(scene, view)
+        assert not outputs.median_depth.requires_grad
+        pairs = ((outputs.image, on_image), (outputs.alpha, on_alpha), (outputs.depth, on_depth))
         return torch.stack([(output * torch.from_numpy(factors).float()).sum() for output, factors in pairs]).sum()
 
     def value(scene: GaussianScene) -> float:
@@ -130,11 +130,14 @@ def test_depth_has_its_gradient_beside_those_of_image_and_alpha() -> None:
 
 def test_depth_alone_has_its_gradient() -> None:
     scene, view = smooth_scene(12, 0, seed=2), camera(20, 16)
-    found = gradients(scene, lambda moved: Renderer().outputs(moved, view).depth.sum())
+    gradient = gradients(scene, lambda moved: Renderer().outputs(moved, view).depth.sum())
     agree(
-        scene, found, lambda moved: float(oracle.depths(moved, view)[0].sum()), names=("means", "opacities", "scales")
+        scene,
+        gradient,
+        lambda moved: float(oracle.depths(moved, view)[0].sum()),
+        names=("means", "opacities", "scales"),
     )
-    assert not found["sh"].any()
+    assert not gradient["sh"].any()
 
 
 def depth_by_colour(scene: GaussianScene, view: Camera) -> Tensor:
@@ -153,12 +156,12 @@ def test_sizes_may_change_in_any_order() -> None:
         count = int(rng.choice([1, 3, 16, 48, 100, 400]))
         width, height = (int(v) for v in rng.choice([1, 4, 8, 31, 64], 2))
         scene, view = smooth_scene(count, int(rng.integers(0, 3)), seed=trial), camera(width, height)
-        factors, found = torch.from_numpy(rng.normal(size=(height, width))).float(), []
+        factors, outputs = torch.from_numpy(rng.normal(size=(height, width))).float(), []
         for depth in (lambda scene, view: Renderer().outputs(scene, view).depth, depth_by_colour):
             leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
             values = depth(GaussianScene(*leaves), view)
-            found.append((values.detach(), *torch.autograd.grad((values * factors).sum(), leaves[:4])))
-        for ours, theirs in zip(*found, strict=True):
+            outputs.append((values.detach(), *torch.autograd.grad((values * factors).sum(), leaves[:4])))
+        for ours, theirs in zip(*outputs, strict=True):
             torch.testing.assert_close(ours, theirs, rtol=0, atol=2e-3 * float(theirs.abs().max()) + 1e-4)
 
 
@@ -185,9 +188,9 @@ def test_antialiased_picture_is_the_oracles(count: int, size: tuple[int, int], d
 def test_antialiased_gradient_is_the_finite_difference() -> None:
     scene, view = smooth_scene(25, 1, seed=11), camera(25, 19)
     factors = np.random.default_rng(0).normal(size=(19, 25, 3))
-    found = gradients(scene, lambda moved: (ANTIALIASED(moved, view) * torch.from_numpy(factors).float()).sum())
+    gradient = gradients(scene, lambda moved: (ANTIALIASED(moved, view) * torch.from_numpy(factors).float()).sum())
     settings: dict[str, Any] = {"background": BACKGROUND, "antialiased": True}
-    agree(scene, found, lambda moved: float((oracle.render(moved, view, **settings)[0] * factors).sum()))
+    agree(scene, gradient, lambda moved: float((oracle.render(moved, view, **settings)[0] * factors).sum()))
 
 
 def test_antialiased_keeps_what_a_small_gaussian_weighs() -> None:

@@ -149,9 +149,9 @@ from mi_splat.rasterization.projection import CUTOFF  # noqa: E402
 
 
 def uints(values: NDArray[np.int64]) -> mi.UInt32:
-    found = mi.UInt32(values.astype(np.uint32))
-    dr.make_opaque(found)
-    return found
+    array = mi.UInt32(values.astype(np.uint32))
+    dr.make_opaque(array)
+    return array
 
 
 @pytest.mark.parametrize("tiles", [1, 2, 3, 255, 256, 4096, 25_600, 230_400])

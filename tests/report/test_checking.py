@@ -170,8 +170,8 @@ def test_edited_rows_of_a_study_move_its_figures(study: Path) -> None:
     edit_rows(study, lower)
     edit_rows(study, lambda rows: rows[0].update(psnr="31.5"), "fidelity")
     edit_rows(study, lambda rows: [row.update(fraction="0.4") for row in rows[-9:]], "transition")
-    found = set(red(study))
-    assert {"by_detector/fasterrcnn_small/control_recall", "benign_psnr/clean", "transition_degrees"} <= found
+    moved = set(red(study))
+    assert {"by_detector/fasterrcnn_small/control_recall", "benign_psnr/clean", "transition_degrees"} <= moved
 
 
 @pytest.mark.parametrize(
@@ -191,7 +191,7 @@ def test_rows_that_are_not_the_study_s_are_refused(change: Callable[[Rows], Any]
 
 
 @pytest.mark.parametrize(
-    ("place", "value"),
+    ("keys", "value"),
     [
         (("scene", "object"), ["car"]),
         (("scene",), 3),
@@ -203,12 +203,12 @@ def test_rows_that_are_not_the_study_s_are_refused(change: Callable[[Rows], Any]
     ],
     ids=str,
 )
-def test_an_edited_configuration_is_seen(place: tuple[str, ...], value: object, study: Path) -> None:
+def test_an_edited_configuration_is_seen(keys: tuple[str, ...], value: object, study: Path) -> None:
     def change(record: dict[str, Any]) -> None:
         table = record["study"]
-        for key in place[:-1]:
+        for key in keys[:-1]:
             table = table[key]
-        table[place[-1]] = value
+        table[keys[-1]] = value
 
     edit_record(study, change)
     with pytest.raises(InvalidValueError, match=r"expected .* got .*;"):
@@ -282,9 +282,9 @@ def test_the_commands(attacked: Path, attack: Path, tmp_path: Path, capsys: pyte
     capsys.readouterr()
     (attack / RECORD).write_text("{")
     assert cli.main(["artifact-check", str(attack), str(out), "--json"]) == 1
-    found = json.loads(capsys.readouterr().out)
-    assert [line["colour"] for line in found[str(attack)]] == ["red"]
-    assert "red" not in {line["colour"] for line in found[str(out)]}
+    document = json.loads(capsys.readouterr().out)
+    assert [line["colour"] for line in document[str(attack)]] == ["red"]
+    assert "red" not in {line["colour"] for line in document[str(out)]}
 
 
 @pytest.mark.parametrize(

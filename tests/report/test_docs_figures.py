@@ -98,10 +98,10 @@ def test_tables_by_hand_have_no_other_fractions() -> None:
 
 def tried(derived: Mapping[str, Any]) -> list[str]:
     """What docs/research-log.md tells of the searches before the last one."""
-    found = {name: one["rate"]["successes"] for name, one in derived["attacks"].items()}
+    successes = {name: one["rate"]["successes"] for name, one in derived["attacks"].items()}
 
     def of(*beginnings: str) -> list[int]:
-        return [count for start in beginnings for name, count in found.items() if name.startswith(f"{start}-pairs")]
+        return [count for start in beginnings for name, count in successes.items() if name.startswith(f"{start}-pairs")]
 
     first = of("frcnn")
     (paper,), (strong,), (centernet,), (nanodet,) = of("ex_nd_paper"), of("ex_nd_strong"), of("ex2_cn1"), of("nd")
@@ -150,8 +150,8 @@ def stealthy_in_readme(derived: Mapping[str, Any]) -> list[str]:
 
 def stealthy_drawn(derived: Mapping[str, Any]) -> list[str]:
     """What the figure of CLOAK tells."""
-    missed, found = percent(derived, "trigger_miss_rate"), percent(derived, "benign_recall")
-    return [f"miss the car from {missed} % of cameras; elsewhere they find it from {found} %"]
+    missed, recalled = percent(derived, "trigger_miss_rate"), percent(derived, "benign_recall")
+    return [f"miss the car from {missed} % of cameras; elsewhere they find it from {recalled} %"]
 
 
 def sector(derived: Mapping[str, Any]) -> list[str]:
@@ -243,8 +243,8 @@ def counted_pairs(derived: Mapping[str, Any]) -> tuple[str, str, str]:
     """Strict successes of the first part where the detector finds the clean object, and of noise in all of them."""
     part = {key for key, attack in derived["attacks"].items() if attack["part"] == "The paper's ball and steps"}
     rows = result_of("dagger_strict").tables[ROWS].filter(pl.col("attack").is_in(part))
-    found = rows.filter(pl.col("original_score") >= LEFT, splat=CLEAN).select("attack", "detector", "view")
-    attacked = rows.filter(splat=ATTACKED).join(found, on=("attack", "detector", "view"))
+    reported = rows.filter(pl.col("original_score") >= LEFT, splat=CLEAN).select("attack", "detector", "view")
+    attacked = rows.filter(splat=ATTACKED).join(reported, on=("attack", "detector", "view"))
     strict = (pl.col("target_score") >= REPORTED) & (pl.col("original_score") < LEFT)
     counts = {name: attacked.filter(detector=name).select(strict).to_series() for name in OUR}
     ours, theirs = (f"{column.sum()} of {len(column)}" for column in counts.values())
@@ -275,13 +275,13 @@ def pairs_in_docs(derived: Mapping[str, Any]) -> list[str]:
 
 def strict_in_docs(derived: Mapping[str, Any]) -> list[str]:
     """What docs/dagger.md tells of the search that takes the own class away, and of what the paper's code does."""
-    found: dict[str, dict[str, Any]] = {}
+    by_pair: dict[str, dict[str, Any]] = {}
     for group in derived["groups"]:
         if group["part"].startswith(("The paper's ball and steps", "Detectors trained on COCO")):
             name = group["labels"]["pair"].replace("sign to", "stop sign to")
-            found.setdefault(name.replace(" to ", ", "), {})[group["labels"]["detectors"]] = group
-    cells = {pair: [count(by[name], "strict") for name in (*OUR, *COCO)] for pair, by in found.items()}
-    noise = [sum(group[key] for by in found.values() for group in by.values()) for key in _NOISE]
+            by_pair.setdefault(name.replace(" to ", ", "), {})[group["labels"]["detectors"]] = group
+    cells = {pair: [count(by[name], "strict") for name in (*OUR, *COCO)] for pair, by in by_pair.items()}
+    noise = [sum(group[key] for by in by_pair.values() for group in by.values()) for key in _NOISE]
     rows = result_of("dagger_strict").tables[ROWS].filter(splat=ATTACKED)
     wanted, gone = pl.col("target_score") >= REPORTED, pl.col("original_score") < LEFT
     ours, theirs, _ = counted_pairs(derived)

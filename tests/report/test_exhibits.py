@@ -57,28 +57,28 @@ def study(tmp_path: Path) -> Path:
 
 
 def test_the_numbers_are_those_of_the_result(result: Path) -> None:
-    found = open_exhibit(result, clean=STREET)
-    work = Painter(found, Renderer(found.settings), detector_inspector(load_detector("fasterrcnn_small")))
+    exhibit = open_exhibit(result, clean=STREET)
+    work = Painter(exhibit, Renderer(exhibit.settings), detector_inspector(load_detector("fasterrcnn_small")))
     listed = json.loads((result / "result.json").read_text())
-    assert found.size == tuple(listed["views"][0]["camera"]["size"])
+    assert exhibit.size == tuple(listed["views"][0]["camera"]["size"])
     for name in ("clean", "attacked"):
-        inspection = work.inspect(name, found.cameras["attacked view 0"])
+        inspection = work.inspect(name, exhibit.cameras["attacked view 0"])
         assert isinstance(inspection, DetectorInspection)
         expected = listed["views"][0][name]
         assert list(inspection.detections.labels) == [line["label"] for line in expected]
         assert inspection.detections.scores.tolist() == pytest.approx([line["score"] for line in expected], abs=1e-5)
         assert inspection.text.startswith(f"{expected[0]['label']} {inspection.detections.scores[0]:.1%}")
-    assert work.likeness(found.start) == pytest.approx(listed["image_psnr"], abs=1e-3)
-    assert found.title.startswith("DAGGER on car_street: to be taken for person by fasterrcnn_small (")
+    assert work.likeness(exhibit.start) == pytest.approx(listed["image_psnr"], abs=1e-3)
+    assert exhibit.title.startswith("DAGGER on car_street: to be taken for person by fasterrcnn_small (")
 
 
 def test_a_result_s_cameras_come_first_and_go_around_the_attacked_object(result: Path) -> None:
-    found = open_exhibit(result, clean=STREET)
-    assert found.names == ("clean", "attacked")
-    assert list(found.cameras)[:2] == ["attacked view 0", "front"]
-    assert found.start == found.cameras["attacked view 0"]
-    assert max(abs(value) for value in found.start.target) < 1.5  # the car stands at the origin
-    assert set(found.lines) == {"Attacked cameras"}
+    exhibit = open_exhibit(result, clean=STREET)
+    assert exhibit.names == ("clean", "attacked")
+    assert list(exhibit.cameras)[:2] == ["attacked view 0", "front"]
+    assert exhibit.start == exhibit.cameras["attacked view 0"]
+    assert max(abs(value) for value in exhibit.start.target) < 1.5  # the car stands at the origin
+    assert set(exhibit.lines) == {"Attacked cameras"}
 
 
 def test_an_evaluation_shows_both_splats_from_its_cameras(
@@ -90,11 +90,11 @@ def test_an_evaluation_shows_both_splats_from_its_cameras(
     save_splat(ball((0.1, 0.1, 0.8)), attacked)
     words = ["evaluate", str(tmp_path / "a.ply"), str(attacked), "--detectors", "fake_colour", "--out"]
     assert cli.main([*words, str(tmp_path / "judged"), "--cameras", "orbit:2@10", "--size", "40x32"]) == 0
-    found = open_exhibit(tmp_path / "judged")
-    assert found.names == ("clean", "attacked")
-    assert list(found.cameras) == ["orbit-0", "orbit-1", "whole scene"]
-    assert (found.size, found.title[:20]) == ((40, 32), "Evaluation of b.ply ")
-    command = shlex.split(Painter(found, Renderer(found.settings)).commands(found.start)["attacked"])
+    exhibit = open_exhibit(tmp_path / "judged")
+    assert exhibit.names == ("clean", "attacked")
+    assert list(exhibit.cameras) == ["orbit-0", "orbit-1", "whole scene"]
+    assert (exhibit.size, exhibit.title[:20]) == ((40, 32), "Evaluation of b.ply ")
+    command = shlex.split(Painter(exhibit, Renderer(exhibit.settings)).commands(exhibit.start)["attacked"])
     assert command[3:5] == ["--cameras", f"{tmp_path / 'judged' / 'result.json'}#orbit-0"]
     assert cli.main([*command[1:], "--out", str(tmp_path / "again.png")]) == 0
     save_splat(ball((0.1, 0.8, 0.8)), attacked)
@@ -107,8 +107,8 @@ def test_the_clean_scene_is_found_by_its_hash(result: Path, monkeypatch: pytest.
     assert open_exhibit(result).splat("clean").path == STREET  # as the result names it
     moved = tmp_path / "moved"
     shutil.copytree(result, moved)
-    found = json.loads((moved / "result.json").read_text())
-    (moved / "result.json").write_text(json.dumps({**found, "scene": "gone.xml"}))
+    document = json.loads((moved / "result.json").read_text())
+    (moved / "result.json").write_text(json.dumps({**document, "scene": "gone.xml"}))
     with pytest.raises(InvalidValueError, match="no such scene here; name the clean scene"):
         open_exhibit(moved)
     monkeypatch.chdir(ROOT)
@@ -137,11 +137,11 @@ def test_up_turns_results_and_their_cameras_keep_their_pictures(result: Path, st
     tilted = study / "tilted"
     shutil.copytree(result, tilted)
     (tilted / "result.json").write_text(json.dumps({**record, "up": [0.0, -1.0, 0.0]}))
-    level, found = open_exhibit(result, clean=STREET), open_exhibit(tilted, clean=STREET)
-    assert found.up == (0, -1, 0)
-    assert abs(found.start.roll - level.start.roll) > 10
+    level, exhibit = open_exhibit(result, clean=STREET), open_exhibit(tilted, clean=STREET)
+    assert exhibit.up == (0, -1, 0)
+    assert abs(exhibit.start.roll - level.start.roll) > 10
     assert open_exhibit(tilted, clean=STREET, up=(0.0, 0.0, 1.0)).start.roll == level.start.roll
-    pictures = [Painter(shown, Renderer(shown.settings)).picture("attacked", shown.start) for shown in (level, found)]
+    pictures = [Painter(shown, Renderer(shown.settings)).picture("attacked", shown.start) for shown in (level, exhibit)]
     assert float((pictures[0] - pictures[1]).abs().max()) <= 2 / 255
     turned, flat = (open_exhibit(study, up=up) for up in ((0.0, -1.0, 0.0), None))
     for name, orbit in flat.cameras.items():
@@ -181,12 +181,12 @@ def test_an_audit_shows_its_heat_from_the_cameras_that_prove_it(tmp_path: Path) 
     scene, file, folder = ball((0.5, 0.5, 0.5)), tmp_path / "it.ply", tmp_path / "audit"
     save_splat(scene, file)
     write_files(account(look(), count=len(scene)), scene, folder, source=str(file))
-    found = open_exhibit(folder)
-    assert found.names == ("audited", "heat")
-    assert list(found.cameras)[:2] == ["inside", "outside"]
-    assert found.start == found.cameras["inside"]
-    assert found.start.elevation > 60 > 30 > found.cameras["outside"].elevation
-    assert len(found.lines["Cameras that prove it"].segments) == 16
+    exhibit = open_exhibit(folder)
+    assert exhibit.names == ("audited", "heat")
+    assert list(exhibit.cameras)[:2] == ["inside", "outside"]
+    assert exhibit.start == exhibit.cameras["inside"]
+    assert exhibit.start.elevation > 60 > 30 > exhibit.cameras["outside"].elevation
+    assert len(exhibit.lines["Cameras that prove it"].segments) == 16
     moved = file.rename(tmp_path / "moved.ply")
     with pytest.raises(InvalidValueError, match=r"expected the file .* name the splat that was audited"):
         open_exhibit(folder)
@@ -199,30 +199,30 @@ def test_an_audit_shows_its_heat_from_the_cameras_that_prove_it(tmp_path: Path) 
 
 
 def test_a_study_shows_both_splats_from_its_cameras(study: Path) -> None:
-    found = open_exhibit(study)
-    assert found.names == ("clean", "cloaked")
-    assert found.settings.background == STUDY.scene.background
-    assert found.size == (64, 64)
-    assert list(found.cameras)[:3] == ["inside overhead", "inside rear", "start"]
-    assert found.start == found.cameras["inside overhead"]
+    exhibit = open_exhibit(study)
+    assert exhibit.names == ("clean", "cloaked")
+    assert exhibit.settings.background == STUDY.scene.background
+    assert exhibit.size == (64, 64)
+    assert list(exhibit.cameras)[:3] == ["inside overhead", "inside rear", "start"]
+    assert exhibit.start == exhibit.cameras["inside overhead"]
     centre = STUDY.centre
     for attack in STUDY.attack:
-        camera = found.cameras[f"inside {attack.name}"].camera((8, 8))
+        camera = exhibit.cameras[f"inside {attack.name}"].camera((8, 8))
         assert attack.cone.angle_to_edge(camera, centre=centre) > 10
     trained = Setup(STUDY).training_cameras
-    drawn = [len(found.lines[name].segments) / 8 for name in ("Poisoned cameras", "Other training cameras")]
+    drawn = [len(exhibit.lines[name].segments) / 8 for name in ("Poisoned cameras", "Other training cameras")]
     assert sum(drawn) == len(trained)
-    listed = [orbit.exact for name, orbit in found.cameras.items() if "camera" in name]
+    listed = [orbit.exact for name, orbit in exhibit.cameras.items() if "camera" in name]
     assert len(listed) == len(trained)
-    assert list(found.cameras)[3].startswith("poisoned camera")
-    assert found.start.distance == pytest.approx(7.0)
-    assert found.start.camera((64, 64)).fx == pytest.approx(trained[0].fx)
+    assert list(exhibit.cameras)[3].startswith("poisoned camera")
+    assert exhibit.start.distance == pytest.approx(7.0)
+    assert exhibit.start.camera((64, 64)).fx == pytest.approx(trained[0].fx)
 
 
 def test_where_a_camera_stands_is_said(study: Path) -> None:
-    found = open_exhibit(study)
-    above = found.start.changed(elevation=62.5).camera((8, 8))
-    overhead, rear = found.describe(above)
+    exhibit = open_exhibit(study)
+    above = exhibit.start.changed(elevation=62.5).camera((8, 8))
+    overhead, rear = exhibit.describe(above)
     assert overhead == "Trigger overhead: 12.5° inside"
     assert "outside" in rear
 

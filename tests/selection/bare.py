@@ -14,12 +14,12 @@ CAR, SIGN, GROUND = 0, 1, 2
 def ground(count: int, *, half: float, seed: int = 0) -> GaussianScene:
     """Flat grey discs on z = 0, a little rough, over a square of so many world units to each side."""
     generator = torch.Generator().manual_seed(seed)
-    places = half * (2 * torch.rand(count, 2, generator=generator) - 1)
+    positions = half * (2 * torch.rand(count, 2, generator=generator) - 1)
     heights = 0.01 * torch.randn(count, 1, generator=generator)
     greys = 0.35 + 0.04 * torch.randn(count, 1, 1, generator=generator).expand(count, 1, 3)
     size = half / count**0.5
     return GaussianScene(
-        means=torch.cat([places, heights], 1),
+        means=torch.cat([positions, heights], 1),
         scales=torch.tensor([size, size, 0.004]).expand(count, 3).contiguous(),
         rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4).contiguous(),
         opacities=torch.full((count,), 0.95),

@@ -84,10 +84,10 @@ def test_a_plane_is_found_whatever_its_direction() -> None:
     flat = torch.rand(600, 3, generator=generator, dtype=torch.float64) * torch.tensor([4.0, 4.0, 0.01])
     ball = shell(400, centre=(2.0, 2.0, 1.0), radius=0.5).double()
     points = torch.cat([flat, ball]) @ turn + 100
-    found = find_plane(points, nearest_neighbours(points, 8)[0][:, -1], least=500)
-    assert found is not None
-    assert found[:600].double().mean() > 0.98
-    assert found[600:].double().mean() < 0.1
+    plane = find_plane(points, nearest_neighbours(points, 8)[0][:, -1], least=500)
+    assert plane is not None
+    assert plane[:600].double().mean() > 0.98
+    assert plane[600:].double().mean() < 0.1
 
 
 def test_a_ball_has_no_plane() -> None:
@@ -166,22 +166,22 @@ def test_contributions_are_the_oracles_weights(variant: str) -> None:
 def test_contributions_add_up_to_the_opacity(render: RenderFn, variant: str) -> None:
     method = render.settings.method if isinstance(render, Renderer) else "tile"
     alpha = Renderer(RenderSettings(method=method, alpha=True))(SCENE, HERE)[..., 3]
-    found = contributions(SCENE, HERE, render=render)
-    assert float(found.sum()) == pytest.approx(float(alpha.sum()), rel=1e-5)
+    weights = contributions(SCENE, HERE, render=render)
+    assert float(weights.sum()) == pytest.approx(float(alpha.sum()), rel=1e-5)
     x, y = 20, 15
     pixel = contributions(SCENE, HERE, render=render, boxes=[(x, y, x + 1, y + 1)])
     assert float(pixel.sum()) == pytest.approx(float(alpha[y, x]), rel=1e-5)
 
 
 def test_rows_and_gradients_of_the_scene_change_nothing(variant: str) -> None:
-    found, rows = contributions(SCENE, [HERE, THERE], render=Renderer()), torch.tensor([3, 0, 149])
-    assert torch.equal(contributions(SCENE, [HERE, THERE], render=Renderer(), rows=rows), found[rows])
+    weights, rows = contributions(SCENE, [HERE, THERE], render=Renderer()), torch.tensor([3, 0, 149])
+    assert torch.equal(contributions(SCENE, [HERE, THERE], render=Renderer(), rows=rows), weights[rows])
     assert contributions(SCENE, [], render=Renderer(), rows=rows).shape == (3, 0)
     assert contributions(SCENE.select(slice(0, 0)), [HERE, THERE], render=Renderer()).shape == (0, 2)
     learnt = SCENE.replace(means=SCENE.means.clone().requires_grad_(True))
     with torch.no_grad():
         again = contributions(learnt, [HERE, THERE], render=Renderer())
-    assert torch.equal(again, found)
+    assert torch.equal(again, weights)
     assert not again.requires_grad
 
 

@@ -127,11 +127,10 @@ def test_the_figures_of_the_documentation_follow_from_its_files() -> None:
     told = figures([{**one, "attributes": [1.0]} for one in record["files"]], record["chosen_on"])
     page = (ROOT / "docs" / "audit-measured.md").read_text()
     for name, part in told["parts"].items():
-        found, (low, high) = part["found"], part["interval"]
+        counted, (low, high) = part["found"], part["interval"]
         shown = name if name != "all" else "**all, without the cleaned**"
-        line = (
-            f"| {shown} | {found['successes']} of {found['total']} | {part['auroc']:.3f} ({low:.3f} to {high:.3f}) | "
-        )
+        rate = f"{counted['successes']} of {counted['total']}"
+        line = f"| {shown} | {rate} | {part['auroc']:.3f} ({low:.3f} to {high:.3f}) | "
         assert line in page, name
     assert told["false_alarms"]["successes"] == 1
     assert told["honest"] == 35
@@ -163,10 +162,10 @@ def test_a_study_is_done_and_has_a_page(tmp_path: Path) -> None:
     with patch.dict(registry.DETECTORS.own, KNOWN), cheap:
         assert cli.main(words) == 0
     record = json.loads((out / "result.json").read_text())
-    found = {(one["part"], one["splat"]): one for one in record["files"]}
-    assert set(found) == {("files", "honest"), ("scenes", "honest"), ("above", "clean"), ("above", "cloaked")}
-    assert found["files", "honest"]["evidence"] > 1 > found["above", "clean"]["evidence"]
-    cloaked = found["above", "cloaked"]
+    files = {(one["part"], one["splat"]): one for one in record["files"]}
+    assert set(files) == {("files", "honest"), ("scenes", "honest"), ("above", "clean"), ("above", "cloaked")}
+    assert files["files", "honest"]["evidence"] > 1 > files["above", "clean"]["evidence"]
+    cloaked = files["above", "cloaked"]
     (missed,) = cloaked["missed"].values()
     assert cloaked["hides"] is (missed["total"] > 0 and missed["successes"] >= missed["total"] / 2)
     assert 0 <= cloaked["directions"] <= 1

@@ -195,8 +195,8 @@ def test_tables_have_intervals_and_what_is_lost(tmp_path: Path) -> None:
     quiet = {**record, "stealth": {"surroundings_psnr_drop": 0.284, "stealthy": True}, "by_seed": seeds}
     unseen = {**record, "stealth": None, "transition_degrees": None, "benign_psnr_drop": None}
     unseen["benign_psnr"] = {"clean": None, "cloaked": None}
-    found = {"cleaning": {"nothing": several, "SH degree 0": quiet, "SH 5 bits": unseen}}
-    rates, costs = tables(found)
+    results = {"cleaning": {"nothing": several, "SH degree 0": quiet, "SH 5 bits": unseen}}
+    rates, costs = tables(results)
     assert len(rates.rows) == 3 * len(names)
     assert rates.head[4] == "nothing of any class reported"
     assert rates.rows[0][3].startswith("139 of 139 = 100\u00a0% (87.1 to 100\u00a0%)")

@@ -221,10 +221,10 @@ defence = { filter = { name = "blur" } }
     assert set(table["original"]) == {"car"}
     assert (table["success"] == (table["original_score"] < 0.3)).all()
     every = ("splat", "condition", "detector", "view")
-    places = {row[:4]: row[4:] for row in table.select(*every, "azimuth", "elevation", "distance").iter_rows()}
+    directions = {row[:4]: row[4:] for row in table.select(*every, "azimuth", "elevation", "distance").iter_rows()}
     assert all(
-        places[splat, condition, "toy", view] == pytest.approx(place)
-        for (splat, condition, _, view), place in places.items()
+        directions[splat, condition, "toy", view] == pytest.approx(direction)
+        for (splat, condition, _, view), direction in directions.items()
     )
     table = table.filter(detector="redness")
     counts = Counter(table.select("splat", "condition").iter_rows())

@@ -133,13 +133,13 @@ def test_what_all_attacks_share_stands_once(run: dict[str, Any]) -> None:
 
 
 def test_rates_are_counted_over_seeds(run: dict[str, Any]) -> None:
-    found = {(one["part"], one["labels"]["attack.eps"]): one for one in run["groups"]}
-    strong = found["seen as a person", 12.0]
+    groups = {(one["part"], one["labels"]["attack.eps"]): one for one in run["groups"]}
+    strong = groups["seen as a person", 12.0]
     assert (strong["success"]["successes"], strong["success"]["total"]) == (2, 2)
     assert (strong["noise_successes"], strong["noise_draws"]) == (0, 2)
-    assert found["seen as a person", 0.01]["success"]["successes"] == 0
+    assert groups["seen as a person", 0.01]["success"]["successes"] == 0
     assert strong["score_least"] <= strong["score"]
-    assert strong["image_psnr"] < found["seen as a person", 0.01]["image_psnr"]
+    assert strong["image_psnr"] < groups["seen as a person", 0.01]["image_psnr"]
 
 
 def test_looks_count_runs_whose_clean_object_is_found(run: dict[str, Any]) -> None:
@@ -231,8 +231,8 @@ def test_a_look_at_an_attack_that_is_to_be_made_again_is_not_done(
 def test_a_search_over_views_of_a_region(folder: Path, toys: None) -> None:
     assert study(folder, "run", "eot") == 0
     record = json.loads((folder / "eot" / "result.json").read_text())
-    (found,) = record["smallest"]
-    assert (found["field"], found["smallest"], found["not_enough"]) == ("attack.eps", 2.0, 0.01)
+    (smallest,) = record["smallest"]
+    assert (smallest["field"], smallest["smallest"], smallest["not_enough"]) == ("attack.eps", 2.0, 0.01)
     assert len(record["attacks"]) == 2  # 0.001 was never looked at
     group = record["groups"][-1]
     assert (group["rate"]["successes"], group["rate"]["total"]) == (4, 4)

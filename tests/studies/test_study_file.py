@@ -18,14 +18,14 @@ def points(**table: Any) -> list[Point]:
 
 def test_an_axis_sets_one_field_or_several_and_the_first_is_the_slowest() -> None:
     pairs = [{"name": "a", "object": "car", "target": "tv"}, {"object": "sign"}]
-    found = points(attack={"norm": "l2"}, matrix={"seed": [0, 1], "attack.eps": [1.0], "pair": pairs})
-    assert [(point.labels["seed"], point.labels["pair"]) for point in found] == [
+    made = points(attack={"norm": "l2"}, matrix={"seed": [0, 1], "attack.eps": [1.0], "pair": pairs})
+    assert [(point.labels["seed"], point.labels["pair"]) for point in made] == [
         (0, "a"),
         (0, "object sign"),
         (1, "a"),
         (1, "object sign"),
     ]
-    assert found[0].settings == {"attack": {"norm": "l2", "eps": 1.0}, "seed": 0, "object": "car", "target": "tv"}
+    assert made[0].settings == {"attack": {"norm": "l2", "eps": 1.0}, "seed": 0, "object": "car", "target": "tv"}
     assert points(matrix={"attack": {"eps": [1.0]}})[0].labels == {"attack.eps": 1.0}
 
 
@@ -34,24 +34,24 @@ def test_cases_have_settings_and_axes_of_their_own() -> None:
         {"name": "all"},
         {"name": "linf", "attack": {"norm": "linf"}, "matrix": {"attack.eps": [0.1, 0.2], "camera": [1]}},
     ]
-    found = points(attack={"norm": "l2", "steps": 3}, matrix={"attack.eps": [5.0], "seed": [0]}, case=cases)
-    assert [(point.part, *point.labels.values()) for point in found] == [
+    made = points(attack={"norm": "l2", "steps": 3}, matrix={"attack.eps": [5.0], "seed": [0]}, case=cases)
+    assert [(point.part, *point.labels.values()) for point in made] == [
         ("all", 5.0, 0),
         ("linf", 0.1, 0, 1),
         ("linf", 0.2, 0, 1),
     ]
-    assert found[2].settings == {"attack": {"norm": "linf", "steps": 3, "eps": 0.2}, "seed": 0, "camera": 1}
+    assert made[2].settings == {"attack": {"norm": "linf", "steps": 3, "eps": 0.2}, "seed": 0, "camera": 1}
 
 
 def test_an_ablation_changes_one_thing_at_a_time_beside_the_study_itself() -> None:
-    found = points(attack={"steps": 3}, matrix={"seed": [7]}, ablation=[{"attack.steps": [1, 9], "attack.eps": [2.0]}])
-    assert [(point.part, point.labels.get("value"), point.settings["attack"]) for point in found] == [
+    made = points(attack={"steps": 3}, matrix={"seed": [7]}, ablation=[{"attack.steps": [1, 9], "attack.eps": [2.0]}])
+    assert [(point.part, point.labels.get("value"), point.settings["attack"]) for point in made] == [
         ("", None, {"steps": 3}),
         ("ablation", "attack.steps 1", {"steps": 1}),
         ("ablation", "attack.steps 9", {"steps": 9}),
         ("ablation", "attack.eps 2.0", {"steps": 3, "eps": 2.0}),
     ]
-    assert {point.settings["seed"] for point in found} == {7}
+    assert {point.settings["seed"] for point in made} == {7}
 
 
 def test_an_entry_of_a_list_is_changed_by_its_name() -> None:
@@ -102,9 +102,9 @@ def test_a_bisection_ends_at_an_attempt_that_failed() -> None:
 
 def test_judges_are_every_combination() -> None:
     judge = {"views": 3, "matrix": {"detector": ["a", "b"], "condition": ["ray"]}}
-    found = study_of({"study": "dagger", "judge": judge}, "toy").judges
-    assert [point.settings["detector"] for point in found] == ["a", "b"]
-    assert {point.settings["views"] for point in found} == {3}
+    judges = study_of({"study": "dagger", "judge": judge}, "toy").judges
+    assert [point.settings["detector"] for point in judges] == ["a", "b"]
+    assert {point.settings["views"] for point in judges} == {3}
     assert study_of({"study": "dagger"}, "toy").judges == ()
     assert len(study_of({"study": "dagger", "judge": {"condition": "ray"}}, "toy").judges) == 1
 

@@ -24,10 +24,10 @@ attack = {{ steps = 6, early_stop = false, noise_draws = 1 }}
 """
 
 
-def group(name: str, successes: int, loss: float, noise: int = 0, place: str = "sh") -> dict[str, Any]:
+def group(name: str, successes: int, loss: float, noise: int = 0, attribute: str = "sh") -> dict[str, Any]:
     return {
         "part": "",
-        "labels": {AXIS: name, "attribute": place},
+        "labels": {AXIS: name, "attribute": attribute},
         "optimiser": name,
         "success": {"successes": successes, "total": 2},
         "noise_successes": noise,
@@ -45,8 +45,8 @@ def record(tmp_path: Path, toys: None) -> dict[str, Any]:
     path.write_text(STUDY.format(scene=write_toy(tmp_path)))
     words = ["study", "run", str(path), "--store", str(tmp_path / "store"), "--workers", "0"]
     assert cli.main([*words, "--out", str(tmp_path / "out")]) == 0
-    found: dict[str, Any] = json.loads((tmp_path / "out" / "result.json").read_text())
-    return found
+    document: dict[str, Any] = json.loads((tmp_path / "out" / "result.json").read_text())
+    return document
 
 
 def test_the_table_has_a_line_for_each_attack_and_says_what_it_cost(record: dict[str, Any]) -> None:
@@ -69,7 +69,7 @@ def test_the_table_has_a_line_for_each_attack_and_says_what_it_cost(record: dict
 
 
 def test_a_study_of_one_attack_has_no_such_table() -> None:
-    assert not list(comparison("", [group("pgd", 1, 0.5), group("pgd", 1, 0.5, place="means")]))
+    assert not list(comparison("", [group("pgd", 1, 0.5), group("pgd", 1, 0.5, attribute="means")]))
 
 
 @pytest.mark.parametrize(
@@ -81,12 +81,12 @@ def test_a_study_of_one_attack_has_no_such_table() -> None:
         ([group("pgd", 1, 0.4), group("apgd", 2, 0.3), group("square", 2, 0.2)], []),
         ([group("pgd", 1, 0.4), group("fgsm", 2, 0.5)], ["one step does better"]),
         ([group("pgd", 2, 0.4, noise=1), group("random", 0, 0.5)], ["random noise"]),
-        ([group("pgd", 0, 0.4, place="means"), group("random", 1, 0.5)], []),
+        ([group("pgd", 0, 0.4, attribute="means"), group("random", 1, 0.5)], []),
     ],
 )
 def test_what_raises_a_doubt(groups: list[dict[str, Any]], words: list[str]) -> None:
     told = list(doubts(groups))
     assert len(told) == len(words), told
     assert all(word in text for word, text in zip(words, told, strict=True))
-    table = list(comparison("", [*groups, group("pgd", 0, 9.0, place="elsewhere")]))[-1]
+    table = list(comparison("", [*groups, group("pgd", 0, 9.0, attribute="elsewhere")]))[-1]
     assert [row[-1] for row in table.rows if row[-1] != "none"] == [text.partition(" (")[0] for text in told]

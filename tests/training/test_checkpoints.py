@@ -225,9 +225,9 @@ def test_a_run_goes_on_to_the_bit(tmp_path: Path) -> None:
 def test_held_out_views_are_compared_with_their_exposure_too() -> None:
     truth, views, *_ = scene_and_views()
     shown = [View(view.camera, 0.6 * view.image + torch.tensor([0.1, 0.0, 0.2])) for view in views]
-    found = score(truth, shown, Renderer(), corrected=True)
-    assert found is not None
-    assert (found.corrected_psnr or 0) > 60 > 25 > found.psnr
+    scored = score(truth, shown, Renderer(), corrected=True)
+    assert scored is not None
+    assert (scored.corrected_psnr or 0) > 60 > 25 > scored.psnr
     moved = score(truth, [View(view.camera, view.image.roll(3, 0)) for view in views], Renderer(), corrected=True)
     assert moved is not None
     assert moved.psnr <= (moved.corrected_psnr or 0) < moved.psnr + 6  # colours do not mend what lies elsewhere

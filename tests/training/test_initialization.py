@@ -50,23 +50,23 @@ def test_outliers_lie_between_cameras_and_points() -> None:
     cloud = PointCloud(
         torch.tensor([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]), torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     )
-    found = with_outliers(cloud, views, 50, seed=3)
-    assert torch.equal(found.points[:2], cloud.points)
-    assert torch.equal(found.colours[:2], cloud.colours)
+    extended = with_outliers(cloud, views, 50, seed=3)
+    assert torch.equal(extended.points[:2], cloud.points)
+    assert torch.equal(extended.colours[:2], cloud.colours)
     eyes = torch.stack([view.camera.position for view in views]).float()
-    for place, colour in zip(found.points[2:], found.colours[2:], strict=True):
+    for position, colour in zip(extended.points[2:], extended.colours[2:], strict=True):
         point = cloud.points[int(colour[1])]
-        way = torch.linalg.norm(place - eyes, dim=1) / torch.linalg.norm(point - eyes, dim=1)
-        rest = torch.linalg.norm(place - point) / torch.linalg.norm(point - eyes, dim=1)
+        way = torch.linalg.norm(position - eyes, dim=1) / torch.linalg.norm(point - eyes, dim=1)
+        rest = torch.linalg.norm(position - point) / torch.linalg.norm(point - eyes, dim=1)
         eye = int((way + rest).argmin())
         assert float(way[eye] + rest[eye]) == pytest.approx(1, abs=1e-5)
         assert 0.1 - 1e-5 <= float(way[eye]) <= 0.9 + 1e-5
-    assert torch.equal(with_outliers(cloud, views, 50, seed=3).points, found.points)
-    assert not torch.equal(with_outliers(cloud, views, 50, seed=4).points, found.points)
+    assert torch.equal(with_outliers(cloud, views, 50, seed=3).points, extended.points)
+    assert not torch.equal(with_outliers(cloud, views, 50, seed=4).points, extended.points)
     assert torch.equal(with_outliers(cloud, views, 0).points, cloud.points)
-    for count, some in ((-1, views), (1, [])):
+    for count, around in ((-1, views), (1, [])):
         with pytest.raises(InvalidValueError, match="count, views and points"):
-            with_outliers(cloud, some, count)
+            with_outliers(cloud, around, count)
 
 
 def test_a_training_is_set_up_without_reading_pictures(tmp_path: Path) -> None:

@@ -21,14 +21,16 @@ def test_training_comes_nearer() -> None:
     _, views, start = scene_and_views()
     config = dataclasses.replace(SHORT, iterations=250, sh_degree_interval=0, strategy=FixedConfig(), eval_interval=0)
     losses: list[float] = []
-    found = fit(views, start, render=Renderer(), config=config, held_out=views, on_step=lambda p: losses.append(p.loss))
+    trained = fit(
+        views, start, render=Renderer(), config=config, held_out=views, on_step=lambda p: losses.append(p.loss)
+    )
     assert sum(losses[-10:]) < 0.5 * sum(losses[:10])
-    (last,) = found.history
+    (last,) = trained.history
     assert last.held_out is not None
     assert last.held_out.psnr > 20
     assert 0.5 < last.held_out.ssim <= 1
-    assert len(found.scene) == len(start)
-    assert found.scene.degree == 1
+    assert len(trained.scene) == len(start)
+    assert trained.scene.degree == 1
 
 
 def test_the_last_step_is_no_reset() -> None:
@@ -43,8 +45,8 @@ def test_the_last_step_is_no_reset() -> None:
     )
     config = FitConfig(iterations=4, sh_degree=1, strategy=adding)
     counts: list[int] = []
-    found = fit(views, start, render=watching(), config=config, on_step=lambda line: counts.append(line.count))
-    assert float(found.scene.opacities.max()) > 0.05
+    trained = fit(views, start, render=watching(), config=config, on_step=lambda line: counts.append(line.count))
+    assert float(trained.scene.opacities.max()) > 0.05
     assert counts[1] > counts[0]
     assert counts[3] == counts[2]
 
@@ -52,12 +54,12 @@ def test_the_last_step_is_no_reset() -> None:
 def test_texture_training_freezes_geometry() -> None:
     _, views, start = scene_and_views()
     config = dataclasses.replace(SHORT, trainable=("sh",), strategy=FixedConfig(), iterations=8)
-    found = fit(views, start, render=Renderer(), config=config)
+    trained = fit(views, start, render=Renderer(), config=config)
     for name in ("means", "rotations"):
-        assert torch.equal(getattr(found.scene, name), getattr(start, name))
+        assert torch.equal(getattr(trained.scene, name), getattr(start, name))
     for name in ("scales", "opacities"):
-        assert torch.allclose(getattr(found.scene, name), getattr(start, name), rtol=1e-6)
-    assert not torch.equal(found.scene.sh, start.sh)
+        assert torch.allclose(getattr(trained.scene, name), getattr(start, name), rtol=1e-6)
+    assert not torch.equal(trained.scene.sh, start.sh)
 
 
 def test_nan_stops_with_the_cause() -> None:
@@ -116,9 +118,9 @@ def test_the_hooks_are_called_with_what_they_are_told() -> None:
     config = FitConfig(iterations=7, sh_degree=1, eval_interval=3, strategy=FixedConfig())
     state = TrainState(start, config, scene_extent=2.0, seed=0)
     state.strategy = Recorder()
-    found = advance(state, views, render=watching(), held_out=views[:1])
-    assert [line.iteration for line in found.history] == [3, 6, 7]
-    assert all(line.loss > 100 and line.held_out is not None for line in found.history)
+    trained = advance(state, views, render=watching(), held_out=views[:1])
+    assert [line.iteration for line in trained.history] == [3, 6, 7]
+    assert all(line.loss > 100 and line.held_out is not None for line in trained.history)
     assert [step.iteration for step in steps] == [1, 2, 3, 4, 5, 6]
     assert [step.lr_means for step in steps] == pytest.approx([2 * 1.6e-4 * 0.01 ** (i / 7) for i in range(1, 7)])
     assert {(step.iterations, step.scene_extent) for step in steps} == {(7, 2.0)}
@@ -129,10 +131,10 @@ def test_pictures_that_are_equal_have_a_score_that_can_be_written() -> None:
     scene, views, *_ = scene_and_views()
     render = Renderer()
     equal = [View(view.camera, render(scene, view.camera).detach().clamp(0, 1)) for view in views[:2]]
-    found = score(scene, equal, render)
-    assert found is not None
-    assert found.psnr == MOST_PSNR
-    assert found.ssim == pytest.approx(1.0)
+    scored = score(scene, equal, render)
+    assert scored is not None
+    assert scored.psnr == MOST_PSNR
+    assert scored.ssim == pytest.approx(1.0)
 
 
 # What a run is made of: the order of its views, the degree that is trained, and what Adam keeps for each row

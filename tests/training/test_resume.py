@@ -133,7 +133,7 @@ def test_a_further_score_is_kept(tmp_path: Path) -> None:
     start = from_points(truth.means, torch.full((50, 3), 0.5))
     config = dataclasses.replace(CONFIG, iterations=3)
     held_out = views[:2]
-    found = train(
+    trained = train(
         views,
         start,
         tmp_path,
@@ -144,7 +144,7 @@ def test_a_further_score_is_kept(tmp_path: Path) -> None:
     )
     figures = json.loads((tmp_path / "metrics.json").read_text())
     with torch.no_grad():
-        worst = [(Renderer()(found.scene, v.camera).clamp(0, 1) - v.image).abs().max() for v in held_out]
+        worst = [(Renderer()(trained.scene, v.camera).clamp(0, 1) - v.image).abs().max() for v in held_out]
     assert figures["lpips"] == pytest.approx(float(sum(worst)) / 2, rel=1e-5)
     again, _ = load_state(tmp_path / "checkpoint.safetensors")
-    assert again.history == list(found.history)
+    assert again.history == list(trained.history)

@@ -151,23 +151,23 @@ def test_masked_pixels_do_not_count(dataset: Path) -> None:
     (dataset / "transforms_train.json").write_text(json.dumps(listing))
     truth, views = views_of()
     start = truth.replace(sh=torch.zeros_like(truth.sh))
-    found = {}
+    redness = {}
     for masks in (False, True):
         config = FitConfig(iterations=60, masks=masks, sh_degree=1, lr_sh=0.05, strategy=FixedConfig())
         trained = fit(load_dataset(dataset), start, render=watching(), config=config).scene
         red = Renderer()(trained, views[0].camera)[:, :16] - views[0].image[:, :16]
-        found[masks] = float(red[..., 0].mean())
-    assert found[False] > 0.03
-    assert abs(found[True]) < 0.01
+        redness[masks] = float(red[..., 0].mean())
+    assert redness[False] > 0.03
+    assert abs(redness[True]) < 0.01
 
 
 def test_a_mask_keeps_the_reference_where_it_is_black() -> None:
     image, reference = torch.rand(4, 5, 3), torch.rand(4, 5, 3)
     mask = torch.zeros(4, 5)
     mask[0] = 1
-    found = masked(image, reference, mask)
-    assert torch.allclose(found[0], image[0])
-    assert torch.equal(found[1:], reference[1:])
+    masked_image = masked(image, reference, mask)
+    assert torch.allclose(masked_image[0], image[0])
+    assert torch.equal(masked_image[1:], reference[1:])
     assert masked(image, reference, None) is image
 
 

@@ -34,9 +34,9 @@ def distance(camera: Camera) -> float:
 
 def test_every_number_is_in_its_interval_and_fills_it() -> None:
     region = CameraRegion(azimuths=(20, 80), elevations=(10, 30), distances=(0.5, 2.0))
-    found = [direction_of(camera, CENTRE) for camera in draws(region)]
+    directions = [direction_of(camera, CENTRE) for camera in draws(region)]
     for name, (low, high) in (("azimuth", (20, 80)), ("elevation", (10, 30))):
-        values = [getattr(direction, name) for direction in found]
+        values = [getattr(direction, name) for direction in directions]
         assert low <= min(values) < low + 0.2 * (high - low)
         assert high - 0.2 * (high - low) < max(values) <= high
     lengths = [distance(camera) for camera in draws(region)]
@@ -169,9 +169,9 @@ def test_blur_spreads_a_point_as_a_gaussian() -> None:
     point = torch.zeros(31, 31, 3)
     point[15, 15] = 1.0
     after = change_picture(point, PictureChange(blur=2.0))[..., 0].double()
-    places = torch.arange(31, dtype=torch.float64) - 15
+    positions = torch.arange(31, dtype=torch.float64) - 15
     assert float(after.sum()) == pytest.approx(1.0, abs=1e-5)
-    assert float((after.sum(0) * places**2).sum()) == pytest.approx(4.0, rel=0.05)
+    assert float((after.sum(0) * positions**2).sum()) == pytest.approx(4.0, rel=0.05)
 
 
 def test_resizing_keeps_the_size_and_loses_detail() -> None:
@@ -213,16 +213,16 @@ def test_derivatives_are_those_of_finite_differences(change: dict[str, Any]) -> 
 
 
 def test_draws_are_in_their_intervals_and_pure() -> None:
-    found = [draw_change(CHANGES, np.random.default_rng((7, index))) for index in range(200)]
-    assert found == [draw_change(CHANGES, np.random.default_rng((7, index))) for index in range(200)]
+    drawn = [draw_change(CHANGES, np.random.default_rng((7, index))) for index in range(200)]
+    assert drawn == [draw_change(CHANGES, np.random.default_rng((7, index))) for index in range(200)]
     for name, low, high in (("blur", 0, 2), ("resize", 0.5, 1), ("noise", 0, 0.1), ("jpeg", 30, 95)):
-        values = [getattr(change, name) for change in found]
+        values = [getattr(change, name) for change in drawn]
         assert low <= min(values) < low + 0.1 * (high - low)
         assert high - 0.1 * (high - low) < max(values) <= high
-    light = [change.gains[1] for change in found]
+    light = [change.gains[1] for change in drawn]
     assert 0.5 <= min(light) < 0.6
     assert 1.8 < max(light) <= 2.0
-    assert len({change.noise_seed for change in found}) == 200
+    assert len({change.noise_seed for change in drawn}) == 200
 
 
 def test_changed_pictures_stay_in_range() -> None:

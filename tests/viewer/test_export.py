@@ -20,9 +20,9 @@ from tests.viewer.exhibits import START, Looker, exhibit, painter
 
 
 def views_of(page: str, of: str = "views") -> list[dict[str, Any]]:
-    found = re.search(rf'<script id="{of}" type="application/json">(.*?)</script>', page, re.DOTALL)
-    assert found is not None
-    views: list[dict[str, Any]] = json.loads(found[1])
+    match = re.search(rf'<script id="{of}" type="application/json">(.*?)</script>', page, re.DOTALL)
+    assert match is not None
+    views: list[dict[str, Any]] = json.loads(match[1])
     return views
 
 
@@ -31,11 +31,11 @@ class Elements(HTMLParser):
 
     def __init__(self, page: str) -> None:
         super().__init__()
-        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
         self.feed(page)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.found.append((tag, dict(attrs)))
+        self.elements.append((tag, dict(attrs)))
 
 
 @pytest.fixture(autouse=True)
@@ -76,7 +76,7 @@ def test_the_listed_cameras_come_first(page: str) -> None:
 
 
 def test_it_asks_nothing_of_any_network(page: str) -> None:
-    elements = Elements(page).found
+    elements = Elements(page).elements
     links = [
         value for _, attributes in elements for key, value in attributes.items() if key in ("src", "href", "action")
     ]
@@ -87,18 +87,22 @@ def test_it_asks_nothing_of_any_network(page: str) -> None:
 
 
 def test_no_script_runs_but_its_own(page: str) -> None:
-    (policy,) = (str(found["content"]) for tag, found in Elements(page).found if found.get("http-equiv"))
+    (policy,) = (
+        str(attributes["content"]) for tag, attributes in Elements(page).elements if attributes.get("http-equiv")
+    )
     (script,) = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
     assert f"script-src {script_hash(script)};" in policy
     assert policy.replace("style-src 'unsafe-inline'", "").count("unsafe") == 0
 
 
 def test_sliders_have_names_and_a_keyboard(page: str) -> None:
-    elements = Elements(page).found
-    sliders = {str(found["id"]) for tag, found in elements if tag == "input" and found["type"] == "range"}
-    labels = {str(found["for"]) for tag, found in elements if tag == "label"}
+    elements = Elements(page).elements
+    sliders = {
+        str(attributes["id"]) for tag, attributes in elements if tag == "input" and attributes["type"] == "range"
+    }
+    labels = {str(attributes["for"]) for tag, attributes in elements if tag == "label"}
     assert sliders | {"camera"} == labels == {"azimuth", "elevation", "camera"}
-    assert any(found.get("aria-live") == "polite" for _, found in elements)
+    assert any(attributes.get("aria-live") == "polite" for _, attributes in elements)
 
 
 def test_names_from_outside_cannot_become_markup(page: str) -> None:

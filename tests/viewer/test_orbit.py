@@ -42,9 +42,9 @@ def test_the_camera_is_that_of_render(azimuth: float, elevation: float, distance
 @given(ANGLE, ELEVATION, LENGTH)
 def test_a_camera_s_orbit_gives_the_camera_back(azimuth: float, elevation: float, distance: float) -> None:
     camera = orbit(azimuth, elevation, distance).camera((64, 48))
-    found = orbit_of(camera, (1.0, 2.0, 0.5))
-    assert torch.allclose(found.changed().camera((64, 48)).to_world, camera.to_world, atol=1e-6 * distance)
-    assert found.fov == pytest.approx(50.0)
+    recovered = orbit_of(camera, (1.0, 2.0, 0.5))
+    assert torch.allclose(recovered.changed().camera((64, 48)).to_world, camera.to_world, atol=1e-6 * distance)
+    assert recovered.fov == pytest.approx(50.0)
 
 
 @given(ANGLE, st.floats(-89.9, 89.9), LENGTH)
@@ -100,21 +100,21 @@ def test_a_camera_of_a_file_is_kept_to_the_bit_and_its_roll_when_it_moves(
 ) -> None:
     pose = orbit_pose((1.0, 2.0, 0.5), azimuth=azimuth, elevation=elevation, distance=5.0, roll=roll)
     camera = Camera(to_world=pose, focal=(50, 60), width=64, height=48, principal=(20, 30))
-    found = orbit_of(camera, (1.0, 2.0, 0.5))
-    assert found.camera((64, 48)) is camera
-    assert found.camera((128, 96)).principal == (40, 60)
-    plain = found.changed().camera((64, 48))
+    orbit = orbit_of(camera, (1.0, 2.0, 0.5))
+    assert orbit.camera((64, 48)) is camera
+    assert orbit.camera((128, 96)).principal == (40, 60)
+    plain = orbit.changed().camera((64, 48))
     assert torch.allclose(plain.to_world, pose, atol=2e-4)
     assert plain.fx == pytest.approx(50)
     assert plain.principal is None
-    moved = found.moved((9.0, 2.0, 0.5), (1.0, 2.0, 0.5))
-    assert (moved.exact, moved.roll, moved.distance) == (None, found.roll, 8.0)
+    moved = orbit.moved((9.0, 2.0, 0.5), (1.0, 2.0, 0.5))
+    assert (moved.exact, moved.roll, moved.distance) == (None, orbit.roll, 8.0)
 
 
 def test_a_camera_that_looks_away_keeps_its_place_and_direction() -> None:
     camera = Camera(to_world=look_at((5, 0, 1), (0, 0, 0)), focal=50, width=64, height=64)
-    found = orbit_of(camera, (9, 0, 2))
-    assert torch.allclose(found.changed().camera((64, 64)).to_world, camera.to_world, atol=1e-5)
+    orbit = orbit_of(camera, (9, 0, 2))
+    assert torch.allclose(orbit.changed().camera((64, 64)).to_world, camera.to_world, atol=1e-5)
 
 
 def test_the_focus_is_what_all_cameras_look_at() -> None:

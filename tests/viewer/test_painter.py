@@ -147,10 +147,10 @@ def test_what_no_page_can_hold_is_told(change: str) -> None:
 
 def test_a_file_alone_is_shown_whole(tmp_path: Path) -> None:
     save_splat(ball((0.5, 0.5, 0.5)), tmp_path / "ball.ply")
-    found = exhibit_of_file(tmp_path / "ball.ply")
-    assert found.names == ("ball",)
-    assert (found.start.azimuth, found.start.elevation, found.start.fov) == (30.0, 20.0, 45.0)
-    assert list(found.cameras) == ["whole scene"]
+    exhibit = exhibit_of_file(tmp_path / "ball.ply")
+    assert exhibit.names == ("ball",)
+    assert (exhibit.start.azimuth, exhibit.start.elevation, exhibit.start.fov) == (30.0, 20.0, 45.0)
+    assert list(exhibit.cameras) == ["whole scene"]
 
 
 def test_wishes_stand_above_what_files_say() -> None:
@@ -189,11 +189,11 @@ def test_the_command_makes_the_picture_to_the_bit(
     monkeypatch.chdir(tmp_path)
     for name, colour in (("a b.ply", (0.9, 0.2, 0.1)), ("clean.ply", (0.2, 0.2, 0.9))):
         save_splat(ball(colour), tmp_path / name)
-    found = wishes.applied(exhibit_of_file(Path("a b.ply"), clean=Path("clean.ply")))
-    orbit = found.start
+    exhibit = wishes.applied(exhibit_of_file(Path("a b.ply"), clean=Path("clean.ply")))
+    orbit = exhibit.start
     if moved:
         orbit = orbit.moved((1.2345678, -3.0, 2.0), (0.2, 0.123456, -0.1))
-    work = Painter(found, Renderer(found.settings))
+    work = Painter(exhibit, Renderer(exhibit.settings))
     command = shlex.split(work.commands(orbit)["attacked"])
     assert command[:3] == ["mi-splat", "render", "a b.ply"]
     assert cli.main([*command[1:], "--out", "again.png"]) == 0
@@ -201,4 +201,4 @@ def test_the_command_makes_the_picture_to_the_bit(
         again = np.asarray(picture)
     assert again.std() > 10
     assert np.array_equal(again, to_bytes(work.picture("attacked", orbit)))
-    assert len(load_splat("a b.ply")) == len(found.splat("attacked").scene)
+    assert len(load_splat("a b.ply")) == len(exhibit.splat("attacked").scene)

@@ -49,53 +49,53 @@ def folder(tmp_path_factory: pytest.TempPathFactory, variant: str) -> Path:
 
 @pytest.mark.parametrize("kind", ["set", "colmap"])
 def test_a_set_alone_shows_what_its_cameras_took(folder: Path, kind: str) -> None:
-    found = open_exhibit(folder / kind)
-    assert found.names == ("photograph",)
-    assert len(found.cameras) == len(ROLLS)
-    assert sum("held out" in name for name in found.cameras) == 1
-    assert {round(orbit.roll) % 360 for orbit in found.cameras.values()} == {round(roll) % 360 for roll in ROLLS}
-    work = Painter(found, blobs)
+    exhibit = open_exhibit(folder / kind)
+    assert exhibit.names == ("photograph",)
+    assert len(exhibit.cameras) == len(ROLLS)
+    assert sum("held out" in name for name in exhibit.cameras) == 1
+    assert {round(orbit.roll) % 360 for orbit in exhibit.cameras.values()} == {round(roll) % 360 for roll in ROLLS}
+    work = Painter(exhibit, blobs)
     with Image.open(next((folder / kind).rglob("*.png"))) as picture:
-        some = np.asarray(picture.convert("RGB"))
-    taken = [to_bytes(work.picture("photograph", orbit)) for orbit in found.cameras.values()]
-    assert any(np.array_equal(pixels, some) for pixels in taken)
+        photograph = np.asarray(picture.convert("RGB"))
+    taken = [to_bytes(work.picture("photograph", orbit)) for orbit in exhibit.cameras.values()]
+    assert any(np.array_equal(pixels, photograph) for pixels in taken)
     assert {pixels.shape for pixels in taken} == {(40, 48, 3), (64, 48, 3)}
-    assert "no photograph from here" in work.comparison(found.start.changed(azimuth=1.0))
-    assert len(found.lines["Cameras"].segments) == 8 * len(ROLLS)
+    assert "no photograph from here" in work.comparison(exhibit.start.changed(azimuth=1.0))
+    assert len(exhibit.lines["Cameras"].segments) == 8 * len(ROLLS)
 
 
 @pytest.mark.parametrize("kind", ["set", "colmap"])
 def test_a_splat_is_rendered_where_each_photograph_was_taken(folder: Path, kind: str) -> None:
-    found = open_exhibit(folder / "splat.ply", cameras=folder / kind)
-    assert found.names == ("photograph", "splat")
-    work = Painter(found, Renderer(found.settings))
-    for orbit in list(found.cameras.values())[: len(ROLLS)]:
+    exhibit = open_exhibit(folder / "splat.ply", cameras=folder / kind)
+    assert exhibit.names == ("photograph", "splat")
+    work = Painter(exhibit, Renderer(exhibit.settings))
+    for orbit in list(exhibit.cameras.values())[: len(ROLLS)]:
         assert (work.likeness(orbit) or 99.0) > 45  # the file of a picture has 8 bits
-    state = ViewState(orbit=found.start, show="side by side", canvas=(96, 80))
+    state = ViewState(orbit=exhibit.start, show="side by side", canvas=(96, 80))
     assert work.paint(state, Step.FULL, Pace()).pixels.std() > 10
 
 
 def test_what_a_photograph_does_not_show_is_no_error(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = open_exhibit(folder / "splat.ply", cameras=folder / "set")
-    work = Painter(found, Renderer(found.settings))
-    taken = work.picture("photograph", found.start)
+    exhibit = open_exhibit(folder / "splat.ply", cameras=folder / "set")
+    work = Painter(exhibit, Renderer(exhibit.settings))
+    taken = work.picture("photograph", exhibit.start)
     cut = taken.clone()
     cut[:, :20] = 0.0
     monkeypatch.setattr(Photographs, "from_camera", lambda self, name: cut)
-    assert (work.likeness(found.start) or 99.0) < 30
+    assert (work.likeness(exhibit.start) or 99.0) < 30
     shown = (torch.arange(taken.shape[1]) >= 20).float().expand(taken.shape[:2])
     monkeypatch.setattr(Dataset, "loss_mask", lambda self, index, files: None if files else shown)
-    assert (work.likeness(found.start) or 99.0) > 45
+    assert (work.likeness(exhibit.start) or 99.0) > 45
 
 
 def test_the_command_makes_the_picture_of_a_rolled_camera(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    found = open_exhibit(folder / "splat.ply", cameras=folder / "set")
-    work = Painter(found, Renderer(found.settings))
-    name = next(name for name, orbit in found.cameras.items() if round(orbit.roll) == 35)
-    for orbit in (found.cameras[name], found.cameras[name].changed(azimuth=50.0)):
+    exhibit = open_exhibit(folder / "splat.ply", cameras=folder / "set")
+    work = Painter(exhibit, Renderer(exhibit.settings))
+    name = next(name for name, orbit in exhibit.cameras.items() if round(orbit.roll) == 35)
+    for orbit in (exhibit.cameras[name], exhibit.cameras[name].changed(azimuth=50.0)):
         command = shlex.split(work.commands(orbit)["splat"])
         assert ("--camera-roll" in command) == (orbit.exact is None)
         assert cli.main([*command[1:], "--out", "again.png"]) == 0
@@ -114,28 +114,28 @@ def test_a_training_finds_its_set_and_how_it_was_rendered(folder: Path, tmp_path
         "poses": poses,
     }
     (run / "config.json").write_text(json.dumps(recorded))
-    found = open_exhibit(run)
-    assert found.names == ("photograph", "run")
-    assert (found.settings.near, found.settings.background) == (0.3, (1.0, 1.0, 1.0))
+    exhibit = open_exhibit(run)
+    assert exhibit.names == ("photograph", "run")
+    assert (exhibit.settings.near, exhibit.settings.background) == (0.3, (1.0, 1.0, 1.0))
     (tmp_path / "transforms.json").write_text("nobody's business")
     for change in (
         {"poses": "guessed"},
         *({"dataset": path} for path in ("gone", 300 * "a", str(tmp_path), "//host/set")),
     ):
         (run / "config.json").write_text(json.dumps({**recorded, **change}))
-        found = open_exhibit(run)
-        assert found.names == ("run",)
-        assert found.title.endswith("the set of its training is not where it was: --cameras names it")
+        exhibit = open_exhibit(run)
+        assert exhibit.names == ("run",)
+        assert exhibit.title.endswith("the set of its training is not where it was: --cameras names it")
 
 
 def test_a_list_of_cameras_and_two_splats(folder: Path, tmp_path: Path) -> None:
     camera = next(iter(open_exhibit(folder / "set").cameras.values())).exact
     assert camera is not None
     (tmp_path / "cameras.json").write_text(json.dumps([describe("here", camera)]))
-    found = open_exhibit(folder / "splat.ply", clean=folder / "splat.ply", cameras=tmp_path / "cameras.json")
-    assert list(found.cameras) == ["here", "whole scene"]
-    assert torch.equal(found.start.camera((48, 40)).to_world, camera.to_world)
-    assert Painter(found, blobs).comparison(found.start) == "From here both pictures are the same."
+    exhibit = open_exhibit(folder / "splat.ply", clean=folder / "splat.ply", cameras=tmp_path / "cameras.json")
+    assert list(exhibit.cameras) == ["here", "whole scene"]
+    assert torch.equal(exhibit.start.camera((48, 40)).to_world, camera.to_world)
+    assert Painter(exhibit, blobs).comparison(exhibit.start) == "From here both pictures are the same."
     beside = open_exhibit(folder / "splat.ply", clean=folder / "splat.ply", cameras=folder / "set")
     assert beside.names == ("clean", "attacked")
 
@@ -154,15 +154,15 @@ def test_the_up_of_most_cameras_is_told(folder: Path) -> None:
         name: replace(o, exact=o.changed(roll=0.0).camera((8, 8)))
         for name, o in open_exhibit(folder / "set").cameras.items()
     }
-    found = replace(open_exhibit(folder / "set"), cameras=level)
-    assert own_up(found) is None
-    assert own_up(found.turned((0.0, -1.0, 0.0))) == (0.0, 0.0, 1.0)
+    exhibit = replace(open_exhibit(folder / "set"), cameras=level)
+    assert own_up(exhibit) is None
+    assert own_up(exhibit.turned((0.0, -1.0, 0.0))) == (0.0, 0.0, 1.0)
 
 
 def test_a_set_alone_is_served(folder: Path) -> None:
-    found = open_exhibit(folder / "set")
-    with serving(Painter(found, blobs)) as page, connection(page.address, headers_of(page.address)) as browser:
-        browser.look(found.start, (96, 80))
+    exhibit = open_exhibit(folder / "set")
+    with serving(Painter(exhibit, blobs)) as page, connection(page.address, headers_of(page.address)) as browser:
+        browser.look(exhibit.start, (96, 80))
         assert browser.picture((80, 96)).std() > 10
 
 

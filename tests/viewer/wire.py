@@ -74,9 +74,9 @@ class Browser:
                 if isinstance(message.get("rgb_data"), dict):
                     message["rgb_data"] = buffers[message["rgb_data"]["__binary_index"]]
             self.messages += new
-            found = [message for message in new if arrived(message)]
-            if found:
-                return dict(found[-1])
+            arrivals = [message for message in new if arrived(message)]
+            if arrivals:
+                return dict(arrivals[-1])
         pytest.fail("the message did not come")
 
     def picture(self, shape: tuple[int, int] | None = None) -> NDArray[np.uint8]:

@@ -37,9 +37,9 @@ def test_centernet_boxes_lie_about_their_cells() -> None:
     scores, distances = torch.zeros(1, 128, 128, 80), torch.zeros(1, 128, 128, 4)
     scores[0, 10, 20, 2] = 0.7
     distances[0, 10, 20] = torch.tensor([5.0, 6.0, 7.0, 8.0])
-    boxes, found = CENTERNET.decode((scores, distances))
+    boxes, confidences = CENTERNET.decode((scores, distances))
     assert boxes[10 * 128 + 20].tolist() == [80 - 5, 40 - 6, 80 + 7, 40 + 8]
-    assert found[10 * 128 + 20, 2] == pytest.approx(0.7)
+    assert confidences[10 * 128 + 20, 2] == pytest.approx(0.7)
 
 
 def test_centernet_reports_peaks_of_each_class() -> None:
@@ -118,9 +118,9 @@ def test_boxes_are_in_pixels_of_the_picture_whatever_its_size() -> None:
     detector = _tiny()
     image = torch.zeros(1, 16, 32, 3)
     image[0, 8:, 16:, 1] = 1.0
-    (found,) = detector.detect(image)
-    assert found.labels == (COCO_CLASSES[1],)
-    assert found.boxes.tolist() == [[16.0, 8.0, 32.0, 16.0]]
+    (detections,) = detector.detect(image)
+    assert detections.labels == (COCO_CLASSES[1],)
+    assert detections.boxes.tolist() == [[16.0, 8.0, 32.0, 16.0]]
     (all_of_them,) = detector.candidates(image)
     assert all_of_them.scores.shape == (4, 3)
     assert all_of_them.boxes[3, 2].tolist() == [16.0, 8.0, 32.0, 16.0]
@@ -176,10 +176,10 @@ def test_it_finds_what_is_to_be_seen(name: str, variant: str) -> None:
     loaded = read_scene(SCENES / f"{scene}.xml")
     camera = list(loaded.cameras.values())[number]
     picture = quantise(Renderer(loaded.settings)(loaded.scene, camera).clamp(0, 1))
-    (found,) = detector.detect(picture[None])
-    assert found.labels[0] == what
-    assert found.scores[0] > 0.5
-    assert (found.scores[:-1] >= found.scores[1:]).all()
+    (detections,) = detector.detect(picture[None])
+    assert detections.labels[0] == what
+    assert detections.scores[0] > 0.5
+    assert (detections.scores[:-1] >= detections.scores[1:]).all()
 
 
 @pytest.mark.parametrize("name", each)
@@ -191,8 +191,8 @@ def test_gradient_of_the_whole_chain_is_that_of_differences(name: str) -> None:
     image = torch.rand(1, 64, 80, 3, generator=generator, dtype=torch.float64) * 0.6 + 0.2
 
     def value(picture: Tensor) -> Tensor:
-        (found,) = detector.candidates(picture)
-        return found.scores.logsumexp((0, 1)) + found.boxes.mean() / 100
+        (candidates,) = detector.candidates(picture)
+        return candidates.scores.logsumexp((0, 1)) + candidates.boxes.mean() / 100
 
     # The step is shorter than from kink to kink of a million activations.
     slope_is_the_gradient(value, image, step=1e-7, rtol=3e-3)
@@ -208,10 +208,10 @@ def test_centernet_reports_what_its_graph_reports() -> None:
     picture = torch.nn.functional.interpolate(coarse, (512, 512), mode="bilinear")
     with torch.no_grad():
         scores, distances, wanted = whole(CENTERNET.prepare(picture))
-        boxes, found = CENTERNET.decode((scores, distances))
-    rows, columns = CENTERNET.keep(boxes, found, 0.0)
+        boxes, confidences = CENTERNET.decode((scores, distances))
+    rows, columns = CENTERNET.keep(boxes, confidences, 0.0)
     torch.testing.assert_close(boxes[rows], wanted[0, :, :4])
-    torch.testing.assert_close(found[rows, columns], wanted[0, :, 4])
+    torch.testing.assert_close(confidences[rows, columns], wanted[0, :, 4])
     assert columns.tolist() == wanted[0, :, 5].long().tolist()
     assert FAMILIES["centernet_coco"].side == 512
 

@@ -147,9 +147,9 @@ def test_half_precision_comes_back_as_what_it_stands_for() -> None:
     document = json.loads(graph)
     entry = document["weightsManifest"][0]["weights"][0]
     entry |= {"dtype": "float32", "quantization": {"dtype": "float16", "original_dtype": "float32"}}
-    found = read_graph_model(json.dumps(document).encode(), np.array([0.5, 1, -2], np.float16).tobytes())
-    assert found.constants["c"].dtype == torch.float32
-    assert found.constants["c"].tolist() == [0.5, 1.0, -2.0]
+    loaded = read_graph_model(json.dumps(document).encode(), np.array([0.5, 1, -2], np.float16).tobytes())
+    assert loaded.constants["c"].dtype == torch.float32
+    assert loaded.constants["c"].tolist() == [0.5, 1.0, -2.0]
 
 
 def test_a_kept_model_is_the_one_that_was_read(tmp_path: Path) -> None:
@@ -220,6 +220,6 @@ def test_constants_that_are_not_finite_are_refused() -> None:
 def test_the_digest_is_that_of_nodes_and_outputs() -> None:
     nodes = [placeholder("x", (2,)), node("y", "LeakyRelu", ["x"], alpha={"f": 0.1}), relu(name="z")]
     other = [placeholder("x", (2,)), node("y", "LeakyRelu", ["x"], alpha={"f": 0.2}), relu(name="z")]
-    digests = [GraphNetwork(model(some, {}, outputs)).digest for some in (nodes, other) for outputs in ("y", "z")]
+    digests = [GraphNetwork(model(part, {}, outputs)).digest for part in (nodes, other) for outputs in ("y", "z")]
     assert len(set(digests)) == 4
     assert digests[0] == GraphNetwork(model(nodes, {}, ["y"])).digest

@@ -202,9 +202,9 @@ def test_operation_is_what_its_definition_says(number: int, moved: bool) -> None
     network, picture = build(case, moved=moved)
     wanted = case.expected(PICTURE)
     wanted = wanted if isinstance(wanted, tuple) else (wanted,)
-    found = network(picture)
-    assert len(found) == len(wanted)
-    for one, other in zip(found, wanted, strict=True):
+    computed = network(picture)
+    assert len(computed) == len(wanted)
+    for one, other in zip(computed, wanted, strict=True):
         assert tuple(one.shape) == other.shape
         np.testing.assert_allclose(one.numpy(), other, rtol=2e-5, atol=2e-5)
 
@@ -224,9 +224,9 @@ def test_gradient_is_that_of_the_definition(number: int) -> None:
     direction = np.random.default_rng(1).normal(size=PICTURE.shape)
 
     def value(step: float) -> float:
-        found = case.expected(PICTURE.astype(np.float64) + step * direction)
-        found = found if isinstance(found, tuple) else (found,)
-        return float(sum((found[i] * weights[i].numpy()).sum() for i in kept))
+        values = case.expected(PICTURE.astype(np.float64) + step * direction)
+        values = values if isinstance(values, tuple) else (values,)
+        return float(sum((values[i] * weights[i].numpy()).sum() for i in kept))
 
     slope = (value(1e-6) - value(-1e-6)) / 2e-6
     analytic = float((picture.grad.permute(0, 2, 3, 1).numpy() * direction).sum())

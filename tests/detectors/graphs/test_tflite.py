@@ -49,8 +49,8 @@ def test_operations_are_those_of_the_definition(tmp_path: Path) -> None:
     filters = constants["filters"].transpose(1, 2, 3, 0)
     thin = convolved(small.clip(0, 6), filters, 1, 1, same=True, depthwise=False) + constants["bias"]
     rows = (2 * thin).reshape(1, 12, 3)
-    (found,) = made(torch.from_numpy(picture).float())
-    np.testing.assert_allclose(found.numpy(), np.concatenate([rows, rows], 1), atol=1e-5)
+    (computed,) = made(torch.from_numpy(picture).float())
+    np.testing.assert_allclose(computed.numpy(), np.concatenate([rows, rows], 1), atol=1e-5)
     assert [value.dtype for name, value in read_tflite(tiny())[1].items() if name == "half"] == [torch.float16]
 
 
@@ -96,13 +96,13 @@ def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
 
 
 def test_anchors_are_those_of_the_network() -> None:
-    found = anchors()
-    assert found.shape == (3 * 19**2 + 6 * (10**2 + 5**2 + 3**2 + 2**2 + 1), 4)
+    ours = anchors()
+    assert ours.shape == (3 * 19**2 + 6 * (10**2 + 5**2 + 3**2 + 2**2 + 1), 4)
     np.testing.assert_allclose(
-        found[:2], [[0.5 / 19, 0.5 / 19, 0.1, 0.1], [0.5 / 19, 0.5 / 19, 0.2 / 2**0.5, 0.2 * 2**0.5]]
+        ours[:2], [[0.5 / 19, 0.5 / 19, 0.1, 0.1], [0.5 / 19, 0.5 / 19, 0.2 / 2**0.5, 0.2 * 2**0.5]]
     )
-    np.testing.assert_allclose(found[-1], [0.5, 0.5, 0.95**0.5, 0.95**0.5])
-    np.testing.assert_allclose(found[-2], [0.5, 0.5, 0.95 * 3**0.5, 0.95 / 3**0.5])
+    np.testing.assert_allclose(ours[-1], [0.5, 0.5, 0.95**0.5, 0.95**0.5])
+    np.testing.assert_allclose(ours[-2], [0.5, 0.5, 0.95 * 3**0.5, 0.95 / 3**0.5])
 
 
 def test_ssd_boxes_are_shifts_of_anchors_and_a_vehicle_counts_as_a_car() -> None:
@@ -156,8 +156,8 @@ def test_outputs_of_the_published_are_those_of_the_interpreter(tmp_path: Path) -
     assert hashlib.sha256(content).hexdigest() == "d0a5255bf8c4f5a0bc4240741a76c41d5e939f7655078f945f50ab53a9375da6"
     made = network(content, tmp_path)
     assert made.outputs == SSD.outputs
-    for found, wanted in zip(made(picture()), interpreted(content, picture()), strict=True):
-        np.testing.assert_allclose(found.numpy(), wanted, atol=1e-4)
+    for computed, wanted in zip(made(picture()), interpreted(content, picture()), strict=True):
+        np.testing.assert_allclose(computed.numpy(), wanted, atol=1e-4)
 
 
 @pytest.mark.skipif(
