@@ -150,20 +150,33 @@ def _reason(error: RuntimeError, path: Path) -> MiSplatError:
     return InvalidValueError.of(str(path), "a Mitsuba scene", lines[-1] if lines else "an error", "mend the file")
 
 
-def open_scene(path: Path) -> SplatScene:
+def open_scene(path: Path, device: str = "cpu") -> SplatScene:
     """The scene in `path`, to be rendered as detectors and PNG files want it: three channels, sRGB.
 
     A bare splat file becomes a scene of one object without cameras, in front of black.
 
+    Args:
+        path: A scene XML or a splat file.
+        device: Where it lies and is rendered, "cpu" or "cuda".
+
+    Returns:
+        The scene.
+
     Raises:
-        MiSplatError: The file cannot be read, or is neither a Mitsuba scene nor a splat.
+        MiSplatError: The file cannot be read, or is neither a Mitsuba scene nor a splat; or there is no such device.
     """
     if path.suffix.lower() == ".xml":
         loaded = read_scene(path)
-        return dataclasses.replace(loaded, settings=dataclasses.replace(loaded.settings, alpha=False, linear=False))
-    scene = load_splat(path)
-    settings = RenderSettings(near=near_plane(scene))
-    return SplatScene(scene=scene, objects={path.stem: slice(0, len(scene))}, cameras={}, settings=settings)
+        loaded = dataclasses.replace(loaded, settings=dataclasses.replace(loaded.settings, alpha=False, linear=False))
+    else:
+        scene = load_splat(path)
+        settings = RenderSettings(near=near_plane(scene))
+        loaded = SplatScene(scene=scene, objects={path.stem: slice(0, len(scene))}, cameras={}, settings=settings)
+    if device == "cpu":
+        return loaded
+    variant.check_device(device)
+    settings = dataclasses.replace(loaded.settings, variant=variant.use("cuda_ad_rgb"))
+    return dataclasses.replace(loaded, scene=loaded.scene.to(device), settings=settings)
 
 
 def orbit_camera(

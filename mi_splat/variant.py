@@ -64,6 +64,21 @@ def device_of(variant: str) -> str:
     return "cuda" if variant.startswith("cuda") else "cpu"
 
 
+def check_device(device: str) -> None:
+    """Refuse the device "cuda" where Dr.Jit or torch has none.
+
+    Args:
+        device: "cpu" or "cuda".
+
+    Raises:
+        VariantError: There is none.
+    """
+    import torch
+
+    if device == "cuda" and not (has_cuda() and torch.cuda.is_available()):
+        raise VariantError.of("--device cuda", "an NVIDIA GPU that Dr.Jit and torch can use", "none", "leave it out")
+
+
 def has_cuda() -> bool:
     """Whether Dr.Jit finds a GPU and its driver."""
     import drjit as dr

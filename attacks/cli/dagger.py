@@ -80,14 +80,14 @@ def run(
     limit_threads()
     config = options.config
     with progress("loading the scene and the detector", total=config.restarts * (config.steps + 1)) as advance:
-        loaded = open_scene(options.scene)
+        loaded = open_scene(options.scene, options.device)
         selection = chosen_object(loaded, options.selection)
         chosen = choose(loaded, selection, options.view, split="train")
         weights = chosen.weights(loaded)
         if any(Path(text).is_dir() for text in options.view.cameras):
             chosen, weights = _showing(chosen, weights)
         require_visible(weights)
-        detectors = load_detectors(options.detectors, options.weights)
+        detectors = load_detectors(options.detectors, options.weights, options.device)
         if len(chosen.cameras) > 1:
             _forecast(loaded.scene, chosen, detectors, config)
         if watched is not None:

@@ -68,11 +68,11 @@ def run(options: DaggerEotOptions) -> None:
     config = options.config
     checkpoint = Checkpoint(path=options.checkpoint or options.out.with_name(f"{options.out.name}.checkpoint"))
     with progress("loading the scene and the detectors", total=config.steps + 1) as advance:
-        loaded = open_scene(options.scene)
+        loaded = open_scene(options.scene, options.device)
         selection = chosen_object(loaded, options.selection)
         chosen = choose(loaded, selection, options.view)
         name, camera = next(iter(chosen.cameras.items()))
-        detectors = load_detectors(options.detectors, options.weights)
+        detectors = load_detectors(options.detectors, options.weights, options.device)
         drawn = Transformations(cameras=options.region, pictures=options.pictures)
         views = ViewDistribution(loaded.scene, chosen.mask, camera, drawn, render=chosen.render, up=options.view.up)
         advance("looking at the object", 0)

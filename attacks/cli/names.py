@@ -104,12 +104,16 @@ def check_class(name: str | None, detector: str, classes: Sequence[str], *, what
         raise InvalidValueError.of(what, expected, name, nearest(name, classes, do))
 
 
-def load_detectors(names: Sequence[str], weights: Sequence[Path] = ()) -> list[Detector]:
+def load_detectors(names: Sequence[str], weights: Sequence[Path] = (), device: str = "cpu") -> list[Detector]:
     """Detectors by name, each with its file of weights if there are any.
 
     Args:
         names: As `mi-splat detectors` lists them.
         weights: As many files, or none for the shipped or published weights.
+        device: Where they look, "cpu" or "cuda".
+
+    Returns:
+        The detectors, in the order of their names.
 
     Raises:
         InvalidValueError: There are other numbers of files, no names, or the same twice.
@@ -118,7 +122,7 @@ def load_detectors(names: Sequence[str], weights: Sequence[Path] = ()) -> list[D
     from attacks.detectors import load_detector
 
     files = weights_of(names, weights)
-    return [load_detector(name, weights=files.get(name)) for name in names]
+    return [load_detector(name, weights=files.get(name), device=device) for name in names]
 
 
 def weights_of(names: Sequence[str], weights: Sequence[Path]) -> dict[str, Path]:

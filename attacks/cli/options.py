@@ -3,7 +3,7 @@
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from mi_splat.cli.flags import Flag, Positional, Unprefixed
 from mi_splat.cli.options import CameraOptions, ResultOptions
@@ -58,5 +58,7 @@ class AttackOptions(DetectorOptions, ResultOptions):
     """The aim: another class (--target), no detection at all, any but the right class, or that of another package."""
     target: ClassName | None = None
     """Class that the detectors shall see there (relabel); None is person."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where splat and detectors are: on the CPU, or on an NVIDIA GPU, where no two attacks have the same bits."""
     confidence: Confidence | None = None
     """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""

@@ -126,19 +126,17 @@ def _check_device(device: str, kind: str) -> None:
     """Refuse a GPU that is not there, or that would do nothing.
 
     Raises:
-        UsageError: It is either.
+        UsageError: It would do nothing.
+        VariantError: It is not there.
     """
     if device == "cpu":
         return
     if not KINDS[kind].on_gpu:
         able = " or ".join(name for name, one in KINDS.items() if one.on_gpu)
         raise UsageError.of("--device cuda", f"--kind {able}", kind, "leave it out")
-    import torch
+    from mi_splat.variant import check_device
 
-    from mi_splat.variant import has_cuda
-
-    if not (has_cuda() and torch.cuda.is_available()):
-        raise UsageError.of("--device cuda", "an NVIDIA GPU that Dr.Jit and torch can use", "none", "leave it out")
+    check_device(device)
 
 
 def _changes(done: Poisoned) -> str:

@@ -92,21 +92,30 @@ def register_detector(spec: DetectorSpec) -> None:
     DETECTORS.add(spec.name, spec)
 
 
-def load_detector(name: str, *, weights: Path | None = None) -> Detector:
+def load_detector(name: str, *, weights: Path | None = None, device: str = "cpu") -> Detector:
     """Load a detector in evaluation mode.
 
     Args:
         name: Key of `DETECTORS`.
         weights: .safetensors or .pth file. None: its usual weights, which are shipped with this package
             (`fasterrcnn_small`), lie in a checkout (`yolov8n_small`), or come from the library's own download.
+        device: Where it looks, "cpu" or "cuda": pictures have to lie there, too.
 
     Returns:
         The detector, its weights frozen.
 
     Raises:
-        DetectorError: there is no such detector, or its weights are missing or do not fit.
+        DetectorError: there is no such detector, its weights are missing or do not fit, or it cannot be moved to the
+            device.
     """
-    return detector_spec(name).load(weights)
+    detector = detector_spec(name).load(weights)
+    if device == "cpu":
+        return detector
+    if not hasattr(detector, "to"):
+        do = "leave the device out, or write its method to(device)"
+        raise DetectorError.of(f"detector {name}", f"one that can be moved to {device}", "one without it", do)
+    moved: Detector = detector.to(device)
+    return moved
 
 
 def detector_spec(name: str) -> DetectorSpec:

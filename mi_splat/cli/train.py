@@ -143,9 +143,11 @@ def run(options: TrainOptions) -> None:
     """Train, or go on with a training, and say what came of it."""
     from mi_splat.io.folders import own_folder
     from mi_splat.training.resume import CHECKPOINT, CONFIG
+    from mi_splat.variant import check_device
 
     if options.port is not None and not options.live:
         raise UsageError(message("--port", "--live beside it", "no page", "add --live, or leave it out"))
+    check_device(options.device)
     if options.live:
         from mi_splat.viewer.page import check_port, need_viser
 

@@ -143,9 +143,11 @@ def test_a_gpu_that_is_not_there_is_refused(
     names: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(variant, "has_cuda", lambda: False)
-    words = [*names, "--kind", "poison-splat", "--device", "cuda"]
-    assert cli.main(["poison", *words, "--out", str(tmp_path / "out")]) == 2
-    assert "expected an NVIDIA GPU that Dr.Jit and torch can use, got none" in " ".join(capsys.readouterr().err.split())
+    for words in (["poison", *names, "--kind", "poison-splat"], ["train", names[0]], ["dagger"]):
+        assert cli.main([*words, "--device", "cuda", "--out", str(tmp_path / "out")]) == 1
+        assert not (tmp_path / "out").exists()
+        said = " ".join(capsys.readouterr().err.split())
+        assert "expected an NVIDIA GPU that Dr.Jit and torch can use, got none" in said
 
 
 @pytest.mark.skipif(not (variant.has_cuda() and torch.cuda.is_available()), reason="needs a GPU")

@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from attacks import cli
 from attacks.budgets import NORMS
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
@@ -17,11 +18,13 @@ from attacks.detectors.base import Detections
 from attacks.limits import NORM_NAMES, NormName
 from attacks.objectives import Objective, hide, relabel, untargeted
 from attacks.search import Step
+from mi_splat import variant
 from mi_splat.attributes import Attribute
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.images import through_png
+from mi_splat.io.parsing import read_json
 from mi_splat.scene import ATTRIBUTES, GaussianScene, scene_hash
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
@@ -329,3 +332,14 @@ def test_radii_make_a_curve_of_attacks_in_one_call() -> None:
         attack(*common, render=blobs, eps=[])
     with pytest.raises(InvalidValueError, match="eps"):
         attack(*common, render=blobs, eps=[1.0, -1.0], on_step=lambda step: pytest.fail("begun before all are checked"))
+
+
+@pytest.mark.skipif(not (variant.has_cuda() and torch.cuda.is_available()), reason="needs a GPU")
+@pytest.mark.parametrize("words", ["dagger", "dagger-eot --held-out 4 --validation 2"])
+def test_a_gpu_finds_nearly_the_same_losses(words: str, tmp_path: Path) -> None:
+    losses = []
+    for device in ("cpu", "cuda"):
+        out = tmp_path / device
+        assert cli.main([*words.split(), "--steps", "3", "--device", device, "--out", str(out)]) == 0
+        losses.append([line["loss"] for line in read_json(out / "result.json")["trace"]])
+    assert losses[0] == pytest.approx(losses[1], rel=0.1)

@@ -87,6 +87,11 @@ def test_a_registered_detector_is_loaded_and_listed(
     assert len(DETECTORS) == len(list(DETECTORS))
 
 
+def test_a_detector_without_a_way_to_move_is_refused_on_a_gpu(registered: DetectorSpec) -> None:
+    with pytest.raises(DetectorError, match=r"detector fake_colour: expected one that can be moved to cuda"):
+        load_detector("fake_colour", device="cuda")
+
+
 def test_the_loader_gets_the_weights(registered: DetectorSpec, tmp_path: Path) -> None:
     seen: list[Path | None] = []
 
