@@ -89,12 +89,16 @@ def save_state(kept: KeptSearch, path: Path, *, key: str) -> None:
     save_bytes(packed, path)
 
 
-def load_state(path: Path, *, key: str) -> KeptSearch | None:
+def load_state(path: Path, *, key: str, device: torch.device | str = "cpu") -> KeptSearch | None:
     """Read a search; None if there is none.
 
     Args:
         path: The file.
         key: What tells this attack from others.
+        device: Where its tensors shall be.
+
+    Returns:
+        The search, or None.
 
     Raises:
         CheckpointError: The file is no checkpoint, or one of another attack; or a part of it does not fit the others.
@@ -107,7 +111,7 @@ def load_state(path: Path, *, key: str) -> KeptSearch | None:
     groups: dict[str, Parameters] = {}
     for key, value in tensors.items():
         group, _, name = key.partition("/")
-        groups.setdefault(group, {})[name] = value
+        groups.setdefault(group, {})[name] = value.to(device)
     point, best = groups.pop(_POINT, {}), groups.pop(_BEST, {})
     check_like(best, point, f"{notes.where}, best", _READER)
     for group, memory in groups.items():

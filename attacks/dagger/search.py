@@ -110,7 +110,8 @@ def search_drawn(
         BudgetError: The best point is outside the ball.
     """
     clock, reference = time.perf_counter(), problem.subset.parameters(config.attributes)
-    kept = None if checkpoint is None else load_state(checkpoint.path, key=key)
+    device = problem.subset.scene.means.device
+    kept = None if checkpoint is None else load_state(checkpoint.path, key=key, device=device)
     if kept is None:
         price = None if config.image_psnr is None else ImagePrice.of(config.image_psnr, steps=config.steps)
         kept = KeptSearch(search=SearchState.at(reference), price=price, seconds=0.0)

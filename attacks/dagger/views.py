@@ -177,7 +177,8 @@ class ViewDistribution:
         frozen = self.frozen.get(camera)
         if frozen is None or frozen.settings.linear:  # pictures of light do not add up in sRGB
             return visible_weight(self._subset, camera, self.render)
-        black, white = (frozen(colour_to_dc(torch.full((len(frozen.rows), 1, 3), value))) for value in (0.0, 1.0))
+        zeros = torch.zeros(len(frozen.rows), 1, 3, device=self.scene.sh.device)
+        black, white = (frozen(colour_to_dc(zeros + value)) for value in (0.0, 1.0))
         return (white - black)[..., :3].mean(-1).clamp(0, 1)
 
     def views(self, seed: int, count: int) -> list[View]:

@@ -141,7 +141,7 @@ def changed_mask(clean: GaussianScene, attacked: GaussianScene) -> Tensor:
         got = f"{len(clean):,} and {len(attacked):,}"
         raise InvalidValueError.of("the scenes", "the same Gaussians in both", got, do).hinted("--box")
     degree = max(clean.degree, attacked.degree)
-    changed = torch.zeros(len(clean), dtype=torch.bool)
+    changed = torch.zeros(len(clean), dtype=torch.bool, device=clean.means.device)
     for name in ATTRIBUTES:
         before, after = (getattr(scene.with_degree(degree), name) for scene in (clean, attacked))
         changed |= (before != after).reshape(len(clean), -1).any(-1)
