@@ -152,7 +152,7 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> SplatScene:
     objects = {"rest": slice(0, 10), "thing": slice(10, 40)}
     cameras = {"front": camera(), "aside": camera(offset=0.3)}
     loaded = SplatScene(scene=scene, objects=objects, cameras=cameras, settings=RenderSettings())
-    monkeypatch.setattr("mi_splat.scene_files.open_scene", lambda path: loaded)
+    monkeypatch.setattr("mi_splat.scene_files.open_scene", lambda *_: loaded)
     monkeypatch.setattr(cli_cameras, "Renderer", lambda settings: blobs)
     monkeypatch.setattr("attacks.cli.names.load_detectors", lambda *_: [ColourDetector()])
     return loaded
