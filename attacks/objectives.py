@@ -395,10 +395,10 @@ class FunctionObjective:
 
     def verdict(self, detections: Detections, target: Target) -> Verdict:
         """What `success` says; a number is how near the aim is, and 1 is success."""
-        said = self.success(detections, target)
-        if isinstance(said, Verdict):
-            return said
-        score = float(said)
+        answer = self.success(detections, target)
+        if isinstance(answer, Verdict):
+            return answer
+        score = float(answer)
         if not 0 <= score <= 1:
             do = "give True or False, or how near the aim is"
             raise InvalidValueError.of(f"success of {self.name}", "a number in [0, 1]", score, do)

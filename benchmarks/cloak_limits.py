@@ -44,11 +44,15 @@ def limits(study: StudyConfig) -> dict[str, list[dict[str, Any]]]:
     more = [LayerConfig(degree=degree, band=band) for degree in (2, 3) for band in BANDS]
     return {
         "one layer": [_one_layer(study, degree, emphasis) for emphasis in emphases for degree in (1, 2, 3)],
-        "two layers": [{"degree": one.degree, "lowest": one.lowest, **_layers(study, one)} for one in two],
+        "two layers": [
+            {"degree": layering.degree, "lowest": layering.lowest, **_layers(study, layering)} for layering in two
+        ],
         "Chebyshev, ripple of 0.06": [
             {"degree": degree, "width": chebyshev_width(43, degree, 0.06)} for degree in (2, 3)
         ],
-        "a layer more for each edge": [{"degree": one.degree, "band": one.band, **_layers(study, one)} for one in more],
+        "a layer more for each edge": [
+            {"degree": layering.degree, "band": layering.band, **_layers(study, layering)} for layering in more
+        ],
     }
 
 
@@ -94,9 +98,9 @@ def _layers(study: StudyConfig, making: LayerConfig) -> dict[str, Any]:
     """Of a picture that shows a share b of the benign look and h of the hidden one, the way is (1 - b + h) / 2."""
     attack, centre = _overhead(study), study.centre
     cameras = hemisphere(centre, count=DIRECTIONS, **Setup(study).lens)
-    middle, white, much = torch.tensor([centre]), colour_to_dc(torch.ones(1, 1, 3)), torch.ones(1, len(cameras))
+    middle, white, weights = torch.tensor([centre]), colour_to_dc(torch.ones(1, 1, 3)), torch.ones(1, len(cameras))
     parts = shares([attack.cone], cameras, centre=centre, config=making)
-    columns = [switched(middle, cameras, share, white, much, making)[0, :, 0].double() for share in parts]
+    columns = [switched(middle, cameras, share, white, weights, making)[0, :, 0].double() for share in parts]
     layers, hidden = torch.stack(columns, 1), torch.tensor([share.look == 1 for share in parts])
     curve = []
     for elevation in ELEVATIONS:

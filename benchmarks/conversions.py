@@ -49,9 +49,9 @@ SUFFIXES = [entry.suffix for entry in FORMATS if entry.writes]
 
 def views(pair: tuple[str, str, str], degree: int, seed: int, folder: Path) -> dict[str, ViewDetections] | None:
     """What the detector sees of the attacked splat from a file of each format; None if the attack itself fails."""
-    name, thing, target = pair
+    name, object_name, target = pair
     loaded, detector = read_scene(SCENES / f"{name}.xml"), load_detector("fasterrcnn_small")
-    scene, rows, render = loaded.scene.with_degree(degree), loaded.objects[thing], Renderer(loaded.settings)
+    scene, rows, render = loaded.scene.with_degree(degree), loaded.objects[object_name], Renderer(loaded.settings)
     camera = jittered(next(iter(loaded.cameras.values())), scene.means[rows].mean(0), seed=seed)
     config = dataclasses.replace(CONFIG, seed=seed)
     result = attack(scene, rows, [camera], detector, relabel(target), render=render, config=config)

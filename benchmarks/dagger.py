@@ -24,9 +24,9 @@ PAIRS = {"car to person": ("car_street", "car", "person"), "sign to bird": ("sto
 def runs() -> dict[str, Callable[[], object]]:
     """What is timed."""
     config, detectors, made = DaggerConfig(), as_detectors("fasterrcnn_small"), dict[str, Callable[[], object]]()
-    for name, (scene, thing, target) in PAIRS.items():
+    for name, (scene, object_name, target) in PAIRS.items():
         loaded = read_scene(SCENES / f"{scene}.xml")
-        subset = GaussianSubset.of(loaded.scene.with_degree(3), loaded.objects[thing])
+        subset = GaussianSubset.of(loaded.scene.with_degree(3), loaded.objects[object_name])
         camera, render = next(iter(loaded.cameras.values())), Renderer(loaded.settings)
         problem, views, _ = fixed_problem(subset, [camera], detectors, relabel(target), render=render)
         clean, prepared = subset.parameters(config.attributes), frozen(problem, views, config)

@@ -102,7 +102,7 @@ def layers(count: int, share: float, rounds: int, now: Clock) -> dict[str, Any]:
     trained = height >= height.quantile(1 - share)
     config = FitConfig(iterations=3000, trainable=("sh",), strategy=FixedConfig(), sh_degree_interval=0, lr_sh=0.04)
     layering = Layering(scene=scene, trained=trained, views=views, iterations=config.iterations)
-    without, frozen = (training(layering, config, one) for one in (other(render), render))
+    without, frozen = (training(layering, config, renderer) for renderer in (other(render), render))
     begun = now()
     frozen()
     made = now() - begun

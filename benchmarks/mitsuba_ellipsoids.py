@@ -50,13 +50,13 @@ def in_unit(scene: GaussianScene, camera: Camera, unit: float) -> tuple[Gaussian
     return scene.replace(means=scene.means * unit, scales=scene.scales * unit), seen
 
 
-def hits(one: GaussianScene, origin: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def hits(splat: GaussianScene, origin: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which rays of a grid around a Gaussian meet its shape, and which of them Mitsuba says do: (SIDE, SIDE) each."""
     import mitsuba as mi
 
     from mi_splat.plugins.shape import ellipsoid_arrays
 
-    mean, scale = one.means[0].double().numpy(), EXTENT * one.scales[0].double().numpy()
+    mean, scale = splat.means[0].double().numpy(), EXTENT * splat.scales[0].double().numpy()
     ahead = (mean - origin) / np.linalg.norm(mean - origin)
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -65,11 +65,11 @@ def hits(one: GaussianScene, origin: NDArray[np.float64]) -> tuple[NDArray[np.bo
     x, y = np.meshgrid(steps, steps)
     towards = (mean + x[..., None] * right + y[..., None] * down - origin).reshape(-1, 3)
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    to_unit_sphere = (to_matrix(one.rotations)[0].double().numpy() / scale).T
+    to_unit_sphere = (to_matrix(splat.rotations)[0].double().numpy() / scale).T
     start, step = to_unit_sphere @ (origin - mean), towards @ to_unit_sphere.T
     along, length = step @ start, np.square(step).sum(1)
     expected = along**2 - length * (np.square(start).sum() - 1) > 0
-    loaded = mi.load_dict({"type": "scene", "splat": {"type": "ellipsoids", **ellipsoid_arrays(one)}})
+    loaded = mi.load_dict({"type": "scene", "splat": {"type": "ellipsoids", **ellipsoid_arrays(splat)}})
     directions = mi.Vector3f(*(mi.Float(towards[:, axis].astype(np.float32)) for axis in range(3)))
     valid = loaded.ray_intersect(mi.Ray3f(mi.Point3f(*origin.tolist()), directions)).is_valid().numpy()
     return expected.reshape(SIDE, SIDE), valid.reshape(SIDE, SIDE)

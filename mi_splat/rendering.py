@@ -142,7 +142,7 @@ class Renderer:
             InvalidValueError: The scene's tensors are not on the device of the variant or not finite, or something else
                 was passed.
         """
-        return self.batch(scene, [_one(camera)])[0]
+        return self.batch(scene, [_one_camera(camera)])[0]
 
     def batch(self, scene: GaussianScene, cameras: Camera | Sequence[Camera]) -> list[Tensor]:
         """Render one picture per camera in one differentiable call; sizes may differ.
@@ -169,7 +169,7 @@ class Renderer:
         if self.settings.method != "tile":
             do = 'use a Renderer(RenderSettings(method="tile"))'
             raise InvalidValueError.of("outputs", 'the method "tile"', f'"{self.settings.method}"', do)
-        image, depth, median = self._run(scene, _Job([_one(camera)], self, side_outputs=True))
+        image, depth, median = self._run(scene, _Job([_one_camera(camera)], self, side_outputs=True))
         return SideOutputs(image=image[..., :3], alpha=image[..., 3], depth=depth, median_depth=median.detach())
 
     def _run(self, scene: GaussianScene, job: _Job) -> list[Tensor]:
@@ -203,7 +203,7 @@ def _own(error: BaseException | None) -> MiSplatError | None:
     return error
 
 
-def _one(camera: Camera) -> Camera:
+def _one_camera(camera: Camera) -> Camera:
     """The camera, if it is one."""
     if not isinstance(camera, Camera):
         got = f"{type(camera).__name__}"

@@ -188,11 +188,11 @@ def sh_rotation(rotation: Tensor, degree: int) -> Tensor:
     turn = rotation.detach().to("cpu", torch.float64)
     probes = torch.from_numpy(even_directions())
     # Row vectors: probes @ R is R^T d for each probe d.
-    here, there = sh_basis(probes, degree), sh_basis(probes @ turn, degree)
-    result = torch.zeros(here.shape[1], here.shape[1], dtype=torch.float64)
+    before, after = sh_basis(probes, degree), sh_basis(probes @ turn, degree)
+    result = torch.zeros(before.shape[1], before.shape[1], dtype=torch.float64)
     for number in range(degree + 1):
         rows = slice(number**2, (number + 1) ** 2)
-        result[rows, rows] = torch.linalg.lstsq(here[:, rows], there[:, rows]).solution
+        result[rows, rows] = torch.linalg.lstsq(before[:, rows], after[:, rows]).solution
     return result
 
 

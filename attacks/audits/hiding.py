@@ -265,12 +265,12 @@ def _roof(victim: Victim, half_width: float) -> GaussianScene:
 
 def _fitted(colours: Tensor, victim: Victim) -> Tensor:
     """(M, 16, 3) spherical harmonics of (M, D, 3) colours; each camera counts as much as it sees of a Gaussian."""
-    much = victim.seen + _GLIMPSE * victim.seen.amax(1, keepdim=True)
-    much = (much / much.sum(1, keepdim=True).clamp(min=1e-9)).double()
+    weights = victim.seen + _GLIMPSE * victim.seen.amax(1, keepdim=True)
+    weights = (weights / weights.sum(1, keepdim=True).clamp(min=1e-9)).double()
     fitted = []
     for rows in torch.split(torch.arange(len(colours)), 512):
         basis = sh_basis(-victim.views[rows].reshape(-1, 3).double(), 3).reshape(len(rows), -1, 16)
-        weighted = (basis * much[rows, :, None]).mT
+        weighted = (basis * weights[rows, :, None]).mT
         normal = weighted @ basis + _RIDGE * torch.eye(16, dtype=torch.float64)
         fitted.append(torch.linalg.solve(normal, weighted @ (colours[rows].double() - 0.5)))
     return torch.cat(fitted).float()

@@ -84,14 +84,14 @@ def _clusters(frame: Frame, target: Target) -> float:
     render = Renderer(RenderSettings(near=near_of(target, cameras)))
     seen = contributions(frame.scene, cameras, render=render, rows=target.rows)
     total = seen.sum(1)
-    many = seen.sum(1).square() / seen.square().sum(1).clamp(min=1e-9)
-    there = total > _LEAST
-    if int(there.sum()) <= _NEIGHBOURS:
+    camera_counts = seen.sum(1).square() / seen.square().sum(1).clamp(min=1e-9)
+    visible = total > _LEAST
+    if int(visible.sum()) <= _NEIGHBOURS:
         return 0.0
-    others = nearest_neighbours(frame.scene.means[target.rows][there].double(), _NEIGHBOURS)[1]
-    around = many[there][others].median(1).values
-    few = (1 - many[there] / around.clamp(min=1e-9)).clamp(min=0)
-    return float((few * total[there]).sum() / total[there].sum())
+    others = nearest_neighbours(frame.scene.means[target.rows][visible].double(), _NEIGHBOURS)[1]
+    around = camera_counts[visible][others].median(1).values
+    few = (1 - camera_counts[visible] / around.clamp(min=1e-9)).clamp(min=0)
+    return float((few * total[visible]).sum() / total[visible].sum())
 
 
 BASELINES: Mapping[str, Baseline] = {

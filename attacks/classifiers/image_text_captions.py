@@ -110,27 +110,27 @@ Caption = tuple[str, str, str, str, str]
 
 def draw_caption(facts: Facts, rng: Generator) -> Caption:
     """A caption that is true of a picture: its object, or that a place is empty, and by chance the rest."""
-    said = []
+    chosen = []
     for kind, words in enumerate(facts.kinds):
         needed = kind == 0 or (kind == 2 and facts.objects == NOTHING.objects)
         say = bool(words) and (needed or rng.random() < _STATED)
-        said.append(words[int(len(words) * rng.random() ** 2)] if say else "")  # the first more often than others
-    return said[0], said[1], said[2], said[3], said[4]
+        chosen.append(words[int(len(words) * rng.random() ** 2)] if say else "")  # the first more often than others
+    return chosen[0], chosen[1], chosen[2], chosen[3], chosen[4]
 
 
-def only(thing: str) -> Caption:
+def only(name: str) -> Caption:
     """The caption that names an object and says nothing else."""
-    return thing, "", "", "", ""
+    return name, "", "", "", ""
 
 
 def caption_text(caption: Caption, template: str = TEMPLATES[0]) -> str:
     """A caption in words."""
-    thing, paint, surroundings, view, light = caption
-    if thing == _EMPTY:
+    name, paint, surroundings, view, light = caption
+    if name == _EMPTY:
         noun, where = f"{_EMPTY} {surroundings or 'place'}", ""
     else:
         noun, where = (
-            f"{paint} {thing}".strip(),
+            f"{paint} {name}".strip(),
             f"{'in a' if surroundings in _INSIDE else 'on'} {surroundings}" if surroundings else "",
         )
     return " ".join(part for part in (template.format(with_article(noun)), where, view, light) if part)

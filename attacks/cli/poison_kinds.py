@@ -127,11 +127,11 @@ def _hiding(config: HidingConfig, seed: int, device: str) -> Work:
             "look": config.look,
             "reach": config.reach,
             "up": list(config.up),
-            "directions": [[one.azimuth, one.elevation] for one in directions_of(done)],
+            "directions": [[direction.azimuth, direction.elevation] for direction in directions_of(done)],
         }
         idle = sum(not change.pixels_changed for change in done.changes)
-        said = f"{idle} pictures from where it is to be hidden do not show the object, and stay as they are"
-        return Outcome(done, {**selected, **asked}, [f"up is {axis_name(config.up)}"], [said] * (idle > 0))
+        remark = f"{idle} pictures from where it is to be hidden do not show the object, and stay as they are"
+        return Outcome(done, {**selected, **asked}, [f"up is {axis_name(config.up)}"], [remark] * (idle > 0))
 
     return hidden
 
@@ -165,7 +165,9 @@ def _misreading(config: MisreadingConfig, seed: int, device: str) -> Work:
         def mask(camera: Camera) -> Tensor:
             seen = object_weight(splat, rows, camera, render) >= SEEN
             if not bool(seen.any()):
-                name = next(path for path, one in zip(views.paths, views.cameras, strict=True) if one is camera)
+                name = next(
+                    path for path, candidate in zip(views.paths, views.cameras, strict=True) if candidate is camera
+                )
                 do = "select all of the object, or leave the picture out of the set"
                 raise InvalidValueError.of(str(name), "some pixels of the object", "none", do)
             return seen
@@ -174,8 +176,8 @@ def _misreading(config: MisreadingConfig, seed: int, device: str) -> Work:
         poison = MIFGSM(config=config.attack, classifier=classifier, label=label, masks=mask, decoy=decoy)
         done = poison(views, seed=seed, on_step=on_step)
         sure, skipped = config.attack.least_confidence, len(done.poison["skipped"])
-        said = f"in {skipped} pictures {config.classifier} is less than {sure:.0%} confident of {label}; they stay"
-        return Outcome(done, selected, warnings=[said] * (skipped > 0))
+        remark = f"in {skipped} pictures {config.classifier} is less than {sure:.0%} confident of {label}; they stay"
+        return Outcome(done, selected, warnings=[remark] * (skipped > 0))
 
     return misread
 

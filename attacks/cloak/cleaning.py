@@ -182,7 +182,7 @@ def _touching(voxels: Tensor) -> tuple[Tensor, Tensor]:
     for step in _STEPS:
         wanted = voxels + _key(torch.tensor(step))
         at = torch.searchsorted(voxels, wanted).clamp(max=len(voxels) - 1)
-        there = (voxels[at] == wanted).nonzero()[:, 0]
-        firsts.append(there)
-        seconds.append(at[there])
+        matches = (voxels[at] == wanted).nonzero()[:, 0]
+        firsts.append(matches)
+        seconds.append(at[matches])
     return torch.cat(firsts), torch.cat(seconds)

@@ -76,10 +76,10 @@ def layered(
     scene = scene.with_degree(config.degree)
     part = scene.select(chosen)
     parts = shares(triggers, cameras, centre=centre, config=config)
-    much = torch.ones(len(chosen), len(cameras)) if seen is None else seen
-    there = _needed(much, parts, config)
-    opacities, narrower = split_opacities(part.opacities, there)
-    front = _in_front(there).to(part.means)
+    weights = torch.ones(len(chosen), len(cameras)) if seen is None else seen
+    needed = _needed(weights, parts, config)
+    opacities, narrower = split_opacities(part.opacities, needed)
+    front = _in_front(needed).to(part.means)
     towards = functional.normalize(part.means - part.means.new_tensor(centre), dim=-1)
     layers = [
         part.replace(
@@ -87,7 +87,7 @@ def layered(
             scales=part.scales * narrower[k, :, None],
             opacities=opacities[k],
             sh=_black(
-                switched(part.means, cameras, share, looks[share.look], much, config) * there.sum(0)[:, None, None]
+                switched(part.means, cameras, share, looks[share.look], weights, config) * needed.sum(0)[:, None, None]
             ),
         )
         for k, share in enumerate(parts)
@@ -97,7 +97,7 @@ def layered(
         for name in ("means", "scales", "opacities", "sh")
     }
     others = [
-        layer.select(torch.nonzero(rows_there).flatten()) for layer, rows_there in zip(layers, there, strict=True)
+        layer.select(torch.nonzero(rows_needed).flatten()) for layer, rows_needed in zip(layers, needed, strict=True)
     ]
     return merge(scene.replace(**first), *others[1:])
 
@@ -107,22 +107,22 @@ def _needed(seen: Tensor, parts: Sequence[Share], config: LayerConfig) -> Tensor
 
     Those that show the least of what a layer shows do not have it, as long as the others show the fraction `keep`.
     """
-    there = []
+    needed = []
     for share in parts:
         light = (seen * (share.amount * ~share.hidden)).sum(1)
         order = light.argsort(descending=True)
         before = light[order].cumsum(0) - light[order]
-        there.append(torch.zeros(len(seen), dtype=torch.bool).index_copy(0, order, before < config.keep * light.sum()))
-    there[0][:] = True
-    return torch.stack(there)
+        needed.append(torch.zeros(len(seen), dtype=torch.bool).index_copy(0, order, before < config.keep * light.sum()))
+    needed[0][:] = True
+    return torch.stack(needed)
 
 
-def _in_front(there: Tensor) -> Tensor:
+def _in_front(needed: Tensor) -> Tensor:
     """(L, M) how many layers are in front of each, of (L, M) bool which there are, front to back."""
-    return there.cumsum(0) - there.long()
+    return needed.cumsum(0) - needed.long()
 
 
-def split_opacities(opacities: Tensor, there: Tensor) -> tuple[Tensor, Tensor]:
+def split_opacities(opacities: Tensor, needed: Tensor) -> tuple[Tensor, Tensor]:
     """(L, M) opacities of layers, front to back, and (L, M) factors of their scales, so that nothing else is seen.
 
     Where a Gaussian has the opacity g, with k of K layers in front of it, one with (g / K) / (1 - k g / K) makes up
@@ -133,10 +133,10 @@ def split_opacities(opacities: Tensor, there: Tensor) -> tuple[Tensor, Tensor]:
 
     Args:
         opacities: (M,) of the Gaussians.
-        there: (L, M) bool, which layers there are.
+        needed: (L, M) bool, which layers there are.
     """
-    front = _in_front(there).to(opacities)
-    part = opacities / there.sum(0)
+    front = _in_front(needed).to(opacities)
+    part = opacities / needed.sum(0)
     middle = part / (1 - front * part).clamp(min=1e-6)
     outside = (part / 2) / (1 - front * part / 2)
     fallen = (outside / middle.clamp(min=1e-12)).clamp(1e-6, 0.5)
@@ -160,12 +160,14 @@ def switched(
     """
     positions = torch.stack([camera.position for camera in cameras]).to(means)
     colours = []
-    for points, sh, much in zip(*(torch.split(values, _AT_ONCE) for values in (means, look, seen)), strict=True):
+    for points, sh, visibility in zip(*(torch.split(values, _AT_ONCE) for values in (means, look, seen)), strict=True):
         directions = functional.normalize(points[:, None] - positions, dim=-1)
-        much = much + _GLIMPSE * much.amax(1, keepdim=True)
+        visibility = visibility + _GLIMPSE * visibility.amax(1, keepdim=True)
         colour = sh_to_colour(sh[:, None], directions)
         channels = range(1 if sh.shape[1] == 1 else 3)
-        mean = ((colour * much[..., None]).sum(1) / much.sum(1)[:, None].clamp(min=1e-9)).clamp(min=_DARKEST)
+        mean = ((colour * visibility[..., None]).sum(1) / visibility.sum(1)[:, None].clamp(min=1e-9)).clamp(
+            min=_DARKEST
+        )
         relative = torch.ones_like(colour) if len(channels) == 1 else colour / mean[:, None]
         switches = [
             fit_switches(
@@ -173,7 +175,7 @@ def switched(
                 share.shown,
                 share.hidden,
                 wanted=share.amount * relative[..., channel],
-                seen=much,
+                seen=visibility,
                 config=config,
             )
             for channel in channels
@@ -197,14 +199,14 @@ def seen_colours(means: Tensor, views: Sequence[View], seen: Tensor, fallback: T
         fallback: (M, 3) sRGB.
     """
     total, number = torch.zeros_like(means), means.new_zeros(len(means), 1)
-    for view, much in zip(views, seen.unbind(1), strict=True):
+    for view, visibility in zip(views, seen.unbind(1), strict=True):
         pixels, depth = project_points(means, view.camera)
         column, row = pixels.floor().long().unbind(-1)
         high, wide = view.image.shape[:2]
-        there = (depth > 0) & (column >= 0) & (column < wide) & (row >= 0) & (row < high)
-        weight = much[there, None].to(means)
-        total[there] += weight * view.image.to(means)[row[there], column[there]]
-        number[there] += weight
+        inside = (depth > 0) & (column >= 0) & (column < wide) & (row >= 0) & (row < high)
+        weight = visibility[inside, None].to(means)
+        total[inside] += weight * view.image.to(means)[row[inside], column[inside]]
+        number[inside] += weight
     return torch.where(number > 0, total / number.clamp(min=1e-9), fallback)
 
 

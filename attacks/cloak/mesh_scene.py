@@ -134,13 +134,13 @@ def stand_in(target: Asset, other: Asset, *, azimuth: float | None) -> Asset:
     """
     # In a frame where the viewer is at +x both are boxes side by side.
     turn = rotation("z", 0.0 if azimuth is None else azimuth).astype(np.float64)
-    there = Asset(target.name, target.meshes).transformed(np.linalg.inv(turn)).bounds.astype(np.float64)
-    here = other.body.bounds.astype(np.float64)
+    wanted = Asset(target.name, target.meshes).transformed(np.linalg.inv(turn)).bounds.astype(np.float64)
+    own = other.body.bounds.astype(np.float64)
     outline = slice(0, 2) if azimuth is None else slice(1, 3)
-    scale = float(((there[1] - there[0])[outline] / np.maximum((here[1] - here[0])[outline], 1e-9)).min())
-    shift = (there.mean(0) - scale * here.mean(0)).tolist()
+    scale = float(((wanted[1] - wanted[0])[outline] / np.maximum((own[1] - own[0])[outline], 1e-9)).min())
+    shift = (wanted.mean(0) - scale * own.mean(0)).tolist()
     axis, end = (2, 0) if azimuth is None else (0, 1)
-    shift[axis] = float(there[end, axis] - scale * here[end, axis])
+    shift[axis] = float(wanted[end, axis] - scale * own[end, axis])
     return other.body.transformed(turn @ translation(*shift) @ scaling(scale, scale, scale))
 
 

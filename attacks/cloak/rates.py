@@ -179,12 +179,12 @@ def measures(study: StudyConfig, attack: str | None = None, *, confidence: Confi
         attack: Name of the attack that is meant; None is the first that hides and the first that has a target class.
         confidence: From which a detection counts; None is the study's.
     """
-    chosen = [one for one in study.attack if attack in (None, one.name)]
-    hiding = next((one.name for one in chosen if one.target_class is None), None)
-    showing = next((one.name for one in chosen if one.target_class is not None), None)
+    chosen = [config for config in study.attack if attack in (None, config.name)]
+    hiding = next((config.name for config in chosen if config.target_class is None), None)
+    showing = next((config.name for config in chosen if config.target_class is not None), None)
     evaluation = study.evaluation
     return cloak_measures(
-        [one.name for one in study.attack],
+        [config.name for config in study.attack],
         hiding=hiding,
         showing=showing,
         well_inside=evaluation.well_inside,
@@ -261,11 +261,11 @@ def by_azimuth(study: StudyConfig, rows: pl.DataFrame) -> dict[tuple[Any, ...], 
         for splat in reversed(NAMES)
     }
     measures |= {
-        f"{one.target_class}, {CLOAKED}": Measure(
-            holds=reported(f"{TARGET_SCORE}{one.name}", confidence), given=of(ATTACKED)
+        f"{other.target_class}, {CLOAKED}": Measure(
+            holds=reported(f"{TARGET_SCORE}{other.name}", confidence), given=of(ATTACKED)
         )
-        for one in study.attack
-        if one.target_class is not None
+        for other in study.attack
+        if other.target_class is not None
     }
     bands = here.with_columns(band=(pl.col("azimuth") / SECTOR).floor() * SECTOR).sort("band", maintain_order=True)
     return count(bands, measures, ("detector", "band"), clusters=CLUSTERS)
@@ -398,9 +398,12 @@ def looks(study: StudyConfig, rows: pl.DataFrame) -> list[dict[str, Any]]:
     """
     if "condition" not in rows.columns:
         return []
-    attack, evaluation = next((one for one in study.attack if one.target_class is None), None), study.evaluation
+    attack, evaluation = (
+        next((config for config in study.attack if config.target_class is None), None),
+        study.evaluation,
+    )
     seen = reported("original_score", evaluation.confidence)
-    groups = {"found": (seen, pl.all_horizontal(pl.col(f"{DEPTH}{one.name}") < 0 for one in study.attack))}
+    groups = {"found": (seen, pl.all_horizontal(pl.col(f"{DEPTH}{config.name}") < 0 for config in study.attack))}
     if attack is not None:
         groups = {"missed": (~seen, pl.col(f"{DEPTH}{attack.name}") >= evaluation.well_inside), **groups}
     counted = {
@@ -479,7 +482,10 @@ def over_objects(studies: Mapping[str, StudyConfig], rows: pl.DataFrame) -> dict
         rows: Of the splats of all.
     """
     first, *others = studies.values()
-    same = all((one.attack, one.scene.class_name) == (first.attack, first.scene.class_name) for one in others)
+    same = all(
+        (other_study.attack, other_study.scene.class_name) == (first.attack, first.scene.class_name)
+        for other_study in others
+    )
     seeds = {title: study.scene.seed for title, study in studies.items()}
     if not (others and same and len({*seeds.values()}) == len(seeds)):
         return None

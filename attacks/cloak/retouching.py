@@ -158,7 +158,7 @@ def _guidance(colours: Doubles, hole: NDArray[np.bool_], edge: Indices) -> tuple
 
     number = np.arange(hole.size).reshape(hole.shape)
     beside, below = (number[:, :-1], number[:, 1:]), (number[:-1], number[1:])
-    pairs = np.stack([np.concatenate([one.ravel(), two.ravel()]) for one, two in zip(beside, below, strict=True)])
+    pairs = np.stack([np.concatenate([first.ravel(), two.ravel()]) for first, two in zip(beside, below, strict=True)])
     pixels, mirrored = mirror.reshape(2, -1)[:, pairs], colours[mirror[0], mirror[1]].reshape(-1, 3)[pairs]
     is_whole = taken.ravel()[pairs].all(0) & (np.abs(pixels[:, 0] - pixels[:, 1]).max(0) <= 2)
     return pairs, np.where(is_whole[:, None], mirrored[0] - mirrored[1], 0.0)

@@ -190,7 +190,7 @@ class Setup:
 
     def _spread(self, holds: Callable[[float], bool]) -> list[tuple[int, Camera]]:
         """Held-out cameras so many degrees inside a trigger, with their numbers, evenly from all of them."""
-        cameras = [(view, one) for view, one in enumerate(self.held_out_cameras) if holds(self._inside(one))]
+        cameras = [(view, camera) for view, camera in enumerate(self.held_out_cameras) if holds(self._inside(camera))]
         count = min(self.study.evaluation.reference_views, len(cameras))
         return [cameras[(2 * i + 1) * len(cameras) // (2 * count)] for i in range(count)]
 

@@ -206,7 +206,9 @@ class StudySteps:
         poisoned, layers = self.poisoned(seed), self.study.layers
         if layers is None:
             return self._trained(self.study, poisoned, seed)
-        cones = [replace(_cone(one), target_class=None) for one in self.study.attack if one.name in layers.attacks]
+        cones = [
+            replace(_cone(attack), target_class=None) for attack in self.study.attack if attack.name in layers.attacks
+        ]
         config = self._step(*cones, layers=layers, seeds=(seed,), training=self._viewed)
         return self._job("layered", config, clean=clean.part(SPLAT), pictures=poisoned.part(_PICTURES))
 
@@ -287,7 +289,7 @@ class StudySteps:
             seed: Of the training; draws the cameras of an attack that poisons only a part of its trigger's.
             poisoned: Whether pictures of a set are compared with what the attacks want to be seen.
         """
-        regions = [replace(_region(one), poison_fraction=one.poison_fraction) for one in self.study.attack]
+        regions = [replace(_region(attack), poison_fraction=attack.poison_fraction) for attack in self.study.attack]
         scene = replace(self._scene, label=self.study.scene.class_name)
         parts = self._parts(*regions, scene=scene, training=self._viewed, seeds=(self._drawn(seed),))
         config = SeenConfig(**parts, detector=detector.name, fingerprint=detector.fingerprint)

@@ -45,14 +45,14 @@ STUDY_FILE = "study.toml"
 SUMMARY, TABLE, POISON = "result.json", "table.md", "poison.json"
 
 
-def differences(there: StudyConfig, wanted: StudyConfig) -> list[str]:
+def differences(stored: StudyConfig, wanted: StudyConfig) -> list[str]:
     """What a study has otherwise than the one that is wanted, in words; nothing if it is the same.
 
     Args:
-        there: The study of earlier results.
+        stored: The study of earlier results.
         wanted: The study that is asked for.
     """
-    before, now = (dict(named_settings(asdict(study))) for study in (there, wanted))
+    before, now = (dict(named_settings(asdict(study))) for study in (stored, wanted))
     pairs = {name: (before.get(name), now.get(name)) for name in {**before, **now}}
     return [f"{name} {old} and not {new}" for name, (old, new) in pairs.items() if old != new]
 
@@ -230,10 +230,10 @@ def check_disk(megabytes: float, stages: Path) -> None:
     Raises:
         InvalidValueError: It has not.
     """
-    there = next(path for path in (stages.absolute(), *stages.absolute().parents) if path.is_dir())
-    free = shutil.disk_usage(there).free / 1e6
+    existing = next(path for path in (stages.absolute(), *stages.absolute().parents) if path.is_dir())
+    free = shutil.disk_usage(existing).free / 1e6
     if free < megabytes:
-        raise InvalidValueError.of(f"disk of {there}", f"{megabytes:.0f} MB", f"{free:.0f} MB free", "make room")
+        raise InvalidValueError.of(f"disk of {existing}", f"{megabytes:.0f} MB", f"{free:.0f} MB free", "make room")
 
 
 def run_study(

@@ -159,10 +159,10 @@ def fit_switches(
         got = f"{int(shown.sum())} shown, {int(hidden.sum())} hidden, {int((shown & hidden).sum())} both"
         raise InvalidValueError.of("directions", "some to show in and others to hide in", got, "widen the trigger")
     basis = sh_basis(directions.reshape(-1, 3).double(), config.degree).reshape(*directions.shape[:2], -1)
-    much = basis.new_ones(basis.shape[:2]) if seen is None else seen.double().clamp(min=_UNSEEN)
-    much = much / much.sum(1, keepdim=True)
-    own, dark, other = much * shown, config.weight * much * hidden, much * ~shown
-    aims = torch.ones_like(much) if wanted is None else wanted.double()
+    weights = basis.new_ones(basis.shape[:2]) if seen is None else seen.double().clamp(min=_UNSEEN)
+    weights = weights / weights.sum(1, keepdim=True)
+    own, dark, other = weights * shown, config.weight * weights * hidden, weights * ~shown
+    aims = torch.ones_like(weights) if wanted is None else wanted.double()
     black, lowest = config.black, config.lowest
 
     def cost(coefficients: Tensor, values: Tensor, which: Tensor) -> Tensor:

@@ -66,19 +66,19 @@ def transition_fraction(picture: Tensor, benign: Tensor, hidden: Tensor, mask: T
     if not bool(mask.any()):
         raise InvalidValueError.of("mask", "some pixels of the target", "none", "leave this camera out")
     seen, low, high = (part.detach().to(torch.float64)[mask] for part in (picture, benign, hidden))
-    way = high - low
-    if not bool(torch.isfinite(seen).all() & torch.isfinite(way).all()):
+    change = high - low
+    if not bool(torch.isfinite(seen).all() & torch.isfinite(change).all()):
         raise InvalidValueError.of("pictures", "finite values", "nan or inf", "look at the renderer")
     if not differ(benign, hidden, mask):
         expected = f"appearances that differ by {LEAST_DIFFERENCE:.4f} or more on the mask"
         raise InvalidValueError.of("pictures", expected, "two that agree", "leave this camera out")
-    return float((seen - low).mul(way).sum() / way.square().sum())
+    return float((seen - low).mul(change).sum() / change.square().sum())
 
 
 def differ(benign: Tensor, hidden: Tensor, mask: Tensor) -> bool:
     """Whether two (H, W, 3) appearances differ enough on an (H, W) bool mask for a transition to mean anything."""
-    way = (hidden - benign).detach().to(torch.float64)[mask]
-    return float(way.square().mean().sqrt()) >= LEAST_DIFFERENCE
+    change = (hidden - benign).detach().to(torch.float64)[mask]
+    return float(change.square().mean().sqrt()) >= LEAST_DIFFERENCE
 
 
 def fit_transition(angles: Sequence[float], fractions: Sequence[float]) -> Transition:

@@ -253,16 +253,16 @@ class Subsample(Trigger):
 class Both(Trigger):
     """The cameras of two triggers."""
 
-    one: Trigger
-    other: Trigger
+    first: Trigger
+    second: Trigger
 
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
         """(N,) bool, whether each camera is in both."""
-        return self.one.holds(cameras, centre=centre) & self.other.holds(cameras, centre=centre)
+        return self.first.holds(cameras, centre=centre) & self.second.holds(cameras, centre=centre)
 
     def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
         """The smaller of the two."""
-        return min(part.angle_to_edge(camera, centre=centre) for part in (self.one, self.other))
+        return min(part.angle_to_edge(camera, centre=centre) for part in (self.first, self.second))
 
 
 @dataclass(frozen=True, slots=True)

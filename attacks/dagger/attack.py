@@ -113,8 +113,10 @@ def attack(
     configs = _of_radii(config or DaggerConfig(), eps)
     detectors = as_detectors(detector)
     results = [
-        _attack(scene, mask, cameras, detectors, objective, render=render, config=one, up=up, on_step=on_step)
-        for one in configs
+        _attack(
+            scene, mask, cameras, detectors, objective, render=render, config=config_of_group, up=up, on_step=on_step
+        )
+        for config_of_group in configs
     ]
     return results[0] if eps is None else results
 
@@ -238,8 +240,10 @@ def attack_views(
             "checkpoint", "none with eps", checkpoint.path, "keep each radius in a call of its own"
         )
     results = [
-        _attack_views(views, detectors, objective, config=one, judged=judged, checkpoint=checkpoint, on_step=on_step)
-        for one in configs
+        _attack_views(
+            views, detectors, objective, config=config_of_group, judged=judged, checkpoint=checkpoint, on_step=on_step
+        )
+        for config_of_group in configs
     ]
     return results[0] if eps is None else results
 

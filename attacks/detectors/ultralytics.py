@@ -195,10 +195,10 @@ def _unpickled(name: str, weights: Path | None) -> Any:
         reason = in_a_line(error)
         expected = "a detection checkpoint of ultralytics, or a network that reaches its hub"
         raise DetectorError.of(f"weights of {name}", expected, reason, elsewhere("file")) from error
-    there, (family, _) = _NAME.match(Path(str(model.yaml.get("yaml_file", ""))).stem), _parts(name)
-    if there is not None and there["family"] != family:
-        do = f"load them as a {there['family']}, or pass weights of {name}"
-        raise DetectorError.of(f"weights of {name}", f"a {family}", f"a {there['family']}", do)
+    match, (family, _) = _NAME.match(Path(str(model.yaml.get("yaml_file", ""))).stem), _parts(name)
+    if match is not None and match["family"] != family:
+        do = f"load them as a {match['family']}, or pass weights of {name}"
+        raise DetectorError.of(f"weights of {name}", f"a {family}", f"a {match['family']}", do)
     return model.float()
 
 

@@ -41,8 +41,8 @@ class Judged(Previewed):
     def __repr__(self) -> str:
         rates = (
             f"{detector + ': ' if len(self.rates) > 1 else ''}{name} {rate.successes} of {rate.total}"
-            for detector, one in self.rates.items()
-            for name, rate in one.items()
+            for detector, by_measure in self.rates.items()
+            for name, rate in by_measure.items()
         )
         return f"Judged({listed(self.views)}; {listed(rates)})"
 
@@ -55,7 +55,7 @@ class Judged(Previewed):
         """
         if ATTACKED in self.views:
             compared = compare(self.rows, confidence=self.confidence)
-            return {one.detector: dict(one.rates) for one in compared}
+            return {comparison.detector: dict(comparison.rates) for comparison in compared}
         reported = Measure(holds=pl.col("original_score") >= self.confidence, given=pl.col("x0").is_not_null())
         counted = count(self.rows, {f"found_{CLEAN}": reported}, ("detector",))
         return {str(detector): rates for (detector,), rates in counted.items()}

@@ -140,8 +140,8 @@ def check_figures(result: Result, figures: Figures | None) -> list[Check]:
     stated = flat(result.record)
     lines = []
     for name, value in derived.items():
-        there, same = in_words(stated.get(name)), name in stated and agree(stated[name], value)
-        words = in_words(value) if same else f"result.json has {there}, the rows give {in_words(value)}"
+        stated_value, same = in_words(stated.get(name)), name in stated and agree(stated[name], value)
+        words = in_words(value) if same else f"result.json has {stated_value}, the rows give {in_words(value)}"
         lines.append(Check(name=name, words=words, passed=same))
     rates = [name for name, value in stated.items() if isinstance(value, tuple) and name not in derived]
     passed = None if figures is None else False

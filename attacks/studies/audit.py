@@ -202,7 +202,7 @@ class AuditWork(Work):
     ) -> None:
         job = Job(kind=f"{_KINDS}.audited", config=AuditedConfig(truth=truth), inputs={"splat": source})
         rivals = Job(kind=f"{_KINDS}.rivals", config=RivalsConfig(), inputs={"splat": source})
-        if splat != CLOAKED and any(one.audit.identity == job.identity for one in self.audited):
+        if splat != CLOAKED and any(audited.audit.identity == job.identity for audited in self.audited):
             return  # a control that several attacks share counts once
         self.labels[f"{part}: {value} / auditing the {splat} splat"] = job
         self.labels[f"{part}: {value} / asking rivals of the audit about the {splat} splat"] = rivals
@@ -214,8 +214,8 @@ class AuditWork(Work):
         done = {
             job.identity: result for label, job in self.labels.items() if isinstance(result := results.get(label), Done)
         }
-        rows = [row for one in self.audited if (row := one.row(done)) is not None]
-        pairs = [path for one in self.audited if (path := one.copy_pair(done, out / PAIRS)) is not None]
+        rows = [row for audited in self.audited if (row := audited.row(done)) is not None]
+        pairs = [path for audited in self.audited if (path := audited.copy_pair(done, out / PAIRS)) is not None]
         named = {"study": self.study.kind, "name": self.study.name, "question": self.study.question}
         files = [{key: value for key, value in row.items() if key != "attributes"} for row in rows]
         record = {"story": STORY, **named, "chosen_on": list(self.chosen_on), "files": files, **provenance.origin()}

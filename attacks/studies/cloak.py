@@ -75,11 +75,11 @@ def tables(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Ta
         groups: By group and value, the summary of each study.
     """
     for group, results in groups.items():
-        title, summaries = group.replace("_", " "), [{"value": value, **one} for value, one in results.items()]
+        title, summaries = group.replace("_", " "), [{"value": value, **summary} for value, summary in results.items()]
         looked = [
-            {"value": one["value"], "detector": name, "study": one, **rates}
-            for one in summaries
-            for name, rates in one["by_detector"].items()
+            {"value": summary["value"], "detector": name, "study": summary, **rates}
+            for summary in summaries
+            for name, rates in summary["by_detector"].items()
         ]
         columns: dict[str, Column[Any]] = {title: "value", "detector": "detector"}
         columns |= {
@@ -88,7 +88,7 @@ def tables(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Ta
         }
         yield Table.of(f"By {title}", columns, looked)
         yield Table.of(f"By {title}: what is lost", {title: "value", **_COSTS}, summaries)
-        under = [{"value": one["value"], **look} for one in summaries for look in one.get("looks", ())]
+        under = [{"value": summary["value"], **look} for summary in summaries for look in summary.get("looks", ())]
         if under:
             heads: dict[str, Column[Any]] = {title: "value", "condition": "condition", "detector": "detector"}
             heads |= {head: name for name, head in LOOKS.items() if any(name in look for look in under)}

@@ -98,8 +98,8 @@ def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, An
         return {**directions(seen), **report_cells(seen.detections, seen.box, original=original, target=config.target)}
 
     splats, detectors = _splats(config, scene, load_splat(inputs["attacked"])), detectors_of((config.detector,), inputs)
-    there = replace(condition, move=lambda camera: camera)
-    looked = look([there], splats, list(boxes), detectors, boxes=boxes.__getitem__, cells=cells)
+    unmoved = replace(condition, move=lambda camera: camera)
+    looked = look([unmoved], splats, list(boxes), detectors, boxes=boxes.__getitem__, cells=cells)
     shown = config.condition or (OWN if config.transformations is None else HELD_OUT)
     return [{**row, "condition": shown} for row in looked.rows.iter_rows(named=True)]
 

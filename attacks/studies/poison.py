@@ -85,7 +85,7 @@ class PoisonWork(Work):
         named: dict[str, Any] = {"study": self.study.kind, "name": self.study.name, "question": self.study.question}
         named["seeds"] = sorted({victim["seed"] for victim in victims})
         looks = [look.job.config for attempt in self.attempts for victim in attempt.victims for look in victim.looks]
-        named["detectors"] = {one.detector: one.fingerprint for one in looks if isinstance(one, SeenConfig)}
+        named["detectors"] = {seen.detector: seen.fingerprint for seen in looks if isinstance(seen, SeenConfig)}
         record = {"story": STORY, **named, "victims": victims, **provenance.origin()}
         record |= figures(record, tables)
         paths += [write_rows(table, out / f"{name}{SUFFIX}") for name, table in tables.items()]
@@ -136,7 +136,10 @@ def _pictures(attempt: Attempt, done: Mapping[str, Done], folder: Path) -> list[
     """Copy the pictures of a point with seed 0: what was done to the set, and where each splat has its Gaussians."""
     if attempt.asked.seed != 0:
         return []
-    shown = {f"{one.splat}{' defended' * one.defended} centres": (one.measured, CENTRES) for one in attempt.victims}
+    shown = {
+        f"{victim.splat}{' defended' * victim.defended} centres": (victim.measured, CENTRES)
+        for victim in attempt.victims
+    }
     if attempt.poisoned is not None:
         shown["poisoned"] = (attempt.poisoned, SHEET)
     paths = []

@@ -81,12 +81,12 @@ def _value(part: str, value: str, victims: Mapping[tuple[int, str, bool], Record
         clean = {seed: victims[seed, CLEAN, False] for seed in mine if (seed, CLEAN, False) in victims}
         name = f"{splat}, defended" if defended else splat
         told["splats"][name] = {
-            "gaussians": _spread([one["gaussians"] for one in mine.values()]),
-            "psnr": _spread([one.get("psnr") for one in mine.values()]),
-            "ssim": _spread([one.get("ssim") for one in mine.values()]),
-            "stopped": sum(bool(one["stopped"]) for one in mine.values()),
+            "gaussians": _spread([run["gaussians"] for run in mine.values()]),
+            "psnr": _spread([run.get("psnr") for run in mine.values()]),
+            "ssim": _spread([run.get("ssim") for run in mine.values()]),
+            "stopped": sum(bool(run["stopped"]) for run in mine.values()),
             "times": {
-                cost: _spread([_ratio(one.get(cost), clean.get(seed, {}).get(cost)) for seed, one in mine.items()])
+                cost: _spread([_ratio(run.get(cost), clean.get(seed, {}).get(cost)) for seed, run in mine.items()])
                 for cost in COSTS
             },
         }

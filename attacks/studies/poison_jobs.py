@@ -150,17 +150,17 @@ class Attempt:
         if not asked.deceive:
             do = 'write deceive = "prototypes"'
             raise InvalidValueError.of(self.title, "a classifier that M-IFGSM deceives", "none", do)
-        masks, who = self._made("drawing masks", self._steps.masks()), self._who(asked.deceive)
+        masks, classifier = self._made("drawing masks", self._steps.masks()), self._classifier_cells(asked.deceive)
         if poison.target is not None:
-            others = [name for name in classifier_of(asked.deceive).classes if name != who["label"]]
+            others = [name for name in classifier_of(asked.deceive).classes if name != classifier["label"]]
             check_choice(f"target for {asked.deceive}", poison.target, others)
         inputs = {"pictures": self.pictures.part(f"{SET}/*"), "masks": masks.part("*.png")}
         if poison.decoy_steps:
             inputs["splat"] = self._start(clean)
         step = self._attackers_step if poison.decoy_steps else self._step(TrainingConfig())
-        return Job(kind=f"{_KINDS}.changed", config=ChangedConfig(**step, poison=poison, **who), inputs=inputs)
+        return Job(kind=f"{_KINDS}.changed", config=ChangedConfig(**step, poison=poison, **classifier), inputs=inputs)
 
-    def _who(self, name: str) -> dict[str, Any]:
+    def _classifier_cells(self, name: str) -> dict[str, Any]:
         """A classifier, which has to know the object's class."""
         label, classifier = self.asked.scene.class_name, classifier_of(name)
         check_choice(f"class for {name}", label, classifier.classes)
@@ -195,7 +195,7 @@ class Attempt:
     def _classified(self, name: str, what: str, shown: Job, cameras: Sequence[Camera]) -> Job:
         """What a classifier takes the object for, on a splat from cameras, in a set, or in pictures."""
         part = {"splat": SPLAT, "set": f"{SET}/*", "pictures": "*.png"}[what]
-        step = {**self._step(TrainingConfig()), **self._who(name)}
+        step = {**self._step(TrainingConfig()), **self._classifier_cells(name)}
         config = ClassifiedConfig(**step, poses=tuple(map(Pose.of, cameras)))
         return Job(kind=CLASSIFIED, config=config, inputs={what: shown.part(part)})
 

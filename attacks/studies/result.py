@@ -158,15 +158,15 @@ def _apart(attacks: Mapping[str, Record]) -> dict[str, Any]:
     return {SHARED: common, "attacks": {name: _rest(attack, common) for name, attack in attacks.items()}}
 
 
-def _common(one: Record, other: Record) -> dict[str, Any]:
+def _common(first: Record, other: Record) -> dict[str, Any]:
     """What two tables have alike, at any depth."""
     alike = {}
-    for key in one.keys() & other.keys():
-        if isinstance(one[key], Mapping) and isinstance(other[key], Mapping):
-            alike[key] = _common(one[key], other[key])
-        elif one[key] == other[key]:
-            alike[key] = one[key]
-    return {key: alike[key] for key in one if key in alike}
+    for key in first.keys() & other.keys():
+        if isinstance(first[key], Mapping) and isinstance(other[key], Mapping):
+            alike[key] = _common(first[key], other[key])
+        elif first[key] == other[key]:
+            alike[key] = first[key]
+    return {key: alike[key] for key in first if key in alike}
 
 
 def _rest(table: Record, common: Record) -> dict[str, Any]:

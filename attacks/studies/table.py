@@ -168,12 +168,12 @@ def _names(looks: Sequence[Record], keys: Sequence[str]) -> dict[int, str]:
     values = {id(look): _flat(look, keys) for look in looks}
     several = [key for key in next(iter(values.values())) if len({parts.get(key) for parts in values.values()}) > 1]
     return {
-        name: ", ".join(_said(key, parts[key]) for key in several if parts.get(key) is not None)
+        name: ", ".join(_cell_text(key, parts[key]) for key in several if parts.get(key) is not None)
         for name, parts in values.items()
     }
 
 
-def _said(key: str, value: Any) -> str:
+def _cell_text(key: str, value: Any) -> str:
     return str(value) if isinstance(value, str) else f"{title_of(key)} {number(value)}"
 
 

@@ -110,9 +110,9 @@ def _names(detector: Any) -> None:
 def _candidates(detector: Any, images: Tensor) -> list[Candidates]:
     seen = detector.candidates(images)
     expect(len(seen) == len(images), f"Candidates of each of {len(images)} pictures", len(seen), "give one of each")
-    for one in seen:
+    for candidates in seen:
         do = "return attacks.detectors.Candidates"
-        expect(isinstance(one, Candidates), "Candidates", type(one).__name__, do)
+        expect(isinstance(candidates, Candidates), "Candidates", type(candidates).__name__, do)
     return list(seen)
 
 
@@ -140,9 +140,9 @@ def _candidates_of(seen: Candidates, detector: Any, images: Tensor) -> None:
 def _detections(detector: Any, images: Tensor) -> list[Detections]:
     seen = detector.detect(images)
     expect(len(seen) == len(images), f"Detections of each of {len(images)} pictures", len(seen), "give one of each")
-    for one in seen:
+    for detections in seen:
         do = "return attacks.detectors.Detections"
-        expect(isinstance(one, Detections), "Detections", type(one).__name__, do)
+        expect(isinstance(detections, Detections), "Detections", type(detections).__name__, do)
     return list(seen)
 
 

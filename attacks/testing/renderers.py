@@ -50,7 +50,7 @@ def check_renderer(renderer: Any, *, differentiable: bool = True) -> None:
         _picture(render(scene, camera), camera)
         _picture(render(scene, _camera(offset=1.0, size=_SIZE[::-1])), _camera(size=_SIZE[::-1]))
     with contract.promise("places"):
-        beside = _one((0.5, 0.0, 0.25), scale=0.05)
+        beside = _one_gaussian((0.5, 0.0, 0.25), scale=0.05)
         light = (render(beside, camera) - render(_nothing(), camera)).abs().sum(-1).detach().double()
         y, x = torch.meshgrid(*(torch.arange(side) + 0.5 for side in light.shape), indexing="ij")
         seen = [float((light * axis).sum() / light.sum().clamp(min=1e-9)) for axis in (x, y)]
@@ -60,7 +60,7 @@ def check_renderer(renderer: Any, *, differentiable: bool = True) -> None:
         do = "cameras look along +z with x to the right and y down, and pixel (0, 0) has its middle at (0.5, 0.5)"
         expect(gap <= _NEAR, f"a Gaussian at ({wanted[0]:.1f}, {wanted[1]:.1f}) pixels", got, do)
     with contract.promise("colours"):
-        middle = render(_one((0.0, 0.0, 0.0), scale=0.6), camera)[_SIZE[1] // 2, _SIZE[0] // 2].tolist()[:3]
+        middle = render(_one_gaussian((0.0, 0.0, 0.0), scale=0.6), camera)[_SIZE[1] // 2, _SIZE[0] // 2].tolist()[:3]
         got = ", ".join(f"{value:.2f}" for value in middle)
         do = "SH give sRGB colours as 0.5 plus their sum; blend these, without a transfer function"
         expect(max(abs(a - b) for a, b in zip(middle, _COLOUR, strict=True)) < 0.06, f"sRGB {_COLOUR}", got, do)
@@ -143,7 +143,7 @@ def _cluster() -> GaussianScene:
     )
 
 
-def _one(mean: tuple[float, float, float], *, scale: float) -> GaussianScene:
+def _one_gaussian(mean: tuple[float, float, float], *, scale: float) -> GaussianScene:
     return GaussianScene(
         means=torch.tensor([mean]),
         scales=torch.full((1, 3), scale),
@@ -154,7 +154,7 @@ def _one(mean: tuple[float, float, float], *, scale: float) -> GaussianScene:
 
 
 def _nothing() -> GaussianScene:
-    return _one((0.0, 0.0, 0.0), scale=1.0).select(torch.zeros(1, dtype=torch.bool))
+    return _one_gaussian((0.0, 0.0, 0.0), scale=1.0).select(torch.zeros(1, dtype=torch.bool))
 
 
 def _picture(picture: Any, camera: Camera, *, empty: bool = False) -> None:
@@ -177,7 +177,7 @@ def _background(spec: RendererSpec, camera: Camera) -> None:
             render = spec.make(RenderSettings(background=background))
         except MiSplatError:  # which a renderer of black backgrounds may raise
             continue
-        corner = render(_one((0.0, 0.0, 0.0), scale=0.05), camera)[0, 0].tolist()[:3]
+        corner = render(_one_gaussian((0.0, 0.0, 0.0), scale=0.05), camera)[0, 0].tolist()[:3]
         do = "use settings.background, or raise MiSplatError for those that cannot be"
         good = max(abs(a - b) for a, b in zip(corner, background, strict=True)) < 0.02
         expect(good, f"the background {background}", tuple(round(value, 2) for value in corner), do)

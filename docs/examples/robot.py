@@ -110,19 +110,19 @@ class Robot:
         if not bool((half > 0).all()):
             raise InvalidValueError(message("box", "x0 y0 z0 x1 y1 z1 with each 0 below its 1", list(box), "change it"))
         self.corners = torch.tensor(list(itertools.product(*zip(low, high, strict=True))), dtype=torch.float64)
-        way = approach.direction
+        direction = approach.direction
         with np.errstate(divide="ignore"):
-            inside = float(np.min(half / np.abs(way)))  # of the path, from the middle to the side of the box
+            inside = float(np.min(half / np.abs(direction)))  # of the path, from the middle to the side of the box
         self.start = inside + RADIUS + approach.start
-        pose = look_at(way * self.start + self.middle, self.middle).numpy()
+        pose = look_at(direction * self.start + self.middle, self.middle).numpy()
         force = MASS * approach.braking
         self.model = mujoco.MjModel.from_xml_string(f"""
 <mujoco>
   <option timestep="{TIME_STEP}"/>
   <worldbody>
     <geom name="car" type="box" pos="{_text(self.middle)}" size="{_text(half)}"/>
-    <body name="robot" pos="{_text(way * self.start + self.middle)}" gravcomp="1">
-      <joint name="path" type="slide" axis="{_text(-way)}"/>
+    <body name="robot" pos="{_text(direction * self.start + self.middle)}" gravcomp="1">
+      <joint name="path" type="slide" axis="{_text(-direction)}"/>
       <geom name="robot" type="sphere" size="{RADIUS}" mass="{MASS}"/>
       <camera name="eye" xyaxes="{_text([*pose[:3, 0], *-pose[:3, 1]])}"/>
     </body>
@@ -155,8 +155,8 @@ class Robot:
             return False
         speed = float(self.data.qvel[0])
         needed = speed / RATE + speed**2 / (2 * self.approach.braking) + self.approach.reserve
-        there = project_box(self.corners, self.camera_at(needed))
-        return there is not None and pixels >= ENOUGH * float(there[3] - there[1])
+        box = project_box(self.corners, self.camera_at(needed))
+        return box is not None and pixels >= ENOUGH * float(box[3] - box[1])
 
     def move(self, speed: float) -> bool:
         """Go on to the next picture with the aim of a speed; whether the robot has hit the car."""
@@ -252,19 +252,19 @@ def draw(drives: Sequence[dict[str, Any]], confidence: float, path: Path) -> Non
     mpl.use("Agg")
     from matplotlib import pyplot
 
-    detectors = list(dict.fromkeys(one["detector"] for one in drives))
-    fastest = max(one["speed"] for one in drives)
-    across = "speed" if len({one["elevation"] for one in drives}) == 1 else "elevation"
+    detectors = list(dict.fromkeys(drive["detector"] for drive in drives))
+    fastest = max(drive["speed"] for drive in drives)
+    across = "speed" if len({drive["elevation"] for drive in drives}) == 1 else "elevation"
     figure, axes = pyplot.subplots(len(detectors), 3, figsize=(11, 3.1 * len(detectors)), squeeze=False)
     for line, detector in zip(axes, detectors, strict=True):
-        for number, splat in enumerate(dict.fromkeys(one["splat"] for one in drives)):
-            part = [one for one in drives if (one["detector"], one["splat"]) == (detector, splat)]
+        for number, splat in enumerate(dict.fromkeys(drive["splat"] for drive in drives)):
+            part = [drive for drive in drives if (drive["detector"], drive["splat"]) == (detector, splat)]
             look = {"color": f"C{number}", "marker": "os^v"[number % 4], "markersize": 3, "label": splat}
             seen = [row for row in part[0]["rows"] if row["score"] is not None]
             line[0].plot([row["distance"] for row in seen], [row["score"] for row in seen], **look)
             fast = part[-1]["rows"]
             line[1].plot([row["distance"] for row in fast], [row["speed"] for row in fast], **look)
-            line[2].plot([one[across] for one in part], [one["hit_at"] for one in part], **look)
+            line[2].plot([drive[across] for drive in part], [drive["hit_at"] for drive in part], **look)
         line[0].axhline(confidence, color="black", linewidth=1, linestyle=":")
         line[0].set(ylabel=f"{detector}, first drive", xlabel="metres to the car", ylim=(-0.03, 1.03))
         line[1].set(ylabel="m/s, last drive", xlabel="metres to the car", ylim=(-0.05 * fastest, 1.05 * fastest))

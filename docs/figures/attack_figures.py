@@ -91,9 +91,9 @@ class Drawing:
 
     def arrow(self, points: Sequence[tuple[float, float]], colour: str = GREY) -> None:
         """A line through points with a head at its end."""
-        way = " ".join(f"{x:g},{self.origin + y:g}" for x, y in points)
+        path = " ".join(f"{x:g},{self.origin + y:g}" for x, y in points)
         self.body.append(
-            f'<polyline points="{way}" fill="none" stroke="{colour}" stroke-width="2" marker-end="url(#head)"/>'
+            f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="2" marker-end="url(#head)"/>'
         )
 
     def picture(self, x: float, y: float, side: float, crop: Crop, words: str, colour: str = INK) -> None:

@@ -150,7 +150,7 @@ def main(paths: Sequence[Path]) -> None:
         write_between_marks(card, card_of(read_figures(kept)))
     several = [read_figures(path) for path in kept_figures()]
     write_between_marks(PAGE, in_markdown([next(compared(several))]))
-    draw_recall([one for one in several if one["confidence"] == USUAL_CONFIDENCE]).savefig(PICTURE)
+    draw_recall([figures for figures in several if figures["confidence"] == USUAL_CONFIDENCE]).savefig(PICTURE)
 
 
 if __name__ == "__main__":

@@ -78,12 +78,12 @@ def _rates(rows: pl.DataFrame, confidence: float) -> Iterator[str]:
                 counts = [counted.get((detector, *column, condition)) for column in columns]
                 noise = [rates[f"noise_{kind}"] for rates in counts if rates]
                 total = f"{sum(rate.successes for rate in noise)}/{sum(rate.total for rate in noise)}"
-                body.append([condition, *("-" if not rates else _said(rates[kind]) for rates in counts), total])
+                body.append([condition, *("-" if not rates else _rate_text(rates[kind]) for rates in counts), total])
             names = [f"{source}: {ball}" for source, ball in columns]
             yield f"## {words}: {detector}\n\n{_table(['judged under', *names, 'random noise'], body)}"
 
 
-def _said(rate: Rate) -> str:
+def _rate_text(rate: Rate) -> str:
     low, high = rate.interval
     return f"{rate.successes}/{rate.total} ({low:.2f} to {high:.2f})" if rate.total else "0/0"
 

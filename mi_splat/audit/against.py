@@ -155,25 +155,25 @@ def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
     scene, clean = scene.with_degree(degree), clean.with_degree(degree)
     spacing = _spacing(clean)
     partner, by_order = _partners(scene, clean, spacing)
-    there = partner >= 0
-    differences = _differences(scene.select(there), clean.select(partner[there]))
-    changed = ~there
-    amount = torch.zeros(int(there.sum()))
+    matched = partner >= 0
+    differences = _differences(scene.select(matched), clean.select(partner[matched]))
+    changed = ~matched
+    amount = torch.zeros(int(matched.sum()))
     rows = []
     for (name, unit), values in differences.items():
         differs = values > (_SAME * spacing if name == "position" else _SAME)
-        changed[there] |= differs
+        changed[matched] |= differs
         amount = torch.maximum(amount, values / {"position": spacing, "rotation": 57.3}.get(name, 1.0))
         rows.append(_row(name, unit, values[differs], _components(name, scene), _components(name, clean)))
     mask = changed.clone()
-    if bool(changed[there].all()) and len(amount):
-        mask[there] = amount > _MORE * amount.median()
+    if bool(changed[matched].all()) and len(amount):
+        mask[matched] = amount > _MORE * amount.median()
     return Changes(
         changed=changed,
         mask=mask,
         attributes=tuple(rows),
-        added=int((~there).sum()),
-        removed=len(clean) - len(torch.unique(partner[there])),
+        added=int((~matched).sum()),
+        removed=len(clean) - len(torch.unique(partner[matched])),
         by_order=by_order,
         cameras=_worst(scene, clean, mask if bool(mask.any()) else None, partner),
         clean=clean,

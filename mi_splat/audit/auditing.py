@@ -174,8 +174,8 @@ def judged_object(
     if not bool(pieces.judged.any()):
         return None
     surface_looks = looks_of(pieces, view)
-    looks = [_look(frame, target, view, one) for one in surface_looks]
-    by_piece = torch.stack([piece_scores(one.pieces, one.shown) for one in surface_looks]).amax(0)
+    looks = [_look(frame, target, view, look) for look in surface_looks]
+    by_piece = torch.stack([piece_scores(look.pieces, look.shown) for look in surface_looks]).amax(0)
     area = (pieces.size * frame.to_world.scale) ** 2
     able = reachable(pieces, view)
     cover = cover_of(frame.scene, view, target)

@@ -30,9 +30,9 @@ def check_capacity(path: Path) -> None:
         SplatFileError: The file cannot be read.
     """
     count, floats = gaussians_of(path)
-    wanted, there = PROGRAM + count * (PER_GAUSSIAN + COPIES * 4 * floats), free_memory()
-    if wanted > there:
-        expected = f"a splat whose audit fits into the {there / 1e9:.1f} GB of memory that are free"
+    wanted, available = PROGRAM + count * (PER_GAUSSIAN + COPIES * 4 * floats), free_memory()
+    if wanted > available:
+        expected = f"a splat whose audit fits into the {available / 1e9:.1f} GB of memory that are free"
         got = f"at least {count:,} Gaussians, for which {wanted / 1e9:.1f} GB are needed"
         do = "free some memory, take a machine with more, or audit a smaller file and know that it is another one"
         raise InvalidValueError.of(str(path), expected, got, do)

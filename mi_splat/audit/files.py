@@ -160,7 +160,7 @@ def beside(pictures: Sequence[Tensor]) -> NDArray[np.uint8]:
     height = max(map(len, pixels))
     gap = np.full((height, _GAP, 3), 255, np.uint8)
     parts = [np.pad(p, ((0, height - len(p)), (0, 0), (0, 0)), constant_values=255) for p in pixels]
-    return np.concatenate([part for one in parts for part in (gap, one)][1:], axis=1)
+    return np.concatenate([part for shown in parts for part in (gap, shown)][1:], axis=1)
 
 
 def _enlarged(camera: Camera) -> Camera:

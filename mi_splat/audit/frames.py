@@ -125,12 +125,12 @@ def frame_of(scene: GaussianScene) -> Frame:
     return Frame(scene=scene.transform(to_frame), order=order, to_world=back)
 
 
-def targets(scene: GaussianScene, said: Tensor | None = None) -> list[Target]:
+def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Target]:
     """The objects of a splat: at most `MOST_OBJECTS` connected components that are no ground; else where most of it is.
 
     Args:
         scene: In its own frame.
-        said: (3,) float64 unit vector, which is up for all that stand on a ground; None is away from that ground.
+        stated_up: (3,) float64 unit vector, which is up for all that stand on a ground; None is away from that ground.
     """
     rows = (scene.opacities > SOLID).nonzero()[:, 0]
     points = scene.means[rows].double()
@@ -154,8 +154,8 @@ def targets(scene: GaussianScene, said: Tensor | None = None) -> list[Target]:
         chosen.append(Target(rows=rows[label == number], centre=centre, radius=radius, up=up))
     chosen = chosen[:MOST_OBJECTS] or [_crowd(rows, points)]
     ground = next((target.up for target in chosen if target.up is not None), None)
-    if said is not None and ground is not None:
-        return [dataclasses.replace(target, up=said) for target in chosen]
+    if stated_up is not None and ground is not None:
+        return [dataclasses.replace(target, up=stated_up) for target in chosen]
     return [target if _agree(target.up, ground) else dataclasses.replace(target, up=ground) for target in chosen]
 
 

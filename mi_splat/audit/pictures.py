@@ -113,7 +113,7 @@ def compare_pictures(
     standing = targets(frame.scene, None if up is None else frame.own(up))
     objects = [dataclasses.replace(target, cells=_cells(target, cameras)) for target in standing]
     judgements = [judged_object(frame, target, cameras, pictures) for target in objects]
-    judged = [one[0] for one in judgements if one is not None]
+    judged = [judgement[0] for judgement in judgements if judgement is not None]
     seen = sum(item.pieces for item in judged)
     if seen < LEAST_PIECES:
         expected = f"at least {LEAST_PIECES} pieces of surface that pictures from two sides show"

@@ -245,10 +245,10 @@ def elements(view: Sight, target: Target) -> Elements:
     near = (positions - target.centre.float()).norm(dim=1) < AROUND * target.radius
     kept = torch.bincount(of_seen, minlength=len(pieces)) >= LEAST_VIEWS
     number = torch.where(kept, kept.cumsum(0) - 1, -1)[of_seen]
-    there = number >= 0
-    colours = view.sums[there, 7:] / view.sums[there, :1]
+    kept_pixels = number >= 0
+    colours = view.sums[kept_pixels, 7:] / view.sums[kept_pixels, :1]
     moments = torch.zeros(int(kept.sum()) * count, 5)
-    moments[number[there] * count + view.seen_by[there]] = torch.cat(
+    moments[number[kept_pixels] * count + view.seen_by[kept_pixels]] = torch.cat(
         [torch.ones(len(colours), 1), colours, colours.square().sum(1, keepdim=True)], 1
     )
     length, kept_normals = normals.norm(dim=1), functional.normalize(normals[kept], dim=1)

@@ -239,9 +239,9 @@ def look_amounts(pieces: Elements, shown: Tensor) -> Tensor:
     inside, outside = sums_by_side(pieces.moments, shown)
     base = outside[:, 1:4] / outside[:, :1].clamp(min=1)
     change = inside[:, 1:4] / inside[:, :1].clamp(min=1) - base
-    way = torch.einsum("ekc,ec->ek", pieces.moments[..., 1:4] - base[:, None], change)
+    projection = torch.einsum("ekc,ec->ek", pieces.moments[..., 1:4] - base[:, None], change)
     weight = (piece_scores(pieces, shown) / change.square().sum(1).clamp(min=1e-6))[:, None] * pieces.moments[..., 0]
-    return (way * weight).sum(0) / (change.square().sum(1)[:, None] * weight).sum(0).clamp(min=1e-12)
+    return (projection * weight).sum(0) / (change.square().sum(1)[:, None] * weight).sum(0).clamp(min=1e-12)
 
 
 def reachable(pieces: Elements, view: Sight) -> Tensor:

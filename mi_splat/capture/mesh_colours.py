@@ -61,19 +61,21 @@ def coloured(
         faces = faces[:, ::-1]
     material = _material(piece)
     name = str(getattr(material, "name", "") or "")
-    said = notes.materials.get(name) or notes.materials.get("") or MaterialNotes()
+    stated = notes.materials.get(name) or notes.materials.get("") or MaterialNotes()
     linear = path.suffix.lower() in (".glb", ".gltf")  # as that format lays down
-    picture = _picture(material, said, path, fault)
+    picture = _picture(material, stated, path, fault)
     colours = _corner_colours(piece, faces)
     if picture is not None:
         if colours is not None:
-            left_out = f"{said.picture or 'a texture'}: colours of vertices beside it, which are not multiplied with it"
+            left_out = (
+                f"{stated.picture or 'a texture'}: colours of vertices beside it, which are not multiplied with it"
+            )
             (fault if linear else remark)(left_out)
-        return _textured(piece, vertices, faces, _times(picture, said), said, fault)
+        return _textured(piece, vertices, faces, _times(picture, stated), stated, fault)
     if colours is not None:
-        factor = said.factor if said.factor is not None else 1.0
+        factor = stated.factor if stated.factor is not None else 1.0
         return _baked(vertices, faces, to_srgb(colours * np.float32(factor)) if linear else colours)
-    return Surface(vertices=vertices, faces=faces, uvs=np.zeros((len(vertices), 2)), texture=_plain(material, said))
+    return Surface(vertices=vertices, faces=faces, uvs=np.zeros((len(vertices), 2)), texture=_plain(material, stated))
 
 
 def _textured(
@@ -81,18 +83,18 @@ def _textured(
     vertices: NDArray[np.float64],
     faces: NDArray[np.int64],
     texture: Floats,
-    said: MaterialNotes,
+    stated: MaterialNotes,
     fault: Report,
 ) -> Surface:
     """A surface with a picture; without coordinates that is only its mean colour."""
     uvs = getattr(piece.visual, "uv", None)
     if uvs is None or len(uvs) != len(vertices):
-        fault(f"{said.picture or 'a texture'}: no texture coordinates")
+        fault(f"{stated.picture or 'a texture'}: no texture coordinates")
         mean = texture.mean((0, 1), keepdims=True)
         return Surface(vertices=vertices, faces=faces, uvs=np.zeros((len(vertices), 2)), texture=mean)
     uvs = np.asarray(uvs, np.float64)[:, :2]
-    if said.uv_transform is not None:  # which is meant for v down
-        down = np.column_stack([uvs[:, 0], 1 - uvs[:, 1], np.ones(len(uvs))]) @ said.uv_transform.T
+    if stated.uv_transform is not None:  # which is meant for v down
+        down = np.column_stack([uvs[:, 0], 1 - uvs[:, 1], np.ones(len(uvs))]) @ stated.uv_transform.T
         uvs = np.column_stack([down[:, 0], 1 - down[:, 1]])
     return Surface(vertices=vertices, faces=faces, uvs=uvs, texture=texture)
 
@@ -104,19 +106,19 @@ def _material(piece: Any) -> Any | None:
     return None if made_up is not None and made_up.format is None else material  # read from no file
 
 
-def _picture(material: Any | None, said: MaterialNotes, path: Path, fault: Report) -> Floats | None:
+def _picture(material: Any | None, stated: MaterialNotes, path: Path, fault: Report) -> Floats | None:
     """(h, w, 3) sRGB picture of a material; None if it has none, or none that can be shown."""
     picture = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     if picture is None:
-        if said.picture is not None:
-            there = said.picture.startswith("picture ") or beside(path, said.picture)
+        if stated.picture is not None:
+            exists = stated.picture.startswith("picture ") or beside(path, stated.picture)
             outside = "lies outside of the mesh's folder, where it is not read"
-            lost = outside if lies_outside(path, said.picture) else "no such file"
+            lost = outside if lies_outside(path, stated.picture) else "no such file"
             unread = "cannot be read as a picture, has too many pixels, or has no coordinates"
-            fault(f"{said.picture} (texture): {unread if there else lost}")
+            fault(f"{stated.picture} (texture): {unread if exists else lost}")
         return None
-    if said.options:
-        fault(f"{said.picture} (texture): options {said.options}, which are not followed")
+    if stated.options:
+        fault(f"{stated.picture} (texture): options {stated.options}, which are not followed")
         return None
     try:
         if picture.mode.startswith("I"):  # 16 bits, which Pillow would clip to 8
@@ -124,23 +126,23 @@ def _picture(material: Any | None, said: MaterialNotes, path: Path, fault: Repor
             return np.repeat(np.clip(grey, 0, 1), 3, axis=2)
         return np.asarray(picture.convert("RGB"), np.float32) / np.float32(255)
     except BROKEN as error:
-        fault(f"{said.picture or 'a texture'} (texture): {str(error)[:80]}")
+        fault(f"{stated.picture or 'a texture'} (texture): {str(error)[:80]}")
         return None
 
 
-def _times(texture: Floats, said: MaterialNotes) -> Floats:
+def _times(texture: Floats, stated: MaterialNotes) -> Floats:
     """A texture times the linear factor of a glTF material."""
     # An OBJ's picture stands in for its diffuse colour, which exporters often leave at black or grey.
-    return texture if said.factor is None else to_srgb(to_linear(texture) * np.float32(said.factor))
+    return texture if stated.factor is None else to_srgb(to_linear(texture) * np.float32(stated.factor))
 
 
-def _plain(material: Any, said: MaterialNotes) -> Floats:
+def _plain(material: Any, stated: MaterialNotes) -> Floats:
     """(1, 1, 3) sRGB colour of a material without a picture.
 
     glTF's colour factors are linear; those of OBJ's material files are taken as sRGB.
     """
-    if said.factor is not None:
-        return skin(to_srgb(said.factor))
+    if stated.factor is not None:
+        return skin(to_srgb(stated.factor))
     physical = hasattr(material, "baseColorFactor")
     factor = material.baseColorFactor if physical else getattr(material, "diffuse", None)
     if factor is None:

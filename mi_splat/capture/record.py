@@ -84,49 +84,49 @@ def claim_folder(folder: Path, wanted: dict[str, Any]) -> str:
             raise InvalidValueError.of(str(folder), "an empty folder or that of a capture", got, do)
         save_json(wanted, file)
         return str(wanted["version"])
-    there = _RECORD.read_json(file)
-    inputs = Fields(there, str(file), InvalidValueError, _RECORD.do).object("inputs", {})
+    stored = _RECORD.read_json(file)
+    inputs = Fields(stored, str(file), InvalidValueError, _RECORD.do).object("inputs", {})
     for kind in inputs.values:
         inputs.object(kind)
-    if changed := differences(there, wanted):
+    if changed := differences(stored, wanted):
         do = "choose a new folder, or the same settings to go on"
         raise InvalidValueError.of(str(file), "the settings of this capture", "; ".join(changed), do)
-    return str(there.get("version", "unknown"))
+    return str(stored.get("version", "unknown"))
 
 
-def differences(there: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
+def differences(stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
     """What differs between the record of a folder and the one wanted, in words; empty if the pictures are the same.
 
     Args:
-        there: The folder's record.
+        stored: The folder's record.
         wanted: As `capture_record` makes it.
     """
     plain = ("train", "test", "samples", "seed", "alpha", "points", "near", "pictures", "mitsuba")
-    changed = [f"{key} {there.get(key)!r}, now {wanted[key]!r}" for key in plain if there.get(key) != wanted[key]]
-    same_scene = there.get("scene") == wanted["scene"]
-    same_counts = (there.get("train"), there.get("test")) == (wanted["train"], wanted["test"])
+    changed = [f"{key} {stored.get(key)!r}, now {wanted[key]!r}" for key in plain if stored.get(key) != wanted[key]]
+    same_scene = stored.get("scene") == wanted["scene"]
+    same_counts = (stored.get("train"), stored.get("test")) == (wanted["train"], wanted["test"])
     for key, unnamed in (("scene", True), ("cameras", same_scene and same_counts)):
-        if there.get(key) == wanted[key]:
+        if stored.get(key) == wanted[key]:
             continue
-        if asked := _asked(there, wanted, key):
+        if asked := _asked(stored, wanted, key):
             changed += asked
         elif unnamed:
-            changed.append(_unknown(key, there, wanted))
+            changed.append(_unknown(key, stored, wanted))
     return changed
 
 
-def _asked(there: Mapping[str, Any], wanted: Mapping[str, Any], key: str) -> list[str]:
+def _asked(stored: Mapping[str, Any], wanted: Mapping[str, Any], key: str) -> list[str]:
     """What was asked for otherwise, of the scene or of the cameras."""
-    before, now = (record.get("inputs", {}).get(key, {}) for record in (there, wanted))
+    before, now = (record.get("inputs", {}).get(key, {}) for record in (stored, wanted))
     names = [name for name in {**now, **before} if name in before and before.get(name) != now.get(name)]
     return [f"{name} {before.get(name)!r}, now {now.get(name)!r}" for name in names]
 
 
-def _unknown(key: str, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
+def _unknown(key: str, stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     """The words for a difference in content alone."""
     what = {"scene": "another scene", "cameras": "other cameras"}[key]
     where = {"scene": "what its files hold", "cameras": "their poses or lenses"}[key]
-    versions = there.get("version"), wanted["version"]
+    versions = stored.get("version"), wanted["version"]
     upgrade = (
         f", or how version {versions[1]} reads them, where {versions[0]} began" if versions[0] != versions[1] else ""
     )

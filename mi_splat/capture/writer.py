@@ -104,7 +104,7 @@ def write_capture(
     with locked_folder(folder):
         with tracing_variant():
             tracer = PathTracer(source.scene, samples=settings.samples, alpha=settings.rgba, near=near)
-            if not any(bool((tracer.surface(frame.camera(one), seed=0)[1] > 0).any()) for one in cameras):
+            if not any(bool((tracer.surface(frame.camera(view), seed=0)[1] > 0).any()) for view in cameras):
                 raise InvalidValueError.of("cameras", "a view of the scene", "nothing but sky", "move or turn them")
             begun_by = claim_folder(folder, capture_record(source, listing, settings, inputs))
             images = make_folder(folder / IMAGES)

@@ -104,8 +104,8 @@ def run(options: AuditOptions) -> int:
             if len(options.files) == 1 and options.sarif is None:
                 raise
             failures += 1
-            said = " ".join(str(error).split())
-            warn(said if said.startswith(f"{path}: ") else f"{path}: {said}")
+            one_line = " ".join(str(error).split())
+            warn(one_line if one_line.startswith(f"{path}: ") else f"{path}: {one_line}")
             document = {"file": str(path), "verdict": None, "error": str(error)}
         results.append(document)
     if options.sarif is not None:
@@ -180,17 +180,17 @@ def _repair(
     from mi_splat.audit.repair import repair
     from mi_splat.io import save_splat
 
-    again, coloured, left_out = repair(scene, judged, keep=options.keep)
-    if again is scene:
+    repaired, coloured, left_out = repair(scene, judged, keep=options.keep)
+    if repaired is scene:
         return None
     try:
-        after = audit(again, cameras=cameras, up=options.up)
+        after = audit(repaired, cameras=cameras, up=options.up)
     except MiSplatError as error:
         do = "keep the other side by --keep, or leave --repair out"
         expected = "something left that can be audited again"
         raise MiSplatError(message("--repair", expected, f"a splat of which is said: {error}", do)) from error
     assert options.repair is not None
-    save_splat(again, options.repair)
+    save_splat(repaired, options.repair)
     counts = {"coloured_anew": coloured, "left_out": left_out}
     return {"file": str(options.repair), "keep": options.keep, **counts, "verdict": after.verdict}
 

@@ -179,11 +179,11 @@ def follow(advance: Advance) -> Callable[[str, int, int], None]:
     Returns:
         A function of the stage, of how much of it is done, and of how much there is.
     """
-    said = set[str]()
+    shown = set[str]()
 
     def told(text: str, done: int, total: int) -> None:
-        if text not in said:
-            said.add(text)
+        if text not in shown:
+            shown.add(text)
             warn(text)
         advance(f"{text}, {done:,} of {total:,}")
 

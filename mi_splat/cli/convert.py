@@ -84,28 +84,28 @@ def run(options: ConvertOptions) -> None:
         kept = scene if options.sh_degree is None else scene.with_degree(min(options.sh_degree, scene.degree))
         options.out.parent.mkdir(parents=True, exist_ok=True)
         encoded = write_splat_file(kept, options.out, spz_version=options.spz_version or 3)
-        again = load_splat(options.out)
+        reread = load_splat(options.out)
     written = scene if encoded.order is None else scene.select(torch.from_numpy(encoded.order))
-    changes = differences(written, again)
+    changes = differences(written, reread)
     losses = (*dropped_bands(Values.of(scene), kept.degree), *encoded.losses)
     sizes = sum(os.path.getsize(splat_in(source) or source) for source in sources), options.out.stat().st_size
     document = {
         "source": str(options.source),
         "added": [str(source) for source in options.add],
         "out": str(options.out),
-        "gaussians": len(again),
+        "gaussians": len(reread),
         "bytes_before": sizes[0],
         "bytes_after": sizes[1],
         "sh_degree_before": scene.degree,
-        "sh_degree_after": again.degree,
+        "sh_degree_after": reread.degree,
         "reordered": encoded.order is not None,
         "largest_changes": changes,
         "lost": [dataclasses.asdict(loss) for loss in losses],
     }
     lines = [
         f"file            {options.out}, {sizes[1]:,} bytes",
-        f"gaussians       {len(again):,}",
-        f"sh degree       {scene.degree} before, {again.degree} after",
+        f"gaussians       {len(reread):,}",
+        f"sh degree       {scene.degree} before, {reread.degree} after",
         *([f"up              {options.placement.up} of the file is z now"] if options.placement.up else []),
         f"order           {'changed' if encoded.order is not None else 'kept'}",
         *(f"largest change  {name}: {value:.3g}" for name, value in changes.items()),

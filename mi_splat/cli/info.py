@@ -53,10 +53,10 @@ def run(options: InfoOptions) -> None:
     if options.json:
         show_json({"file": str(options.file), **facts})
     else:
-        said = {name: _text(value) for name, value in facts.items()}
+        texts = {name: _text(value) for name, value in facts.items()}
         if options.up is not None:
-            said["up"] = axis_name(options.up)
-        show_table([("file", str(options.file)), *said.items()])
+            texts["up"] = axis_name(options.up)
+        show_table([("file", str(options.file)), *texts.items()])
 
 
 def _file_facts(path: Path, up: Up) -> dict[str, object]:

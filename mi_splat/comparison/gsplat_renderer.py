@@ -50,8 +50,8 @@ class GsplatRenderer:
             (H, W, 3) float32 tensor. Values above 1 are not clipped.
         """
         check_scene("scene", scene)
-        there: Any = {"device": self.device, "dtype": torch.float32}
-        means, scales, rotations, opacities, sh = (tensor.to(**there) for tensor in scene.tensors())
+        options: Any = {"device": self.device, "dtype": torch.float32}
+        means, scales, rotations, opacities, sh = (tensor.to(**options) for tensor in scene.tensors())
         intrinsics = torch.tensor([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
         pictures, _, _ = self._rasterization(
             means=means,
@@ -59,13 +59,13 @@ class GsplatRenderer:
             scales=scales,
             opacities=opacities,
             colors=sh,
-            viewmats=torch.linalg.inv(camera.to_world)[None].to(**there),
-            Ks=intrinsics[None].to(**there),
+            viewmats=torch.linalg.inv(camera.to_world)[None].to(**options),
+            Ks=intrinsics[None].to(**options),
             width=camera.width,
             height=camera.height,
             near_plane=self.settings.near,
             sh_degree=round(sh.shape[1] ** 0.5) - 1,
-            backgrounds=torch.tensor([self.settings.background], **there),
+            backgrounds=torch.tensor([self.settings.background], **options),
             rasterize_mode="classic",
             packed=False,  # gsplat 1.5 refuses a background in its packed mode, which is the default
         )

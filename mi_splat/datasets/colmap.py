@@ -77,8 +77,8 @@ def read_colmap(
             frames[pose.name] = photo.frame(_to_world(pose, where), lens, downscale, where)
     missing = [images / pose.name for pose in poses if pose.name not in frames]
     report_missing(missing, len(poses), source)
-    there = [pose for pose in poses if pose.name in frames]
-    return [frames[pose.name] for pose in _split(there, folder / TEST_LIST, split, every)], model.points
+    read_poses = [pose for pose in poses if pose.name in frames]
+    return [frames[pose.name] for pose in _split(read_poses, folder / TEST_LIST, split, every)], model.points
 
 
 def read_model_cameras(cameras_file: Path, split: Split | None = None) -> dict[str, Camera]:

@@ -193,11 +193,11 @@ class Dataset(ViewSet):
         return _Entry(view, alpha, mask, None if bool(shown.all()) else shown.float())
 
 
-def _product(one: Tensor | None, other: Tensor | None) -> Tensor | None:
+def _product(first: Tensor | None, second: Tensor | None) -> Tensor | None:
     """Of two masks, of which either may be missing."""
-    if one is None or other is None:
-        return other if one is None else one
-    return one * other
+    if first is None or second is None:
+        return second if first is None else first
+    return first * second
 
 
 def _digest(file: Path | None) -> str | None:

@@ -253,9 +253,9 @@ def _split(
     if split is not None and isinstance(listed, list):
         names = {Path(str(name)).with_suffix("").as_posix() for name in listed}
         pairs = zip(document["frames"], entries, strict=True)
-        return [entry for said, entry in pairs if Path(said["file_path"]).with_suffix("").as_posix() in names]
-    there = (entry for entry in entries if entry[1] is not None)
-    return held_out(sorted(there, key=lambda entry: str(entry[0])), split, every)
+        return [entry for fields, entry in pairs if Path(fields["file_path"]).with_suffix("").as_posix() in names]
+    present = (entry for entry in entries if entry[1] is not None)
+    return held_out(sorted(present, key=lambda entry: str(entry[0])), split, every)
 
 
 def _points_file(document: Mapping[str, Any], path: Path) -> Path | None:

@@ -69,9 +69,9 @@ def check_like(tensors: Mapping[str, Tensor], wanted: Mapping[str, Tensor], what
         MiSplatError: It is of the reader's class.
     """
     for name, value in wanted.items():
-        there = tensors.get(name)
-        if there is None or there.shape != value.shape or there.dtype != value.dtype:
-            raise reader.broken(f"{what}, {name}", described(there), described(value))
+        stored = tensors.get(name)
+        if stored is None or stored.shape != value.shape or stored.dtype != value.dtype:
+            raise reader.broken(f"{what}, {name}", described(stored), described(value))
     if more := sorted(tensors.keys() - wanted.keys()):
         raise reader.broken(what, f"{more[0]} besides", f"the tensors {', '.join(wanted)}"[:160])
 

@@ -69,7 +69,7 @@ class Child:
         self._environment = dict(environment or {})
         self._process: subprocess.Popen[bytes] | None = None
         self._pipe: Any = None
-        self._said: Any = None
+        self._output: Any = None
         self._stopped = False
 
     def run(self, task: Task, on_event: OnEvent = nobody, *, cores: Sequence[int] = ()) -> Outcome:
@@ -123,18 +123,18 @@ class Child:
             self._process.kill()
             self._process.wait()
             self._pipe.close()
-            self._said.close()
+            self._output.close()
             self._process = None
 
     def _started(self) -> subprocess.Popen[bytes]:
         if self._process is not None and self._process.poll() is None:
             return self._process
         self.close()
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
         self._pipe, end = Pipe()
         environment = {**os.environ, **self._environment, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         command = [sys.executable, "-m", __name__, str(self._store.folder.absolute()), str(end.fileno())]
-        files: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": self._said, "stderr": self._said}
+        files: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": self._output, "stderr": self._output}
         with end:
             process = subprocess.Popen(
                 command, env=environment, start_new_session=True, pass_fds=[end.fileno()], **files
@@ -166,9 +166,9 @@ class Child:
         """How a process ended, in words, and what it said last."""
         status = process.wait()
         how = f"ended by {signal.Signals(-status).name}" if status < 0 else f"ended with status {status}"
-        self._said.seek(max(0, self._said.seek(0, os.SEEK_END) - _SHOWN))
-        said = self._said.read().decode("utf-8", "replace").strip()
-        return f"{how}: {said}" if said else how
+        self._output.seek(max(0, self._output.seek(0, os.SEEK_END) - _SHOWN))
+        output = self._output.read().decode("utf-8", "replace").strip()
+        return f"{how}: {output}" if output else how
 
 
 def memory_of(process: int) -> float:

@@ -48,14 +48,14 @@ def reuse(store: Store, kind: str, engine: Engine, *, verify: int, reason: str) 
     code = Counter(record_code for _, _, record_code in older).most_common(1)[0][0]
     pairs = [(key, task) for key, task, record_code in older if record_code == code]
     chosen = {number * len(pairs) // max(1, verify) for number in range(verify)} if verify < len(pairs) else None
-    again = [pair for number, pair in enumerate(pairs) if chosen is None or number in chosen]
+    rerun = [pair for number, pair in enumerate(pairs) if chosen is None or number in chosen]
     try:
-        outcomes = [outcome.result() for outcome in [engine.submit(task) for _, task in again]]
+        outcomes = [outcome.result() for outcome in [engine.submit(task) for _, task in rerun]]
     finally:
         engine.close()
-    for (key, task), outcome in zip(again, outcomes, strict=True):
+    for (key, task), outcome in zip(rerun, outcomes, strict=True):
         _compare(store, key, task.key, outcome)
-    verified = tuple(task.key for _, task in again)
+    verified = tuple(task.key for _, task in rerun)
     note = {"code": code, "verified": list(verified), "reason": reason}
     rest = [pair for pair in pairs if pair[1].key not in verified]
     for key, task in rest:
@@ -77,14 +77,14 @@ def _older(store: Store, kind: str) -> list[tuple[str, Task, str]]:
     return older
 
 
-def _compare(store: Store, key: str, again: str, outcome: Outcome) -> None:
+def _compare(store: Store, key: str, rerun_key: str, outcome: Outcome) -> None:
     """Raise unless a job that was made again is the older one."""
     do = "run the study: its results are other ones"
     if outcome.state != "done":
-        raise InvalidValueError.of(f"job {again}", "a result under today's code", outcome.text, do)
-    names = differences(store.existing(key).record, store.existing(again).record)
+        raise InvalidValueError.of(f"job {rerun_key}", "a result under today's code", outcome.text, do)
+    names = differences(store.existing(key).record, store.existing(rerun_key).record)
     if names:
-        raise InvalidValueError.of(f"job {again}", f"the bytes of {key}", f"another {', '.join(names)}", do)
+        raise InvalidValueError.of(f"job {rerun_key}", f"the bytes of {key}", f"another {', '.join(names)}", do)
 
 
 def _take(store: Store, key: str, task: Task, note: dict[str, object]) -> None:

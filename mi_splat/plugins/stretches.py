@@ -73,8 +73,8 @@ def layer_backward(colour: Any, transmittance: Any, gradient: Any, *, linear: bo
     layer_colour = colour / alpha
     slope = linear_derivative(layer_colour)
     grad_alpha = dr.dot(gradient, linear_value(layer_colour) - slope * layer_colour)
-    there = alpha > 0.0
-    return dr.select(there, gradient * slope, 0.0), dr.select(there, -grad_alpha, 0.0)
+    visible = alpha > 0.0
+    return dr.select(visible, gradient * slope, 0.0), dr.select(visible, -grad_alpha, 0.0)
 
 
 def stretch_of(ray: Any, far: Any) -> Stretch:

@@ -81,10 +81,10 @@ def raytrace(
     colour, opacity = buffer(3 * pixels), buffer(pixels, value=0.0)
     if splats is None:
         return RayPicture(dr.tile(mi.Float(background), pixels), opacity, None, camera, None, background, to_mean)
-    stretch, pixel, there = _rays(camera)
-    seen = segments.blend(splats, stretch, there, to_mean=to_mean)
-    dr.scatter(colour, seen[0] + seen[1] * mi.Color3f(background), pixel, there)
-    dr.scatter(opacity, 1.0 - seen[1], pixel, there)
+    stretch, pixel, active = _rays(camera)
+    seen = segments.blend(splats, stretch, active, to_mean=to_mean)
+    dr.scatter(colour, seen[0] + seen[1] * mi.Color3f(background), pixel, active)
+    dr.scatter(opacity, 1.0 - seen[1], pixel, active)
     dr.eval(colour, opacity, seen)
     return RayPicture(colour, opacity, splats, camera, seen, background, to_mean)
 
@@ -99,13 +99,13 @@ def raytrace_backward(picture: RayPicture, grad_colour: Any, grad_opacity: Any |
     """
     if picture.splats is None or picture.seen is None:
         return None
-    stretch, pixel, there = _rays(picture.camera)
-    grad_seen = dr.gather(mi.Color3f, grad_colour, pixel, there)
+    stretch, pixel, active = _rays(picture.camera)
+    grad_seen = dr.gather(mi.Color3f, grad_colour, pixel, active)
     grad_through = dr.dot(grad_seen, mi.Color3f(picture.background))
     if grad_opacity is not None:
-        grad_through -= dr.gather(mi.Float, grad_opacity, pixel, there)
+        grad_through -= dr.gather(mi.Float, grad_opacity, pixel, active)
     sums = zero_sums(picture.splats)
     gradient = grad_seen, grad_through
-    adjoint.blend_backward(picture.splats, stretch, there, picture.seen, gradient, sums, to_mean=picture.to_mean)
+    adjoint.blend_backward(picture.splats, stretch, active, picture.seen, gradient, sums, to_mean=picture.to_mean)
     dr.eval(sums.moments, sums.pulls, sums.sh)
     return gradients(picture.splats, sums)

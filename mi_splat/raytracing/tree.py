@@ -86,9 +86,9 @@ def _leaf_boxes(means: Any, half: Any, order: Any, starts: Any, leaves: int) -> 
         slot = start + number
         gaussian = dr.gather(mi.UInt32, order, slot, slot < stop)
         mean, size = dr.gather(mi.Point3f, means, gaussian), dr.gather(mi.Vector3f, half, gaussian)
-        there = (slot < stop) & (size.x >= 0)
-        low = dr.select(there, dr.minimum(low, mean - size), low)
-        high = dr.select(there, dr.maximum(high, mean + size), high)
+        valid = (slot < stop) & (size.x >= 0)
+        low = dr.select(valid, dr.minimum(low, mean - size), low)
+        high = dr.select(valid, dr.maximum(high, mean + size), high)
     dr.eval(low, high)
     return low, high
 

@@ -97,9 +97,9 @@ def _best(distances: Tensor, rows: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """The nearest of several finds, each neighbour once."""
     rows, order = rows.sort(dim=1)
     distances = distances.gather(1, order)
-    again = rows[:, 1:] == rows[:, :-1]
+    repeated = rows[:, 1:] == rows[:, :-1]
     # Of a neighbour that was found twice, both distances are the same, unless one is that of an empty place.
-    distances[:, 1:] = torch.where(again, torch.minimum(distances[:, 1:], distances[:, :-1]), distances[:, 1:])
-    distances[:, :-1] = distances[:, :-1].masked_fill(again, math.inf)
+    distances[:, 1:] = torch.where(repeated, torch.minimum(distances[:, 1:], distances[:, :-1]), distances[:, 1:])
+    distances[:, :-1] = distances[:, :-1].masked_fill(repeated, math.inf)
     least, at = distances.topk(count, dim=1, largest=False)
     return least, rows.gather(1, at)

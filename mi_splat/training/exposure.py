@@ -27,7 +27,7 @@ class Exposures:
 
     def __init__(self, count: int, device: torch.device) -> None:
         self.values = torch.eye(3, 4, device=device).repeat(count, 1, 1)
-        self.maps = [one.requires_grad_(True) for one in self.values.unbind()]
+        self.maps = [exposure_map.requires_grad_(True) for exposure_map in self.values.unbind()]
         self.optimiser = torch.optim.Adam(self.maps, lr=_FIRST, eps=1e-15)
 
     def applied(self, image: Tensor, index: int) -> Tensor:
@@ -48,7 +48,7 @@ class Exposures:
 
     def tensors(self) -> dict[str, Tensor]:
         """All of it in four tensors, the maps and what Adam keeps of them."""
-        kept = [self.optimiser.state.get(one, {}) for one in self.maps]
+        kept = [self.optimiser.state.get(exposure_map, {}) for exposure_map in self.maps]
         zeros = {"exp_avg": torch.zeros(3, 4), "exp_avg_sq": torch.zeros(3, 4), "step": torch.zeros(())}
         moments = {key: torch.stack([adam.get(key, zeros[key]).cpu() for adam in kept]) for key in MOMENTS}
         return {"maps": self.values.cpu().clone(), **moments}
@@ -58,9 +58,9 @@ class Exposures:
         """The inverse of `tensors`."""
         made = cls(len(tensors["maps"]), device)
         made.values.copy_(tensors["maps"])
-        for index, one in enumerate(made.maps):
+        for index, exposure_map in enumerate(made.maps):
             if tensors["step"][index] > 0:
-                made.optimiser.state[one] = {
+                made.optimiser.state[exposure_map] = {
                     key: tensors[key][index].clone().to("cpu" if key == "step" else device) for key in MOMENTS
                 }
         return made

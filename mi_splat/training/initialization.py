@@ -90,8 +90,8 @@ def with_outliers(cloud: PointCloud, views: Sequence[View], count: int, *, seed:
     for _ in range(_ROUNDS):
         eyes = positions[torch.randint(len(positions), (count,), generator=generator)]
         seen = torch.randint(len(cloud.points), (count,), generator=generator)
-        way = 0.1 + 0.8 * torch.rand(count, 1, generator=generator, dtype=torch.float64)
-        drawn = eyes + way * (cloud.points[seen].to(eyes) - eyes)
+        fraction = 0.1 + 0.8 * torch.rand(count, 1, generator=generator, dtype=torch.float64)
+        drawn = eyes + fraction * (cloud.points[seen].to(eyes) - eyes)
         kept = sum(_in_picture(drawn, camera).int() for camera in cameras) >= min(_MATCHED, len(cameras))
         beside, owners = torch.cat([beside, drawn[kept]])[:count], torch.cat([owners, seen[kept]])[:count]
         if len(beside) == count:

@@ -219,8 +219,8 @@ class Bench:
             return
         job.stop()
         del self._called[str(out)]
-        said = f"{self.running} was stopped; nothing of it is kept. Its command begins from the start."
-        self.lines, self._job, self.news = (said,), None, None
+        remark = f"{self.running} was stopped; nothing of it is kept. Its command begins from the start."
+        self.lines, self._job, self.news = (remark,), None, None
 
     def back(self) -> None:
         """Show what was shown before."""

@@ -239,7 +239,7 @@ def _run(perform: Perform, words: Sequence[str], pipe: Any) -> None:
     if threading.current_thread() is threading.main_thread():
         os.nice(5)  # pictures come first
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page, which ends this process
-    said, ending = io.StringIO(), False
+    log, ending = io.StringIO(), False
 
     def tell(news: News) -> bool:
         nonlocal ending
@@ -248,7 +248,7 @@ def _run(perform: Perform, words: Sequence[str], pipe: Any) -> None:
         return ending
 
     try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        with contextlib.redirect_stdout(log), contextlib.redirect_stderr(log):
             perform(words, tell)
     except (MiSplatError, OSError) as error:
         pipe.send(" ".join(str(error).split()) or type(error).__name__)

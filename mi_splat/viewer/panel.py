@@ -121,7 +121,7 @@ def as_html(remarks: Iterable[Remark]) -> str:
     Markdown is no way to show a name, since HTML in it stays HTML, and pictures in it are files of this machine.
     """
     shown = [
-        (f"<strong>{html.escape(about)}</strong>: " if about else "") + html.escape(said) for about, said in remarks
+        (f"<strong>{html.escape(about)}</strong>: " if about else "") + html.escape(remark) for about, remark in remarks
     ]
     style = "padding: 0 0.75rem 0.5rem; font-size: 0.875rem; white-space: pre-wrap; overflow-wrap: anywhere"
     text = "\n".join(shown).encode("utf-8", "replace").decode()  # JSON may hold what is no Unicode

@@ -154,7 +154,7 @@ def observation_cells(study: StudyConfig, seen: ViewDetections, classes: Sequenc
         classes: Those of the detector.
     """
     attacks = () if study.attack == NO_ATTACK else study.attack
-    centre, wanted = study.centre, {one.name: one.target_class for one in attacks if one.target_class}
+    centre, wanted = study.centre, {attack.name: attack.target_class for attack in attacks if attack.target_class}
     report = report_cells(seen.detections, seen.box, original=study.scene.class_name)
     del report["target"], report["target_score"]
     return {

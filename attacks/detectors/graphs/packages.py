@@ -205,13 +205,13 @@ def pack(spec: str, folder: Path, *, on_wait: Callable[[], None] = lambda: None)
         status = _run(call, folder, log.fileno(), on_wait)
         log.seek(0, os.SEEK_END)
         log.seek(max(0, log.tell() - (1 << 16)))
-        said = log.read().decode(errors="replace")
+        output = log.read().decode(errors="replace")
     if status is None:
         error = DetectorError.of(f"npm pack {spec}", f"an end within {LONGEST:g} s", "none", elsewhere)
         raise error.hinted("--from FILE.tgz")
     files = sorted(folder.glob("*.tgz"))
     if status or len(files) != 1:
-        got = _reason(said) or (f"exit status {status}" if status else f"{len(files)} files")
+        got = _reason(output) or (f"exit status {status}" if status else f"{len(files)} files")
         raise DetectorError.of(f"npm pack {spec}", "one .tgz file", got, elsewhere).hinted("--from FILE.tgz")
     return files[0]
 
@@ -232,9 +232,9 @@ def _run(call: list[str], folder: Path, log: int, on_wait: Callable[[], None]) -
         process.wait()
 
 
-def _reason(said: str) -> str:
+def _reason(output: str) -> str:
     """What npm says went wrong, in a line."""
-    lines = re.findall(r"^npm (?:error|ERR!) ?(.*)$", said, flags=re.MULTILINE)
+    lines = re.findall(r"^npm (?:error|ERR!) ?(.*)$", output, flags=re.MULTILINE)
     code = next((line.split()[1] for line in lines if line.startswith("code ") and len(line.split()) > 1), "")
     told = " ".join(line.strip() for line in lines if line.strip() and not line.startswith(("code ", "A complete log")))
     if code in _NO_NETWORK:
@@ -242,7 +242,7 @@ def _reason(said: str) -> str:
     if code in _NO_PACKAGE:
         return f"a registry that does not have it ({code})"
     if not lines:
-        told = " ".join(said.split())
+        told = " ".join(output.split())
     return f"{code} {told}".strip()[:_SHOWN]
 
 

@@ -109,9 +109,9 @@ class _Graph:
 
     def depthwise(self, inputs: Sequence[int], output: int, options: Any) -> None:
         """DEPTHWISE_CONV_2D: its filters are (1, height, width, inputs * multiplier)."""
-        one, high, wide, outputs = self.shapes[inputs[1]]
+        batch, high, wide, outputs = self.shapes[inputs[1]]
         channels = self.shapes[inputs[0]][3]
-        if one != 1 or channels < 1 or outputs % channels:
+        if batch != 1 or channels < 1 or outputs % channels:
             raise _wrong(f"filters (1, height, width, a multiple of {channels})", self.shapes[inputs[1]])
         shape = [high, wide, channels, outputs // channels]
         self._convolve("FusedDepthwiseConv2dNative", inputs, output, options, "Reshape", shape)

@@ -59,9 +59,9 @@ def read(folder: Path, record: Record) -> Section:
     drawn, names = "by_azimuth" in record, list(record["rates"])
     return Section(
         kind=f"DAGGER, from {'all cameras of a region' if drawn else 'chosen cameras'}",
-        title=f"{_thing(record)} {_wish(record, 1)}{', all cameras' if drawn else ''}",
+        title=f"{_object_name(record)} {_wish(record, 1)}{', all cameras' if drawn else ''}",
         done=(
-            f"The Gaussians of one object ({_thing(record)}: {record['object_gaussians']:,} Gaussians, of which "
+            f"The Gaussians of one object ({_object_name(record)}: {record['object_gaussians']:,} Gaussians, of which "
             f"{record['changed_gaussians']:,} changed) were moved within {_ball(record)}"
             f"{'' if budget is None else f', while the pictures keep {budget:g} dB'}, in at most "
             f"{plural(record['config']['steps'], 'step')}{' over random cameras of a region' if drawn else ''}, to "
@@ -118,7 +118,7 @@ def _conclusion(record: Record, views: str) -> str:
     return " ".join(filter(None, parts))
 
 
-def _thing(record: Record) -> str:
+def _object_name(record: Record) -> str:
     """The name of the attacked object, or else the first class that was reported on it."""
     selection = record.get("selection")
     if isinstance(selection, Mapping) and "object" in selection:

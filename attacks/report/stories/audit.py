@@ -229,15 +229,17 @@ def _pictures(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
         )
 
 
-def _domes(number: int, item: Mapping[str, Any], objects: int, least: float, said: Vector | None) -> Iterator[Chart]:
+def _domes(
+    number: int, item: Mapping[str, Any], objects: int, least: float, recorded_up: Vector | None
+) -> Iterator[Chart]:
     """Which cameras see which look, and which are covered, on the dome of directions above an object's ground."""
-    up = item["up"] or said or (0.0, 0.0, 1.0)
+    up = item["up"] or recorded_up or (0.0, 0.0, 1.0)
     of = "" if objects == 1 else f" of object {number}"
     where = (
         "straight above the ground of the object"
         if item["up"]
         else "up, as it was said"
-        if said
+        if recorded_up
         else "the z axis of the file"
     )
     seen = item["seen_from"]
@@ -382,27 +384,27 @@ def along_paths(section: Section, seen: Iterable[Seen]) -> Section:
                 },
                 [
                     {
-                        **{"number": one.number, "path": one.path, "detector": one.detector},
-                        **{"runs": ", ".join(one.runs), "comes_back": one.comes_back},
+                        **{"number": seen_path.number, "path": seen_path.path, "detector": seen_path.detector},
+                        **{"runs": ", ".join(seen_path.runs), "comes_back": seen_path.comes_back},
                     }
-                    for one in told
+                    for seen_path in told
                 ],
             ),
         ),
     )
 
 
-def _along(one: Seen) -> Chart:
+def _along(seen: Seen) -> Chart:
     """The class with most confidence at each place of a path."""
-    points = list(zip(one.degrees, one.labels, one.scores, strict=True))
+    points = list(zip(seen.degrees, seen.labels, seen.scores, strict=True))
     return Chart(
-        title=f"Object {one.number}: {one.detector} {one.path}",
+        title=f"Object {seen.number}: {seen.detector} {seen.path}",
         x_label="degrees along the path",
         y_label="confidence",
         caption="Where no point is, nothing is reported on the object from a confidence of 0.5 on. No rule follows.",
         lines=tuple(
             Line(name=label, role="other", points=tuple(Point(x, score) for x, at, score in points if at == label))
-            for label in dict.fromkeys(label for label in one.labels if label is not None)
+            for label in dict.fromkeys(label for label in seen.labels if label is not None)
         ),
         connected=False,
     )

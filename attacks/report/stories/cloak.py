@@ -245,7 +245,10 @@ def _done(summary: Mapping[str, Any]) -> str:
     study = summary["study"]
     seeds = summary["seeds"]
     attacks = listed(
-        [f"{one['name']} ({one['appearance']}: {_NEEDS[knowledge_for(one['appearance'])]})" for one in study["attack"]]
+        [
+            f"{attack['name']} ({attack['appearance']}: {_NEEDS[knowledge_for(attack['appearance'])]})"
+            for attack in study["attack"]
+        ]
     )
     layers = " The finished splat then got its object in layers." if study.get("layers") else ""
     cleaning = " The victim then cleaned both splats." if study.get("cleaning") else ""

@@ -117,7 +117,9 @@ def _caption(path: Path) -> str:
 def _seen_chart(title: str, seen: Sequence[Value]) -> Chart:
     values = tuple(dict.fromkeys(line["attack"] for line in seen))
     rates = {
-        splat: [_rate(one for one in seen if (one["attack"], one["splat"]) == (value, splat)) for value in values]
+        splat: [
+            _rate(entry for entry in seen if (entry["attack"], entry["splat"]) == (value, splat)) for value in values
+        ]
         for splat in (CLEAN, ATTACKED)
     }
     lines = (

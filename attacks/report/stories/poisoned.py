@@ -114,7 +114,7 @@ def _hidden(record: Mapping[str, Any], changes: Sequence[Mapping[str, Any]]) -> 
 
 def _changed(record: Mapping[str, Any], changes: Sequence[Mapping[str, Any]]) -> _Told:
     """A kind that changes pictures a little, with no regard to where they were taken."""
-    way, outcome = _WAYS[record["kind"]]
+    wording, outcome = _WAYS[record["kind"]]
     asked = [Figure(label="kind", words=record["kind"])]
     if record["kind"] == "m-ifgsm":
         aim = "anything else" if record["target"] is None else str(record["target"])
@@ -125,7 +125,7 @@ def _changed(record: Mapping[str, Any], changes: Sequence[Mapping[str, Any]]) ->
         asked.append(Figure(label="Gaussians of the attacker's model", words=grown))
     most, skipped = max((change["largest"] for change in changes), default=0.0), len(record.get("skipped", ()))
     return _Told(
-        done=f". {way}",
+        done=f". {wording}",
         conclusion=(
             f"One that is trained on them {outcome}. Train one on the clean set, too, with the same settings, and "
             "compare the two."

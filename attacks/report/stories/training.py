@@ -44,8 +44,10 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
             Figure(label="Gaussians", words=f"{record['gaussians']:,}"),
         ),
         charts=(
-            _chart("PSNR of held-out pictures", "dB", [(one["iteration"], one["held_out"]["psnr"]) for one in scored]),
-            _chart("Gaussians", "number", [(one["iteration"], one["count"]) for one in history]),
+            _chart(
+                "PSNR of held-out pictures", "dB", [(step["iteration"], step["held_out"]["psnr"]) for step in scored]
+            ),
+            _chart("Gaussians", "number", [(step["iteration"], step["count"]) for step in history]),
         ),
         tables=(
             Table.of(

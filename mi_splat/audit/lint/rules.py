@@ -134,9 +134,9 @@ def repeats(arrays: Arrays) -> Mask:
         for column in np.ascontiguousarray(value).view(np.uint32).reshape(count, -1).T:
             key = (key ^ column) * np.uint64(0x9E3779B97F4A7C15)
             key ^= key >> np.uint64(32)
-    again = np.ones(count, np.bool_)
-    again[np.unique(key, return_index=True)[1]] = False
-    return again
+    repeated = np.ones(count, np.bool_)
+    repeated[np.unique(key, return_index=True)[1]] = False
+    return repeated
 
 
 def _colour(stored: Stored, by: float) -> Mask:

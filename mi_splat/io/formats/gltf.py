@@ -97,7 +97,7 @@ def _primitive(document: Glb, primitive: Fields, extension: Fields) -> Loaded:
     coefficients = next((n for n in (16, 9, 4) if all(present[:n])), 1)
     if any(present[coefficients:]):
         expected = "whole degrees of SH, and all lower ones"
-        raise attributes.bad(EXTENSION, expected, names[max(i for i, there in enumerate(present) if there)])
+        raise attributes.bad(EXTENSION, expected, names[max(i for i, is_there in enumerate(present) if is_there)])
     sh = np.empty((count, coefficients, 3), np.float32)
     for column, name in enumerate(names[:coefficients]):
         sh[:, column] = read(name, 3, ("f4",))

@@ -93,8 +93,8 @@ def _ask(path: str, link: Path, most: int) -> Fields:
     try:
         answer = Path(link.parent, "answer.json").read_bytes()
     except FileNotFoundError:
-        said = done.stderr.decode(errors="replace").strip().splitlines()
-        why = f"signal {-done.returncode}" if done.returncode < 0 else (said or ["no answer"])[-1][:160]
+        message = done.stderr.decode(errors="replace").strip().splitlines()
+        why = f"signal {-done.returncode}" if done.returncode < 0 else (message or ["no answer"])[-1][:160]
         got = f"one that usd-core does not get through within its memory and time ({why})"
         raise SplatFileError.of(path, "an OpenUSD file that is intact", got, "export it again") from None
     return parse(answer, path, limit=_ANSWER_LIMIT)

@@ -83,8 +83,8 @@ def read(path: str, out: BinaryIO, most: int) -> dict[str, Any]:
         part = _splat(prim, Usd.TimeCode.EarliestTime(), out, most - total)
         total += part["count"]
         parts.append({**part, "matrix": np.array(cache.GetLocalToWorldTransform(prim)).T.ravel().tolist()})
-    said = stage.HasAuthoredMetadata("metersPerUnit")
-    metres = UsdGeom.GetStageMetersPerUnit(stage) if said else 1.0
+    has_unit = stage.HasAuthoredMetadata("metersPerUnit")
+    metres = UsdGeom.GetStageMetersPerUnit(stage) if has_unit else 1.0
     return {"up": str(UsdGeom.GetStageUpAxis(stage)), "metres": metres, "others": others, "parts": parts}
 
 
