@@ -58,10 +58,10 @@ class Warm:
             server.stdin.write(json.dumps(request) + "\n")
             server.stdin.flush()
             status = int(server.stdout.readline())
-            said, told = (Path(folder, name).read_text() for name in ("stdout", "stderr"))
+            output, told = (Path(folder, name).read_text() for name in ("stdout", "stderr"))
         if not FORKS:
             self.close()
-        done = subprocess.CompletedProcess([sys.executable, *words], status, said, told)
+        done = subprocess.CompletedProcess([sys.executable, *words], status, output, told)
         if check:
             done.check_returncode()
         return done

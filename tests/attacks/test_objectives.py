@@ -36,7 +36,7 @@ def candidates(logits: Tensor, boxes: Tensor | None = None) -> Candidates:
     return Candidates(boxes[:, None].expand(-1, 3, -1), scores)
 
 
-def found(*rows: tuple[str, float, Tensor]) -> Detections:
+def reports(*rows: tuple[str, float, Tensor]) -> Detections:
     boxes = torch.stack([box for _, _, box in rows]) if rows else torch.zeros(0, 4)
     return Detections(boxes, torch.tensor([score for _, score, _ in rows]), tuple(label for label, _, _ in rows))
 
@@ -65,11 +65,11 @@ def test_overlap_of_known_boxes() -> None:
 
 
 def test_confidence_looks_at_the_object_and_the_label() -> None:
-    seen = found(("car", 0.9, shifted(2.0)), ("person", 0.95, shifted(200.0)), ("person", 0.4, BOX))
+    seen = reports(("car", 0.9, shifted(2.0)), ("person", 0.95, shifted(200.0)), ("person", 0.4, BOX))
     assert confidence(seen, BOX) == pytest.approx(0.9)
     assert confidence(seen, BOX, labels=["person"]) == pytest.approx(0.4)
     assert confidence(seen, BOX, labels=[]) == 0.0
-    assert confidence(found(), BOX) == 0.0
+    assert confidence(reports(), BOX) == 0.0
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
@@ -92,7 +92,7 @@ def test_descending_the_loss_reaches_the_aim_from_a_detector_however_sure(
         logits = (logits - 1.0 * gradient / gradient.norm()).detach().requires_grad_(True)
     scores = candidates(logits.detach()).scores
     best = scores.max(0)
-    seen = found(*[(name, float(best.values[c]), BOX) for c, name in enumerate(CLASSES)])
+    seen = reports(*[(name, float(best.values[c]), BOX) for c, name in enumerate(CLASSES)])
     assert objective.verdict(seen, TARGET).success
 
 
@@ -147,22 +147,22 @@ def test_without_any_candidate_the_loss_is_zero_and_differentiable(objective: Ob
 @pytest.mark.parametrize(
     ("objective", "seen", "success", "score"),
     [
-        (relabel("person"), found(("person", 0.71, shifted(4.0))), True, 0.71),
-        (relabel("person"), found(("person", 0.69, BOX)), False, 0.69),
-        (relabel("person"), found(("person", 0.99, shifted(30.0))), False, 0.0),
-        (relabel("person"), found(("bird", 0.99, BOX)), False, 0.0),
-        (relabel("person"), found(("car", 0.9, BOX), ("person", 0.8, BOX)), True, 0.8),
-        (relabel("person"), found(("car", 0.9, shifted(200.0)), ("person", 0.8, BOX)), True, 0.8),
-        (relabel("person", confidence=0.9), found(("person", 0.8, BOX)), False, 0.8),
-        (Relabel(label="person", strict=True), found(("car", 0.49, BOX), ("person", 0.8, BOX)), True, 0.51),
-        (Relabel(label="person", strict=True), found(("car", 0.6, BOX), ("person", 0.8, BOX)), False, 0.4),
-        (hide(), found(), True, 1.0),
-        (hide(), found(("bird", 0.9, shifted(200.0))), True, 1.0),
-        (hide(), found(("bird", 0.4, BOX)), False, 0.6),
-        (hide(), found(("car", 0.8, shifted(20.0))), False, 0.2),  # overlap of a third: slid aside, not hidden
-        (hide(confidence=0.5), found(("car", 0.4, BOX)), True, 0.6),
-        (untargeted(), found(("bird", 0.9, BOX), ("car", 0.2, BOX)), True, 0.8),
-        (untargeted(), found(("car", 0.5, BOX)), False, 0.5),
+        (relabel("person"), reports(("person", 0.71, shifted(4.0))), True, 0.71),
+        (relabel("person"), reports(("person", 0.69, BOX)), False, 0.69),
+        (relabel("person"), reports(("person", 0.99, shifted(30.0))), False, 0.0),
+        (relabel("person"), reports(("bird", 0.99, BOX)), False, 0.0),
+        (relabel("person"), reports(("car", 0.9, BOX), ("person", 0.8, BOX)), True, 0.8),
+        (relabel("person"), reports(("car", 0.9, shifted(200.0)), ("person", 0.8, BOX)), True, 0.8),
+        (relabel("person", confidence=0.9), reports(("person", 0.8, BOX)), False, 0.8),
+        (Relabel(label="person", strict=True), reports(("car", 0.49, BOX), ("person", 0.8, BOX)), True, 0.51),
+        (Relabel(label="person", strict=True), reports(("car", 0.6, BOX), ("person", 0.8, BOX)), False, 0.4),
+        (hide(), reports(), True, 1.0),
+        (hide(), reports(("bird", 0.9, shifted(200.0))), True, 1.0),
+        (hide(), reports(("bird", 0.4, BOX)), False, 0.6),
+        (hide(), reports(("car", 0.8, shifted(20.0))), False, 0.2),  # overlap of a third: slid aside, not hidden
+        (hide(confidence=0.5), reports(("car", 0.4, BOX)), True, 0.6),
+        (untargeted(), reports(("bird", 0.9, BOX), ("car", 0.2, BOX)), True, 0.8),
+        (untargeted(), reports(("car", 0.5, BOX)), False, 0.5),
     ],
 )
 def test_verdicts(objective: Objective, seen: Detections, success: bool, score: float) -> None:
@@ -174,11 +174,11 @@ def test_verdicts(objective: Objective, seen: Detections, success: bool, score: 
 @pytest.mark.parametrize(
     ("seen", "unambiguous"),
     [
-        (found(("person", 0.8, BOX)), True),
-        (found(("person", 0.8, BOX), ("car", 0.75, BOX)), True),
-        (found(("car", 0.9, BOX), ("person", 0.8, BOX)), False),
-        (found(("car", 0.9, shifted(200.0)), ("person", 0.8, BOX)), True),
-        (found(("person", 0.6, BOX)), False),
+        (reports(("person", 0.8, BOX)), True),
+        (reports(("person", 0.8, BOX), ("car", 0.75, BOX)), True),
+        (reports(("car", 0.9, BOX), ("person", 0.8, BOX)), False),
+        (reports(("car", 0.9, shifted(200.0)), ("person", 0.8, BOX)), True),
+        (reports(("person", 0.6, BOX)), False),
     ],
 )
 def test_a_relabelling_is_unambiguous_when_nothing_else_is_seen_there_with_more_confidence(
@@ -189,9 +189,9 @@ def test_a_relabelling_is_unambiguous_when_nothing_else_is_seen_there_with_more_
 
 def test_untargeted_cannot_succeed_on_what_was_never_seen() -> None:
     unseen = Target(box=BOX, label=None, classes=CLASSES)
-    assert not untargeted().verdict(found(), unseen).success
+    assert not untargeted().verdict(reports(), unseen).success
     assert float(untargeted()(candidates(torch.zeros(2, 3)), unseen)) == 0.0
-    assert hide().verdict(found(), unseen).success
+    assert hide().verdict(reports(), unseen).success
 
 
 def test_a_class_that_the_detector_does_not_know_is_named() -> None:
@@ -207,12 +207,12 @@ def test_names_and_labels() -> None:
 
 def test_limits_belong_to_the_side_that_the_documentation_says() -> None:
     half = torch.tensor([10.0, 10.0, 50.0, 20.0])  # the upper half of the object: an overlap of exactly 0.5
-    assert confidence(found(("person", 0.75, half)), BOX) == 0.75
+    assert confidence(reports(("person", 0.75, half)), BOX) == 0.75
     less = torch.tensor([10.0, 10.0, 50.0, 19.8])  # an overlap of 0.49
-    assert confidence(found(("person", 0.75, less)), BOX) == 0.0
-    assert relabel("person", confidence=0.75).verdict(found(("person", 0.75, BOX)), TARGET).success
-    assert not hide(confidence=0.25).verdict(found(("car", 0.25, BOX)), TARGET).success
-    tie = found(("car", 0.75, BOX), ("person", 0.75, BOX))
+    assert confidence(reports(("person", 0.75, less)), BOX) == 0.0
+    assert relabel("person", confidence=0.75).verdict(reports(("person", 0.75, BOX)), TARGET).success
+    assert not hide(confidence=0.25).verdict(reports(("car", 0.25, BOX)), TARGET).success
+    tie = reports(("car", 0.75, BOX), ("person", 0.75, BOX))
     assert relabel("person").verdict(tie, TARGET).unambiguous  # nothing there has more confidence
 
 

@@ -234,8 +234,8 @@ def test_what_covers_an_object_from_above_and_lets_others_through() -> None:
     target = Target(rows=torch.arange(2), centre=centre, radius=1.0, up=up)
     cameras = cameras_around(target)
     directions = torch.stack([camera.position for camera in cameras]) / 2.6
-    lid, thing = torch.full((96, 96), 1.0), torch.full((96, 96), 2.6)
-    depths = tuple(lid if float(d[2]) > 0.7 else thing for d in directions)
+    lid, behind = torch.full((96, 96), 1.0), torch.full((96, 96), 2.6)
+    depths = tuple(lid if float(d[2]) > 0.7 else behind for d in directions)
     none = torch.zeros(0, dtype=torch.int64)
     view = Sight(
         cameras=cameras,

@@ -110,10 +110,10 @@ def test_the_command_repairs_what_it_finds(
     save_splat(hiding.scene, bad)
     save_splat(honest.scene, plain)
     assert cli.main(["audit", str(bad), "--only", "looks", "--repair", str(out), "--json"]) == 3
-    said = json.loads(capsys.readouterr().out)["repair"]
-    assert said["verdict"] == "nothing found"
+    repaired = json.loads(capsys.readouterr().out)["repair"]
+    assert repaired["verdict"] == "nothing found"
     changed = (load_splat(out).sh != load_splat(bad).sh).flatten(1).any(1)
-    assert int(changed.sum()) == said["coloured_anew"] > 100
+    assert int(changed.sum()) == repaired["coloured_anew"] > 100
     other = tmp_path / "other.spz"
     assert cli.main(["audit", str(plain), "--only", "looks", "--repair", str(other)]) == 0
     assert "nothing was found that could be repaired, and nothing is written" in capsys.readouterr().out

@@ -217,9 +217,9 @@ def test_info_describes_a_splat(splat: Path, capsys: pytest.CaptureFixture[str])
     assert turned["height"] == pytest.approx([-facts["box"][1][2], -facts["box"][0][2]])
     assert turned["up"] == [0.0, 0.0, -2.0]
     assert cli.main(["info", str(splat), "--up", "-y"]) == 0
-    said = capsys.readouterr().out
-    assert "gaussians  200" in said
-    assert "up         -y" in said
+    printed = capsys.readouterr().out
+    assert "gaussians  200" in printed
+    assert "up         -y" in printed
     assert cli.main(["info", str(splat), "--up", "0", "0", "0"]) == 1
 
 

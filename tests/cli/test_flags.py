@@ -183,7 +183,7 @@ FLAGS = [
 RANGED = [(command, flag, allowed, count, whole) for command, flag, allowed, count, whole in FLAGS if count and allowed]
 
 
-def said(flag: str, number: float, count: int) -> list[str]:
+def flag_words(flag: str, number: float, count: int) -> list[str]:
     """A flag with so many of a number, as a user writes it."""
     return [flag, "x".join([str(number)] * count)] if flag == "--size" else [flag, *[str(number)] * count]
 
@@ -212,7 +212,7 @@ def test_flags_refuse_in_the_same_words(
         with pytest.raises(FieldError) as expected:
             checked_number(flag, float(number) if flag == "--background" else number, allowed, whole=whole)
         with pytest.raises(UsageError) as refused:
-            parsed(command, said(flag, number, count))
+            parsed(command, flag_words(flag, number, count))
         assert str(refused.value) == str(expected.value)
     with pytest.raises(UsageError, match=f"^{flag}: expected "):
         parsed(command, [flag, *["many"] * (1 if flag in ("--size", "--background") else count)])
@@ -224,7 +224,7 @@ def test_right_numbers_are_taken(command: str) -> None:
     """All of a command at once, but two seeds that have to differ."""
     together: list[str] = []
     for flag, allowed, count, whole in (case[1:] for case in RANGED if case[0] == command):
-        words = said(flag, right_value(allowed, whole), count)
+        words = flag_words(flag, right_value(allowed, whole), count)
         if flag == "--judge-seed":
             parsed(command, words)
         else:
@@ -233,7 +233,7 @@ def test_right_numbers_are_taken(command: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["render", "a.ply", "--distance", "-1"], "--distance: expected a number > 0 (world units), got -1"),
         (["render", "a.ply", "--background", "255", "255", "255"], "divide 8-bit values by 255"),
@@ -245,12 +245,12 @@ def test_right_numbers_are_taken(command: str) -> None:
     ],
 )
 def test_the_message_is_one_line_and_says_what_to_do(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(words) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert said in captured.err
+    assert message in captured.err
     assert f"see mi-splat {words[0]} --help" in captured.err
     assert len(captured.err.splitlines()) == 1
 
@@ -292,7 +292,7 @@ def test_values_become_those_of_python() -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "said"),
+    ("values", "message"),
     [
         ({"size": True}, "size: expected a number > 0 \\(metres\\), got True"),
         ({"corners": (1, 2.0)}, "corners: expected a whole number >= 0, got 2.0"),
@@ -303,13 +303,13 @@ def test_values_become_those_of_python() -> None:
         ({"closed": 1}, "closed: expected true or false, got 1"),
     ],
 )
-def test_other_values_are_refused(values: dict[str, Any], said: str) -> None:
-    with pytest.raises(FieldError, match=said):
+def test_other_values_are_refused(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(FieldError, match=message):
         Shape(**values)
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message"),
     [
         ({"siz": 1}, "key in x: expected one of size, .*, got siz; did you mean size"),
         ({"corners": {"a": 1}}, "x, corners: expected a list, got {'a': 1}; write it in brackets"),
@@ -317,8 +317,8 @@ def test_other_values_are_refused(values: dict[str, Any], said: str) -> None:
         ({"closed": "yes"}, "x, closed: expected true or false, got 'yes'"),
     ],
 )
-def test_other_tables_are_refused(table: dict[str, Any], said: str) -> None:
-    with pytest.raises(FieldError, match=said):
+def test_other_tables_are_refused(table: dict[str, Any], message: str) -> None:
+    with pytest.raises(FieldError, match=message):
         decode(Shape, table, "x")
 
 

@@ -183,7 +183,7 @@ SMALL = ["--size", "24x16"]
 
 
 @pytest.fixture
-def things(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def inputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     scene, _ = toy_scene()
     save_splat(scene, tmp_path / "a.ply")
     save_splat(scene.select(slice(0, 20)), tmp_path / "half.ply")
@@ -243,24 +243,24 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("line", REFUSED)
-def test_refused_with_nothing_lost(line: str, things: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = {path: path.read_bytes() for path in things.iterdir()}
+def test_refused_with_nothing_lost(line: str, inputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = {path: path.read_bytes() for path in inputs.iterdir()}
     status, words = REFUSED[line]
     assert cli.main(line.split()) == status
     error = capsys.readouterr().err
     assert words in error
     assert len(error.splitlines()) == 1
-    assert {path: path.read_bytes() for path in things.iterdir()} == before
+    assert {path: path.read_bytes() for path in inputs.iterdir()} == before
 
 
-def test_all_cameras_of_a_bare_splat_are_the_usual_one(things: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_all_cameras_of_a_bare_splat_are_the_usual_one(inputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["render", "a.ply", *SMALL, "--out", "one.png"]) == 0
     assert cli.main(["render", "a.ply", *SMALL, "--cameras", "all", "--out", "all.png"]) == 0
     assert "no cameras of its own" in capsys.readouterr().err
-    assert (things / "one.png").read_bytes() == (things / "all.png").read_bytes()
+    assert (inputs / "one.png").read_bytes() == (inputs / "all.png").read_bytes()
 
 
-def test_many_cameras_have_a_few_lines_and_a_summary(things: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_many_cameras_have_a_few_lines_and_a_summary(inputs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["select", "a.ply", "--mask", "m.npy", "--cameras", "orbit:9@10", *SMALL]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 1 + 6 + 1

@@ -163,10 +163,10 @@ def test_dagger_writes_its_report(toy: SplatScene, tmp_path: Path, capsys: pytes
     words = ["--object", "thing", "--target", "person", "--eps", "20", "--seed", "3", "--noise-draws", "1"]
     assert cli.main(["dagger", *words, "--out", str(out)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    said = (
+    printed = (
         "The attack succeeded: within a ball (l2: 20 over sh) it made fake_colour report person on the object in 1 of 1"
     )
-    assert lines[0].startswith(said)
+    assert lines[0].startswith(printed)
     assert lines[1].startswith("views with the aim reached: report person  ")
     assert "1 of 1 = 100 % (20.7 to 100 %); confidence " in lines[1]
     assert lines[-2] == f"Look at {out / 'detections.png'} first."

@@ -31,10 +31,10 @@ class Walk:
 
     def __call__(self, line: str) -> str:
         status = cli.main(line.split())
-        said = self._capsys.readouterr()
-        self.err = said.err
-        assert status == 0, f"{line}: {said.err}"
-        return said.out
+        captured = self._capsys.readouterr()
+        self.err = captured.err
+        assert status == 0, f"{line}: {captured.err}"
+        return captured.out
 
     def json(self, line: str) -> Any:
         return json.loads(self(f"{line} --json"))

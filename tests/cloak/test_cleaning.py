@@ -181,15 +181,15 @@ def test_values_out_of_range_are_refused(make: Callable[[], object], says: str) 
 
 @pytest.mark.slow
 def test_both_splats_of_a_study_are_cleaned_and_none_is_trained_anew(finished: Path) -> None:
-    said: list[str] = []
+    lines: list[str] = []
     study = replace(STUDY, cleaning=CleaningConfig(lowest_opacity=0.1, sh_degree=0))
-    usual, other = (steps_of(finished / "stages", one, said) for one in (STUDY, study))
+    usual, other = (steps_of(finished / "stages", one, lines) for one in (STUDY, study))
     before = usual.splats()
     for _ in range(2):
         after = other.splats()
-        assert {text.split()[0] for text in said} <= {"cleaning"}
+        assert {text.split()[0] for text in lines} <= {"cleaning"}
         assert [(one.splat, one.seed) for one in after] == [(one.splat, one.seed) for one in before]
         for one, was in zip(after, before, strict=True):
             assert same(one.load(), cleaned(was.load(), CleaningConfig(lowest_opacity=0.1, sh_degree=0)))
             assert (one.record["gaussians"], one.record["hash"]) == (len(one.load()), scene_hash(one.load()))
-    assert len(set(said)) == 2
+    assert len(set(lines)) == 2

@@ -113,8 +113,8 @@ def test_untouched_files_are_the_same_bytes(finished: Path) -> None:
 
 def test_nothing_is_done_twice(finished: Path) -> None:
     before = summary(finished)
-    _, said = done(finished)
-    assert not said
+    _, lines = done(finished)
+    assert not lines
     assert {**summary(finished), "seconds": 0} == {**before, "seconds": 0}
 
 
@@ -132,8 +132,8 @@ def test_an_interrupted_study_ends_as_if_nothing_had_happened(
     with pytest.raises(KeyboardInterrupt):
         done(tmp_path / "out", stop_at=stop_at)
     assert not (tmp_path / "out" / "result.json").exists()
-    after, said = done(tmp_path / "out")
-    assert not [text for text in said if text.startswith(("taking the victim", "training the clean"))]
+    after, lines = done(tmp_path / "out")
+    assert not [text for text in lines if text.startswith(("taking the victim", "training the clean"))]
     assert [splat["hash"] for splat in after["splats"]] == [splat["hash"] for splat in summary(finished)["splats"]]
     assert not list((stages / "partial").iterdir())
 
@@ -153,10 +153,10 @@ def test_two_trainings_beside_each_other_leave_the_same_bytes(finished: Path, tm
 def test_another_fraction_needs_no_new_picture(finished: Path) -> None:
     overhead, rear = STUDY.attack
     study = replace(STUDY, attack=(replace(overhead, poison_fraction=0.5), rear))
-    said: list[str] = []
-    usual, other = steps_of(finished / "stages"), steps_of(finished / "stages", study, said)
+    lines: list[str] = []
+    usual, other = steps_of(finished / "stages"), steps_of(finished / "stages", study, lines)
     poisoned = other.do(other.poisoned(0), "poisoning")
-    assert set(said) == {"poisoning"}
+    assert set(lines) == {"poisoning"}
     assert other.do(other.look(study.attack[0]), "").key == usual.do(usual.look(overhead), "").key
     assert poisoned.content != usual.do(usual.poisoned(0), "").content
     manifest = json.loads((poisoned.folder / MANIFEST).read_text())

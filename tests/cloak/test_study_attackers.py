@@ -53,8 +53,8 @@ def views_of(steps: StudySteps) -> Dataset:
 def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path) -> None:
     """The pictures and the clean splat are those of the study without layers: its stages are shared."""
     study = replace(STUDY, name="layers", layers=LayersConfig(attacks=("overhead",), iterations=40))
-    result, said = done(finished.with_name("layers"), study=study, stages=finished / "stages")
-    assert not any("pictures" in text or text.startswith("training the clean") for text in said)
+    result, lines = done(finished.with_name("layers"), study=study, stages=finished / "stages")
+    assert not any("pictures" in text or text.startswith("training the clean") for text in lines)
     (clean,), (cloaked,) = result["gaussians"]["clean"], result["gaussians"]["cloaked"]
     assert clean < cloaked <= 2 * clean
     steps = steps_of(finished / "stages", study)
@@ -92,12 +92,12 @@ def test_the_geometry_of_layers_is_trained_and_made_finer(finished: Path) -> Non
 def test_a_surrogate_of_the_attacker_s_own_corrects_the_poison(finished: Path) -> None:
     """It overdoes what the surrogate lacks; clean pictures, benign ones and the clean splat stay as they are."""
     study = replace(STUDY, name="corrected", surrogate=SurrogateConfig(rounds=2, iterations=30))
-    said: list[str] = []
-    steps, usual = steps_of(finished / "stages", study, said), steps_of(finished / "stages")
+    lines: list[str] = []
+    steps, usual = steps_of(finished / "stages", study, lines), steps_of(finished / "stages")
     for number in (1, 2):
         steps.do(steps.surrogate(0, number), f"surrogate {number}")
     corrected = steps.do(steps.poisoned(0), "poisoning")
-    assert list(dict.fromkeys(said)) == ["surrogate 1", "surrogate 2", "poisoning"]
+    assert list(dict.fromkeys(lines)) == ["surrogate 1", "surrogate 2", "poisoning"]
     plain = usual.do(usual.poisoned(0), "")
     manifest = json.loads((corrected.folder / MANIFEST).read_text())
     names = {change["appearance"] for change in manifest["changes"]}

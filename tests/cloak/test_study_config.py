@@ -193,8 +193,8 @@ def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
         check(SMALL, [], tmp_path, tmp_path / "stages")
     other = replace(SMALL, name="other", seeds=(0, 1))
     (tmp_path / "study.toml").write_text(study_toml(asdict(other)))
-    said = r"results of a study with name other and not small, seeds \(0, 1\) and not \(0,\), another"
-    with pytest.raises(InvalidValueError, match=said.removesuffix(", another")):
+    message = r"results of a study with name other and not small, seeds \(0, 1\) and not \(0,\), another"
+    with pytest.raises(InvalidValueError, match=message.removesuffix(", another")):
         check(SMALL, [], tmp_path, tmp_path / "stages")
 
 
@@ -311,8 +311,8 @@ def test_the_same_study_goes_on(file: Path) -> None:
 def test_what_differs_is_said(file: Path) -> None:
     attack = replace(EARLIER.attack[0], elevation=(30.0, 90.0))
     other = replace(EARLIER, seeds=(0, 1), attack=(attack,))
-    said = ["seeds (0,) and not (0, 1)", "attack.0.elevation (40.0, 90.0) and not (30.0, 90.0)"]
-    assert differences(EARLIER, other) == said
+    differing = ["seeds (0,) and not (0, 1)", "attack.0.elevation (40.0, 90.0) and not (30.0, 90.0)"]
+    assert differences(EARLIER, other) == differing
     with pytest.raises(InvalidValueError, match=r"results of a study with seeds \(0,\) and not \(0, 1\), attack\.0\."):
         check_folder(other, file.parent)
 

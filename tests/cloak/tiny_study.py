@@ -65,9 +65,9 @@ KNOWN = {
 """What makes a job find the detector by its name, where it is put into the registry."""
 
 
-def steps_of(folder: Path, study: StudyConfig = STUDY, said: list[str] | None = None) -> StudySteps:
+def steps_of(folder: Path, study: StudyConfig = STUDY, lines: list[str] | None = None) -> StudySteps:
     """The steps of a study, whose stages are in a folder."""
-    told = [] if said is None else said
+    told = [] if lines is None else lines
     return StudySteps(study=study, folder=folder, on_step=lambda text, done, total: told.append(text))
 
 
@@ -79,16 +79,16 @@ def done(
     stop_at: tuple[str, int] | None = None,
 ) -> tuple[dict[str, Any], list[str]]:
     """The summary of a study and what was going on; interrupted at a step if one is named."""
-    said: list[str] = []
+    lines: list[str] = []
 
     def step(text: str, count: int, total: int) -> None:
-        said.append(text)
+        lines.append(text)
         if stop_at is not None and text.startswith(stop_at[0]) and count == stop_at[1]:
             raise KeyboardInterrupt
 
     torch.set_num_threads(1)
     with patch.dict(registry.DETECTORS.own, KNOWN):
-        return run_study(study, folder, stages=stages, on_step=step), said
+        return run_study(study, folder, stages=stages, on_step=step), lines
 
 
 def summary(folder: Path) -> dict[str, Any]:

@@ -71,7 +71,7 @@ def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
 
 
 @pytest.mark.parametrize(
-    ("words", "status", "said"),
+    ("words", "status", "message"),
     [
         (
             ["--methods", "tile,magic"],
@@ -89,12 +89,12 @@ def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
     ],
 )
 def test_refused_in_one_line_with_nothing_written(
-    words: list[str], status: int, said: str, toy: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], status: int, message: str, toy: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = sorted(toy.rglob("*"))
     assert cli.main(["compare", "toy.ply", "--size", "16", *words]) == status
     error = capsys.readouterr().err
-    assert said in error
+    assert message in error
     assert len(error.splitlines()) == 1
     assert sorted(toy.rglob("*")) == before
 
@@ -120,11 +120,11 @@ def test_lpips_without_its_network_is_not_measured(
     monkeypatch.setattr("attacks.report.charts.missing_packages", lambda: ["Jinja2"])
     words = ["compare", "toy.ply", "--size", "16", "--lpips", "--no-gradients", "--rounds", "0", "--out", "compared"]
     assert cli.main(words) == 0
-    said = capsys.readouterr()
-    assert "LPIPS was not measured" in said.err
-    assert "no page: Jinja2 not installed" in said.err
-    assert said.out.startswith("tile and ray: ")
-    assert "| pair | PSNR | SSIM | LPIPS | bits |" in said.out
+    captured = capsys.readouterr()
+    assert "LPIPS was not measured" in captured.err
+    assert "no page: Jinja2 not installed" in captured.err
+    assert captured.out.startswith("tile and ray: ")
+    assert "| pair | PSNR | SSIM | LPIPS | bits |" in captured.out
     document = json.loads((toy / "compared" / "result.json").read_text())
     assert document["pairs"][0]["lpips"] is None
     assert document["warnings"]

@@ -67,7 +67,7 @@ def test_names_that_cannot_be(name: str, words: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (
             ("blobs", "unheard"),
@@ -79,8 +79,8 @@ def test_names_that_cannot_be(name: str, words: str) -> None:
         (("blobs", "folder:nowhere"), "a folder of pictures, got none"),
     ],
 )
-def test_methods_that_are_refused(words: tuple[str, ...], said: str, registered: None) -> None:
-    with pytest.raises(InvalidValueError, match=said):
+def test_methods_that_are_refused(words: tuple[str, ...], message: str, registered: None) -> None:
+    with pytest.raises(InvalidValueError, match=message):
         load_methods(words, RenderSettings(), CAMERAS)
 
 
@@ -157,14 +157,14 @@ def test_what_differs_is_measured_and_what_cannot_be_is_null() -> None:
 
 
 @pytest.mark.parametrize(
-    ("render", "said"),
+    ("render", "message"),
     [
         (lambda scene, view: blobs(scene, view)[:-1], r"\(23, 24, 3\), 0 values not finite"),
         (lambda scene, view: blobs(scene, view) * float("nan"), "1728 values not finite"),
     ],
 )
-def test_what_is_no_picture_is_refused(render: Any, said: str) -> None:
-    with pytest.raises(InvalidValueError, match=said):
+def test_what_is_no_picture_is_refused(render: Any, message: str) -> None:
+    with pytest.raises(InvalidValueError, match=message):
         compare(SCENE, CAMERAS, {"good": Method(render=blobs), "bad": Method(render=render)}, config=QUICK)
 
 

@@ -150,7 +150,7 @@ def test_thresholds_suppression_and_another_program_s_report() -> None:
 
 
 @pytest.mark.parametrize(
-    ("decode", "said"),
+    ("decode", "message"),
     [
         (lambda logits, size: [], "2 pairs, got 0"),
         (lambda logits, size: [(b, s[:, :1]) for b, s in plain(logits, size)], r"scores \(A, 2\) and boxes \(A, 4\)"),
@@ -158,9 +158,9 @@ def test_thresholds_suppression_and_another_program_s_report() -> None:
         (lambda logits, size: [(b, s.detach()) for b, s in plain(logits, size)], "scores with a gradient, got none"),
     ],
 )
-def test_outputs_that_are_wrong(decode: Any, said: str) -> None:
+def test_outputs_that_are_wrong(decode: Any, message: str) -> None:
     detector = wrap_detector(Plain(), ("car", "person"), decode)
-    with pytest.raises(InvalidValueError, match=f"decode of wrapped: expected .*{said}"):
+    with pytest.raises(InvalidValueError, match=f"decode of wrapped: expected .*{message}"):
         detector.candidates(pictures(32, 40).requires_grad_())
 
 

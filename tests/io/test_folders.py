@@ -297,7 +297,7 @@ def test_names_that_lead_elsewhere_are_refused(name: str, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "Expecting value"),
         ("{}", "files, and folders without"),
@@ -307,8 +307,8 @@ def test_names_that_lead_elsewhere_are_refused(name: str, tmp_path: Path) -> Non
         (f'{{"files": {{"a": {{"sha256": "{DIGEST}", "bytes": -1}}}}, "without": []}}', "sha256 and bytes of a"),
     ],
 )
-def test_a_broken_manifest_is_refused(text: str, said: str, tmp_path: Path) -> None:
+def test_a_broken_manifest_is_refused(text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / MANIFEST).write_text(text)
     with pytest.raises(InvalidValueError, match="get the result again") as error:
         read_manifest(tmp_path)
-    assert said in str(error.value)
+    assert message in str(error.value)

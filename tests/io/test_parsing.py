@@ -48,11 +48,11 @@ def test_broken_json_is_refused_in_words(name: str, tmp_path: Path) -> None:
     (tmp_path / "record.json").write_bytes(data)
     with pytest.raises(InvalidValueError) as caught:
         READER.read_json(tmp_path / "record.json")
-    said = str(caught.value)
-    assert said.startswith(f"{tmp_path / 'record.json'}: ")
-    assert words in said
-    assert said.endswith("; write it again")
-    assert len(said) < 400
+    message = str(caught.value)
+    assert message.startswith(f"{tmp_path / 'record.json'}: ")
+    assert words in message
+    assert message.endswith("; write it again")
+    assert len(message) < 400
 
 
 @pytest.mark.parametrize("text", ["a = nan", "a = [1, -inf]", f"a = {'9' * 10_000}", "a = 0x8000000000000000", "a = "])

@@ -107,8 +107,8 @@ def test_where_blocks_say_nothing_each_counts_once(blocks: int, holds: bool | No
 def over(objects: int, spread: float) -> Rate:
     """A rate over ten views of 20 blocks of each object, of which so many tenths more hold the later it comes."""
     rng, middle = np.random.default_rng(1), (objects - 1) / 2
-    keys = [(thing, block, 0) for thing in range(objects) for block in range(20) for _ in range(10)]
-    holds = [bool(rng.random() < 0.5 + spread * (thing - middle) / 10) for thing, _, _ in keys]
+    keys = [(object_, block, 0) for object_ in range(objects) for block in range(20) for _ in range(10)]
+    holds = [bool(rng.random() < 0.5 + spread * (object_ - middle) / 10) for object_, _, _ in keys]
     rows = pl.DataFrame(keys, schema=["object", "block", "seed"], orient="row").with_columns(holds=pl.Series(holds))
     return count(rows, {"rate": Measure(holds=pl.col("holds"))}, clusters=("object", "block", "seed"))[()]["rate"]
 

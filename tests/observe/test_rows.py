@@ -75,7 +75,7 @@ def test_a_column_that_the_schema_lacks_is_refused(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "expected the columns view, got none called view"),
         ("splat\nclean\n", "expected the columns view, got none called view"),
@@ -91,12 +91,12 @@ def test_a_column_that_the_schema_lacks_is_refused(name: str) -> None:
         (f"{HEAD}{'a' * 200_000},1,0.5,true\n", "expected a CSV file"),
     ],
 )
-def test_what_means_nothing_is_refused(text: str, said: str, tmp_path: Path) -> None:
+def test_what_means_nothing_is_refused(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text(text)
     with pytest.raises(InvalidValueError, match="get the result again") as error:
         read_rows(path, needs=["view"])
-    assert said in str(error.value)
+    assert message in str(error.value)
 
 
 CUT = gzip.compress(bytes(range(32, 120)), mtime=0)[:60]

@@ -243,7 +243,7 @@ def test_a_rule_is_heard_in_every_audit(brought: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("entry", "said"),
+    ("entry", "message"),
     [
         ("many = brought:FAILING", "expected a Rule of the name many, got one of the name failing"),
         ("failing = brought:FAILING", "The rule failing of plugged 1.0 did not run: division by zero"),
@@ -251,17 +251,17 @@ def test_a_rule_is_heard_in_every_audit(brought: Path) -> None:
         ("many = brought:MISSING", "did not run: entry point many = brought:MISSING of plugged 1.0"),
     ],
 )
-def test_a_rule_that_does_not_run_is_a_warning(path: Path, entry: str, said: str) -> None:
+def test_a_rule_that_does_not_run_is_a_warning(path: Path, entry: str, message: str) -> None:
     name, value = entry.split(" = ")
     install(path, {f"mi_splat.audit_rules/{name}": value}, brought=BROUGHT)
     (finding,) = (finding for finding in lint_scene(_cluster()).findings if finding.rule == name)
     assert finding.severity == "warning"
-    assert said in finding.reason
+    assert message in finding.reason
 
 
 @pytest.mark.parametrize("group", GROUPS)
 @pytest.mark.parametrize(
-    ("module", "value", "said"),
+    ("module", "value", "message"),
     [
         (
             "raise RuntimeError('no licence')",
@@ -274,12 +274,12 @@ def test_a_rule_that_does_not_run_is_a_warning(path: Path, entry: str, said: str
         ("", "brokenn:IT", "got ModuleNotFoundError: No module named 'brokenn'"),
     ],
 )
-def test_a_broken_package_breaks_only_itself(path: Path, group: str, module: str, value: str, said: str) -> None:
+def test_a_broken_package_breaks_only_itself(path: Path, group: str, module: str, value: str, message: str) -> None:
     install(path, {f"{group}/bad": value}, broken=module)
     registry = GROUPS[group]
     with pytest.raises(MiSplatError, match=rf"entry point bad = {value} of plugged 1.0 \({group}\): ") as caught:
         registry.chosen("bad")
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     sys.modules.pop("broken", None)
     own = next(iter(registry.own), None)
     assert own is None or registry.chosen(own) is registry.own[own]
@@ -303,7 +303,7 @@ def test_a_name_of_this_project_is_never_taken(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (
             "dagger --objective dim-cars",
@@ -316,9 +316,11 @@ def test_a_name_of_this_project_is_never_taken(path: Path) -> None:
         ("poison SET --kind darkk", "did you mean dark?"),
     ],
 )
-def test_the_command_line_knows_them(brought: Path, words: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_knows_them(
+    brought: Path, words: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert cli.main(words.split()) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_an_objective_that_gives_none_is_refused(path: Path) -> None:

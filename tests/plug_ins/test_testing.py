@@ -241,13 +241,13 @@ def test_what_success_says_becomes_a_verdict() -> None:
     target = Target(box=torch.tensor([0.0, 0.0, 9.0, 9.0]), label=None, classes=("car",), original="car")
     seen = Detections(torch.zeros(0, 4), torch.zeros(0), ())
     whole = Verdict(success=True, score=0.5, unambiguous=False)
-    said = {
+    answers = {
         True: Verdict(success=True, score=1, unambiguous=True),
         False: Verdict(success=False, score=0, unambiguous=False),
         0.25: Verdict(success=False, score=0.25, unambiguous=False),
         whole: whole,
     }
-    for answer, verdict in said.items():
+    for answer, verdict in answers.items():
         assert objective(_score, partial(_says, answer)).verdict(seen, target) == verdict
     assert objective(_score, _gone).name == "_gone"
     assert "tests.plug_ins.test_testing._gone" in repr(objective(_score, _gone))
@@ -330,7 +330,7 @@ def _cut(scene: GaussianScene, camera: Camera) -> Tensor:
     return Renderer()(scene.replace(means=scene.means.detach(), opacities=scene.opacities.detach()), camera)
 
 
-def _in_place(scene: GaussianScene, camera: Camera) -> Tensor:
+def _overwriting(scene: GaussianScene, camera: Camera) -> Tensor:
     picture = Renderer()(scene, camera)
     with torch.no_grad():
         scene.sh.mul_(0.9)
@@ -355,7 +355,7 @@ def test_renderers_that_are_right(name: str) -> None:
         (changed_tile(lambda picture: picture + 0.1 * torch.rand(())), ("determinism: expected the same picture",)),
         (changed_tile(lambda picture: picture.detach()), ("gradient of sh: expected a gradient, got none",)),
         (_cut, ("gradient of means: expected", "gradient of opacities: expected")),
-        (_in_place, ("scene: expected a scene that stays as it is",)),
+        (_overwriting, ("scene: expected a scene that stays as it is",)),
         (
             RendererSpec(make=lambda settings: Renderer()),
             ("background: expected the background (1.0, 0.5, 0.0), got (0.0, 0.0, 0.0)",),
@@ -443,11 +443,11 @@ def test_poisons_that_are_broken() -> None:
 
     broken_by(lambda: check_poison(secret), "changes: expected changes of the views [1], got []")
 
-    def in_place(views: Sequence[View], *, seed: int = 0, on_step: Any = None) -> Poisoned:
+    def overwriting(views: Sequence[View], *, seed: int = 0, on_step: Any = None) -> Poisoned:
         views[0].image.mul_(0.5)
         return poisoned(views, {0: views[0].image}, {"kind": "rude"})
 
-    broken_by(lambda: check_poison(in_place), "the untouched set: expected an untouched set")
+    broken_by(lambda: check_poison(overwriting), "the untouched set: expected an untouched set")
 
     @dataclass
     class Loose:

@@ -215,10 +215,10 @@ def test_the_command_says_what_was_placed(
     monkeypatch.setattr("mi_splat.preparation.prepare.check_colmap", lambda: None)
     source = photographs(tmp_path / "photos", 10)
     assert cli.main(["prepare", str(source), "--out", str(tmp_path / "set")]) == 0
-    said = capsys.readouterr()
-    assert "9 of 10 pictures are placed: 7 for training, 2 held out" in said.out
-    assert "not placed: IMG 9.png (7 features" in said.err
-    assert "2 models, of 9, 3 pictures: the largest is taken" in said.err
+    captured = capsys.readouterr()
+    assert "9 of 10 pictures are placed: 7 for training, 2 held out" in captured.out
+    assert "not placed: IMG 9.png (7 features" in captured.err
+    assert "2 models, of 9, 3 pictures: the largest is taken" in captured.err
     own = ["prepare", str(tmp_path / "set" / "images"), "--out", str(tmp_path / "set"), "--force"]
     assert cli.main(own) == 2
     assert "a folder without the input" in capsys.readouterr().err

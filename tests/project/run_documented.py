@@ -220,11 +220,11 @@ def execute(line: Line) -> None:
     if line.kind == "view":
         _wait([sys.executable, "-m", "attacks", *words, "--port", "0"], Path(), until="http://")
         return
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
         status = cli.main(words)
     if status != 0:
-        raise CommandError(f"{shlex.join(words)}: exit status {status}\n{said.getvalue()[-600:]}")
+        raise CommandError(f"{shlex.join(words)}: exit status {status}\n{printed.getvalue()[-600:]}")
 
 
 def _wait(command: Sequence[str], folder: Path, until: str | None = None) -> None:
@@ -236,10 +236,10 @@ def _wait(command: Sequence[str], folder: Path, until: str | None = None) -> Non
     process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     alarm = threading.Timer(SECONDS, process.kill)
     alarm.start()
-    said = ""
+    printed = ""
     assert process.stdout is not None
     for text in process.stdout:
-        said += text
+        printed += text
         if until is not None and until in text:
             time.sleep(1)
             process.send_signal(signal.SIGINT)
@@ -247,7 +247,7 @@ def _wait(command: Sequence[str], folder: Path, until: str | None = None) -> Non
     status = process.wait()
     alarm.cancel()
     if status not in (0, cli.INTERRUPTED) or until is not None:
-        raise CommandError(f"{shlex.join(command)}: exit status {status}\n{said[-600:]}")
+        raise CommandError(f"{shlex.join(command)}: exit status {status}\n{printed[-600:]}")
 
 
 def chosen(when: str) -> dict[str, list[Line]]:

@@ -229,15 +229,15 @@ def test_the_first_page_works_without_a_network(chromium: Any, site: Path, schem
     window.goto((site / "index.html").as_uri())
     box, line = window.locator(".before-after"), window.locator(".before-after input")
 
-    def place() -> str:
+    def divider() -> str:
         return str(box.evaluate("box => box.style.getPropertyValue('--line')"))
 
     line.focus()
     line.press("ArrowRight")
-    assert place() == "51%"
+    assert divider() == "51%"
     size = box.bounding_box()
     window.mouse.click(size["x"] + 0.25 * size["width"], size["y"] + 50)
-    assert abs(float(place().rstrip("%")) - 25) <= 3
+    assert abs(float(divider().rstrip("%")) - 25) <= 3
     assert window.locator(".gallery img").count() == 12
     assert window.evaluate("document.documentElement.scrollWidth") <= width
     assert [url for url in asked if not url.startswith(("file:", "data:"))] == []

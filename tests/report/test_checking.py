@@ -175,7 +175,7 @@ def test_edited_rows_of_a_study_move_its_figures(study: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda rows: rows.pop(), "one row for each detector and camera, got none for yolov8n_small, view"),
         (lambda rows: rows.append(rows[0]), "one row for each detector and camera, got others, or one twice"),
@@ -183,11 +183,11 @@ def test_edited_rows_of_a_study_move_its_figures(study: Path) -> None:
         (lambda rows: rows[0].update(elevation="inf"), "expected a finite number, got 'inf' in column elevation"),
     ],
 )
-def test_rows_that_are_not_the_study_s_are_refused(change: Callable[[Rows], Any], said: str, study: Path) -> None:
+def test_rows_that_are_not_the_study_s_are_refused(change: Callable[[Rows], Any], message: str, study: Path) -> None:
     edit_rows(study, change)
     with pytest.raises(InvalidValueError, match="get the result again") as error:
         checks(study)
-    assert said in str(error.value)
+    assert message in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -266,10 +266,10 @@ def test_what_was_changed_is_not_packed(attack: Path, tmp_path: Path) -> None:
 def test_the_commands(attacked: Path, attack: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert cli.main(["artifact", str(attacked), "--out", str(out)]) == 0
-    said = capsys.readouterr().out
-    assert "figures that follow from them" in said
+    printed = capsys.readouterr().out
+    assert "figures that follow from them" in printed
     name = read_manifest(attacked).sha256
-    assert said.splitlines()[-1] == f"mi-splat artifact-check {out} --manifest {name}"
+    assert printed.splitlines()[-1] == f"mi-splat artifact-check {out} --manifest {name}"
     assert cli.main(["artifact", str(attacked), "--out", str(out)]) == 1
     assert "(--force)" in capsys.readouterr().err
     assert cli.main(["artifact", str(attacked), "--out", str(out), "--force", "--json"]) == 0
@@ -288,7 +288,7 @@ def test_the_commands(attacked: Path, attack: Path, tmp_path: Path, capsys: pyte
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ([], "expected folders of results, got none"),
         (["{it}", "--splats", "."], "--splats: expected --rescore beside it"),
@@ -298,7 +298,7 @@ def test_the_commands(attacked: Path, attack: Path, tmp_path: Path, capsys: pyte
     ],
 )
 def test_flags_that_would_mean_nothing_are_refused(
-    words: list[str], said: str, attacked: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, attacked: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["artifact-check", *(word.format(it=attacked) for word in words)]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err

@@ -256,9 +256,9 @@ def test_errors_in_one_line(words: list[str], reason: str, results: Path, capsys
 def test_a_page_is_written_and_replaced_by_force_alone(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["report", "judged", "--out", "old.html", "--title", "A & B", "--force"]
     assert cli.main(words) == 0
-    said = capsys.readouterr()
-    assert "fake_colour reports person on the attacked splat: " in said.out
-    assert "1 warning on the page" in said.err
+    captured = capsys.readouterr()
+    assert "fake_colour reports person on the attacked splat: " in captured.out
+    assert "1 warning on the page" in captured.err
     page = (results / "old.html").read_bytes()
     assert b"<h1>A &amp; B</h1>" in page
     assert cli.main([*words, "--json"]) == 0

@@ -47,7 +47,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         return {name: make(base / name.replace(" ", "")) for name, make in MAKERS.items()}
 
 
-def said(section: Section) -> str:
+def words_of(section: Section) -> str:
     return " ".join(section.warnings)
 
 
@@ -156,10 +156,10 @@ def test_a_study_says_what_speaks_against_it(folders: dict[str, Path], tmp_path:
     assert section.control is not None
     assert section.control.rate == Rate(successes=1, total=338)
     for warning in ("Not stealthy", "The attack rear fails", "One seed"):
-        assert warning in said(section)
+        assert warning in words_of(section)
     several = read_section(write_cloak(tmp_path / "several", TWO_SEEDS, control_recall=rate(4, 40)))
     for warning in ("look at each seed", "found in 4 of 40 views only"):
-        assert warning in said(several)
+        assert warning in words_of(several)
 
 
 def test_a_study_that_hides_nothing_has_the_target_class_as_its_figure(tmp_path: Path) -> None:
@@ -216,7 +216,7 @@ def test_what_detectors_report(folders: dict[str, Path]) -> None:
     section = read_section(folders["detect"])
     assert section.headline.rate == Rate(successes=2, total=4)
     assert not section.attacked
-    assert "there is no control" in said(section)
+    assert "there is no control" in words_of(section)
     assert len(section.pictures) == 4
     classes, each = section.tables
     assert classes.rows[0][:3] == ("fake_colour", "car", "2 of 2 = 100\u00a0% (34.2 to 100\u00a0%)")
@@ -229,7 +229,7 @@ def test_a_detector_s_figures(folders: dict[str, Path]) -> None:
     assert section.headline.rate == Rate(successes=2, total=4)
     assert section.control is not None
     assert section.control.rate == Rate(successes=2, total=16)
-    assert "Few objects (path traced; car)" in said(section)
+    assert "Few objects (path traced; car)" in words_of(section)
     values = {figure.label: figure.words for figure in section.figures}
     assert values["mean average precision at an overlap of 0.5, path traced"] == "0.500"
     assert values["false positives per picture, pictures without objects"].startswith("0.12 (2 in 16; ")

@@ -57,7 +57,7 @@ def test_a_control_that_attacks_share_counts_once(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message"),
     [
         ({"file": "nowhere.ply"}, "expected a file, got no file nowhere.ply"),
         ({"chosen_on": "car"}, "expected a list of names, got 'car'"),
@@ -66,8 +66,8 @@ def test_a_control_that_attacks_share_counts_once(monkeypatch: pytest.MonkeyPatc
         ({"attack": [{"name": "a", "elevation": [50, 90]}], "colour": 1}, "colour"),
     ],
 )
-def test_what_cannot_be_is_refused(table: dict[str, object], said: str) -> None:
-    with pytest.raises(InvalidValueError, match=said):
+def test_what_cannot_be_is_refused(table: dict[str, object], message: str) -> None:
+    with pytest.raises(InvalidValueError, match=message):
         AuditWork(study_of({"study": "audit", **table}, "x"))
 
 

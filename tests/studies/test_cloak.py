@@ -87,7 +87,7 @@ STREET = str(ROOT / "scenes" / "mixed" / "car_among_meshes.xml")
 
 
 @pytest.mark.parametrize(
-    ("table", "said"),
+    ("table", "message"),
     [
         ({"base": "nowhere.toml"}, "base of x: expected a TOML file, got no file nowhere.toml"),
         ({"attack": [{"name": "a", "elevation": [50, 90]}], "colour": 1}, "colour"),
@@ -99,8 +99,8 @@ STREET = str(ROOT / "scenes" / "mixed" / "car_among_meshes.xml")
         ({"attack": [{"name": "a", "elevation": [89.99, 90]}]}, "expected at least one camera"),
     ],
 )
-def test_what_cannot_be_is_refused(table: dict[str, object], said: str) -> None:
-    with pytest.raises(InvalidValueError, match=said):
+def test_what_cannot_be_is_refused(table: dict[str, object], message: str) -> None:
+    with pytest.raises(InvalidValueError, match=message):
         CloakWork(study_of({"study": "cloak", **table}, "x"))
 
 

@@ -32,9 +32,9 @@ def test_train_command(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     out = tmp_path / "out"
     words = ["train", str(dataset), "--out", str(out), "--iterations", "20", "--sh-degree", "1"]
     assert cli.main(words) == 0
-    said = capsys.readouterr().out
-    assert "splat.ply" in said
-    assert "PSNR" in said
+    printed = capsys.readouterr().out
+    assert "splat.ply" in printed
+    assert "PSNR" in printed
     splat = load_splat(out / "splat.ply")
     assert splat.degree == 1
     names = PlyData.read(str(out / "splat.ply"))["vertex"].data.dtype.names
@@ -132,10 +132,10 @@ def test_train_says_what_is_wrong_usage(
 def test_flags_are_the_fields_of_the_configs(capsys: pytest.CaptureFixture[str]) -> None:
     for name in strategy_names():
         assert cli.main(["train", "--strategy", name, "--help"]) == 0
-        said = capsys.readouterr().out
+        printed = capsys.readouterr().out
         for config in (FitConfig, type(strategy_config(name))):
             flags = {f"--{entry.name.replace('_', '-')}" for entry in dataclasses.fields(config)}
-            assert not [flag for flag in flags if flag not in said]
+            assert not [flag for flag in flags if flag not in printed]
 
 
 def test_flags_become_the_configs() -> None:

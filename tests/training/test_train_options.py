@@ -65,8 +65,8 @@ def test_a_small_scene_is_trained_like_a_large_one(tmp_path: Path) -> None:
 def test_near_is_an_option_and_what_it_culls_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, out = small_set(tmp_path / "small", 0.02), tmp_path / "out"
     assert cli.main(["train", str(folder), "--out", str(out), "--iterations", "3", "--near", "0.2"]) == 0
-    said = capsys.readouterr().err
-    assert "in 6 of 6 pictures, up to 50 of 50 Gaussians are nearer than near = 0.2" in said
+    printed = capsys.readouterr().err
+    assert "in 6 of 6 pictures, up to 50 of 50 Gaussians are nearer than near = 0.2" in printed
     assert cli.main(["train", str(folder), "--out", str(out), "--iterations", "3"]) == 1  # with another near plane
     assert "a run with near 0.2 and not 0.0" in capsys.readouterr().err
 

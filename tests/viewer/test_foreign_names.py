@@ -77,8 +77,8 @@ def check_names(opened: Window) -> None:
 def test_names_from_outside_are_shown_as_they_are_written(
     chromium: Any, vector: Callable[[Path], Painter], tmp_path: Path
 ) -> None:
-    said, times = VECTORS[vector]
-    with window(chromium, vector(tmp_path), size=(1000, 1400), says=said) as opened:
+    shown, times = VECTORS[vector]
+    with window(chromium, vector(tmp_path), size=(1000, 1400), says=shown) as opened:
         check_names(opened)
         opened.until(lambda: opened.page.inner_text("body").count(HOSTILE) == times)  # a panel is drawn anew
         if vector is of_study:

@@ -140,20 +140,20 @@ def test_a_click_picks_an_object_and_a_button_has_work_done_on_it() -> None:
             browser.say("ScenePointerMessage", event_type="click", screen_pos=(at,), modifier=None, **ray)
         browser.until(lambda message: "Gaussians of clean" in str(message.get("updates", {})))
 
-        def said(text: str) -> dict[str, Any]:
+        def message_with(text: str) -> dict[str, Any]:
             """The last message that holds a text, which came already or comes soon."""
             before = [message for message in browser.messages if text in str(message)]
             return before[-1] if before else browser.until(lambda message: text in str(message))
 
         def press(label: str) -> None:
-            said(f"'label': '{label}'")
+            message_with(f"'label': '{label}'")
             button = [m for m in browser.messages if m["type"] == "GuiButtonMessage" and m["props"]["label"] == label]
             browser.say("GuiUpdateMessage", uuid=button[-1]["uuid"], updates={"value": True})
 
-        said("mi-splat select clean.ply --click 24,16")
+        message_with("mi-splat select clean.ply --click 24,16")
         press("Work")
-        said("done to")
-        assert "attacked" in said("'label': 'Show'")["props"]["options"]
+        message_with("done to")
+        assert "attacked" in message_with("'label': 'Show'")["props"]["options"]
         press("from above")
         told = browser.until(lambda message: message["type"] == "SetCameraPositionMessage")
         assert np.allclose(told["position"], ABOVE.position)

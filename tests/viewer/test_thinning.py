@@ -56,11 +56,11 @@ def test_only_coarse_pictures_have_fewer_gaussians(show: str) -> None:
 
 
 def test_pictures_that_are_not_whole_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    state, said = ViewState(orbit=START, show="clean", canvas=(60, 40)), list[str]()
-    monkeypatch.setattr("mi_splat.viewer.painter.write_label", lambda draw, corner, text, *_, **__: said.append(text))
+    state, lines = ViewState(orbit=START, show="clean", canvas=(60, 40)), list[str]()
+    monkeypatch.setattr("mi_splat.viewer.painter.write_label", lambda draw, corner, text, *_, **__: lines.append(text))
     few, many = (Painter(dense(count), blobs) for count in (20, 5000))
     few.paint(state, Step.COARSE, Pace(scale=1.0))
     few.paint(state, Step.COARSE, Pace(scale=0.9))
     many.paint(state, Step.COARSE, Pace(scale=1.0))
     many.paint(state, Step.FULL, Pace())
-    assert said == ["clean", "clean (preview)", "clean (preview)", "clean"]
+    assert lines == ["clean", "clean (preview)", "clean (preview)", "clean"]

