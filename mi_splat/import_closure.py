@@ -10,7 +10,9 @@ import hashlib
 import importlib.metadata
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 """Folder that holds this package, and those that use it."""
@@ -34,7 +36,7 @@ def code_digest(*modules: str, alone: tuple[str, ...] = ()) -> str:
     """
     total = hashlib.sha256(f"python {sys.version_info[0]}.{sys.version_info[1]}".encode())
     for name in sorted({*closure(*modules), *alone}):
-        total.update(f"\n{name} {_code(name)}".encode())
+        total.update(f"\n{name} {_module(name).code}".encode())
     for package, version in _versions(closure(*modules)):
         total.update(f"\n{package} {version}".encode())
     return total.hexdigest()[:16]
@@ -68,35 +70,53 @@ def _file(name: str) -> Path | None:
     return next(files, None)
 
 
+@dataclass(frozen=True, slots=True)
+class _Module:
+    """What is kept of a module's text, which is large as a tree."""
+
+    code: str
+    """Stands for the code."""
+    modules: tuple[str, ...]
+    """What `import` names."""
+    names: tuple[tuple[str, str], ...]
+    """Module and name of each `from module import name`."""
+    texts: tuple[str, ...]
+    """Strings that may name a module."""
+    tables: tuple[tuple[str, tuple[object, ...]], ...]
+    """The entries of dictionaries that name modules, and what each of them has."""
+
+
 @functools.cache
-def _tree(name: str) -> ast.Module:
+def _module(name: str) -> _Module:
     file = _file(name)
     assert file is not None
     tree = _Stripped().visit(ast.parse(file.read_text("utf-8")))
-    assert isinstance(tree, ast.Module)
-    return tree
-
-
-@functools.cache
-def _code(name: str) -> str:
-    """What stands for the code of a module."""
-    return hashlib.sha256(ast.dump(_tree(name)).encode()).hexdigest()
+    modules, names, texts, tables = list[str](), list[tuple[str, str]](), list[str](), list[tuple[str, Any]]()
+    # A package may import its names when they are asked for; who asks for one is followed by `_imported`.
+    when_asked = set[ast.AST]()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            modules += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module is not None:
+            names += [(node.module, alias.name) for alias in node.names]
+        elif isinstance(node, ast.Dict):
+            for key, value in zip(node.keys, node.values, strict=True):
+                if isinstance(key, ast.Constant) and isinstance(value, ast.Tuple):
+                    when_asked.add(key)
+                    constants = (element for element in value.elts if isinstance(element, ast.Constant))
+                    tables.append((str(key.value), tuple(element.value for element in constants)))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in when_asked:
+            texts += [node.value] if "." in node.value else []
+    code = hashlib.sha256(ast.dump(tree).encode()).hexdigest()
+    return _Module(code, tuple(modules), tuple(names), tuple(texts), tuple(tables))
 
 
 @functools.cache
 def _imports(name: str) -> tuple[str, ...]:
     """Modules beside this package that a module imports, at once or in one of its functions."""
-    names, tree = list[str](), _tree(name)
-    # A package may import its names when they are asked for; who asks for one is followed by `_imported`.
-    when_asked = {id(key) for key, _ in _tables_of_names(tree)}
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module is not None:
-            names += [_imported(node.module, alias.name) for alias in node.names]
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in when_asked:
-            names += [node.value] if "." in node.value else []  # a module that is loaded by its name
-    return tuple(dict.fromkeys(module for module in names if _file(module) is not None))
+    module = _module(name)
+    names = [*module.modules, *(_imported(*imported) for imported in module.names), *module.texts]
+    return tuple(imported for imported in dict.fromkeys(names) if _file(imported) is not None)
 
 
 def _imported(module: str, name: str) -> str:
@@ -105,27 +125,14 @@ def _imported(module: str, name: str) -> str:
         return f"{module}.{name}"
     file = _file(module)
     if file is not None and file.name == "__init__.py":
-        homes = (str(key.value) for key, names in _tables_of_names(_tree(module)) if name in names)
-        return next(homes, module)
+        return next((home for home, names in _module(module).tables if name in names), module)
     return module
-
-
-def _tables_of_names(tree: ast.Module) -> Iterator[tuple[ast.Constant, list[object]]]:
-    """The entries of dictionaries that name modules, and what each of them has."""
-    for node in (node for node in ast.walk(tree) if isinstance(node, ast.Dict)):
-        for key, value in zip(node.keys, node.values, strict=True):
-            if isinstance(key, ast.Constant) and isinstance(value, ast.Tuple):
-                yield key, [element.value for element in value.elts if isinstance(element, ast.Constant)]
 
 
 def _versions(names: tuple[str, ...]) -> Iterator[tuple[str, str]]:
     """Packages of others that some modules import, with their versions; those of Python itself have none."""
-    used = set[str]()
-    for node in (node for name in names for node in ast.walk(_tree(name))):
-        if isinstance(node, ast.Import):
-            used |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module is not None:
-            used.add(node.module.split(".")[0])
+    modules = map(_module, names)
+    used = {name.split(".")[0] for module in modules for name in (*module.modules, *(home for home, _ in module.names))}
     for package in sorted(used - sys.stdlib_module_names):
         if _file(package) is None:
             try:

@@ -88,7 +88,8 @@ def serve() -> None:
         import torchvision  # noqa: F401
 
         torch.set_num_threads(1)
-        for module in modules:
+        ours = [name for name in sys.modules if name.split(".")[0] in ("attacks", "mi_splat")]
+        for module in (*modules, *ours):
             del sys.modules[module]
         assert threading.active_count() == 1
         gc.freeze()

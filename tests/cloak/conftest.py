@@ -5,10 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from attacks.cloak import setup
+from attacks.cloak import setup, sheets
 from attacks.detectors import registry
 from mi_splat.assets import build
-from tests.cloak.tiny_study import KNOWN, done
+from tests.cloak.tiny_study import KNOWN
+from tests.project.layers import ROOT
+from tests.warm import Warm
 
 built = cache(build)
 
@@ -20,13 +22,20 @@ def _objects_are_built_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(autouse=True)
+def _animations_are_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that is whole takes seconds; the finished study has it."""
+    monkeypatch.setattr(sheets, "_RISING", [4, 86])
+
+
+@pytest.fixture(autouse=True)
 def _jobs_know_the_detector(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, spec in KNOWN.items():
         monkeypatch.setitem(registry.DETECTORS.own, name, spec)
 
 
 @pytest.fixture(scope="session")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def finished(tmp_path_factory: pytest.TempPathFactory, warm: Warm) -> Path:
+    """The folder of a finished study. A process of its own made it; beside it MODULES names what that has loaded."""
     folder = tmp_path_factory.mktemp("study") / "out"
-    done(folder)
+    warm.run("-m", "tests.cloak.tiny_study", str(folder), cwd=ROOT, check=True)
     return folder

@@ -20,10 +20,12 @@ from attacks.report.rescoring import rescore
 from attacks.report.results import read_section, story_of
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
+from mi_splat.import_closure import closure
 from mi_splat.ledger import Store
 from mi_splat.ledger.job import by_depth
 from mi_splat.ledger.running import task_for
-from tests.cloak.tiny_study import STUDY, Redness, done, steps_of, summary
+from tests.cloak.test_study_dependencies import KINDS
+from tests.cloak.tiny_study import MODULES, STUDY, Redness, done, steps_of, summary
 
 pytestmark = pytest.mark.slow
 
@@ -72,6 +74,14 @@ def test_it_leaves_what_it_promises(finished: Path) -> None:
         assert animation.width == 2 * animation.height
 
 
+def test_the_code_of_a_study_is_all_that_it_loads(finished: Path) -> None:
+    """Results that are kept belong to that code."""
+    loaded = set(finished.with_name(MODULES).read_text().split())
+    assert len(loaded) > 100
+    kinds = (f"attacks.cloak.kinds.{kind}" for kind in KINDS)
+    assert loaded <= set(closure("attacks.cloak.study", "attacks.detectors.base", *kinds))
+
+
 def test_a_page_says_of_it_what_it_found(finished: Path) -> None:
     section, result = read_section(finished), summary(finished)
     assert section.headline.counts == "{successes} of {total}".format(**result["trigger_miss_rate"])
@@ -118,24 +128,24 @@ def test_nothing_is_done_twice(finished: Path) -> None:
     assert {**summary(finished), "seconds": 0} == {**before, "seconds": 0}
 
 
-@pytest.mark.parametrize(
-    "stop_at", [("taking pictures of overhead", 2), ("poisoning", 2), ("training the cloaked", 40)]
-)
-def test_an_interrupted_study_ends_as_if_nothing_had_happened(
-    finished: Path, tmp_path: Path, stop_at: tuple[str, int]
+def test_a_study_that_is_interrupted_again_and_again_ends_as_if_nothing_had_happened(
+    finished: Path, tmp_path: Path
 ) -> None:
-    steps, stages = steps_of(finished / "stages"), tmp_path / "out" / "stages"
+    steps, out = steps_of(finished / "stages"), tmp_path / "out"
     for job in (steps.pictures(), steps.splat("clean", 0)):  # which would take long
         key = steps.do(job, "").key
-        shutil.copytree(finished / "stages" / "jobs" / key[:2] / key, stages / "jobs" / key[:2] / key)
-    (tmp_path / "out" / "study.toml").write_bytes((finished / "study.toml").read_bytes())
-    with pytest.raises(KeyboardInterrupt):
-        done(tmp_path / "out", stop_at=stop_at)
-    assert not (tmp_path / "out" / "result.json").exists()
-    after, lines = done(tmp_path / "out")
+        shutil.copytree(finished / "stages" / "jobs" / key[:2] / key, out / "stages" / "jobs" / key[:2] / key)
+    (out / "study.toml").write_bytes((finished / "study.toml").read_bytes())
+    lines: list[str] = []
+    for text, step in (("taking pictures of overhead", 2), ("poisoning", 2), ("training the cloaked", 40)):
+        with pytest.raises(KeyboardInterrupt):
+            done(out, stop_at=(text, step), lines=lines)
+        assert lines[-1].startswith(text)
+        assert not (out / "result.json").exists()
+    after, _ = done(out, lines=lines)
     assert not [text for text in lines if text.startswith(("taking the victim", "training the clean"))]
     assert [splat["hash"] for splat in after["splats"]] == [splat["hash"] for splat in summary(finished)["splats"]]
-    assert not list((stages / "partial").iterdir())
+    assert not list((out / "stages" / "partial").iterdir())
 
 
 @pytest.mark.nightly

@@ -1,6 +1,10 @@
-"""A study of CLOAK that is done in seconds, and a detector of a few lines."""
+"""A study of CLOAK that is done in seconds, and a detector of a few lines.
+
+`python -m tests.cloak.tiny_study FOLDER` does the study, and writes beside its folder what it has loaded.
+"""
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -65,6 +69,10 @@ KNOWN = {
 """What makes a job find the detector by its name, where it is put into the registry."""
 
 
+MODULES = "modules.txt"
+"""Names of all modules of this project that the study has loaded, in a file beside its folder."""
+
+
 def steps_of(folder: Path, study: StudyConfig = STUDY, lines: list[str] | None = None) -> StudySteps:
     """The steps of a study, whose stages are in a folder."""
     told = [] if lines is None else lines
@@ -77,9 +85,10 @@ def done(
     study: StudyConfig = STUDY,
     stages: Path | None = None,
     stop_at: tuple[str, int] | None = None,
+    lines: list[str] | None = None,
 ) -> tuple[dict[str, Any], list[str]]:
-    """The summary of a study and what was going on; interrupted at a step if one is named."""
-    lines: list[str] = []
+    """The summary of a study and what was going on, after what is in `lines`; interrupted at a step if one is named."""
+    lines = [] if lines is None else lines
 
     def step(text: str, count: int, total: int) -> None:
         lines.append(text)
@@ -94,3 +103,10 @@ def done(
 def summary(folder: Path) -> dict[str, Any]:
     document: dict[str, Any] = json.loads((folder / "result.json").read_text())
     return document
+
+
+if __name__ == "__main__":
+    out = Path(sys.argv[1])
+    done(out)
+    loaded = [name for name in sys.modules if name.split(".")[0] in ("mi_splat", "attacks")]
+    out.with_name(MODULES).write_text("\n".join(loaded))

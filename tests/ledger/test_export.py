@@ -13,6 +13,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.ledger import Job, Ledger, Store, slurm
 from mi_splat.ledger.engines import InProcess
 from mi_splat.ledger.reuse import Reuse, reuse
+from tests.core.test_import_closure import forget as forget_code
 from tests.ledger.drive import walk
 from tests.ledger.kinds.configs import NumbersConfig, Shift, Sign
 from tests.ledger.test_engines import bytes_of
@@ -99,9 +100,7 @@ def kind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def forget() -> None:
     for name in ("made", "made.doubled"):
         sys.modules.pop(name, None)
-    for function in (import_closure.code_digest, import_closure._file, import_closure._tree, import_closure._code):
-        function.cache_clear()
-    import_closure._imports.cache_clear()
+    forget_code()
 
 
 def changed(file: Path, old: str, new: str) -> None:
