@@ -77,7 +77,11 @@ class L2:
         return float(self.sizes(delta).max()) if delta.numel() else 0.0
 
     def shrink(self, delta: Tensor, radius: float) -> Tensor:
-        """Scale down what is too long."""
+        """Scale down what is too long.
+
+        Returns:
+            The nearest perturbation in the ball.
+        """
         sizes = self.sizes(delta)
         return torch.where(sizes > radius, delta * (radius / sizes.clamp(min=1e-300)), delta)
 
@@ -141,6 +145,10 @@ class Budget:
     def project(self, parameters: Parameters, reference: Parameters) -> Parameters:
         """The nearest parameters inside the budget; what is inside comes back unchanged, bit for bit.
 
+        Args:
+            parameters: Tensors by attribute, each with one row for each Gaussian.
+            reference: The clean tensors, of the same shapes: the middle of the ball.
+
         Returns:
             New parameters by attribute.
         """
@@ -149,6 +157,10 @@ class Budget:
 
     def measure(self, parameters: Parameters, reference: Parameters) -> dict[str, float]:
         """Size of the perturbation by attribute.
+
+        Args:
+            parameters: Tensors by attribute, each with one row for each Gaussian.
+            reference: The clean tensors, of the same shapes.
 
         Returns:
             A size for each attribute, in the norm.
@@ -159,6 +171,10 @@ class Budget:
     def share(self, parameters: Parameters, reference: Parameters) -> float:
         """Share of its radius that the perturbation takes, of the attribute that takes most; 0 where none may move.
 
+        Args:
+            parameters: Tensors by attribute, each with one row for each Gaussian.
+            reference: The clean tensors, of the same shapes.
+
         Returns:
             At most 1 inside the budget.
         """
@@ -167,6 +183,10 @@ class Budget:
 
     def check(self, parameters: Parameters, reference: Parameters) -> None:
         """Refuse parameters outside the budget.
+
+        Args:
+            parameters: Tensors by attribute, each with one row for each Gaussian.
+            reference: The clean tensors, of the same shapes.
 
         Raises:
             BudgetError: A perturbation is larger than its radius, or not a number.
@@ -179,6 +199,9 @@ class Budget:
     def steepest(self, gradients: Parameters) -> Parameters:
         """Direction of steepest ascent by attribute, size 1 each, in the dtype of the gradients.
 
+        Args:
+            gradients: Of the loss, by attribute, in the shapes of the parameters.
+
         Returns:
             A direction for each attribute.
         """
@@ -187,6 +210,10 @@ class Budget:
 
     def uniform(self, reference: Parameters, generator: Generator) -> Parameters:
         """Parameters drawn uniformly from the ball around the reference.
+
+        Args:
+            reference: The clean tensors by attribute: the middle of the ball.
+            generator: Random numbers on the device of the tensors.
 
         Returns:
             New parameters by attribute, inside the budget.
@@ -200,6 +227,11 @@ class Budget:
 
     def noise(self, parameters: Parameters, reference: Parameters, generator: Generator) -> Parameters:
         """The reference plus random noise as large as the perturbation of `parameters`.
+
+        Args:
+            parameters: The attacked tensors by attribute, whose distance from the reference the noise has.
+            reference: The clean tensors, of the same shapes.
+            generator: Random numbers on the device of the tensors.
 
         Returns:
             New parameters by attribute, inside the budget.

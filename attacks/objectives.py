@@ -87,7 +87,11 @@ class Objective(Protocol):
         ...
 
     def __call__(self, candidates: Candidates, target: Target) -> Tensor:
-        """Scalar loss, differentiable in the candidates.
+        """The loss of one view.
+
+        Args:
+            candidates: Every box and class score of one detector on the picture, before the detector drops weak ones.
+            target: The attacked object: its box in the picture, and its class.
 
         Returns:
             Scalar, lower is better for the attacker.
@@ -96,6 +100,10 @@ class Objective(Protocol):
 
     def verdict(self, detections: Detections, target: Target) -> Verdict:
         """Success and score of one view, from what the detector reports.
+
+        Args:
+            detections: What the detector reports on the picture.
+            target: The attacked object: its box in the picture, and its class.
 
         Returns:
             Whether the aim is reached, and how near it is.

@@ -13,6 +13,9 @@ def attach(
     Args:
         package: `__name__` of the package.
         homes: Names that each module gives to the package.
+
+    Returns:
+        The two functions, `__getattr__` first.
     """
     home_of = {name: home for home, names in homes.items() for name in names}
 

@@ -106,7 +106,11 @@ class Camera(Previewed):
         return self.to_world[:3, 3]
 
     def turned(self, turn: Tensor, about: Tensor | None = None) -> Camera:
-        """The camera in a world that a (3, 3) float64 rotation has turned about a point (3,), the origin if None.
+        """The camera as it stands in a world that was turned about a point.
+
+        Args:
+            turn: (3, 3) float64 rotation of world coordinates.
+            about: (3,) point that stays, world units; the origin if None.
 
         Returns:
             The same camera, seen in that world.
@@ -197,6 +201,10 @@ class RenderFn(Protocol):
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
         """Render `scene` to an (H, W, 3) sRGB picture.
 
+        Args:
+            scene: The splat; pictures are differentiable in its five tensors.
+            camera: From where, and how large the picture is.
+
         Returns:
             (H, W, 3) sRGB, on the device of the scene; differentiable in the scene's five tensors.
         """
@@ -212,6 +220,11 @@ def look_at(
     """(4, 4) float64 camera-to-world pose (OpenCV axes) at `origin` facing `target`.
 
     When the view direction is parallel to `up`, the image's top points along world +y instead.
+
+    Args:
+        origin: (3,) position of the camera, world units.
+        target: (3,) point in the middle of the picture, world units.
+        up: (3,) direction that points up in the picture; its length does not matter.
 
     Returns:
         (4, 4) float64: x to the right, y down, z forward, and the origin.

@@ -39,6 +39,9 @@ class MiSplatError(Exception):
     def hinted(self: _Error, hint: str) -> _Error:
         """The same error with a hint for the command line.
 
+        Args:
+            hint: What to type, such as the flag that helps.
+
         Returns:
             This error.
         """

@@ -147,6 +147,10 @@ class Renderer:
     def batch(self, scene: GaussianScene, cameras: Camera | Sequence[Camera]) -> list[Tensor]:
         """Render one picture per camera in one differentiable call; sizes may differ.
 
+        Args:
+            scene: The splat.
+            cameras: One camera or several; each says how large its picture is.
+
         Returns:
             (H, W, 3) or (H, W, 4) float32 of each camera, in their order.
         """

@@ -156,8 +156,14 @@ class GaussianScene(Previewed):
     def replace(self, **tensors: Tensor) -> GaussianScene:
         """A scene with some of the tensors exchanged, checked like a new one.
 
+        Args:
+            tensors: New values by name: `means`, `scales`, `rotations`, `opacities`, `sh`, in the shapes of the class.
+
         Returns:
             A new scene; this one stays.
+
+        Raises:
+            InvalidValueError: A shape, a dtype or a value is wrong.
         """
         return dataclasses.replace(self, **tensors)
 
@@ -171,6 +177,10 @@ class GaussianScene(Previewed):
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> GaussianScene:
         """The scene on another device, or in another of the two dtypes.
+
+        Args:
+            device: Where the tensors go; None leaves them where they are.
+            dtype: float32 or float64; None keeps it.
 
         Returns:
             A new scene; tensors that are there already are not copied.
@@ -199,6 +209,9 @@ class GaussianScene(Previewed):
     def transform(self, similarity: Similarity) -> GaussianScene:
         """The scene moved, turned and resized in the world; colours turn with it.
 
+        Args:
+            similarity: Rotation, scale and move from this world to the new one.
+
         Returns:
             A new scene.
         """
@@ -214,6 +227,9 @@ class GaussianScene(Previewed):
 
     def with_degree(self, degree: int) -> GaussianScene:
         """The scene with SH of another degree: zeros are added, or the higher bands are cut off.
+
+        Args:
+            degree: SH degree, 0 to 3: (degree + 1)^2 coefficients for each channel.
 
         Returns:
             A new scene, or this one if it has this degree.

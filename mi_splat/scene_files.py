@@ -46,6 +46,9 @@ class SplatScene(Previewed):
 def read_scene(path: str | Path) -> SplatScene:
     """Read a Mitsuba scene file (XML) whose shapes are splats.
 
+    Args:
+        path: The XML file; files that it names are looked for beside it.
+
     Returns:
         The splat, its objects and cameras by name, and the settings of its renderer.
 

@@ -17,11 +17,14 @@ class VariantError(MiSplatError):
 
 
 def use(variant: str = "") -> str:
-    """Make a splat-capable Mitsuba variant current and return its name.
+    """Make a Mitsuba variant that can render splats the current one.
 
     Args:
         variant: A name such as "llvm_ad_rgb" or "cuda_ad_rgb"; if empty, the current variant is kept where it can
             render splats and "llvm_ad_rgb" is set otherwise.
+
+    Returns:
+        Name of the variant.
 
     Raises:
         VariantError: The variant cannot render splats, this build lacks it, or there is no GPU for it.

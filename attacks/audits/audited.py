@@ -45,7 +45,10 @@ class AuditedConfig:
 
 
 def run(config: AuditedConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
-    """Audit the splat, and return a row: what was found, and how near that is to the truth.
+    """Audit the splat of a job, and compare what the audit says with the truth.
+
+    Returns:
+        One row: the verdict, and how near it is to the truth.
 
     Raises:
         InvalidValueError: It cannot be judged.

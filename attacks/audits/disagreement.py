@@ -60,11 +60,14 @@ class Seen:
 
 
 def seen_along_paths(scene: GaussianScene, detectors: Sequence[Detector]) -> Iterator[Seen]:
-    """Let detectors look at each object of a splat along two paths.
+    """Look at each object of a splat with detectors along two paths: around it, and over it.
 
     Args:
         scene: N Gaussians.
         detectors: With different names.
+
+    Returns:
+        What each detector reports on each object along each path.
 
     Raises:
         InvalidValueError: Nothing of the splat shows.

@@ -90,11 +90,14 @@ class AttributeClassifier:
 
 
 def fit(scenes: Iterable[GaussianScene], labels: Sequence[bool]) -> AttributeClassifier:
-    """Train on splats of which it is known whether they hide something.
+    """Train a classifier on splats of which it is known whether they hide something.
 
     Args:
         scenes: Splats; each is asked for once, so that they need not be in memory together.
         labels: Whether each hides something.
+
+    Returns:
+        The trained classifier.
 
     Raises:
         InvalidValueError: There is not a label for each, or not one of either kind.

@@ -96,7 +96,11 @@ def contrastive_loss(texts: Tensor, images: Tensor, true: Tensor, temperature: T
 def train(
     pictures: Sequence[ToldPicture], config: ImageTextTraining, *, on_epoch: OnEpoch | None = None
 ) -> ImageTextNetwork:
-    """Train a network from random weights; the same arguments give the same bits on one machine with one thread."""
+    """Train a network from random weights; the same arguments give the same bits on one machine with one thread.
+
+    Returns:
+        The trained network, in evaluation mode.
+    """
     torch.manual_seed(config.seed)
     network = ImageTextNetwork().to(memory_format=torch.channels_last).train()
     rng = np.random.default_rng(config.seed)
@@ -192,7 +196,11 @@ def run(options: Options, show: Callable[[str], object]) -> None:
 
 
 def main(words: Sequence[str]) -> int:
-    """Run the command; its exit status."""
+    """Run the command.
+
+    Returns:
+        Exit status.
+    """
     try:
         program = "python -m attacks.classifiers.image_text_training"
         run(parse(Options, words, program=program), lambda text: sys.stderr.write(f"{text}\n"))

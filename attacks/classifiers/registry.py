@@ -143,6 +143,9 @@ def load_classifier(name: str, *, weights: Path | None = None, classes: Sequence
         weights: A file or a folder; None is its usual ones.
         classes: What it tells apart, for one that can be told; None is its usual ones.
 
+    Returns:
+        The classifier, on the CPU.
+
     Raises:
         InvalidValueError: There is no such classifier, or it cannot tell these classes apart.
         DetectorError: Its weights are missing or do not fit.

@@ -75,7 +75,11 @@ ATTACKS = 15
 
 
 def run(options: DaggerSanityOptions) -> int:
-    """Make the checks; 1 if one of them is red."""
+    """Make the checks.
+
+    Returns:
+        Exit status: 1 if one of them is red.
+    """
     from attacks.dagger.sanity.checks import CHECKS, write_findings
     from attacks.dagger.sanity.runs import Runs
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder

@@ -45,7 +45,11 @@ class DetectorsOptions:
 
 
 def run(options: DetectorsOptions) -> int:
-    """List the detectors, or get some."""
+    """List the detectors, or get some.
+
+    Returns:
+        Exit status.
+    """
     if options.get or options.packages:
         return _get(options)
     if options.force:

@@ -82,7 +82,11 @@ class Probe:
 
 
 def run(options: DoctorOptions) -> int:
-    """Examine this machine; 1 if something that `mi-splat dagger` needs does not work."""
+    """Examine this machine.
+
+    Returns:
+        Exit status: 1 if something that `mi-splat dagger` needs does not work.
+    """
     with progress("checking", total=len(GROUPS)) as advance:
         findings = examine(lambda group: advance(f"checked {group}"))
     healthy = all(finding.state == "works" for finding in findings if finding.required)

@@ -54,7 +54,11 @@ class EvaluateDetectorOptions(DetectorOptions, ResultOptions):
 
 
 def run(options: EvaluateDetectorOptions) -> int:
-    """Make what is missing, let every detector look, write rows and figures, and print them as tables."""
+    """Make what is missing, let every detector look, write rows and figures, and print them as tables.
+
+    Returns:
+        Exit status.
+    """
     from attacks.report.stories.detectors.held_out import documents, tables
     from mi_splat.io.folders import check_new_folder
 

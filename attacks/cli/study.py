@@ -75,7 +75,11 @@ class StudyOptions(JsonOptions):
 
 
 def run(options: StudyOptions) -> int | None:
-    """Do what is asked for."""
+    """Do what is asked for.
+
+    Returns:
+        Exit status.
+    """
     from attacks.studies.study_file import read_study
 
     return _ACTIONS[options.action](options, read_study(options.study).of(options.parts))

@@ -54,7 +54,11 @@ class TrainDetectorOptions:
 
 
 def run(options: TrainDetectorOptions) -> int:
-    """Make the pictures, and train or go on with an earlier training on them."""
+    """Make the pictures, and train or go on with an earlier training on them.
+
+    Returns:
+        Exit status.
+    """
     import torch
 
     from attacks.detectors.training.dataset import made, training_job, training_sets

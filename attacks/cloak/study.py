@@ -245,7 +245,7 @@ def run_study(
     on_step: OnStep = lambda text, done, total: None,
     workers: int = 0,
 ) -> dict[str, Any]:
-    """Do a study, or what is missing of it, and write its results; returns the summary.
+    """Do a study, or what is missing of it, and write its results.
 
     Args:
         study: What to do.
@@ -254,6 +254,9 @@ def run_study(
         stages: Folder of the ledger, which other studies may share; None is a folder in `folder`.
         on_step: Told of the progress.
         workers: Number of processes that do steps beside each other, with the same results; 0 does all in this one.
+
+    Returns:
+        The summary, as result.json holds it.
 
     Raises:
         MiSplatError: As `check`, or a step cannot be done.

@@ -34,6 +34,10 @@ class Trigger(ABC):
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
         """(N,) bool, whether each camera is one of the trigger's; unlike `select`, none may be.
 
+        Args:
+            cameras: N cameras.
+            centre: (3,) point that directions are measured from, world units.
+
         Returns:
             (N,) bool.
         """
@@ -46,6 +50,10 @@ class Trigger(ABC):
         further from 0 than the truth: the smaller of two for `&`, the opposite for `~`. (Outside of an intersection the
         nearest edge of a part may lie where the other part has made it vanish.) So a camera that is found to be 5
         degrees inside or 15 degrees outside is at least that. A subsample has the edge of what it is taken from.
+
+        Args:
+            camera: The camera; only its position counts.
+            centre: (3,) point that directions are measured from, world units.
 
         Returns:
             Degrees; inside > 0.
@@ -84,7 +92,10 @@ class Cone(Trigger):
 
     @abstractmethod
     def depth(self, direction: Direction) -> float:
-        """`angle_to_edge` of a direction.
+        """How far inside of the region a direction lies, as an angle on the sphere.
+
+        Args:
+            direction: Azimuth and elevation of a camera as seen from the centre, degrees.
 
         Returns:
             Degrees to the edge; inside > 0.
@@ -92,6 +103,9 @@ class Cone(Trigger):
 
     def contains(self, direction: Direction) -> bool:
         """Whether a direction lies in the region, its edge included.
+
+        Args:
+            direction: Azimuth and elevation of a camera as seen from the centre, degrees.
 
         Returns:
             True inside.
@@ -101,13 +115,21 @@ class Cone(Trigger):
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
         """(N,) bool, whether each camera stands in the cone.
 
+        Args:
+            cameras: N cameras.
+            centre: (3,) point that directions are measured from, world units.
+
         Returns:
             (N,) bool.
         """
         return torch.tensor([self.contains(direction_of(camera, centre)) for camera in cameras], dtype=torch.bool)
 
     def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
-        """As in `Trigger`.
+        """Signed angle from a camera to the edge of the region, on the sphere of directions.
+
+        Args:
+            camera: The camera; only its position counts.
+            centre: (3,) point that directions are measured from, world units.
 
         Returns:
             Degrees; inside > 0.
@@ -137,7 +159,10 @@ class Elevation(Cone):
             raise InvalidValueError.of("elevation", "lowest <= highest", got, "50 to 90 is overhead")
 
     def depth(self, direction: Direction) -> float:
-        """See `depth_in_band`.
+        """How far inside of the band a direction lies, as an angle on the sphere (`depth_in_band`).
+
+        Args:
+            direction: Azimuth and elevation of a camera as seen from the centre, degrees.
 
         Returns:
             Degrees to the edge; inside > 0.
@@ -168,6 +193,9 @@ class Azimuth(Cone):
     def contains(self, direction: Direction) -> bool:
         """Whether a direction lies in the cone, its edge included.
 
+        Args:
+            direction: Azimuth and elevation of a camera as seen from the centre, degrees.
+
         Returns:
             True inside.
         """
@@ -176,7 +204,10 @@ class Azimuth(Cone):
         )
 
     def depth(self, direction: Direction) -> float:
-        """See `depth_in_wedge`.
+        """How far inside of the wedge a direction lies, as an angle on the sphere (`depth_in_wedge`).
+
+        Args:
+            direction: Azimuth and elevation of a camera as seen from the centre, degrees.
 
         Returns:
             Degrees to the edge; inside > 0.
@@ -205,7 +236,10 @@ class Cap(Cone):
         check(self)
 
     def depth(self, direction: Direction) -> float:
-        """See `depth_in_cap`.
+        """How far inside of the cap a direction lies, as an angle on the sphere (`depth_in_cap`).
+
+        Args:
+            direction: Azimuth and elevation of a camera as seen from the centre, degrees.
 
         Returns:
             Degrees to the edge; inside > 0.

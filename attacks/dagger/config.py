@@ -138,6 +138,9 @@ class DaggerConfig(Perturbation):
     def verdict(self, rows: Sequence[Sequence[Verdict]]) -> Verdict:
         """Success with enough detectors, each in enough views, and the score that so many reach.
 
+        Args:
+            rows: For each detector, its verdicts of all views.
+
         Returns:
             One verdict of all views and detectors.
         """
@@ -206,6 +209,9 @@ class EotConfig(Perturbation):
         """Success where every detector is deceived in enough views; the score orders by the number of these views.
 
         Between equals it orders by the mean of the verdicts' scores.
+
+        Args:
+            rows: For each detector, its verdicts of all views.
 
         Returns:
             One verdict of all views and detectors.

@@ -117,6 +117,9 @@ def judge(
         clean: The clean splat and what was reported on it.
         attacked: The attacked splat, as its file holds it.
         noisy: Splats with random noise in the place of the attack.
+
+    Returns:
+        Each view as each detector sees it, and how much the pictures change.
     """
     scenes = [clean[0], attacked, *noisy]
     reports = [clean[1], *(look(problem.detectors, scene, views, problem.render) for scene in scenes[1:])]

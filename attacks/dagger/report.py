@@ -53,7 +53,11 @@ def write_report(result: Result, folder: str | Path, *, force: bool = False) -> 
 
 
 def write_files(result: Result, folder: Path) -> list[Path]:
-    """Write the files of `write_report` into a folder that is there; returns their paths."""
+    """Write the files of `write_report` into a folder that exists.
+
+    Returns:
+        Paths of the files.
+    """
     drawn = isinstance(result.config, EotConfig)
     images = {CONTACT: contact_sheet(result)} if drawn else _pictures(result)
     for name, pixels in images.items():

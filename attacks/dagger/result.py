@@ -105,6 +105,9 @@ class Result(Previewed):
     def views_of(self, detector: str) -> list[JudgedView]:
         """Every view as one detector sees it.
 
+        Args:
+            detector: Name, one of those attacked.
+
         Returns:
             The views, in their order.
         """

@@ -35,6 +35,9 @@ def search_fixed(problem: Problem, views: Sequence[View], config: DaggerConfig, 
         config: How to attack.
         on_step: See `OnStep`.
 
+    Returns:
+        The best point, and what the search did.
+
     Raises:
         BudgetError: The best point is outside the ball.
     """

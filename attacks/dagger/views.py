@@ -147,7 +147,11 @@ class ViewDistribution:
         return view
 
     def remembered(self, key: Hashable, make: Callable[[], T]) -> T:
-        """What `make` returns, made once for each key: for what several attacks on the same views have to know.
+        """What `make` returns, made once for each key, so that several attacks on the same views share it.
+
+        Args:
+            key: What the value depends on.
+            make: Called if there is no value for this key yet.
 
         Returns:
             What was made.
@@ -158,7 +162,10 @@ class ViewDistribution:
         return value
 
     def picture(self, camera: Camera) -> Tensor:
-        """(H, W, 3) of the clean scene in [0, 1]; the last ones are kept.
+        """The picture of the clean scene, values in [0, 1]; the last ones are kept in memory.
+
+        Args:
+            camera: From where, and how large.
 
         Returns:
             (H, W, 3) sRGB.
@@ -183,6 +190,10 @@ class ViewDistribution:
 
     def views(self, seed: int, count: int) -> list[View]:
         """The first `count` views of a seed.
+
+        Args:
+            seed: Seed of the draws; the same seed gives the same views.
+            count: How many.
 
         Returns:
             As many views, in the order of their numbers.

@@ -125,6 +125,9 @@ def look_at(detector: Detector, sets: Mapping[str, Sequence[LabelledPicture]]) -
     Args:
         detector: Knows some of the project's classes, and others if it likes.
         sets: Pictures by the name of their set, which is the `condition` of the rows.
+
+    Returns:
+        Rows of objects and of detections.
     """
     rows, detections, view = list[Row](), list[Row](), 0
     known = {number for number, label in enumerate(SMALL_CLASSES, start=1) if label in detector.classes}

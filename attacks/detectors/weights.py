@@ -48,6 +48,9 @@ def in_a_line(error: Exception) -> str:
 def read_weights(path: Path) -> dict[str, Tensor]:
     """Read a state dict from a safetensors file, or from a .pth file with `weights_only=True`.
 
+    Returns:
+        Tensors by name, on the CPU.
+
     Raises:
         DetectorError: the file is missing, unreadable, of another format, or holds something else than
             tensors of finite numbers.
@@ -176,6 +179,10 @@ class FrozenModel:
         return fingerprint(self.model.state_dict())
 
     def to(self: _Self, device: torch.device | str) -> _Self:
-        """Move the weights to a device, in place."""
+        """Move the weights to a device, in place.
+
+        Returns:
+            This model.
+        """
         self.model.to(device)
         return self

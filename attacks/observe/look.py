@@ -114,7 +114,11 @@ class Looked:
     detections: pl.DataFrame
 
     def write(self, folder: Path) -> list[Path]:
-        """Write rows.csv.gz and detections.csv.gz; returns their paths."""
+        """Write rows.csv.gz and detections.csv.gz.
+
+        Returns:
+            Paths of the two files.
+        """
         tables = {ROWS: self.rows, DETECTIONS: self.detections}
         return [write_rows(table, folder / f"{name}{SUFFIX}") for name, table in tables.items()]
 
@@ -139,6 +143,9 @@ def look(
         boxes: Where the object is in the picture of a camera, (4,) pixels; None where it does not show.
         cells: What else is known of a view, and what is reported in it; usually with `report_cells`.
         batch: Pictures that a detector gets at once.
+
+    Returns:
+        A row for each splat, camera, detector and condition, and all detections.
     """
     rows, detections = list[Row](), list[Row]()
     for condition in conditions:

@@ -266,7 +266,11 @@ class ImageChange:
 
 
 def image_change(before: Sequence[Tensor], after: Sequence[Tensor], weights: Sequence[Tensor]) -> ImageChange:
-    """Compare (H, W, 3) pictures pairwise; `weights` are (H, W) as from `visible_weight`."""
+    """Compare (H, W, 3) pictures pairwise; `weights` are (H, W) as from `visible_weight`.
+
+    Returns:
+        Distances of all pairs together, over whole pictures and on the object.
+    """
     gaps = [(b.detach() - a.detach()).double() for b, a in zip(before, after, strict=True)]
     squares = [gap.square() for gap in gaps]
     on_object = [square[weight >= 0.5] for square, weight in zip(squares, weights, strict=True)]

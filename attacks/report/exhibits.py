@@ -320,7 +320,11 @@ class DetectorInspection:
 
 
 def detector_inspector(detector: Detector, *, min_confidence: float = MIN_CONFIDENCE) -> Inspector:
-    """Lets a detector look at the pictures of a page, as it looks at those of an evaluation."""
+    """A function that looks at a picture of a page with a detector, as an evaluation does.
+
+    Returns:
+        What draws the detections and says them in words.
+    """
 
     def inspect(picture: Tensor) -> DetectorInspection:
         (detections,) = detector.detect(picture[None])

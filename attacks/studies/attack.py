@@ -96,7 +96,11 @@ class DrawnAttack(Attack):
 
 
 def run(config: FixedAttack | DrawnAttack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
-    """Attack, and write what comes of it; returns a row for each splat, view and detector."""
+    """Attack, and write what comes of it.
+
+    Returns:
+        A row for each splat, view and detector.
+    """
     scene = attack_scene(inputs["scene"])
 
     def follow(step: Step) -> None:

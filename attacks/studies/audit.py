@@ -101,7 +101,11 @@ class Audited:
         return {**told, **audit.rows[0], **read_json(rivals.folder / RIVALS)}
 
     def copy_pair(self, results: Mapping[str, Done], folder: Path) -> Path | None:
-        """Copy the two pictures that speak against the splat, if there are any, under its name; returns the file."""
+        """Copy the two pictures that speak against the splat, if there are any, under its name.
+
+        Returns:
+            The file; None without pictures.
+        """
         done = results.get(self.audit.identity)
         if done is None or not (done.folder / PAIR).is_file():
             return None

@@ -73,7 +73,11 @@ class Look:
 
 
 def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
-    """Look, and return a row for each splat and view."""
+    """Look at the splats of a job with its detector.
+
+    Returns:
+        A row for each splat and view.
+    """
     scene = attack_scene(inputs["scene"])
     rows, original = scene.objects[config.object], config.object.replace("_", " ")
     viewing = Viewing(

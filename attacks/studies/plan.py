@@ -59,11 +59,14 @@ class Work:
         """
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
-        """Write result.json, tables of rows, study.toml and table.md into a folder that is there; returns the files.
+        """Write result.json, tables of rows, study.toml and table.md into a folder that exists.
 
         Args:
             results: Of the jobs, by their labels.
             out: The folder.
+
+        Returns:
+            Paths of the files.
         """
         raise NotImplementedError
 

@@ -43,6 +43,9 @@ def build(name: str, seed: int = 0, *, colour: Sequence[float] | None = None) ->
         seed: Which of them.
         colour: (3,) sRGB of the paint of one of `PAINTED`; None is that of the seed.
 
+    Returns:
+        The object, in metres, with z up.
+
     Raises:
         InvalidValueError: there is no asset of that name, or it has no paint.
     """

@@ -141,6 +141,9 @@ def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
         scene: N Gaussians.
         clean: M Gaussians, before the edit; rows may be shuffled, missing or added.
 
+    Returns:
+        How many Gaussians differ, in what and by how much.
+
     Raises:
         InvalidValueError: One is empty, or fewer than half of the Gaussians are where those of the other are: one was
             not made from the other.

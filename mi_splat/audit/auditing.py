@@ -82,6 +82,9 @@ def audit(
             found.
         on_object: Called after each object.
 
+    Returns:
+        The verdict on each object, and (N,) which Gaussians carry the evidence.
+
     Raises:
         InvalidValueError: Nothing shows, too few cameras are given, or too little surface is seen for a verdict.
     """
@@ -159,13 +162,16 @@ Heat = tuple[Tensor, Tensor]
 def judged_object(
     frame: Frame, target: Target, cameras: tuple[Camera, ...], pictures: Sequence[Tensor] | None = None
 ) -> tuple[ObjectAudit, Heat | None] | None:
-    """Judge one object; None if nothing of its surface can be judged. With evidence, heat comes along.
+    """Judge one object.
 
     Args:
         frame: The splat.
         target: The object.
         cameras: From where it is looked at.
         pictures: (H, W, 3) what each shows, sRGB; then the splat is the surface alone, and nothing covers the object.
+
+    Returns:
+        The verdict, and (rows, heat) if there is evidence; None if nothing of its surface can be judged.
     """
     rows = in_sight(frame.scene, target, cameras)
     scene = frame.scene.select(rows)

@@ -68,6 +68,9 @@ def audit_pictures(views: Dataset, *, up: Point | None = None, on_step: OnStep |
         up: As in `audit`.
         on_step: Called after each step of the training.
 
+    Returns:
+        The verdict, and how much each picture contradicts the others.
+
     Raises:
         DatasetError: A picture cannot be read.
         InvalidValueError: There are too few pictures, or too little surface is seen by several.
@@ -104,6 +107,9 @@ def compare_pictures(
         surface: A splat of what they show, of which only the place of the surface counts.
         numbers: (K,) what the pictures are called.
         up: As in `audit`.
+
+    Returns:
+        The verdict, and how much each picture contradicts the others.
 
     Raises:
         InvalidValueError: There are too few pictures, or too little surface is seen by several.

@@ -71,6 +71,9 @@ def repair(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> Re
         judged: Its audit.
         keep: Which of the two sides of a look is believed; of several looks of an object "inside" is that of the
             strongest.
+
+    Returns:
+        The repaired splat, and what was changed in it.
     """
     plain = scene.detach().to("cpu", torch.float32)
     sh, stays = plain.sh.clone(), torch.ones(len(scene), dtype=torch.bool)

@@ -151,6 +151,9 @@ def sight(
         target: The object.
         cameras: K cameras.
         pictures: (H, W, 3) what each shows, sRGB, if that is known otherwise.
+
+    Returns:
+        What each camera sees of the surface, pixel by pixel.
     """
     render = Renderer(RenderSettings(background=_BACKGROUND, near=near_of(target, cameras)))
     depths, parts, shown_by, first = [], [], {}, 0

@@ -172,6 +172,9 @@ def explain(pieces: Elements, view: Sight) -> Scores:
     Args:
         pieces: The surface, of which some can be judged.
         view: From where it was seen.
+
+    Returns:
+        How well each explanation fits.
     """
     judged = pieces.judged.nonzero()[:, 0]
     judged = judged[torch.linspace(0, len(judged) - 1, min(len(judged), MOST_PIECES)).round().long()]

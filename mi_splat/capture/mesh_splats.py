@@ -175,6 +175,9 @@ def refine(
         config: Steps and step sizes.
         seed: Order of the views.
         on_step: Called after each step.
+
+    Returns:
+        The splat with other values, in the same order.
     """
     config = config or RefineConfig()
     start = {name: value.detach().clone() for name, value in to_raw_parameters(scene).items()}

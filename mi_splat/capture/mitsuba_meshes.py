@@ -33,7 +33,7 @@ _chosen: ContextVar[str | None] = ContextVar("_chosen", default=None)
 
 @contextlib.contextmanager
 def tracing_variant(variant: str | None = None) -> Iterator[None]:
-    """Switch Mitsuba to the variant that path traces, and back to what was set before, also after an error.
+    """Have Mitsuba use the variant that path traces inside of a `with` block, and the earlier one after it.
 
     Mitsuba loads its Python modules again for another variant, 0.2 s each time. Every function here switches by itself;
     around many calls, one more switch outside makes theirs free. A scene belongs to the variant that it was made in.

@@ -92,6 +92,9 @@ def write_capture(
         inputs: What the user asked for, in words; the record keeps it, to say what differs in a later call.
         on_step: Called after each picture.
 
+    Returns:
+        Numbers of pictures and points, the files that list them, and warnings.
+
     Raises:
         InvalidValueError: There are no cameras, the folder holds something else, or no picture shows a surface.
         PictureFileError: Pictures would have too many pixels to be read again.

@@ -46,6 +46,9 @@ def picture_distance(first: Tensor, second: Tensor, *, lpips: Perceptual | None 
         first: (H, W, 3) sRGB; clipped to [0, 1], as a screen would.
         second: The same shape.
         lpips: See `mi_splat.metrics.load_lpips`.
+
+    Returns:
+        PSNR in dB, SSIM and LPIPS; None where it does not apply.
     """
     first, second = (picture.detach().clamp(0, 1) for picture in (first, second))
     side = min(first.shape[:2])

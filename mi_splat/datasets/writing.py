@@ -95,7 +95,7 @@ def write_colmap(
 def list_transforms(
     folder: Path, listing: Listing, points: PointCloud | None, *, more: Mapping[str, Any] | None = None
 ) -> list[Path]:
-    """Write the transforms files of pictures that are in images/, and the points; returns the files.
+    """Write the transforms files of pictures that are in images/, and the points.
 
     The file for tests is left out if there are none.
 
@@ -104,6 +104,9 @@ def list_transforms(
         listing: Names and cameras of the pictures of each split.
         points: Points from which a training may start.
         more: Keys and values for the head of each file.
+
+    Returns:
+        Paths of the files.
 
     Raises:
         SplatFileError: A file cannot be written.
@@ -121,7 +124,10 @@ def list_transforms(
 
 
 def list_colmap(folder: Path, listing: Listing, points: PointCloud | None) -> list[Path]:
-    """Write the text model of pictures that are in images/; returns the files.
+    """Write the text model of pictures that are in images/.
+
+    Returns:
+        Paths of the files.
 
     Raises:
         SplatFileError: A file cannot be written.

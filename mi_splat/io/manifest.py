@@ -37,11 +37,14 @@ class Manifest:
 
 
 def write_manifest(folder: Path, *, without: Collection[str] = ()) -> str:
-    """Write manifest.json of all files that are in a folder of results; returns its SHA-256.
+    """Write manifest.json of all files in a folder of results.
 
     Args:
         folder: The folder.
         without: Names of folders in it that are no part of the result.
+
+    Returns:
+        SHA-256 of manifest.json, hexadecimal.
 
     Raises:
         SplatFileError: The folder cannot be written.

@@ -85,6 +85,9 @@ def load_points(path: str | os.PathLike[str]) -> PointCloud:
 
     Text, and vertices that carry lists, need the package plyfile.
 
+    Returns:
+        Positions and colours.
+
     Raises:
         SplatFileError: The file cannot be read, does not have the size that its header says, has no coordinates, or
             holds values that are not finite.

@@ -104,6 +104,9 @@ def scene_parts(path: Path, parameters: Mapping[str, object] | None = None) -> S
         path: The scene file.
         parameters: Values that take the place of its defaults.
 
+    Returns:
+        All elements and files, those of included files too.
+
     Raises:
         InvalidValueError: The scene file, or one that it includes, cannot be read, is no XML in UTF-8, defines
             entities, is too large or too deep, or includes itself; or parameters make the texts too long.

@@ -80,6 +80,9 @@ class Child:
             on_event: Told what happens.
             cores: Numbers of the processor's cores that it uses, see `keep_to`.
 
+        Returns:
+            Whether it is done, or how it failed.
+
         Raises:
             EngineError: No child process can be started.
         """

@@ -33,7 +33,11 @@ class Engine(Protocol):
     window: int
 
     def submit(self, task: Task) -> Future[Outcome]:
-        """Run a task some time; the future raises what is the engine's own error, and none of a job's."""
+        """Run a task some time; the future raises what is the engine's own error, and none of a job's.
+
+        Returns:
+            What becomes the outcome of the task.
+        """
         ...
 
     def close(self) -> None:
@@ -50,7 +54,11 @@ class InProcess:
         self._store, self._on_event = Store(folder), on_event
 
     def submit(self, task: Task) -> Future[Outcome]:
-        """Run a task now."""
+        """Run a task now.
+
+        Returns:
+            A future that has its outcome already.
+        """
         outcome: Future[Outcome] = Future()
         try:
             run_job(self._store, task, self._on_event)
@@ -92,7 +100,11 @@ class Processes:
         self._counted, self._given, self._shares = threading.Lock(), 0, set[int]()
 
     def submit(self, task: Task) -> Future[Outcome]:
-        """Run a task as soon as a child process is free."""
+        """Run a task as soon as a child process is free.
+
+        Returns:
+            What becomes the outcome of the task.
+        """
         with self._counted:
             self._given += 1
         return self._threads.submit(self._run, task)

@@ -104,6 +104,9 @@ def _keys(plans: Iterable[Path]) -> dict[str, tuple[str, str]]:
 def plan(store: Store, name: str, jobs: Mapping[str, Job]) -> list[Entry]:
     """Write down the jobs of a plan by their labels, and all before them, and look how far each is.
 
+    Returns:
+        The jobs with their states, each after those it needs.
+
     Raises:
         InvalidValueError: An input is not there, or a finished job was changed.
     """

@@ -38,6 +38,9 @@ def reuse(store: Store, kind: str, engine: Engine, *, verify: int, reason: str) 
         verify: How many are made again under today's code; they are spread over all.
         reason: Why the change of the code changes no result; it stands in the records.
 
+    Returns:
+        Which jobs were made again, and which results were taken over as they are.
+
     Raises:
         InvalidValueError: One that was made again has other bytes or has failed.
     """

@@ -34,7 +34,10 @@ _POLL = 0.2
 
 
 def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Done:
-    """Do a job whose inputs are done, or find it done.
+    """Do a job whose inputs are done, unless it is done already.
+
+    Returns:
+        The folder and rows of its result.
 
     Raises:
         HeldError: Another process does it now.

@@ -87,13 +87,16 @@ def read_jobs(path: Path) -> list[Job]:
 
 
 def run(store: Path, jobs: Path, first: int, last: int) -> int:
-    """Do some jobs of an exported file; returns how many have failed.
+    """Do a part of the jobs of an exported file.
 
     Args:
         store: The store.
         jobs: The file.
         first: Number of the first of them.
         last: Number after that of the last.
+
+    Returns:
+        How many have failed.
     """
     chosen = {str(number): job for number, job in enumerate(read_jobs(jobs)) if first <= number < last}
     results = Driver(store, Processes(store, workers=1)).run([grid(chosen)])

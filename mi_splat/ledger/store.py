@@ -192,7 +192,11 @@ class Store:
         return {key for key in keys if len(self.failures(key)) >= TRIES}
 
     def note_failure(self, task: Task, error: str, seconds: float) -> int:
-        """Write down that a job failed; returns how often it has."""
+        """Write down that a job failed.
+
+        Returns:
+            How often it has failed.
+        """
         path = self.folder / "failed" / f"{task.key}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
         tries = [*self.failures(task.key), {"error": error, "seconds": seconds, "versions": _versions()}]
@@ -200,7 +204,11 @@ class Store:
         return len(tries)
 
     def forgive(self, key: str) -> bool:
-        """Forget the failures of a job, so that it is tried again; whether there were any."""
+        """Forget the failures of a job, so that it is tried again.
+
+        Returns:
+            Whether there were any.
+        """
         path = self.folder / "failed" / f"{key}.json"
         with contextlib.suppress(FileNotFoundError):
             path.unlink()

@@ -126,6 +126,9 @@ def take_frames(video: Path, images: Path, config: PrepareConfig, told: Told) ->
         config: How large, how many, and how far apart.
         told: See `Told`.
 
+    Returns:
+        The pictures, in the order of the video.
+
     Raises:
         PreparationError: It is no video, is broken, too short or too long.
         SplatFileError: A file cannot be written.

@@ -40,6 +40,9 @@ def rasterize(
         background: sRGB colour behind everything.
         depths: Fill `Picture.depths`, too.
 
+    Returns:
+        The picture, with what its backward pass needs.
+
     Raises:
         InvalidValueError: A number of a Gaussian is not finite.
         MiSplatError: The picture needs more than MAX_PAIRS (tile, Gaussian) pairs.

@@ -89,6 +89,9 @@ def walk(
         state: What is known so far.
         visit: (state, peak, Bool that it counts) -> state.
         limit: (state) -> Float, a distance beyond which nothing is of interest any more; -1 ends the walk.
+
+    Returns:
+        The state after the last Gaussian.
     """
     leaves = splats.tree.leaves
     d = stretch.direction

@@ -76,6 +76,9 @@ def raytrace(
         camera: The camera.
         background: sRGB colour behind everything.
         to_mean: See `segments.view_direction`.
+
+    Returns:
+        The picture, with what its backward pass needs.
     """
     pixels = camera.size[0] * camera.size[1]
     colour, opacity = buffer(3 * pixels), buffer(pixels, value=0.0)

@@ -67,6 +67,9 @@ def for_each_peak(
         active: Bool.
         state: Its first entry is the transmittance.
         step: (state, peak) -> state.
+
+    Returns:
+        The state after the last peak.
     """
 
     def body(last: Any, slot: Any, more: Any, state: list[Any]) -> tuple[Any, Any, Any, list[Any]]:

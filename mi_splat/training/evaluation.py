@@ -53,7 +53,7 @@ def score(
     lpips: Perceptual | None = None,
     corrected: bool = False,
 ) -> Scores | None:
-    """Compare a splat with views; None if there are none. What a photograph does not show at its border is no error.
+    """Compare a splat with views. What a photograph does not show at its border is no error.
 
     Args:
         scene: The splat.
@@ -61,6 +61,9 @@ def score(
         render: The renderer.
         lpips: See `mi_splat.metrics.load_lpips`.
         corrected: Whether to compare with the exposure and white balance of each view, too.
+
+    Returns:
+        Means over the views; None if there are none.
     """
     rows: list[dict[str, float]] = []
     with torch.no_grad():

@@ -123,6 +123,9 @@ def advance(
         lpips: A further score.
         on_step: Called after every step.
 
+    Returns:
+        The trained splat, and every evaluation on the way.
+
     Raises:
         InvalidValueError: The strategy needs screen gradients, and the renderer keeps none.
         TrainingError: A value is not finite, or every Gaussian was pruned.

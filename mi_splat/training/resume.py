@@ -76,6 +76,9 @@ def train(
     Warns:
         UserWarning: A run goes on with another number of torch's threads, which may change its last bits.
 
+    Returns:
+        The trained splat, its history and its scores.
+
     Raises:
         CheckpointError: The folder holds a run with other settings, on other views or from another start.
         SplatFileError: The folder holds something else, cannot be written, or another process has it.

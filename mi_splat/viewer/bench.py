@@ -80,12 +80,19 @@ class Bench:
             gui: viser's interface for this visitor.
             visit: The visitor.
             wake: Called when something was asked for.
+
+        Returns:
+            The controls, as the page shows them.
         """
         return BenchPanel(gui, self, visit, wake)
 
     @property
     def painter(self) -> Painter:
-        """Makes the pictures now."""
+        """What makes the pictures of the present exhibit.
+
+        Returns:
+            The painter.
+        """
         return self.painters[-1]
 
     @property
@@ -112,7 +119,11 @@ class Bench:
         self._tasks.append(task)
 
     def turn(self) -> bool:
-        """Do what waits, and hear what work says; whether anything changed. What is asked for meanwhile waits."""
+        """Do what waits, and show what running work has printed. What is asked for meanwhile waits.
+
+        Returns:
+            Whether anything changed.
+        """
         waiting = len(self._tasks)
         for _ in range(waiting):
             task = self._tasks.popleft()

@@ -258,6 +258,10 @@ class Follower:
         self.begin, self.note = live.begin, live.note
 
     def hold(self) -> bool:
-        """Do what the page asks for between two steps; whether the training is to wait."""
+        """Do what the page asks for between two steps.
+
+        Returns:
+            Whether the training is to wait.
+        """
         self._page.turn(wait=0.05 if self._live.waiting else 0.0)
         return self._live.waiting

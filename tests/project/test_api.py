@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import re
 from collections.abc import Callable, Iterator
@@ -35,6 +36,28 @@ def test_the_names_are_few_and_each_is_there_once() -> None:
     assert len(names) == len(set(names)) <= MOST
     for package in (mi_splat, attacks):
         assert package.__all__ == sorted(package.__all__, key=lambda name: (name[0].islower(), name))
+
+
+def explained(name: str, text: str) -> bool:
+    """Whether a docstring has a line for a parameter or an attribute, alone or together with others."""
+    return re.search(rf"^    (\w+, )*\*{{0,2}}{name}(, \w+)*: \S", text, flags=re.MULTILINE) is not None
+
+
+@pytest.mark.parametrize(("package", "name"), NAMES, ids=IDS)
+def test_every_parameter_and_attribute_is_explained(package: Any, name: str) -> None:
+    value = getattr(package, name)
+    for function in functions(value):
+        given = [each for each in inspect.signature(function).parameters if each not in ("self", "cls")]
+        missing = [each for each in given if not explained(each, inspect.getdoc(function) or "")]
+        assert not missing, f"{function.__qualname__}: {', '.join(missing)}"
+    if dataclasses.is_dataclass(value):
+        kinds = value.__mro__ if inspect.isclass(value) else ()
+        texts = "\n".join(inspect.cleandoc(kind.__doc__ or "") for kind in kinds)
+        missing = [each.name for each in dataclasses.fields(value) if not explained(each.name, texts)]
+        assert not [each for each in missing if not each.startswith("_")], f"{name}: {', '.join(missing)}"
+    for kind in value.__mro__ if inspect.isclass(value) else ():
+        for each, member in vars(kind).items() if kind.__module__.startswith(PACKAGES) else ():
+            assert each.startswith("_") or not isinstance(member, property) or member.__doc__, f"{name}.{each}"
 
 
 @pytest.mark.parametrize(("package", "name"), NAMES, ids=IDS)

@@ -146,6 +146,27 @@ def test_functions_of_more_than_three_arguments_explain_them(package: str) -> No
                 assert not missing, f"{name}.{function.name} does not explain {', '.join(missing)}"
 
 
+IMPERATIVE = re.compile(
+    "(Add|Apply|Ask|Attack|Audit|Begin|Blend|Build|Call|Capture|Change|Check|Close|Compare|Continue|Convert|Copy|Count|"
+    "Decode|Detach|Do|Draw|Drop|Encode|Examine|Fill|Find|Fit|Follow|Forget|Get|Give|Go|Have|Judge|Keep|Launch|Let|List|"
+    "Load|Look|Make|Measure|Merge|Move|Paint|Parse|Plan|Poison|Prepare|Print|Put|Read|Relocate|Remove|Render|Repair|"
+    "Replace|Resume|Return|Run|Save|Say|Scale|Search|Select|Send|Set|Show|Solve|Sort|Split|Start|Stop|Store|Take|Train|"
+    "Try|Turn|Unpack|Update|Use|Visit|Wait|Walk|Write) "
+)
+"""How a docstring begins that says what a function does, not what it returns."""
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_functions_that_do_something_say_what_they_return(package: str) -> None:
+    """Others begin with what they return, as in "(N,) bool, whether each camera is inside"."""
+    for name, path in modules(package).items():
+        for function in public_functions(ast.parse(path.read_text())):
+            returned = "None" if function.returns is None else ast.unparse(function.returns)
+            text = ast.get_docstring(function) or ""
+            if returned not in ("None", "NoReturn", "Iterator[None]") and IMPERATIVE.match(text):
+                assert re.search(r"^(Returns|Yields):$", text, re.MULTILINE), f"{name}.{function.name} -> {returned}"
+
+
 def given_names(tree: ast.AST) -> Iterator[str]:
     """Names of functions, classes, parameters, variables and attributes. Tests have sentences for names."""
     for node in ast.walk(tree):

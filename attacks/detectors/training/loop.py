@@ -78,13 +78,16 @@ class DetectorTrainer(ABC):
         config: TrainConfig,
         on_step: Callable[[int, int, float], None] | None,
     ) -> float | None:
-        """Give the network a head start, in place; the fraction of cut-outs that it names right, None without any.
+        """Give the network a head start, in place.
 
         Args:
             model: The network.
             samples: Pictures with labels, from which objects are cut out.
             config: Steps, seed and precision.
             on_step: Told of each step: its number, how many there are, and the fraction that were right lately.
+
+        Returns:
+            Fraction of the cut-outs that it names right; None without a head start.
         """
         return None
 
@@ -119,7 +122,11 @@ class Training:
     def pretrain(
         self, samples: Sequence[LabelledPicture], *, on_step: Callable[[int, int, float], None] | None = None
     ) -> float | None:
-        """Give the network its head start; returns the fraction of cut-outs that it names right."""
+        """Give the network its head start.
+
+        Returns:
+            Fraction of the cut-outs that it names right; None without a head start.
+        """
         right = self.trainer.pretrain(self.model, samples, self.config, on_step)
         self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
         self.history.append({"epoch": 0, "pictures": len(samples), "named": right})
@@ -137,7 +144,11 @@ class Training:
         self.history.append({"epoch": 0, "start": weights.name, "sha256": digest})
 
     def run_epoch(self, samples: Sequence[LabelledPicture], *, on_step: OnStep | None = None) -> dict[str, float]:
-        """Train on every sample once; returns the mean of each loss."""
+        """Train on every sample once.
+
+        Returns:
+            Mean of each loss by its name.
+        """
         config = self.config
         torch.manual_seed(_seed(config.seed, self.epoch))
         self.model.train()
@@ -212,6 +223,9 @@ class Training:
     @classmethod
     def resume(cls, folder: Path, config: TrainConfig, trainer: DetectorTrainer) -> Training:
         """Continue from the checkpoint in `folder`, or begin where there is none.
+
+        Returns:
+            The training, at the step where the checkpoint was written.
 
         Raises:
             DetectorError: The checkpoint is broken.

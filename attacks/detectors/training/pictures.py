@@ -241,7 +241,11 @@ class SceneRenderer:
 
     @tracing_variant(FEW_PICTURES)
     def label(self, camera: Camera, image: Tensor) -> LabelledPicture:
-        """Round an (H, W, 3) picture in [0, 1] from this camera to 8 bits and say what is in it."""
+        """Round an (H, W, 3) picture in [0, 1] from this camera to 8 bits and say what is in it.
+
+        Returns:
+            The picture, its boxes and their classes.
+        """
         boxes, labels, conditions = [], [], []
         outlines, visible = self._outlines(camera), self._visible(camera)
         for asset, (seen, _), (fraction, _) in zip(self.contents.assets, outlines, visible, strict=True):

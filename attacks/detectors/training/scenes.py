@@ -83,6 +83,9 @@ def save(pictures: Sequence[LabelledPicture], folder: Path) -> None:
 def load(folder: Path) -> list[LabelledPicture]:
     """Read pictures and labels into memory.
 
+    Returns:
+        Pictures in the order of their files.
+
     Raises:
         InvalidValueError: The labels, or a picture, are missing or broken.
     """

@@ -68,6 +68,9 @@ def lint_file(path: Path) -> Lint:
     Args:
         path: A splat file of any format.
 
+    Returns:
+        The findings in the order of the rules, and how many Gaussians there are.
+
     Raises:
         SplatFileError: It cannot be read, for a reason that no rule explains.
     """
@@ -89,6 +92,9 @@ def lint_scene(scene: GaussianScene) -> Lint:
 
     Args:
         scene: On the CPU.
+
+    Returns:
+        The findings in the order of the rules, and how many Gaussians there are.
     """
     return _lint(Loaded.of(scene.detach().to("cpu"), np.empty(0, np.int64), ""), [])
 

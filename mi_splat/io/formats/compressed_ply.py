@@ -39,6 +39,9 @@ def read_compressed_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
         header: Its header.
         path: For messages.
 
+    Returns:
+        The Gaussians, and which of them are valid.
+
     Raises:
         SplatFileError: Elements, properties or counts are not those of a compressed splat, or sizes are wrong.
     """

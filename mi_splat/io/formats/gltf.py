@@ -41,6 +41,9 @@ _KINDS = {
 def read_glb(file: io.FileIO, path: str) -> Loaded:
     """Read the splats of a binary glTF, each placed by its node.
 
+    Returns:
+        The Gaussians, and which of them are valid.
+
     Raises:
         SplatFileError: It is damaged, has no splats, or needs what is not read: another kernel or colour space, another
             extension, compression, a node that shears or mirrors.

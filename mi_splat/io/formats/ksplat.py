@@ -47,6 +47,9 @@ class _Section:
 def read_ksplat(file: io.FileIO, path: str) -> Loaded:
     """Read a `.ksplat` file.
 
+    Returns:
+        The Gaussians, and which of them are valid.
+
     Raises:
         SplatFileError: It is damaged, of another version, or its sizes contradict each other.
     """

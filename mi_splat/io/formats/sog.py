@@ -49,6 +49,9 @@ class _Picture(Protocol):
 def read_sog(file: io.FileIO, path: str) -> Loaded:
     """Read a bundled SOG.
 
+    Returns:
+        The Gaussians, and which of them are valid.
+
     Raises:
         SplatFileError: It is damaged, of another version, or claims more than its size allows.
     """
@@ -58,6 +61,9 @@ def read_sog(file: io.FileIO, path: str) -> Loaded:
 
 def read_sog_folder(file: io.FileIO, path: str) -> Loaded:
     """Read an unbundled SOG: its meta.json, and the pictures beside it.
+
+    Returns:
+        The Gaussians, and which of them are valid.
 
     Raises:
         SplatFileError: As for `read_sog`, or a picture is missing.

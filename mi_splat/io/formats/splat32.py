@@ -25,6 +25,9 @@ _LONGEST = 5 / 256
 def read_splat(file: io.FileIO, path: str) -> Loaded:
     """Read a `.splat` file.
 
+    Returns:
+        The Gaussians, and which of them are valid.
+
     Raises:
         SplatFileError: Its size is no positive multiple of 32 bytes.
     """

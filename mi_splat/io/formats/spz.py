@@ -34,6 +34,9 @@ _AXES = {0: half_turns.X, 4: half_turns.X, 6: half_turns.NONE, 7: half_turns.Z, 
 def read_spz(file: io.FileIO, path: str) -> Loaded:
     """Read an SPZ file of version 2, 3 or 4.
 
+    Returns:
+        The Gaussians, and which of them are valid.
+
     Raises:
         SplatFileError: It is damaged, of another version, or in axes that half turns do not lead to.
     """

@@ -59,6 +59,9 @@ def unpack_container(data: bytes, path: str) -> SpzContent:
         data: All bytes of the file.
         path: For messages.
 
+    Returns:
+        The header, and the bytes of each section by its name.
+
     Raises:
         SplatFileError: It is damaged, claims more than its size allows, or has another version.
     """

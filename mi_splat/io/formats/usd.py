@@ -47,6 +47,9 @@ def read_usd(file: io.FileIO, path: str) -> Loaded:
     The file is read by a process of its own, which has limits (`usd_child`). No other file is opened: whatever asks for
     one is refused, and so are references, variants and inherited prims inside of the file.
 
+    Returns:
+        The Gaussians, and which of them are valid.
+
     Raises:
         SplatFileError: It is damaged, has no splats, needs what is not read (another file, motion, shear), or usd-core
             is not installed.

@@ -55,6 +55,9 @@ def read(path: str, out: BinaryIO, most: int) -> dict[str, Any]:
         out: Takes positions, scales, orientations (x, y, z, w), opacities and SH of one prim after the other.
         most: Most Gaussians that are read.
 
+    Returns:
+        What the stage says: its up axis, metres per unit, and the pose, count and SH degree of each part.
+
     Raises:
         RefusedError: The file is not read.
     """

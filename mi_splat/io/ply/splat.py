@@ -33,6 +33,9 @@ def read_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
         header: Its header.
         path: For messages.
 
+    Returns:
+        The Gaussians, and which of them are valid.
+
     Raises:
         SplatFileError: It is no 3DGS splat, or does not have the size that its header says.
     """

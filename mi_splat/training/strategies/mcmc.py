@@ -25,11 +25,19 @@ class MCMCStrategy(Strategy):
         self.config = config
 
     def before_backward(self, loss: Tensor, scene: GaussianScene) -> Tensor:
-        """Add the regularisers of opacity and scale."""
+        """Add the regularisers of opacity and scale.
+
+        Returns:
+            The loss with the regularisers, a scalar.
+        """
         return loss + self.config.opacity_reg * scene.opacities.mean() + self.config.scale_reg * scene.scales.mean()
 
     def after_step(self, step: Step, state: State) -> Edit:
-        """Relocate where it is time, and add the noise."""
+        """Relocate where it is time, and add the noise.
+
+        Returns:
+            Which rows were moved or added.
+        """
         config, at = self.config, step.iteration
         edit = Edit(parameters={})
         if config.densify_from < at <= config.densify_until and at % config.densify_interval == 0:
@@ -46,6 +54,9 @@ def relocate(parameters: Parameters, *, config: MCMCConfig, generator: Generator
         parameters: The trained tensors, N rows each.
         config: Thresholds.
         generator: What is drawn: living Gaussians by their opacity.
+
+    Returns:
+        Which rows were moved or added.
     """
     opacity = parameters["opacities"].detach().sigmoid()
     count = len(opacity)
