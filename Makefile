@@ -49,7 +49,7 @@ lint: $(STAMP)
 	$(BIN)/python -m tests.project.prose
 
 types: $(STAMP)
-	$(BIN)/mypy
+	MYPY_NUM_WORKERS=$(JOBS) $(BIN)/mypy
 
 pytest: $(STAMP)
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(ARGS)
