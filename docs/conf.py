@@ -52,12 +52,14 @@ html_title = "mi-splat"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_js_files = ["before-after.js"]
+html_search_scorer = str(HERE / "static" / "search-scorer.js")
 html_copy_source = False
 html_show_sourcelink = False
 html_show_sphinx = False
 html_theme_options = {
     "navbar_persistent": [],  # one search field is enough
-    "show_navbar_depth": 1,
+    "show_navbar_depth": 0,  # the parts of the site can be folded; that of the page is open
+    "collapse_navbar": True,
     "show_toc_level": 2,
     "use_download_button": False,
     "use_fullscreen_button": False,

@@ -1,7 +1,8 @@
 """What a forge shows and the site has to show otherwise: links out of docs/, and files elsewhere that are pages here.
 
 Pages link to other files of the repository by path, as a forge wants it. Some of these files are pages of the site,
-too: there a page of docs/reference is only a stub, and the site puts the file in its place.
+too: there a page of docs/reference is only a stub, and the site puts the file in its place. What a command is for
+stands behind it on a forge, where lines may be long, and above it on the site. A list of modules is their reference.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ INSTEAD = {**SHOWN_IN, "README.md": "docs/start.md", "docs/README.md": "docs/ind
 """File of the repository to the page that a link to it leads to."""
 
 _LINK = re.compile(r"(\]\()([^)#\s]+)(#[^)\s]*)?(\))")
+_COMMANDS = re.compile(r"^```sh\n.*?^```$", re.MULTILINE | re.DOTALL)
+_MODULES = re.compile(r"^```modules\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_COMMENT = re.compile(r"^(\S.*?)\s{2,}(# .*)$", re.MULTILINE)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -43,7 +47,7 @@ def rewrite(app: Sphinx, docname: str, source: list[str]) -> None:
         file = Path(app.srcdir).parent / shown
         app.env.note_dependency(str(file))
         source[0] = file.read_text()
-    source[0] = relinked(source[0], shown or page, page)
+    source[0] = with_modules(with_comments_above(relinked(source[0], shown or page, page)))
 
 
 def relinked(text: str, file: str, page: str) -> str:
@@ -64,3 +68,14 @@ def relinked(text: str, file: str, page: str) -> str:
         return f"{opening}{posixpath.relpath(path, posixpath.dirname(page))}{anchor or ''}{closing}"
 
     return _LINK.sub(replaced, text)
+
+
+def with_comments_above(text: str) -> str:
+    """Markdown in which the comment of a command in a shell block stands in the line above it."""
+    return _COMMANDS.sub(lambda block: _COMMENT.sub(r"\2\n\1", block[0]), text)
+
+
+def with_modules(text: str) -> str:
+    """Markdown in which a list of modules has a section for each, with what its docstrings say."""
+    section = "## {0}\n\n```{{eval-rst}}\n.. automodule:: {0}\n```"
+    return _MODULES.sub(lambda block: "\n\n".join(section.format(name) for name in block[1].split()), text)

@@ -83,8 +83,8 @@ def modules(package: str) -> dict[str, bool]:
 
 def test_the_reference_names_the_modules_that_there_are() -> None:
     """All of `attacks` but its commands, which have pages of their own, and what of `mi_splat` is not an inside."""
-    pages = (ROOT / "docs" / "reference").glob("*.md")
-    named = re.findall(r"automodule:: (\S+)", "".join(path.read_text() for path in pages))
+    text = "".join(path.read_text() for path in (ROOT / "docs" / "reference").glob("*.md"))
+    named = [*re.findall(r"automodule:: (\S+)", text), *" ".join(blocks("modules", text)).split()]
     assert len(named) == len(set(named))
     full = {**modules("mi_splat"), **modules("attacks")}
     assert not set(named) - set(full)
@@ -223,7 +223,7 @@ def test_the_site_asks_no_other_host(site: Path) -> None:
 @pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 1280), ("light", 390)])
 def test_the_first_page_works_without_a_network(chromium: Any, site: Path, scheme: str, width: int) -> None:
     """The line between before and after follows a pointer and the arrow keys; nothing is wider than a telephone."""
-    window = chromium.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    window = chromium.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme, has_touch=True)
     asked: list[str] = []
     window.on("request", lambda request: asked.append(request.url))
     window.goto((site / "index.html").as_uri())
@@ -236,9 +236,57 @@ def test_the_first_page_works_without_a_network(chromium: Any, site: Path, schem
     line.press("ArrowRight")
     assert divider() == "51%"
     size = box.bounding_box()
-    window.mouse.click(size["x"] + 0.25 * size["width"], size["y"] + 50)
-    assert abs(float(divider().rstrip("%")) - 25) <= 3
+    for share, press in ((25, window.mouse.click), (70, window.touchscreen.tap)):
+        press(size["x"] + share / 100 * size["width"], size["y"] + 50)
+        assert abs(float(divider().rstrip("%")) - share) <= 3
     assert window.locator(".gallery img").count() == 12
     assert window.evaluate("document.documentElement.scrollWidth") <= width
     assert [url for url in asked if not url.startswith(("file:", "data:"))] == []
+    window.close()
+
+
+LOOK = """() => {
+  const brightness = (element, name) =>
+    getComputedStyle(element)[name].match(/[\\d.]+/g).slice(0, 3).reduce((sum, value) => sum + Number(value), 0);
+  return {
+    width: document.documentElement.scrollWidth,
+    broken: [...document.images].filter(image => image.complete && !image.naturalWidth).map(image => image.src),
+    paper: brightness(document.body, "backgroundColor"),
+    ink: brightness(document.querySelector("article h1"), "color"),
+    folded: document.querySelectorAll("nav.bd-docs-nav > div > ul > li > details:not([open])").length,
+  };
+}"""
+"""What is asked of a page in a browser: its width, its pictures, its colours, and parts of the site that are folded."""
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(CHROMIUM is None, reason="needs the program chromium")
+@pytest.mark.parametrize(("scheme", "width"), [("light", 1280), ("dark", 390)])
+def test_every_page_is_read_in_a_browser(chromium: Any, site: Path, scheme: str, width: int) -> None:
+    """Nothing makes a page wider than its window, dark is dark, every picture is there, nobody else is asked."""
+    window = chromium.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+    asked: list[str] = []
+    window.on("request", lambda request: asked.append(request.url))
+    wrong = []
+    for path in sorted(site.rglob("*.html")):
+        name = path.relative_to(site).as_posix()
+        if name.startswith("_static") or name in ("search.html", "genindex.html", "py-modindex.html"):
+            continue
+        window.goto(path.as_uri())
+        seen = window.evaluate(LOOK)
+        contrast = seen["paper"] - seen["ink"] if scheme == "light" else seen["ink"] - seen["paper"]
+        if seen["width"] > width or seen["broken"] or contrast < 400 or seen["folded"] < 4:
+            wrong.append((name, seen))
+    window.close()
+    assert wrong == []
+    assert [url for url in asked if not url.startswith(("file:", "data:"))] == []
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(CHROMIUM is None, reason="needs the program chromium")
+def test_the_search_works_without_a_network(chromium: Any, site: Path) -> None:
+    window = chromium.new_page()
+    window.goto((site / "search.html").as_uri() + "?q=poison")
+    window.locator("#search-results li a").first.wait_for(timeout=20_000)
+    assert window.locator("#search-results li a[href*='poison-splat']").count()
     window.close()
