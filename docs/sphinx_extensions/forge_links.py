@@ -27,6 +27,9 @@ SHOWN_IN = {
 INSTEAD = {**SHOWN_IN, "README.md": "docs/start.md", "docs/README.md": "docs/index.md"}
 """File of the repository to the page that a link to it leads to."""
 
+WIDE = 70
+"""Signs of a line that is wrapped in a narrow window: then an empty line keeps commands apart."""
+
 _LINK = re.compile(r"(\]\()([^)#\s]+)(#[^)\s]*)?(\))")
 _COMMANDS = re.compile(r"^```sh\n.*?^```$", re.MULTILINE | re.DOTALL)
 _MODULES = re.compile(r"^```modules\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -71,8 +74,14 @@ def relinked(text: str, file: str, page: str) -> str:
 
 
 def with_comments_above(text: str) -> str:
-    """Markdown in which the comment of a command in a shell block stands in the line above it."""
-    return _COMMANDS.sub(lambda block: _COMMENT.sub(r"\2\n\1", block[0]), text)
+    """Markdown in which the comment of a command in a shell block stands in the line above it, apart from others."""
+
+    def apart(block: re.Match[str]) -> str:
+        opening, *commands, closing = block[0].splitlines()
+        between = "\n\n" if max(map(len, commands)) > WIDE else "\n"
+        return "\n".join([opening, between.join(_COMMENT.sub(r"\2\n\1", line) for line in commands if line), closing])
+
+    return _COMMANDS.sub(apart, text)
 
 
 def with_modules(text: str) -> str:
