@@ -18,7 +18,15 @@ version = release = installed("mi-splat")
 
 extensions = [
     *("myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"),
-    *("command_pages", "forge_links", "layer_diagram", "plain_types", "public_names", "result_tables"),
+    *(
+        "command_pages",
+        "forge_links",
+        "layer_diagram",
+        "narrow_windows",
+        "plain_types",
+        "public_names",
+        "result_tables",
+    ),
 ]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 root_doc = "index"

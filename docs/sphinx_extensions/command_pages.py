@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 FOLDER = Path("reference") / "commands"
+_OPTION = re.compile(r"(?<![\w-])--[a-z](?:[\w.-]*\w)?(?![\w`])")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -46,10 +47,11 @@ def page(name: str, summary: str) -> Iterator[str]:
     title = f"mi-splat {name}"
     yield from (title, "=" * len(title), "", f".. program:: {title}", "")
     for paragraph in re.split(r"\n\s*\n", parser.description or summary):
-        yield from (marked_up(paragraph), "")
+        if not paragraph.startswith(("Examples:", "See also:")):  # which stand below as code, and as links
+            yield from (marked_up(paragraph), "")
     yield from (".. code-block:: sh", "")
-    yield from (f"    mi-splat {line}" for line in module.EXAMPLES)
-    yield ""
+    for line in module.EXAMPLES:
+        yield from (f"    mi-splat {line}", "")
     for group in parser._action_groups:
         actions = [action for action in group._group_actions if "--help" not in action.option_strings]
         if actions:
@@ -74,10 +76,13 @@ def entry(action: argparse.Action) -> Iterator[str]:
 
 
 def marked_up(text: str) -> str:
-    """Plain text with `code` in it, as one line of reStructuredText."""
-    parts = " ".join(text.split()).split("`")
+    """Plain text with `code` and --options in it, as one line of reStructuredText."""
+    text = " ".join(text.split())
+    if "`" not in text:
+        text = _OPTION.sub(r"`\g<0>`", text)
+    parts = text.split("`")
     if len(parts) % 2 == 0:  # a lone backtick
-        return escaped(" ".join(text.split()))
+        return escaped(text)
     return "".join(f"``{part}``" if index % 2 else escaped(part) for index, part in enumerate(parts))
 
 

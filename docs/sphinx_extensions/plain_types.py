@@ -1,7 +1,6 @@
 """A signature names the types of its parameters alone. Their ranges stand on the pages of commands, and in errors.
 
 The value of a constant is shown where it is short, and no path: that would be one of the machine that builds the site.
-A long word of code may be broken, since a telephone is narrow; a short one never is.
 """
 
 from __future__ import annotations
@@ -14,8 +13,6 @@ if TYPE_CHECKING:
 
 LONGEST = 72
 """Signs of a value that is shown."""
-UNBROKEN = 28
-"""Signs of a word of code that is never broken."""
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -23,7 +20,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.setup_extension("sphinx.ext.autodoc")
     app.connect("autodoc-before-process-signature", without_ranges)
     app.connect("doctree-read", without_long_values)
-    app.connect("doctree-read", mark_long_words)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
@@ -46,12 +42,3 @@ def without_long_values(app: Sphinx, doctree: document) -> None:
         text = annotation.astext().strip()
         if text.startswith("=") and (len(text) > LONGEST or "Path(" in text):
             annotation.parent.remove(annotation)
-
-
-def mark_long_words(app: Sphinx, doctree: document) -> None:
-    """Give code with a word that is too long for a telephone a class, by which site.css lets it be broken."""
-    from docutils.nodes import literal
-
-    for code in doctree.findall(literal):
-        if max(map(len, code.astext().split()), default=0) > UNBROKEN:
-            code["classes"].append("long")
