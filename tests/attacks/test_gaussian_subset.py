@@ -1,14 +1,18 @@
 """One object of a scene as raw parameters: named in any way, and back without a changed bit elsewhere."""
 
 import math
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from attacks.gaussian_subset import GaussianSubset
 from attacks.observe.views import clamped_fraction, image_change, visible_box, visible_weight
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.images import quantise, through_png
+from mi_splat.io.documents import save_png
+from mi_splat.io.images import quantise, through_png, to_bytes
+from mi_splat.io.picture_files import load_picture
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.sh import sh_basis
 from tests.fakes import blobs, camera, toy_scene
@@ -147,7 +151,10 @@ def test_the_box_is_around_whole_pixels_of_at_least_half() -> None:
     assert box.tolist() == [3.0, 2.0, 7.0, 5.0]
 
 
-def test_eight_bits_there_and_back() -> None:
+def test_eight_bits_there_and_back(tmp_path: Path) -> None:
     picture = torch.rand(7, 5, 3) * 1.4 - 0.2
+    save_png(to_bytes(picture), tmp_path / "picture.png")
+    read = torch.from_numpy(np.asarray(load_picture(tmp_path / "picture.png").convert("RGB"), np.float32) / 255)
+    assert torch.equal(through_png(picture), read)
     assert torch.equal(through_png(picture), quantise(picture).float())
     assert torch.equal(quantise(quantise(picture)), quantise(picture))

@@ -179,10 +179,10 @@ def test_it_serves_until_it_is_told_to_stop(number: signal.Signals, splat: Path)
             assert process.stdout is not None
             address = process.stdout.readline().removeprefix("Open ").strip()
             assert address.startswith("http://127.0.0.1:"), address
-            with urllib.request.urlopen(address, timeout=10) as answer:
+            with urllib.request.urlopen(address, timeout=60) as answer:
                 assert answer.status == 200
             process.send_signal(number)
-            out, errors = process.communicate(timeout=30)
+            out, errors = process.communicate(timeout=120)
         finally:
             process.kill()
     assert (process.returncode, errors) == (0, "")

@@ -256,7 +256,7 @@ def test_dask_does_a_plan_and_blames_the_poisoned_alone(scheduler: str, tmp_path
     jobs = {str(number): walk(number, steps=1) for number in range(40)}
     for number in range(3):
         jobs[f"poisoned {number}"] = walk(number, trouble="kill")
-    limits = Limits(seconds=20.0)
+    limits = Limits(seconds=120.0)
     results = Driver(tmp_path, Cluster(tmp_path, scheduler, limits=limits)).run([grid(jobs)])
     assert {label for label, result in results.items() if isinstance(result, str)} == {
         f"poisoned {number}" for number in range(3)

@@ -53,7 +53,7 @@ def page() -> Iterator[Page]:
 def fetch(address: str, headers: dict[str, str]) -> tuple[int, str, dict[str, str]]:
     """Status, text and headers of an answer."""
     try:
-        with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=10) as answer:
+        with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=60) as answer:
             return answer.status, answer.read().decode(), dict(answer.headers)
     except urllib.error.HTTPError as error:
         with error:
@@ -281,7 +281,7 @@ def test_closing_leaves_no_thread_and_frees_the_port(capsys: pytest.CaptureFixtu
             browser.picture()
         with pytest.raises(InvalidValueError, match="expected a free port"):
             check_port("127.0.0.1", port)
-    end = time.monotonic() + 10
+    end = time.monotonic() + 60
     while set(threading.enumerate()) - before and time.monotonic() < end:
         time.sleep(0.05)
     assert not set(threading.enumerate()) - before

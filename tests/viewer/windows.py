@@ -15,7 +15,7 @@ from mi_splat.viewer.bench import Bench
 from mi_splat.viewer.painter import Painter
 from tests.viewer.wire import serving
 
-PATIENCE = 30.0
+PATIENCE = 120.0
 UNUSED = "'unsafe-eval' is not an allowed source of script"
 """What viser's own renderer of splats complains of, which the page does not use."""
 

@@ -19,7 +19,7 @@ from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.page import Page
 from mi_splat.viewer.painter import Painter
 
-PATIENCE = 20.0
+PATIENCE = 120.0
 """Seconds after which what does not come will never come."""
 
 
@@ -99,7 +99,7 @@ class Browser:
 
 def headers_of(address: str) -> dict[str, str]:
     """Headers of a page that was opened by its address."""
-    with urllib.request.urlopen(address, timeout=10) as answer:
+    with urllib.request.urlopen(address, timeout=PATIENCE) as answer:
         return {"Cookie": answer.headers["Set-Cookie"].partition(";")[0]}
 
 
