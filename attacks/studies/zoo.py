@@ -53,21 +53,19 @@ def comparison(title: str, groups: Sequence[Group]) -> Iterator[Table]:
         title: Of the part of the study.
         groups: Its groups.
     """
-    names = list(dict.fromkeys(group["labels"].get(AXIS) for group in groups))
-    if len(names) < 2 or not all(_told(group) for group in groups):
-        return
+    members = by_attack(groups)
     after = f": {title}" if title else ""
+    if not members:
+        return
     cells = {(group["labels"][AXIS], _elsewhere(group)): group for group in groups}
-    members = {name: [group for (label, _), group in cells.items() if label == name] for name in names}
-    columns: dict[str, Any] = {"attack": lambda name: str(name)}
+    columns: dict[str, Any] = {"attack": str}
     for other in dict.fromkeys(elsewhere for _, elsewhere in cells):
         columns[other or "all"] = lambda name, other=other: _reached(cells.get((name, other)))
-    columns["together"] = lambda name: _count(members[name], interval=True)
-    columns["random noise"] = lambda name: _noise(members[name])
+    columns["together"] = lambda name: _count(together(members[name]), interval=True)
+    columns["random noise"] = lambda name: "{noise_successes}/{noise_draws}".format_map(together(members[name]))
     columns["looks"] = lambda name: _spread(members[name], "evaluations")
     columns["CPU seconds"] = lambda name: _spread(members[name], "cpu_seconds")
-    columns["CPU seconds, mean"] = lambda name: _mean(members[name], "cpu_seconds")
-    yield Table.of(f"Attacks side by side{after} (successes; in brackets the lowest loss)", columns, names)
+    yield Table.of(f"Attacks side by side{after} (successes; in brackets the lowest loss)", columns, members)
     of_case: dict[str, Callable[[Case], str]] = {
         "case": lambda case: case.name or "all",
         "best with gradients": lambda case: _best(case.many),
@@ -75,6 +73,25 @@ def comparison(title: str, groups: Sequence[Group]) -> Iterator[Table]:
         "doubt": lambda case: "; ".join(case.doubts) or "none",
     }
     yield Table.of(f"Signs of doubt{after}", of_case, [case for case in cases(groups) if case.many and case.others])
+
+
+def by_attack(groups: Sequence[Group]) -> dict[str, list[Group]]:
+    """The groups of each optimiser; none where all have the same, or where the study is no comparison.
+
+    Args:
+        groups: Of one part.
+    """
+    members: dict[str, list[Group]] = {}
+    for group in groups if all(_told(group) for group in groups) else ():
+        members.setdefault(str(group["labels"].get(AXIS)), []).append(group)
+    return members if len(members) > 1 else {}
+
+
+def together(groups: Sequence[Group]) -> Group:
+    """The successes of several groups, and those of their noise."""
+    counts = {key: sum(group["success"][key] for group in groups) for key in ("successes", "total")}
+    noise = {key: sum(group[key] for group in groups) for key in ("noise_successes", "noise_draws")}
+    return {"success": Rate(**counts).as_dict(), **noise}
 
 
 def cases(groups: Sequence[Group]) -> list[Case]:
@@ -136,30 +153,19 @@ def _best(groups: Sequence[Group]) -> str:
 
 
 def _reached(group: Group | None) -> str:
-    return "-" if group is None else f"{_count([group])} ({group['loss']:.2f})"
+    return "-" if group is None else f"{_count(group)} ({group['loss']:.2f})"
 
 
-def _count(groups: Sequence[Group], *, interval: bool = False) -> str:
-    successes, total = (sum(group["success"][key] for group in groups) for key in ("successes", "total"))
-    low, high = Rate(successes=successes, total=total).interval
-    return f"{successes}/{total}" + (f" ({low:.2f} to {high:.2f})" if interval else "")
-
-
-def _noise(groups: Sequence[Group]) -> str:
-    return f"{sum(group['noise_successes'] for group in groups)}/{sum(group['noise_draws'] for group in groups)}"
-
-
-def _known(groups: Sequence[Group], key: str) -> list[float]:
-    return [group[key] for group in groups if group.get(key) is not None]
-
-
-def _mean(groups: Sequence[Group], key: str) -> str:
-    values = _known(groups, key)
-    return f"{sum(values) / len(values):.2f}" if values else "-"
+def _count(group: Group, *, interval: bool = False) -> str:
+    rate = Rate.of(group["success"])
+    low, high = rate.interval
+    return f"{rate.successes}/{rate.total}" + (f" ({low:.2f} to {high:.2f})" if interval else "")
 
 
 def _spread(groups: Sequence[Group], key: str) -> str:
-    """The smallest and the largest value of an optimiser's groups."""
-    values = _known(groups, key)
-    low, high = (f"{end(values):.3g}" if values else "-" for end in (min, max))
-    return low if low == high else f"{low} to {high}"
+    """The mean of an optimiser's groups, with the smallest and the largest value where these differ."""
+    values = [group[key] for group in groups if group.get(key) is not None]
+    if not values:
+        return "-"
+    low, mean, high = (f"{value:.3g}" for value in (min(values), sum(values) / len(values), max(values)))
+    return low if low == high else f"{mean} ({low} to {high})"

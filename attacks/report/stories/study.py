@@ -10,7 +10,7 @@ from attacks.rate import Rate
 from attacks.report.section import Chart, Figure, Line, Section
 from attacks.report.wording import capital, listed, plural, pooled, shared
 from attacks.studies.table import KINDS, attacks_of, by_part, tables, title_of
-from attacks.studies.zoo import doubts
+from attacks.studies.zoo import by_attack, doubts, together
 
 Record = Mapping[str, Any]
 _NUMBER = re.compile(r"\d+(\.\d+)?")
@@ -129,9 +129,11 @@ def _labels(look: Record) -> str:
 def _charts(record: Record) -> Iterator[Chart]:
     """The success of every line of a table, and what each judge reports, with noise beside it."""
     for title, groups in by_part(record["groups"]).items():
-        key, numbers = _key(groups[0]), tuple(map(str, range(1, len(groups) + 1)))
+        key, ticks, below = _key(groups[0]), tuple(map(str, range(1, len(groups) + 1))), "line of the table"
         what = "views with success" if key == "rate" else "attacks with the aim reached"
-        yield _chart(title or "The attacks", ("line of the table", what), groups, key, numbers)
+        if compared := by_attack(groups):
+            groups, ticks, below = [together(of_one) for of_one in compared.values()], tuple(compared), "attack"
+        yield _chart(title or "The attacks", (below, what), groups, key, ticks)
     for title, looks in by_part(record["looks"]).items():
         names = tuple(f"{look['detector']}, {_labels(look)}" for look in looks)
         for kind, meaning in KINDS.items():
