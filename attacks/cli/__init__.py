@@ -41,6 +41,7 @@ COMMANDS = {
     "detect": "what detectors see in pictures, splats and scenes",
     "evaluate": "how often an object is found, missed or misread, clean and attacked",
     "study": "many attacks and what they hang on, from one TOML file: plan, run, status",
+    "bench": "a row of the scoreboard: one suite of attacks, the same for every detector",
     "dagger-sanity": "whether DAGGER is a sane attack on an object and a detector, line by line",
     "poison": "change the pictures of a set, so that a splat of them hides an object, costs more, or is misread",
     "cloak": "poison training pictures, train on them, and measure who sees what (CLOAK)",

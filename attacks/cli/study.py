@@ -130,8 +130,8 @@ def _run(options: StudyOptions, study: Study) -> int:
     work = _work(study)
     work.check_room(options.store)
     with own_folder(out, STUDY_FILE), progress("preparing", total=None if work.searches else work.size) as advance:
-        engine = _engine(options, _follow(advance))
-        done = run_with(engine, study, work, store=options.store, out=out, on_event=_follow(advance))
+        engine = _engine(options, follow(advance))
+        done = run_with(engine, study, work, store=options.store, out=out, on_event=follow(advance))
     if options.json:
         show_json({"jobs": done.jobs, "failed": done.failed, "files": [str(path) for path in done.files]})
         return 1 if done.failed else 0
@@ -162,7 +162,7 @@ def _engine(options: StudyOptions, on_event: Callable[[Event], None]) -> Engine:
     return Processes(options.store, workers=workers, limits=limits, on_event=on_event)
 
 
-def _follow(advance: Advance) -> Callable[[Event], None]:
+def follow(advance: Advance) -> Callable[[Event], None]:
     """What shows the events of jobs."""
 
     def told(event: Event) -> None:
@@ -200,7 +200,7 @@ def _reuse(options: StudyOptions, study: Study) -> int:
     taken, changed = dict[str, dict[str, int]](), dict[str, str]()
     for kind in dict.fromkeys(job.kind for level in by_depth(_work(study).jobs().values()) for job in level):
         with progress("making some again") as advance:
-            engine = _engine(options, _follow(advance))
+            engine = _engine(options, follow(advance))
             try:
                 reused = reuse(Store(options.store), kind, engine, verify=options.verify, reason=options.reason)
             except InvalidValueError as error:

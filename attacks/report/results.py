@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from attacks.bench.row import figures as bench_figures
 from attacks.cloak.own_pictures import RECORD as POISONED
 from attacks.dagger.figures import figures as attack_figures
 from attacks.detectors.evaluation import figures as detector_figures
@@ -15,6 +16,7 @@ from attacks.report.stories import (
     attack,
     audit,
     audit_study,
+    bench,
     cloak,
     evaluation,
     poison_study,
@@ -65,6 +67,7 @@ STORIES = (
     Story(name="cloak-study", read=variations.read, figures=variations.figures),
     Story(name="audit", read=audit.read),
     Story(name="audit-study", read=audit_study.read),
+    Story(name="bench", read=bench.read, figures=bench_figures),
     Story(name="poison-study", read=poison_study.read, figures=poison_figures),
     Story(name="evaluate", read=evaluation.read, figures=evaluation.figures),
     Story(name="compare", read=renderers.read),

@@ -101,6 +101,9 @@ def write_pages(app: Sphinx) -> None:
     import study_tables
     from detector_figures import compared_page, table_page
 
+    from attacks.bench.row import defences, markdown
+    from mi_splat.io.parsing import read_json
+
     docs = Path(app.srcdir)
     for name in PAGES:
         path, text = docs / "tables" / f"{name}.md", page(name, docs / "artifacts")
@@ -108,6 +111,12 @@ def write_pages(app: Sphinx) -> None:
     for figures in sorted((docs / "tables" / "detectors").glob("*.json")):
         _write(figures.with_suffix(".md"), table_page(figures))
     _write(docs / "tables" / "detectors" / "compared.md", compared_page())
+    rows = [read_json(path) for path in sorted((docs / "bench" / "v1").glob("*.json"))]
+    for name, title, text in (
+        ("bench_v1", "The scoreboard: rows of detectors", markdown([row for row in rows if not row["defence"]])),
+        ("bench_v1_defences", "The scoreboard: rows of defences", defences(rows)),
+    ):
+        _write(docs / "tables" / f"{name}.md", f"# {title}\n\n{text}")
     for name in study_tables.STUDIES:
         _write(docs / "tables" / f"study_{name}.md", study_tables.page(name, docs / "tables"))
 

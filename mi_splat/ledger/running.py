@@ -184,12 +184,13 @@ def _run(store: Store, task: Task, on_event: OnEvent) -> None:
         on_event(Event(state="note", key=task.key, kind=task.kind, text=text))
 
     with store.making(task.key) as (temporary, partial):
-        begun = time.monotonic()
+        begun, cpu = time.monotonic(), time.process_time()
         out = Out(files=temporary / "files", kept=partial, progress=progress, note=note)
         rows: Sequence[Row] | None = kind.run(config, inputs, out)
         record = {
             **{"kind": task.kind, "config": task.config, "inputs": task.inputs, "code": task.code},
             **{"seconds": round(time.monotonic() - begun, 3), **origin()},
+            **{"cpu_seconds": round(time.process_time() - cpu, 3)},
             **{"varies": list(getattr(kind, "VARIES", ())), "rows": _checked(rows or (), task.kind)},
         }
         different = store.publish(temporary, record, task.key)

@@ -82,6 +82,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "notebooks of attacks": ("attacks.previews",),
     "test kit": ("attacks.testing",),
     "studies": ("attacks.studies",),
+    "scoreboard": ("attacks.bench",),
     "reports": ("attacks.report",),
     "command line": ("attacks.cli", "attacks.__main__"),
 }

@@ -9,6 +9,9 @@ from unittest.mock import patch
 
 import numpy as np
 
+from attacks.bench.row import Asked
+from attacks.bench.row import write as write_row
+from attacks.bench.suite import Suite
 from attacks.cli import main
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
@@ -16,6 +19,7 @@ from attacks.dagger.report import write_report
 from attacks.dagger.sanity.checks import Finding, write_findings
 from attacks.dagger.sanity.runs import Runs
 from attacks.objectives import relabel
+from attacks.observe.conditions import OWN
 from attacks.observe.rows import frame_of, write_rows
 from attacks.rate import Rate
 from attacks.studies.audit import figures as audit_figures
@@ -239,6 +243,23 @@ def write_poisoned(folder: Path) -> Path:
     return _write_by_command(folder, "poison", *names, "--box", *map(str, BALL), "--hide-from", "elevation:40-90")
 
 
+def write_bench(folder: Path) -> Path:
+    """A row of a suite of which one column is filled: half of twelve views hold."""
+    folder.mkdir()
+    suite = Suite(name="tiny", question="", surrogates=(), studies={}, digest="0" * 32)
+    rows: list[dict[str, Any]] = [
+        {"attack": f"camera {view}", "seed": 0, "splat": splat, "view": 0, "azimuth": 30.0 * view, "elevation": 10.0}
+        | {"original": "car", "score": score, "original_score": score, "detector": "fake_colour", "condition": OWN}
+        for view in range(12)
+        for splat, score in (("clean", 0.9), ("attacked", 0.1 if view % 2 else 0.9), ("noise", 0.9))
+    ]
+    attacks = {row["attack"]: {"column": "one_view", "labels": {"view": row["attack"]}, "knows": False} for row in rows}
+    asked = Asked(suite=suite, detector=ColourDetector(), weights="", defence="")
+    write_row(asked, attacks, rows, {"one_view": 1.0}, {}, folder)
+    write_manifest(folder)
+    return folder
+
+
 MAKERS: dict[str, Callable[[Path], Path]] = {
     "study": write_study,
     "dagger": write_dagger,
@@ -248,6 +269,7 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "dagger-sanity": write_sanity,
     "audit": write_audit,
     "audit-study": write_audit_study,
+    "bench": write_bench,
     "poison-study": write_poison_study,
     "evaluate": write_evaluation,
     "compare": write_comparison,

@@ -1,0 +1,303 @@
+"""The row of a suite: how often a detector still names what it named before, counted from the rows of its looks.
+
+Every rate is of views in which the detector names the clean object (the control). Higher is more robust. What cannot be
+judged is counted and not guessed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from attacks import tables
+from attacks.bench.suite import COLUMNS, HIDDEN, Suite, suite_digest
+from attacks.observe.measures import REPORTED
+from attacks.observe.rates import Measure, blocks_of, count
+from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS, SUFFIX, frame_of, write_rows
+from attacks.rate import Rate
+from attacks.tables import Table, cell
+from mi_splat import provenance
+from mi_splat.errors import InvalidValueError
+from mi_splat.io.documents import save_json, save_text
+from mi_splat.io.folders import RECORD
+from mi_splat.io.parsing import DocumentReader
+
+if TYPE_CHECKING:
+    from attacks.detectors.base import Detector
+
+STORY, ROW, TABLE = "bench", "row.json", "row.md"
+DEFENDED = "defended"
+"""What rows call the condition with the defence."""
+LEAST = 10
+"""Views that have to be judged for a column to have a rate."""
+KNOWS: Mapping[str, Mapping[str, Any]] = {
+    f"SH of degree {degree}": {"attack": {"sh_degree": degree}} for degree in range(3)
+}
+"""Of defences what an attacker who knows them does otherwise."""
+HEADS = {"one_view": "one view", "all_views": "all views", "cloak": "CLOAK", "transfer": "transfer"}
+"""Columns in words."""
+NOT_IN_ROW = ("attacks", "command", "story")
+"""What the record of a result has, and its row has not."""
+_KEYS = ["columns", "commit", "cpu_seconds", "defence", "detector", "missing", "score", "suite", "torch"]
+_KEYS += ["variant", "versions"]
+READER = DocumentReader(expected="a row of mi-splat bench", do="pass what mi-splat bench has written", most=1 << 20)
+"""Reads rows."""
+Record = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Asked:
+    """Who was asked what.
+
+    Attributes:
+        suite: The suite.
+        detector: Who was asked.
+        weights: SHA-256 of the file of its weights; empty where no file has them.
+        defence: Name of the defence; empty for none.
+    """
+
+    suite: Suite
+    detector: Detector
+    weights: str
+    defence: str
+
+
+def write(
+    asked: Asked,
+    attacks: Record,
+    rows: Sequence[Mapping[str, Any]],
+    seconds: Mapping[str, float],
+    missing: Mapping[str, str],
+    out: Path,
+) -> list[Path]:
+    """Write rows.csv.gz, result.json, and the row as row.json and row.md into a folder that is there.
+
+    Args:
+        asked: Who was asked what.
+        attacks: Column and labels of each attack of the rows.
+        rows: Of all looks.
+        seconds: CPU seconds by column.
+        missing: Why a column has no rate, by column.
+        out: The folder.
+
+    Returns:
+        The files.
+    """
+    suite, detector, table = asked.suite, asked.detector, frame_of(rows)
+    record: dict[str, Any] = {
+        "story": STORY,
+        "suite": {"name": suite.name, "digest": suite.digest, "secret": suite.secret},
+        "detector": {
+            "name": detector.name,
+            "fingerprint": detector.fingerprint,
+            "weights": asked.weights,
+            "classes": len(detector.classes),
+        },
+        "defence": asked.defence,
+        "missing": dict(missing),
+        "cpu_seconds": {**seconds, "all": round(sum(seconds.values()), 1)},
+        "attacks": attacks,
+        **provenance.origin(),
+    }
+    record |= figures(record, {ROWS: table})
+    paths = [out / name for name in (f"{ROWS}{SUFFIX}", RECORD, ROW, TABLE)]
+    write_rows(table, paths[0])
+    save_json(record, paths[1])
+    save_json(row_of(record), paths[2])
+    save_text(markdown([row_of(record)]), paths[3])
+    return paths
+
+
+def row_of(record: Record) -> dict[str, Any]:
+    """What of a record is its row."""
+    return {key: value for key, value in record.items() if key not in NOT_IN_ROW}
+
+
+def figures(record: Record, frames: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+    """Every figure of a suite, of its rows.
+
+    Args:
+        record: What its attacks are of, at `attacks`.
+        frames: Its tables.
+    """
+    attacks, rows = record["attacks"], frames[ROWS]
+    columns = {name: _column(attacks, rows, name) for name in COLUMNS}
+    scored = [entry["robust"] for entry in columns.values() if entry["robust"] is not None]
+    whole = len(scored) == len(COLUMNS) and not record["missing"]
+    return {"columns": columns, "score": _score(scored) if whole else None}
+
+
+def _score(rates: Sequence[Record]) -> dict[str, Any]:
+    """The mean of the columns; its interval takes them for independent."""
+    mean = sum(rate["rate"] for rate in rates) / len(rates)
+    low, high = (
+        math.sqrt(sum((rate["rate"] - rate["interval"][end]) ** 2 for rate in rates)) / len(rates) for end in (0, 1)
+    )
+    return {"mean": round(mean, 6), "interval": [round(max(0.0, mean - low), 6), round(min(1.0, mean + high), 6)]}
+
+
+def _column(attacks: Record, rows: pl.DataFrame, column: str) -> dict[str, Any]:
+    """The figures of a column."""
+    mine = {name: attack for name, attack in attacks.items() if attack["column"] == column}
+    blind = rows.filter(pl.col("attack").is_in([name for name, attack in mine.items() if not attack["knows"]]))
+    looked = judged(blind)
+    robust = _rates(looked, {"robust": ATTACKED})["robust"]
+    clean = blind.filter(pl.col("splat") == CLEAN, pl.col("condition") != DEFENDED)
+    told: dict[str, Any] = {
+        "robust": robust.as_dict() if robust.total >= LEAST else None,
+        "named_clean": Rate(successes=int((clean["original_score"] >= REPORTED).sum()), total=len(clean)).as_dict(),
+        "judged": robust.total,
+        "noise": _rates(looked, {"noise": NOISE})["noise"].as_dict(),
+        "by": {},
+    }
+    for label in dict.fromkeys(", ".join(map(str, attack["labels"].values())) for attack in mine.values()):
+        names = [name for name, attack in mine.items() if ", ".join(map(str, attack["labels"].values())) == label]
+        rate = _rates(looked.filter(pl.col("attack").is_in(names)), {"robust": ATTACKED})["robust"]
+        told["by"][label] = {"successes": rate.successes, "total": rate.total}
+    if DEFENDED in blind["condition"]:
+        under = _rates(looked, {"robust": ATTACKED, "clean": CLEAN}, DEFENDED)
+        aware = rows.filter(pl.col("attack").is_in([name for name, attack in mine.items() if attack["knows"]]))
+        under |= _rates(judged(aware), {"robust_who_knows": ATTACKED}, DEFENDED) if len(aware) else {}
+        told["defended"] = {name: rate.as_dict() for name, rate in under.items()}
+    return told
+
+
+def judged(rows: pl.DataFrame) -> pl.DataFrame:
+    """The rows of views in which the clean object is named without a defence, with the block of their camera."""
+    if rows.is_empty():
+        return rows.with_columns(block=pl.lit("", pl.String))
+    on = ["attack", "seed", "view"]
+    control = rows.filter(
+        pl.col("splat") == CLEAN, pl.col("condition") != DEFENDED, pl.col("original_score") >= REPORTED
+    )
+    block = pl.concat_str(pl.col("original"), blocks_of("azimuth", "elevation").cast(pl.String), separator=" ")
+    return rows.join(control.select(on).unique(), on=on, maintain_order="left").with_columns(block=block)
+
+
+def _rates(rows: pl.DataFrame, wanted: Mapping[str, str], condition: str = "") -> dict[str, Rate]:
+    """How often the object is still named on splats, with the interval of blocks of cameras and of seeds.
+
+    Args:
+        rows: Of `judged`.
+        wanted: Splats, by the name of the rate.
+        condition: That of the defence; empty for none.
+    """
+    under = pl.col("condition") == DEFENDED if condition else pl.col("condition") != DEFENDED
+    measures = {
+        name: Measure(holds=pl.col("original_score") >= REPORTED, given=under & (pl.col("splat") == splat))
+        for name, splat in wanted.items()
+    }
+    none = {name: Rate(successes=0, total=0) for name in wanted}
+    return none if rows.is_empty() else count(rows, measures, clusters=("block", "seed"))[()]
+
+
+def markdown(rows: Sequence[Record]) -> str:
+    """A table of rows, the highest score first; those without one are below, and have no rank."""
+    ranked = sorted((row for row in rows if row["score"]), key=lambda row: -row["score"]["mean"])
+    others = sorted((row for row in rows if not row["score"]), key=lambda row: str(row["detector"]["name"]))
+    lines = [*((str(number + 1), row) for number, row in enumerate(ranked)), *(("-", row) for row in others)]
+    heads: dict[str, Any] = {"rank": lambda line: line[0], "detector": lambda line: line[1]["detector"]["name"]}
+    heads["score"] = lambda line: _score_words(line[1]["score"])
+    for column, head in HEADS.items():
+        heads[head] = lambda line, column=column: _cell(line[1], column)
+    heads["clean object named"] = lambda line: _named(line[1])
+    heads["CPU minutes"] = lambda line: f"{line[1]['cpu_seconds']['all'] / 60:.1f}"
+    table = Table.of("", heads, lines)
+    return tables.markdown(table.head, table.rows) + "\n"
+
+
+def defences(rows: Sequence[Record]) -> str:
+    """A table of what defences save and cost; a line for each defence, detector and column."""
+    lines = [
+        (row, column, row["columns"][column])
+        for row in sorted(rows, key=lambda row: (row["defence"], row["detector"]["name"]))
+        for column in COLUMNS
+        if row["defence"] and row["columns"][column].get("defended")
+    ]
+    heads: dict[str, Any] = {
+        "defence": lambda line: line[0]["defence"],
+        "detector": lambda line: line[0]["detector"]["name"],
+        "attack": lambda line: HEADS[line[1]],
+        "without it": lambda line: cell(line[2]["robust"]),
+        "with it": lambda line: cell(line[2]["defended"]["robust"]),
+        "the attacker knows it": lambda line: cell(line[2]["defended"].get("robust_who_knows")),
+        "clean, with it": lambda line: cell(line[2]["defended"]["clean"]),
+    }
+    table = Table.of("", heads, lines)
+    return tables.markdown(table.head, table.rows) + "\n"
+
+
+def check_row(path: Path) -> dict[str, Any]:
+    """A row that somebody hands in: what can be checked without its raw rows.
+
+    Args:
+        path: A row.json.
+
+    Returns:
+        The row.
+
+    Raises:
+        InvalidValueError: A part is missing, a rate is not that of its counts, the score is not that of the rates, or
+            the suite is none that is here.
+    """
+    row = READER.read_json(path)
+    try:
+        suite, columns = row["suite"], row["columns"]
+        name = str(suite["name"]).removesuffix(HIDDEN)
+        _same(path, "keys", sorted(row), _KEYS)
+        _same(path, "columns", [*columns], [*COLUMNS])
+        _same(path, f"digest of the suite {name}", suite["digest"], suite_digest(name))
+        _same(path, "a secret", bool(suite["secret"]), str(suite["name"]).endswith(HIDDEN))
+        for column, told in columns.items():
+            for where, rate in _rates_in(told, column):
+                _same(path, where, rate["rate"], Rate.of(rate).as_dict()["rate"])
+            parts = [*told["by"].values()]
+            if told["robust"] is not None:
+                sums = [sum(part[key] for part in parts) for key in ("successes", "total")]
+                _same(path, f"{column}, its parts", sums, [told["robust"]["successes"], told["robust"]["total"]])
+            _same(path, f"{column}, judged", told["judged"], sum(part["total"] for part in parts))
+            _same(path, f"{column}, filled", told["robust"] is not None, told["judged"] >= LEAST)
+        filled = [told["robust"] for told in columns.values() if told["robust"] is not None]
+        whole = len(filled) == len(COLUMNS) and not row["missing"]
+        _same(path, "score", row["score"], _score(filled) if whole else None)
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        if isinstance(error, InvalidValueError):
+            raise
+        expected, got = "a row that mi-splat bench has written", f"{type(error).__name__}: {error}"
+        raise InvalidValueError.of(str(path), expected, got, "hand in row.json as it is") from error
+    return row
+
+
+def _rates_in(value: Any, where: str) -> Iterator[tuple[str, Record]]:
+    if isinstance(value, Mapping) and "interval" in value:
+        yield where, value
+    elif isinstance(value, Mapping):
+        for key, part in value.items():
+            yield from _rates_in(part, f"{where}, {key}")
+
+
+def _same(path: Path, what: str, got: object, expected: object) -> None:
+    if got != expected:
+        do = "hand in row.json as mi-splat bench has written it"
+        raise InvalidValueError.of(f"{path}, {what}", str(expected), str(got), do)
+
+
+def _score_words(score: Record | None) -> str:
+    return "-" if score is None else f"{score['mean']:.2f} ({score['interval'][0]:.2f} to {score['interval'][1]:.2f})"
+
+
+def _cell(row: Record, column: str) -> str:
+    told = row["columns"][column]
+    if told["robust"] is not None:
+        return cell(told["robust"])
+    return "not filled" if column in row["missing"] else f"cannot judge ({told['judged']} views)"
+
+
+def _named(row: Record) -> str:
+    rates = [Rate.of(row["columns"][column]["named_clean"]) for column in COLUMNS]
+    return f"{sum(rate.successes for rate in rates)}/{sum(rate.total for rate in rates)}"

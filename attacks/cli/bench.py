@@ -1,0 +1,133 @@
+"""`mi-splat bench`: one row of the scoreboard: how robust a detector is, or what a defence is worth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from attacks.cli.options import Workers, chosen_workers
+from mi_splat.cli.console import limit_threads, progress, show, show_json, warn
+from mi_splat.cli.flags import Positional
+from mi_splat.cli.options import JsonOptions
+from mi_splat.errors import InvalidValueError
+from mi_splat.fields import Called, Folder
+
+EXAMPLES = (
+    "bench fasterrcnn_small",
+    "bench fasterrcnn_small --weights mine.safetensors --out out/bench/mine",
+    "bench fasterrcnn_small --defence .spz",
+    "bench --rescore out/bench/v1/fasterrcnn_small",
+    "bench --check docs/bench/v1/fasterrcnn_small.json",
+)
+SEE_ALSO = ("study", "evaluate", "artifact-check")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchOptions(JsonOptions):
+    """Do a suite of attacks, the same for everybody, and write one row: how often a detector still names the object.
+
+    Columns: DAGGER from one view, DAGGER for all views, CLOAK, and attacks that were made on other detectors. Only
+    views count in which the detector names the clean object. Higher is more robust. A run that was killed goes on where
+    it stopped. Run it in a checkout, where scenes/suites is.
+    """
+
+    detector: Positional[str] = "fasterrcnn_small"
+    """Name of the detector (see `mi-splat detectors`)."""
+    suite: str = "v1"
+    """Name of the suite; v1-hidden has the seeds of --secret. Or a folder."""
+    secret: Path | None = None
+    """File that the seeds of a hidden suite are drawn from; its SHA-256 stands in the row, and it does not."""
+    weights: Path | None = None
+    """File with weights of the detector; None takes the shipped or published ones."""
+    defence: Annotated[str, Called("CONDITION")] | None = None
+    """What comes before the detector: a condition, as "SH of degree 1", "JPEG 60" or that of a plug-in."""
+    columns: tuple[str, ...] = ()
+    """Columns to do now; none does all. The row has those that are done."""
+    store: Folder = Path("out/store")
+    """Folder of finished jobs; what no detector has a part in is made there once for all."""
+    out: Folder | None = None
+    """Folder for the row and its raw rows; None is out/bench/SUITE/NAME."""
+    workers: Workers | None = None
+    """Processes that do jobs side by side; None is one for each core if memory allows; 0 does them in this one."""
+    rescore: Folder | None = None
+    """Derive the row of a finished folder again from its raw rows, and compare; nothing else is done."""
+    check: tuple[Path, ...] = ()
+    """Check rows that somebody hands in; nothing else is done."""
+
+
+def run(options: BenchOptions) -> int:
+    """Do what is asked for."""
+    from attacks.bench.row import check_row, markdown
+
+    if options.check or options.rescore:
+        rows = [check_row(path) for path in options.check]
+        rows += [rescored(options.rescore)] if options.rescore else []
+        if options.json:
+            show_json({"rows": rows})
+        else:
+            show(markdown(rows))
+        return 0
+    return _bench(options)
+
+
+def _bench(options: BenchOptions) -> int:
+    """Do the jobs of a suite, and write the row."""
+    from attacks.bench.row import ROW, TABLE
+    from attacks.bench.suite import read_suite
+    from attacks.bench.work import BenchWork
+    from attacks.cli.study import follow
+    from attacks.studies.running import run_with
+    from mi_splat.io.folders import check_own_folder, own_folder
+    from mi_splat.io.parsing import read_json
+    from mi_splat.ledger.engines import InProcess, Processes
+
+    limit_threads(1)
+    suite = read_suite(options.suite, options.secret)
+    work = BenchWork(
+        suite, options.detector, weights=options.weights, defence=options.defence or "", columns=options.columns
+    )
+    out = options.out or Path("out/bench") / suite.name / options.detector
+    check_own_folder(out, ROW)
+    workers = 0 if options.weights else chosen_workers(options.workers)  # other processes do not know the file
+    with own_folder(out, ROW), progress("preparing", total=work.size) as advance:
+        told = follow(advance)
+        store = options.store
+        engine = Processes(store, workers=workers, on_event=told) if workers else InProcess(store, on_event=told)
+        done = run_with(engine, work.study, work, store=store, out=out, on_event=told)
+    for label, text in done.failed.items():
+        warn(f"{label}: {text.strip().splitlines()[-1]}")
+    if options.json:
+        show_json({"failed": done.failed, "out": str(out), "row": read_json(out / ROW) if done.files else None})
+    elif done.files:
+        show((out / TABLE).read_text())
+        show(f"{out}: {ROW} is the row, rows.csv.gz has every look; mi-splat bench --rescore {out} counts them again.")
+    return 1 if done.failed else 0
+
+
+def rescored(folder: Path) -> dict[str, Any]:
+    """The row of a folder, derived again from its raw rows.
+
+    Args:
+        folder: That a run has written.
+
+    Returns:
+        The row.
+
+    Raises:
+        InvalidValueError: A file was changed, or the row is not what the rows give.
+    """
+    import json
+
+    from attacks.bench.row import READER, ROW, STORY, figures, row_of
+    from attacks.report.checking import check_result, read_result
+
+    result = read_result(folder)
+    red = next((line for line in check_result(result, figures) if line.passed is False), None)
+    stated = READER.read_json(folder / ROW)
+    again = json.loads(json.dumps(row_of({**result.record, **figures(result.record, result.tables)})))
+    got = f"{red.name}: {red.words}" if red is not None else "another row" if again != stated else ""
+    if result.story != STORY or got:
+        expected, do = "the row that its rows give", "make it again: it was changed"
+        raise InvalidValueError.of(str(folder), expected, got or f"a {result.story}", do)
+    return stated

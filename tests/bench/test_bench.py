@@ -1,0 +1,240 @@
+"""`mi-splat bench` with a tiny suite and toy detectors: what a row says, and what makes it be refused."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from attacks import cli
+from attacks.bench.row import check_row
+from attacks.bench.suite import SUITES, read_suite
+from attacks.cli.bench import rescored
+from attacks.observe.rows import read_rows
+from attacks.studies import attack as attack_kind
+from mi_splat.errors import InvalidValueError
+from mi_splat.io.manifest import write_manifest
+from mi_splat.ledger import engines
+from tests.studies.toy import toys, write_toy
+
+__all__ = ["toys"]
+pytestmark = pytest.mark.usefixtures("toys")
+FILES = {
+    "suite": 'question = "Does it still see it?"\nsurrogates = ["fake_colour", "fake_coarse"]\n',
+    "one_view": """
+study = "dagger"
+scene = "{scene}"
+object = "car"
+aim = "untargeted"
+attack = {{ steps = 4, noise_draws = 0 }}
+[matrix]
+seed = [0, 1, 2]
+camera = [0, 1]
+budget = [{{ name = "weak", attack = {{ eps = 0.001 }} }}, {{ name = "strong", attack = {{ eps = 12.0 }} }}]
+""",
+    "transfer": """
+base = "one_view.toml"
+attack = {{ early_stop = false }}
+""",
+    "all_views": """
+study = "dagger-eot"
+scene = "{scene}"
+object = "car"
+aim = "untargeted"
+cameras = {{ azimuths = [-120.0, -60.0], elevations = [0.0, 10.0], distances = [0.9, 1.1] }}
+seed = 5
+[attack]
+eps = 2.0
+steps = 4
+batch = 1
+pool = 4
+validation = 2
+validate_every = 2
+held_out = 12
+judge_seed = 77
+optimiser = "momentum"
+image_psnr = "none"
+""",
+}
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a suite without CLOAK."""
+    folder = tmp_path_factory.mktemp("suites") / "tiny"
+    folder.mkdir()
+    scene = write_toy(folder / "scene")
+    for name, text in FILES.items():
+        (folder / f"{name}.toml").write_text(text.format(scene=scene))
+    return folder
+
+
+def bench(suite: Path, out: str, *words: str) -> int:
+    folder = suite.parent
+    line = ["bench", "fake_colour", "--suite", str(suite), "--store", str(folder / "store"), "--workers", "0"]
+    return cli.main([*line, "--out", str(folder / out), *words])
+
+
+def read(path: Path) -> dict[str, Any]:
+    record: dict[str, Any] = json.loads(path.read_text())
+    return record
+
+
+@pytest.fixture(scope="module")
+def out(suite: Path, toys: None) -> Path:
+    """The folder of a row."""
+    assert bench(suite, "row") == 0
+    return suite.parent / "row"
+
+
+def test_a_row_counts_what_is_still_named(out: Path) -> None:
+    row = read(out / "row.json")
+    one = row["columns"]["one_view"]
+    weak, strong = ({key: value for key, value in one["by"].items() if name in key} for name in ("weak", "strong"))
+    assert [part["successes"] for part in weak.values()] == [3, 3]
+    assert [part["successes"] for part in strong.values()] == [0, 0]
+    assert (one["robust"]["successes"], one["judged"], one["named_clean"]["rate"]) == (6, 12, 1.0)
+    low, high = one["robust"]["interval"]
+    assert low < 0.5 < high
+    assert row["columns"]["all_views"]["judged"] == 12
+    assert row["columns"]["all_views"]["robust"]["rate"] < 0.5
+    assert row["columns"]["transfer"]["judged"] == 12
+    assert row["columns"]["cloak"] == {
+        **{"robust": None, "judged": 0, "by": {}},
+        "named_clean": {"rate": None, "successes": 0, "total": 0, "interval": [0.0, 1.0]},
+        "noise": {"rate": None, "successes": 0, "total": 0, "interval": [0.0, 1.0]},
+    }
+    assert row["score"] is None
+    assert "| - | fake_colour | - |" in (out / "row.md").read_text()
+    assert set(row["cpu_seconds"]) == {"one_view", "all_views", "transfer", "shared", "all"}
+
+
+def test_surrogates_are_others(out: Path) -> None:
+    rows = read_rows(out / "rows.csv.gz")
+    assert set(rows["detector"]) == {"fake_colour"}
+    record = read(out / "result.json")
+    assert len(record["attacks"]) == 12 + 1 + 12
+    looks = rows.filter(rows["attack"].str.starts_with("transfer"))
+    assert len(looks) == 12 * 3
+    made = {row["original_score"] for row in looks.iter_rows(named=True) if row["splat"] == "attacked"}
+    assert made != {row["original_score"] for row in rows.iter_rows(named=True) if row["splat"] == "clean"}
+
+
+def test_a_killed_run_goes_on(suite: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done, ran = [0], attack_kind.run
+
+    def killed(*given: Any) -> Any:
+        done[0] += 1
+        if done[0] > 3:
+            raise KeyboardInterrupt
+        return ran(*given)
+
+    store = str(suite.parent / "second")
+    monkeypatch.setattr(attack_kind, "run", killed)
+    words = ("--store", store, "--columns", "one_view")
+    assert bench(suite, "again", *words) == cli.INTERRUPTED
+    assert not (suite.parent / "again" / "row.json").exists()
+
+    def counted(*given: Any) -> Any:
+        done.append(1)
+        return ran(*given)
+
+    monkeypatch.setattr(attack_kind, "run", counted)
+    assert bench(suite, "again", *words) == 0
+    assert len(done) - 1 == 12 - 3
+    first, second = (read(folder / "row.json") for folder in (out, suite.parent / "again"))
+    assert second["columns"]["one_view"] == first["columns"]["one_view"]
+
+
+def test_a_row_is_counted_again_without_attacks(
+    out: Path, suite: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(engines, "run_job", None)
+    assert cli.main(["bench", "--rescore", str(out)]) == 0
+    assert "6 of 12" in capsys.readouterr().out
+    assert cli.main(["artifact-check", str(out)]) == 0
+
+
+def test_a_changed_folder_is_refused(out: Path, suite: Path, tmp_path: Path) -> None:
+    for name in ("rows.csv.gz", "result.json", "row.json", "row.md"):
+        (tmp_path / name).write_bytes((out / name).read_bytes())
+    row = read(tmp_path / "row.json")
+    row["columns"]["one_view"]["robust"] |= {"successes": 12, "rate": 1.0}
+    (tmp_path / "row.json").write_text(json.dumps(row))
+    write_manifest(tmp_path)
+    with pytest.raises(InvalidValueError, match="got another row"):
+        rescored(tmp_path)
+    rows = (out / "rows.csv.gz").read_bytes()
+    (tmp_path / "rows.csv.gz").write_bytes(rows[:-1] + bytes([rows[-1] ^ 1]))
+    with pytest.raises(InvalidValueError, match=r"rows\.csv\.gz"):
+        rescored(tmp_path)
+
+
+def test_a_row_is_checked_by_itself(out: Path, suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / SUITES).mkdir(parents=True)
+    (tmp_path / SUITES / "tiny").symlink_to(suite)
+    assert check_row(out / "row.json")["detector"]["name"] == "fake_colour"
+    wrong: tuple[tuple[str, dict[str, Any]], ...] = (
+        ("rate", {"robust": {"successes": 6, "total": 12, "rate": 0.9, "interval": [0.1, 0.95]}}),
+        ("its parts", {"robust": {"successes": 12, "total": 12, "rate": 1.0, "interval": [0.8, 1.0]}}),
+        ("judged", {"judged": 11}),
+    )
+    for _, change in wrong:
+        row = read(out / "row.json")
+        row["columns"]["one_view"] |= change
+        (tmp_path / "row.json").write_text(json.dumps(row))
+        with pytest.raises(InvalidValueError, match="one_view"):
+            check_row(tmp_path / "row.json")
+    for change in ({"suite": {"name": "tiny", "digest": "0" * 32, "secret": ""}}, {"score": {"mean": 1.0}}):
+        (tmp_path / "row.json").write_text(json.dumps({**read(out / "row.json"), **change}))
+        with pytest.raises(InvalidValueError, match=r"digest|score"):
+            check_row(tmp_path / "row.json")
+    (tmp_path / "row.json").write_text("[]")
+    with pytest.raises(InvalidValueError, match="a row"):
+        check_row(tmp_path / "row.json")
+
+
+def test_a_defence_is_judged_on_the_same_views(suite: Path, out: Path) -> None:
+    assert bench(suite, "defended", "--defence", "SH of degree 0", "--columns", "one_view") == 0
+    row = read(suite.parent / "defended" / "row.json")
+    one = row["columns"]["one_view"]
+    assert one["robust"] == read(out / "row.json")["columns"]["one_view"]["robust"]
+    defended = one["defended"]
+    assert {rate["total"] for rate in defended.values()} == {12}
+    assert set(defended) == {"robust", "clean", "robust_who_knows"}
+    assert defended["clean"]["rate"] == 1.0
+    assert defended["robust_who_knows"]["rate"] <= defended["robust"]["rate"]
+
+
+def test_a_hidden_suite_has_other_seeds_and_the_same_digest(suite: Path, tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text("correct horse battery\n")
+    (tmp_path / "other").write_text("another long secret\n")
+    known = read_suite(str(suite))
+    hidden, other = (read_suite(f"{suite}-hidden", tmp_path / name) for name in ("secret", "other"))
+    assert hidden.digest == known.digest
+    assert hidden.name == "tiny-hidden"
+    assert "horse" not in hidden.secret
+    seeds = [one.studies["one_view"]["matrix"]["seed"] for one in (known, hidden, other)]
+    assert seeds[0] == [0, 1, 2]
+    assert len({*seeds[0], *seeds[1], *seeds[2]}) == 9
+    assert hidden.studies["all_views"]["attack"]["judge_seed"] != 77
+    assert hidden.studies["one_view"]["matrix"]["camera"] == [0, 1]
+    with pytest.raises(InvalidValueError, match="secret"):
+        read_suite(f"{suite}-hidden")
+    with pytest.raises(InvalidValueError, match="secret"):
+        read_suite(str(suite), tmp_path / "secret")
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (("fasterrcnn_smal",), "fasterrcnn_small"),
+        (("fake_colour", "--suite", "v11"), "suite: expected v1"),
+        (("fake_colour", "--defence", "SH of degree 9"), "SH of degree"),
+        (("fake_colour", "--columns", "one-view"), "one_view"),
+    ],
+)
+def test_what_is_not_there_is_said(words: tuple[str, ...], text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["bench", *words]) == cli.FAILED
+    assert text in capsys.readouterr().err
