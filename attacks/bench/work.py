@@ -177,7 +177,7 @@ class BenchWork(Work):
         rows, attacks = list[dict[str, Any]](), dict[str, Any]()
         for entry in self.attempts:
             mine = [done.get(job.identity) for job in entry.jobs().values()]
-            whole = [one for one in mine if one is not None]
+            whole = [result for result in mine if result is not None]
             if len(whole) < len(mine):
                 self.missing[entry.column] = "a job has failed"
                 continue

@@ -57,7 +57,11 @@ class BenchOptions(JsonOptions):
 
 
 def run(options: BenchOptions) -> int:
-    """Do what is asked for."""
+    """Do what is asked for; the exit status is 1 if a job has failed.
+
+    Returns:
+        The exit status.
+    """
     from attacks.bench.row import check_row, markdown
 
     if options.check or options.rescore:
