@@ -1,9 +1,9 @@
 """Functions for `on_step`: a progress bar for terminals and notebooks, and the curves of TensorBoard.
 
-```python
-with bar(config.steps + 1, "attack") as on_step:
-    result = attack(..., on_step=on_step)
-```
+For instance::
+
+    with bar(config.steps + 1, "attack") as on_step:
+        result = attack(..., on_step=on_step)
 
 An `on_step` of this library gets either a step that has figures (a search, a training), or two numbers: what is done,
 and what is wanted.

@@ -298,7 +298,7 @@ def strict_in_docs(derived: Mapping[str, Any]) -> list[str]:
         looks = rows.filter(pl.col("attack").is_in(these)).select(a=wanted, b=wanted & gone, c=wanted | gone)
         of_all = " | ".join(f"{sum(column)}/{len(column)}" for column in looks)
         lines.append(f"| {name} | {of_all} |")
-    return lines + [f" dB | {' | '.join(values)} |" for values in cells.values()]
+    return lines + [f" dB | {', '.join(values)} |" for values in cells.values()]
 
 
 def strict_smallest(derived: Mapping[str, Any]) -> list[str]:
