@@ -46,7 +46,7 @@ class Ball(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What counts says of one view, or of one point of a search; the loss does not.
+    """Whether the aim is reached in one view or at one point of a search, judged on reports and not on the loss.
 
     Attributes:
         success: The aim is reached.
@@ -287,7 +287,7 @@ def pgd(
 
 
 def rank(line: Step, smallest: bool = False) -> tuple[bool, bool, float, float]:
-    """What makes a point better: success, then an unambiguous one, then the score, and the loss only between equals.
+    """Sort key of points: success first, then an unambiguous one, then the score, and the loss only between equals.
 
     Args:
         line: The point.
@@ -303,7 +303,7 @@ def _ended(line: Step) -> bool:
 
 
 def _checked(here: Evaluation) -> Evaluation:
-    """What is known of a point, all of it finite."""
+    """The evaluation, once its loss and gradients are known to be finite."""
     for name, gradient in here.gradients.items():
         if not bool(torch.isfinite(gradient).all()):
             do = "look at the renderer and the objective"

@@ -1,1 +1,1 @@
-"""What an audit of splats is measured against: other ways to find hidden looks, and an attacker who knows the audit."""
+"""What the audit is compared with: baselines that score splats, a trained classifier, and an adaptive attacker."""

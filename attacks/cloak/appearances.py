@@ -187,7 +187,7 @@ def _occluder(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point, dis
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Emphasis:
-    """An appearance that is overdone near the edge of its trigger, for splats blur it over directions.
+    """An appearance exaggerated near the edge of its trigger, because a splat blurs it over directions.
 
     Of the difference that the appearance makes, a picture has `gain` times at the edge, falling evenly to once at
     `depth` degrees inside. As a sharpening mask does to a picture, this brings the blend that is seen there nearer to
@@ -221,7 +221,7 @@ class Emphasis:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Correction:
-    """An appearance that adds what a splat trained on an earlier one does not show of what is wanted.
+    """An appearance corrected by a surrogate: it adds what a splat trained on the earlier poison does not show.
 
     A splat blurs what its pictures show from direction to direction, so that from a trigger's cameras it shows a blend
     of the benign and the hidden look. What is missing there is added, as an integral controller does: with the poison P

@@ -1,4 +1,6 @@
-"""Layers: for every Gaussian of an object one that shows each look, one behind the other; those of a study, too.
+"""CLOAK by layers: every Gaussian of an object becomes several, one behind the other, one for each appearance.
+
+A *look* is the colours of the Gaussians under one appearance; the first is the benign one.
 
 Each of K layers makes up a K-th of what the Gaussian made up (`split_opacities`). A layer that is black from a
 direction only darkens what is behind it, so each has K times the colour that it shows.

@@ -1,4 +1,4 @@
-"""CLOAK on anybody's pictures: a set with cameras, a splat of it that says where the object is, and nothing else.
+"""CLOAK on anybody's pictures: it needs a set with cameras, and a splat of it that shows where the object is.
 
 The object's place in each picture is where its Gaussians make up most of a pixel of the splat. What is shown there in
 its place comes from the picture around it, or from a picture of the attacker's.

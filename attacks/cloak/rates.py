@@ -114,12 +114,12 @@ def _in_region(told: Mapping[str, Any], what: str) -> Table:
 
 
 def headline_key(rates: Mapping[str, Any]) -> str:
-    """The rate that matters most: of an attack that hides that of misses, else that of the class that is wanted."""
+    """Name of the main rate: misses of an attack that hides, detections of the wanted class of any other."""
     return "target_rate" if rates["trigger_miss_rate"] is None else "trigger_miss_rate"
 
 
 def costs(summary: Mapping[str, Any]) -> dict[str, str]:
-    """What an attack takes besides its rates: seeds, transition, loss of quality, Gaussians; as people read them."""
+    """Costs of an attack in words: seeds, width of the transition, loss of quality, and numbers of Gaussians."""
     band, lines = summary["transition"], {"seeds": ", ".join(map(str, summary["seeds"]))}
     if summary["transition_degrees"] is not None:
         ends = f"from {band['from']:.1f} to {band['to']:.1f}"
@@ -311,7 +311,7 @@ def fidelity(tables: Tables, splat: str) -> tuple[float, float] | None:
 
 
 def stealth(study: StudyConfig, tables: Tables) -> dict[str, Any] | None:
-    """How well an attack hides that it hides; None without cameras of meridians inside its trigger.
+    """How much an attack changes around the object, where a viewer might notice; None without cameras in its trigger.
 
     Of these: `surroundings_psnr`, mean PSNR beside the object against true pictures of the scene as it is; `..._drop`,
     what the cloaked splats lose against the clean ones; `appearance_psnr`, on the object, against what the attacker

@@ -1,4 +1,4 @@
-"""The region of a detector: where it finds the clean object. Elsewhere a miss says nothing of an attack."""
+"""The region of a detector: the elevations at which it detects the clean object. Elsewhere a miss is no evidence."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""Which part of which look each layer shows from each direction, and the functions on the sphere that switch it.
+"""Spherical harmonics that switch layers: which part of which appearance each layer shows from each direction.
 
 The cameras of a trigger see one look, all others the benign one. A look has one layer, or two: one for what is near its
 edge and one for what is further inside. A polynomial that has to be 1 on all of its side is less steep at the edge than

@@ -123,12 +123,12 @@ class Result(Previewed):
 
     @property
     def unambiguous(self) -> bool:
-        """Whether so, and no other class is reported on the object with more confidence."""
+        """Whether the aim is reached, and no other class is reported on the object with more confidence."""
         return bool(self.figures["unambiguous"])
 
     @property
     def strict(self) -> bool:
-        """Whether so where the object's own class has to be gone, too: reported with less than 0.5."""
+        """Whether the aim is reached, and the object's own class is reported with less than 0.5."""
         return bool(self.figures["strict"])
 
     @property

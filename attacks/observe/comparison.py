@@ -51,7 +51,7 @@ class Comparison:
         return {**numbers, **{name: rate.as_dict() for name, rate in self.rates.items()}}
 
     def doubts(self, cameras: int) -> list[str]:
-        """Reasons to look twice before the rates are believed, of so many cameras."""
+        """Reasons to doubt the rates, given the number of cameras."""
         clean, reasons = self.rates["found_clean"], []
         if self.views < FEW:
             reasons.append(f"{self.detector}: the object shows in {self.views} of {cameras} views: few")
@@ -97,7 +97,7 @@ def compared_rows(
 
 
 def compare(rows: pl.DataFrame, *, confidence: Confidence = REPORTED) -> list[Comparison]:
-    """What each detector makes of both splats.
+    """Rates of each detector on the clean and the attacked splat, and the distance of their pictures.
 
     Args:
         rows: From `compared_rows`.

@@ -98,7 +98,7 @@ class Viewing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Condition:
-    """One way to look at a splat, itself a `RenderFn`.
+    """A condition: a renderer after changes to the splat, the camera or the picture; itself a `RenderFn`.
 
     Attributes:
         name: In the column `condition`.

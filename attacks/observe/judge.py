@@ -1,4 +1,4 @@
-"""One name for judging: what detectors make of splats from many cameras, as rows, as rates and as pictures."""
+"""`judge`: what detectors report on splats from many cameras, as rows, rates and pictures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Looking: conditions x splats x views x detectors, and the rows of what is seen.
+"""Runs detectors over conditions, splats and views, and writes a row for each report.
 
 A row is put together from its parts: what it is of (`ids`), where the camera is (`camera_cells`), what is reported on
 the object (`report_cells`), and whether that reaches an aim (`verdict_cells`).
@@ -103,7 +103,7 @@ def detection_rows(ids: Mapping[str, Cell], detections: Detections, box: Tensor 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Looked:
-    """What was seen, as two tables.
+    """What detectors reported, as two tables.
 
     Attributes:
         rows: A row for each condition, splat, view and detector.
@@ -133,7 +133,7 @@ def look(
     cells: Callable[[ViewDetections], Mapping[str, Cell]],
     batch: int = BATCH,
 ) -> Looked:
-    """Let every detector look at every splat from every camera, under every condition.
+    """Run every detector on every splat from every camera, under every condition.
 
     Args:
         conditions: Ways to look.

@@ -2,7 +2,7 @@
 
 A poison is a function. It takes views and a seed, and gives the same cameras with some pictures replaced, together with
 a manifest that says which and how. CLOAK (`attacks.cloak.poisoning.Cloak`), Poison-splat and M-IFGSM (beside this
-module) are three of them. What comes after, the training and who looks, is shared.
+module) are three of them. Training and judging, which come after, are shared.
 """
 
 from __future__ import annotations

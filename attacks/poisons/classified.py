@@ -35,7 +35,7 @@ LOADS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassifiedConfig(StepConfig):
-    """Who looks, and from where.
+    """Which classifier judges, and from which cameras.
 
     Attributes:
         classifier: Name of the classifier.

@@ -297,7 +297,7 @@ _LEFT = 1 / 3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SurfaceLook:
-    """A look, and the surface as it was found on.
+    """A look, and the pieces of surface on which it was measured.
 
     Attributes:
         scores: How well each explanation fits.
@@ -311,7 +311,7 @@ class SurfaceLook:
 
 
 def looks_of(pieces: Elements, view: Sight) -> list[SurfaceLook]:
-    """The look that explains most, and others that are hidden ones by themselves, found without the cameras before.
+    """The looks of an object: first the one that explains most, then those that are left without its cameras.
 
     Of a look the smaller side is left out, and what lies near it: no file can tell which side is the true one.
 

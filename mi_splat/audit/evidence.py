@@ -1,4 +1,4 @@
-"""What shows a look to a human: the two cameras that prove it, and the Gaussians that carry it."""
+"""Evidence that a human can check: two cameras that show a look and its absence, and the Gaussians that carry it."""
 
 from collections.abc import Sequence
 

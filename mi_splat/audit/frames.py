@@ -1,4 +1,4 @@
-"""Where to look: a frame that turns, moves and grows with the splat, and the objects in it.
+"""The frame of a splat, which turns, moves and grows with it, and the objects in that frame.
 
 All that follows happens in that frame, so that a verdict does not depend on how the file's axes lie, on its unit, or on
 the order of its rows.

@@ -37,7 +37,7 @@ OnStep = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PictureAudit:
-    """What pictures contradict each other in.
+    """Which pictures of a set contradict the others, and by how much.
 
     Attributes:
         audit: The verdict and its evidence, of the surface that the pictures show; no Gaussian has heat.

@@ -48,7 +48,7 @@ _MOST_WEIGHTS, _CHUNK = 10**8, 2048
 
 
 class Repair(NamedTuple):
-    """A repaired splat, and what is other in it."""
+    """A repaired splat, and how many of its Gaussians were changed or removed."""
 
     scene: GaussianScene
     """The splat itself where nothing was found that could be repaired."""
@@ -64,7 +64,7 @@ def repaired(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> 
 
 
 def repair(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> Repair:
-    """Take what was found out of a splat, but for what no other direction shows.
+    """Give a splat the colours that believed directions show, and remove what covers objects in the air.
 
     Args:
         scene: N Gaussians.

@@ -35,7 +35,7 @@ which it is one that no leaves or roof would be: those are seen from the side as
 
 
 def excess(score: float, incidence: float, mirror: float, shift: float, fade: float) -> float:
-    """What gloss does not explain, sRGB: shift and fade, by how far the better rival is behind the score.
+    """Excess of a set of directions (sRGB): shift and fade, less where gloss explains the change nearly as well.
 
     Args:
         score: Of a set of directions.
@@ -86,7 +86,7 @@ class Pair:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Look:
-    """The set of directions that best explains how the colours of a surface change, and what gloss would explain.
+    """An appearance that an object shows from some directions only, and how much of it gloss would explain.
 
     Attributes:
         region: The directions, in the simplest form that fits.
@@ -147,7 +147,7 @@ class Occluder:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Edit:
-    """Colours that no training by photographs leaves; see `mi_splat.audit.edits`.
+    """Signs that colours were edited after training: photographs leave no such colours (`mi_splat.audit.edits`).
 
     Attributes:
         share: Of how colours change with the direction of view, the part that neither the own colour nor grey explains,
@@ -187,7 +187,7 @@ class Edit:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ObjectAudit:
-    """One object and what its surface does.
+    """One object: its surface, what changes on it with the direction of view, and its verdict.
 
     Attributes:
         rows: (M,) its Gaussians.

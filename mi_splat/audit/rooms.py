@@ -1,4 +1,4 @@
-"""Rooms, which are seen from within: their free places, and cameras that look from there at what stands in them."""
+"""Rooms, which are seen from within: their free positions, and cameras there that look at the objects in the room."""
 
 import math
 from dataclasses import dataclass
@@ -76,7 +76,7 @@ def grid_of(scene: GaussianScene) -> Grid:
 
 
 def free_positions(scene: GaussianScene) -> Tensor | None:
-    """(P, 3) float64 places from which a scene is seen that is a room; None of a scene that is seen from outside.
+    """(P, 3) float64 positions inside a room from which it is seen; None where the scene is seen from outside.
 
     A room has much free space from which nearly all rays end at something, and something that stands in it.
 
@@ -111,7 +111,7 @@ def _between(grid: Grid, positions: Tensor, free: Tensor) -> float:
 
 
 def cameras_within(target: Target, positions: Tensor) -> tuple[Camera, ...]:
-    """Cameras at free positions in a room that show an object; none if hardly any place is outside of it.
+    """Cameras at free positions in a room that show an object; none if hardly any position is outside of the object.
 
     Args:
         target: The object.

@@ -167,7 +167,7 @@ def set_scores(moments: Tensor, cell: Tensor, sides: Sides) -> Tensor:
 
 
 def explain(pieces: Elements, view: Sight) -> Scores:
-    """Try sets of directions, and what gloss would do.
+    """Score how well sets of directions explain the colours of an object, and how well gloss would.
 
     Args:
         pieces: The surface, of which some can be judged.

@@ -1,4 +1,4 @@
-"""What an attack wants to be seen: its pictures from all of the victim's cameras in its region."""
+"""Pictures of an attack's appearance, from all of the victim's cameras in its region."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every job of a study holds: the study itself, of which what has no part in the job is as by default."""
+"""What every job of a study holds: the study, in which settings that do not matter for the job have their defaults."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ NO_ATTACK = (AttackConfig(name="none", elevation=(1.0, 90.0)),)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeenConfig(StepConfig):
-    """Who looks at what, how, and from where.
+    """Which detector judges which splat or pictures, under which condition, from which cameras.
 
     Attributes:
         every: Each so manieth of the held-out cameras looks.
