@@ -388,7 +388,7 @@ class FunctionObjective:
     label: str | None
 
     def __repr__(self) -> str:
-        """The same in every process, so that a search can be taken up again."""
+        """Text that is the same in every process, so that a search can be taken up again."""
         loss, success = (f"{function.__module__}.{function.__qualname__}" for function in (self.loss, self.success))
         return f"objective({loss}, {success}, name={self.name!r}, label={self.label!r})"
 

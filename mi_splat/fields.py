@@ -30,7 +30,7 @@ class FieldError(InvalidValueError):
     """A value that a field does not take; `what` is the field's name, or where it stands in a file."""
 
     def at(self, name: str) -> FieldError:
-        """The same about a field that is called otherwise, by a flag for instance."""
+        """The error with another name for the field, a flag for instance."""
         error = FieldError(f"{name}{str(self).removeprefix(self.what)}")
         error.what = name
         return error

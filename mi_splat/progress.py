@@ -72,7 +72,7 @@ class Bar:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Close it."""
+        """Close the bar."""
         self.close()
 
 

@@ -42,7 +42,7 @@ class PhotographedConfig(Checked):
 
 
 def run(config: PhotographedConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Photograph it.
+    """Photograph the scene of a job.
 
     Raises:
         MiSplatError: The scene is broken.

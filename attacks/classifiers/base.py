@@ -24,7 +24,7 @@ class Classifier(Protocol):
 
     @property
     def classes(self) -> tuple[str, ...]:
-        """What it tells apart; the second axis of `scores`."""
+        """The classes that it tells apart, in the order of the second axis of `scores`."""
         ...
 
     @property

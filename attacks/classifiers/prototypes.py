@@ -105,7 +105,7 @@ class Prototypes:
         return cls(classes=classes, directions=directions, centre=centre, features=seen, recipe=recipe)
 
     def save(self, path: Path) -> None:
-        """Write them to a .safetensors file."""
+        """Write the prototypes to a .safetensors file."""
         notes = {"classes": self.classes, "features": self.features, "recipe": dict(self.recipe)}
         tensors = {"directions": self.directions.contiguous(), "centre": self.centre.contiguous()}
         save_bytes(save(tensors, {NOTES: json.dumps(notes)}), path)

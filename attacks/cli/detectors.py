@@ -39,7 +39,7 @@ class DetectorsOptions:
     packages: Annotated[tuple[Path, ...], Flag(name="from")] = ()
     """.tgz files of npm to get them from, without npm or network; alone, gets all that they hold."""
     force: bool = False
-    """Get them again even if they are there."""
+    """Get detectors again even if they are there."""
     json: bool = False
     """Print the list, or what was got, as one JSON document on stdout."""
 

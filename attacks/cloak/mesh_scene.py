@@ -232,7 +232,7 @@ class MeshScene:
     background: Colour | None = None
 
     def with_target(self, target: Asset) -> MeshScene:
-        """The same surroundings and light with another object."""
+        """A scene with another object in the same surroundings and light."""
         return replace(self, target=target)
 
     def picture(self, camera: Camera) -> Tensor:

@@ -88,7 +88,7 @@ class Setup:
 
     @cached_property
     def digest(self) -> str:
-        """That of `source`, which need not be made for it."""
+        """Digest of `source`, which need not be made for it."""
         scene = self.mesh_scene
         assert scene.surroundings is not None
         assert scene.light is not None
@@ -185,7 +185,7 @@ class Setup:
 
     @cached_property
     def edge_cameras(self) -> list[tuple[int, Camera]]:
-        """The same outside of all triggers, but nearer to one than far outside."""
+        """Held-out cameras outside of all triggers, but nearer to one than far outside."""
         return self._spread(lambda inside: -self.study.evaluation.far_outside < inside < 0)
 
     def _spread(self, holds: Callable[[float], bool]) -> list[tuple[int, Camera]]:

@@ -199,7 +199,7 @@ class StudySteps:
         return trained if cleaning is None else self._job("cleaned", cleaning, splat=trained.part(SPLAT))
 
     def trained(self, splat: str, seed: int) -> Job:
-        """The same before any cleaning."""
+        """Training of a splat of a seed, before any cleaning."""
         clean = self._trained(self.study, self.pictures(), seed)
         if splat == CLEAN:
             return clean

@@ -77,7 +77,7 @@ def figures(study: StudyConfig, tables: Mapping[str, pl.DataFrame]) -> dict[str,
 
 
 def tables(summary: Mapping[str, Any]) -> Iterator[Table]:
-    """The same as tables; none of a summary without."""
+    """The figures of training cameras as tables; none of a summary without such figures."""
     for attack, told in summary.get(POISON, {}).items():
         psnr = told["object_psnr"]
         like = "as a camera could take them" if psnr is None else f"{psnr:.1f} dB on the object from a true picture"

@@ -279,7 +279,7 @@ class Subsample(Trigger):
         return selected
 
     def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
-        """That of the trigger."""
+        """Degrees to the edge of the trigger that the part is taken from."""
         return self.of.angle_to_edge(camera, centre=centre)
 
 

@@ -210,7 +210,7 @@ def _about(
 
 
 def _radius(eps: int | None) -> int:
-    """That of the ball, in steps of 1/255; the largest there is where none is set."""
+    """Radius of the ball in steps of 1/255; the largest there is where none is set."""
     return 255 if eps is None else eps
 
 

@@ -243,7 +243,7 @@ class ObjectAudit:
 
     @property
     def verdict(self) -> Verdict:
-        """Of this object alone."""
+        """Verdict on this object alone."""
         if self.evidence >= 1 and not self.in_room:
             return "hidden look"
         return "suspicious" if self.evidence >= SUSPICION or self.covered or self.edited else "nothing found"

@@ -38,7 +38,7 @@ class WorkingFrame:
 
     @property
     def is_world(self) -> bool:
-        """Whether it is the world's own frame."""
+        """Whether this is the world's own frame."""
         return self == WorkingFrame()
 
     def asset(self, asset: Asset) -> Asset:

@@ -231,7 +231,7 @@ def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str
 
 
 def _audited_pictures(path: Path, folder: Path | None, options: AuditOptions) -> dict[str, Any]:
-    """The same of a set of pictures."""
+    """Audit a set of pictures, and say what it found."""
     from mi_splat.audit.picture_files import document_of_pictures, write_pictures
     from mi_splat.audit.pictures import STEPS, audit_pictures
     from mi_splat.datasets import load_dataset

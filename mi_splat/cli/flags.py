@@ -78,7 +78,7 @@ class Option:
 
     @property
     def how(self) -> Flag:
-        """How it is given."""
+        """How the value is given on the command line."""
         return next((mark for mark in unwrapped(self.hint)[1] if isinstance(mark, Flag)), Flag())
 
     @property

@@ -47,7 +47,7 @@ class Loaded:
 
     @classmethod
     def of(cls, scene: GaussianScene, invalid: NDArray[np.int64], reason: str) -> Loaded:
-        """The same from a scene, whose memory is shared."""
+        """The content of a file made from a scene, whose memory is shared."""
         arrays: Arrays = {name: value.numpy() for name, value in zip(ATTRIBUTES, scene.tensors(), strict=True)}
         return cls(arrays, invalid, reason)
 

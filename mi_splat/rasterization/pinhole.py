@@ -62,7 +62,7 @@ class Pinhole:
         return *numbers, self.antialiased
 
     def for_stages(self) -> StageCamera:
-        """The same as the frozen stages take it."""
+        """The camera's numbers as one array, as the frozen stages take them."""
         return StageCamera(self.numbers(), self.antialiased)
 
 

@@ -166,7 +166,7 @@ def _parts(tensors: Mapping[str, Tensor]) -> dict[str, dict[str, Tensor]]:
 
 
 def _blank(count: int, degree: int) -> GaussianScene:
-    """So many Gaussians, which only have the right shapes."""
+    """A splat of `count` Gaussians, of which only the shapes are right."""
     return GaussianScene(
         torch.zeros(count, 3),
         torch.ones(count, 3),

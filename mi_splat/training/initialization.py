@@ -101,7 +101,7 @@ def with_outliers(cloud: PointCloud, views: Sequence[View], count: int, *, seed:
 
 
 def thinned(cloud: PointCloud, count: int, *, seed: int = 0) -> PointCloud:
-    """So many points of a cloud, each as likely as any other, in the order of the cloud; all if it has no more."""
+    """A random part of a cloud, in its order; all of it if it has no more than `count` points."""
     if len(cloud.points) <= count:
         return cloud
     kept = torch.randperm(len(cloud.points), generator=Generator().manual_seed(seed))[:count].sort().values

@@ -32,11 +32,11 @@ class Inspection(Protocol):
 
     @property
     def text(self) -> str:
-        """It in words, one finding a line; plain text."""
+        """The findings in words, one a line; plain text."""
         ...
 
     def draw(self, draw: ImageDraw.ImageDraw, scale: float) -> None:
-        """Draw it into a picture that has `scale` pixels for one of the picture that was inspected."""
+        """Draw the findings into a picture that has `scale` pixels for one of the picture that was inspected."""
         ...
 
 

@@ -212,7 +212,7 @@ class Job:
         end.close()
 
     def heard(self) -> News | str | None:
-        """What it has said last since the last call; how it ended (empty: well) as text; None for nothing new."""
+        """What the work has printed since the last call; how it ended (empty: well) as text; None for nothing new."""
         last: News | str | None = None
         try:
             while not isinstance(last, str) and self._pipe.poll():
@@ -223,12 +223,12 @@ class Job:
         return last
 
     def end(self) -> None:
-        """Have it end with what it has, as far as its kind of work can."""
+        """Ask the work to end with what it has, as far as its kind can."""
         with contextlib.suppress(OSError):  # it has ended itself meanwhile
             self._pipe.send(True)
 
     def stop(self) -> None:
-        """End it, if it still runs."""
+        """End the work, if it still runs."""
         self._process.kill()
         self._process.join()
         self._pipe.close()

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def run(config: CleaningConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Clean it.
+    """Clean the splat of a job.
 
     Raises:
         InvalidValueError: Nothing would be left of the splat, or it cannot be audited.

@@ -23,7 +23,7 @@ VARIES = (METRICS,)
 
 
 def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Make them, and train them or go on with what an interrupted training left."""
+    """Make the layers, and train them or go on with what an interrupted training left."""
     setup = Setup(config.study(inputs))
     study = setup.study
     assert study.layers is not None

@@ -20,7 +20,7 @@ VARIES = (f"{SET}/capture.json",)
 
 
 def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Take them; they are transparent where nothing is, so that the background has no part in them."""
+    """Take the pictures; they are transparent where nothing is, so that the background has no part in them."""
     setup = Setup(config.study(inputs))
     cameras = setup.study.cameras
     write_capture(

@@ -26,7 +26,7 @@ VARIES = (METRICS,)
 
 
 def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Train it, or go on with what an interrupted training left."""
+    """Train the splat of a job, or go on with what an interrupted training left."""
     study = config.asked
     views = load_dataset(inputs["pictures"] / SET, split="train", background=study.scene.background)
     assert views.points is not None  # a capture writes them

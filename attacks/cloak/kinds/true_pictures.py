@@ -53,7 +53,7 @@ class TruePictures:
 
 
 def run(config: TrueConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Take them; those of an appearance begin with those of the scene as it is, the input `plain`."""
+    """Take the pictures; those of an appearance begin with the scene as it is, the input `plain`."""
     setup = Setup(config.study(inputs))
     study, mesh_scene = setup.study, setup.mesh_scene
     looks = [(attack.cone, setup.appearance(attack)) for attack in study.attack[: config.attacks]]
