@@ -287,7 +287,7 @@ def pgd(
 
 
 def rank(line: Step, smallest: bool = False) -> tuple[bool, bool, float, float]:
-    """Sort key of points: success first, then an unambiguous one, then the score, and the loss only between equals.
+    """Key by which points are sorted: success, then an unambiguous one, then the score; the loss only between equals.
 
     Args:
         line: The point.
