@@ -17,6 +17,7 @@ EXAMPLES = (
     "bench fasterrcnn_small",
     "bench fasterrcnn_small --weights mine.safetensors --out out/bench/mine",
     "bench fasterrcnn_small --defence .spz",
+    "bench --audit docs/tables/audit.json",
     "bench --rescore out/bench/v1/fasterrcnn_small",
     "bench --check docs/bench/v1/fasterrcnn_small.json",
 )
@@ -42,6 +43,8 @@ class BenchOptions(JsonOptions):
     """File with weights of the detector; None takes the shipped or published ones."""
     defence: Annotated[str, Called("CONDITION")] | None = None
     """What comes before the detector: a condition, as "SH of degree 1", "JPEG 60" or that of a plug-in."""
+    audit: Path | None = None
+    """Rank the audit and its baselines by a result of `study run scenes/studies/audit.toml`; nothing else is done."""
     columns: tuple[str, ...] = ()
     """Columns to do now; none does all. The row has those that are done."""
     store: Folder = Path("out/store")
@@ -62,8 +65,16 @@ def run(options: BenchOptions) -> int:
     Returns:
         The exit status.
     """
+    from attacks.bench.audits import audit_rows, audit_table
     from attacks.bench.row import check_row, markdown
 
+    if options.audit:
+        audits = audit_rows(options.audit)
+        if options.json:
+            show_json({"rows": audits})
+        else:
+            show(audit_table(audits))
+        return 0
     if options.check or options.rescore:
         rows = [check_row(path) for path in options.check]
         rows += [rescored(options.rescore)] if options.rescore else []

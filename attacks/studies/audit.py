@@ -35,7 +35,7 @@ from torch import Tensor
 from attacks.audits.audited import AuditedConfig, rank_of
 from attacks.audits.learnt import fit_attributes
 from attacks.audits.photographed import PhotographedConfig
-from attacks.audits.rivals import RIVALS, RivalsConfig
+from attacks.audits.rivals import COST, RIVALS, RivalsConfig
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.rates import CLOAKED
 from attacks.cloak.steps import StudySteps
@@ -98,7 +98,8 @@ class Audited:
         told: dict[str, Any] = {"part": self.part, "value": self.value, "content": self.content, "splat": self.splat}
         told |= {"derived": self.derived, "hides": hides}
         told["missed"] = {name: rate.as_dict() for name, rate in missed.items()}
-        return {**told, **audit.rows[0], **read_json(rivals.folder / RIVALS)}
+        seconds = {"the audit": read_json(audit.folder / COST)["seconds"], **read_json(rivals.folder / COST)["seconds"]}
+        return {**told, **audit.rows[0], **read_json(rivals.folder / RIVALS), "seconds": seconds}
 
     def copy_pair(self, results: Mapping[str, Done], folder: Path) -> Path | None:
         """Copy the two pictures that speak against the splat, if there are any, under its name.

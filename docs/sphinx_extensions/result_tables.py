@@ -101,6 +101,7 @@ def write_pages(app: Sphinx) -> None:
     import study_tables
     from detector_figures import compared_page, table_page
 
+    from attacks.bench.audits import audit_rows, audit_table
     from attacks.bench.row import defences, markdown
     from mi_splat.io.parsing import read_json
 
@@ -115,6 +116,7 @@ def write_pages(app: Sphinx) -> None:
     for name, title, text in (
         ("bench_v1", "The scoreboard: rows of detectors", markdown([row for row in rows if not row["defence"]])),
         ("bench_v1_defences", "The scoreboard: rows of defences", defences(rows)),
+        ("bench_audits", "The scoreboard: rows of audits", audit_table(audit_rows(docs / "tables" / "audit.json"))),
     ):
         _write(docs / "tables" / f"{name}.md", f"# {title}\n\n{text}")
     for name in study_tables.STUDIES:
