@@ -4,11 +4,13 @@
 #   make SYSTEM_SITE=1 ...           let .venv see the packages of that interpreter, and so keep the torch it has
 #   make VENV=/path/to/env ...       use an environment of your own (virtualenv or conda prefix) instead of .venv
 #   make JOBS=4 test                 processes that pytest uses
+#   make NOTEBOOKS=off docs          do not run the notebooks of the site, which takes two minutes
 
 PYTHON ?=
 SYSTEM_SITE ?=
 VENV ?= .venv
 JOBS ?= 2
+NOTEBOOKS ?= on
 OUT ?= out/demo
 
 BIN := $(VENV)/bin
@@ -61,7 +63,7 @@ nightly: $(STAMP)
 	$(BIN)/python -m pytest -m nightly $(ARGS)
 
 docs: $(STAMP)
-	$(BIN)/python -m sphinx -b html -W --keep-going -q -E -d out/docs-trees docs out/docs
+	NOTEBOOKS=$(NOTEBOOKS) $(BIN)/python -m sphinx -b html -W --keep-going -q -E -d out/docs-trees docs out/docs
 	@$(BIN)/python -m tests.project.prose --figures
 	@echo "open out/docs/index.html"
 

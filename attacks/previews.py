@@ -16,8 +16,8 @@ __all__ = ["html"]
 
 _PAIRS = 2
 """Views that a card shows at most, before and after."""
-_WIDE = 720
-"""Pixels that a pair of pictures with boxes is wide, so that labels can be read."""
+_WIDE, _NARROW = 720, 280
+"""Pixels that a pair of pictures with boxes is wide, so that labels can be read, and a single one."""
 
 
 @html.register
@@ -31,7 +31,7 @@ def _judged(value: Judged) -> str:
     def draw() -> list[str]:
         firsts = ((name, views[0]) for name, views in islice(value.views.items(), 2 * _PAIRS))
         return [
-            picture(annotated(view.image, view.detections, f"{name} ({view.detector})"), width=_WIDE // 2, height=_WIDE)
+            picture(annotated(view.image, view.detections, f"{name} ({view.detector})"), width=_NARROW, height=_WIDE)
             for name, view in firsts
         ]
 

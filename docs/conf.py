@@ -1,5 +1,6 @@
 """The documentation site: `make docs` builds it into out/docs, without a network and without a GPU."""
 
+import os
 import sys
 import warnings
 from importlib.metadata import version as installed
@@ -17,7 +18,7 @@ copyright = "The mi-splat authors, Apache 2.0"
 version = release = installed("mi-splat")
 
 extensions = [
-    *("myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"),
+    *("myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"),
     *(
         "command_pages",
         "forge_links",
@@ -28,7 +29,7 @@ extensions = [
         "result_tables",
     ),
 ]
-source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+source_suffix = {".md": "myst-nb", ".rst": "restructuredtext"}
 root_doc = "index"
 # README.md is what a forge shows for this folder; the site has index.md.
 exclude_patterns = ["README.md", "artifacts/*/*"]
@@ -38,6 +39,15 @@ suppress_warnings = ["ref.python"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 myst_fence_as_directive = ["mermaid"]
+
+# Every build runs the notebooks, and a cell that fails ends it. `make NOTEBOOKS=off docs` shows them without outputs.
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # torch and Dr.Jit each start a thread a core
+nb_execution_mode = "force"
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300
+nb_execution_excludepatterns = [] if os.environ.get("NOTEBOOKS") != "off" else ["*"]
+nb_merge_streams = True
+nb_output_stderr = "remove"  # progress bars
 
 default_role = "py:obj"  # `name` in a docstring is a link where there is such a name, and code elsewhere
 autodoc_member_order = "bysource"

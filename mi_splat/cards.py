@@ -30,8 +30,7 @@ def card(facts: str, *drawings: str) -> str:
         facts: Plain text; it is escaped.
         drawings: HTML, of `picture` or `sky`.
     """
-    row = "".join(drawings)
-    shown = f'<div style="display:flex;flex-wrap:wrap;gap:8px">{row}</div>' if row else ""
+    shown = _row(drawings) if drawings else ""
     line = f'<div style="font-family:monospace;font-size:0.85em;overflow-wrap:anywhere">{_text(facts)}</div>'
     return f'<div class="mi-splat-card">{shown}{line}</div>'
 
@@ -59,8 +58,8 @@ def picture(pixels: Any, caption: str = "", *, height: int = HEIGHT, width: int 
     data = base64.b64encode(buffer.getvalue()).decode()
     told = _text(caption)
     source = f'src="data:image/png;base64,{data}" alt="{told or "a picture"}" width="{image.width}"'
-    below = f'<figcaption style="font-size:0.85em">{told}</figcaption>' if told else ""
-    return f'<figure style="margin:0"><img {source} style="max-width:100%;height:auto">{below}</figure>'
+    # The class keeps the theme of a dark page from changing the colours.
+    return _captioned(f'<img {source} class="dark-light" style="max-width:100%;height:auto">', caption)
 
 
 class Pictures:
@@ -80,7 +79,7 @@ class Pictures:
         return f"Pictures({self._names})"
 
     def _repr_html_(self) -> str:
-        return f'<div style="display:flex;flex-wrap:wrap;gap:8px">{"".join(self._drawings)}</div>'
+        return f'<div class="mi-splat-card">{_row(self._drawings)}</div>'
 
 
 def sky(directions: NDArray[np.float64], marked: Sequence[bool], caption: str) -> str:
@@ -103,9 +102,17 @@ def sky(directions: NDArray[np.float64], marked: Sequence[bool], caption: str) -
         for radius, light in ((72, 0.3), (36, 0.3))
     )
     drawing = f'<svg viewBox="0 0 160 160" width="160" height="160" role="img">{rings}{"".join(dots)}</svg>'
-    return (
-        f'<figure style="margin:0">{drawing}<figcaption style="font-size:0.85em">{_text(caption)}</figcaption></figure>'
-    )
+    return _captioned(drawing, caption)
+
+
+def _captioned(drawing: str, caption: str) -> str:
+    """A drawing with a line of text below it."""
+    below = f'<div style="font-size:0.85em">{_text(caption)}</div>' if caption else ""
+    return f"<div>{drawing}{below}</div>"
+
+
+def _row(drawings: Sequence[str]) -> str:
+    return f'<div style="display:flex;flex-wrap:wrap;gap:8px">{"".join(drawings)}</div>'
 
 
 def _text(text: str) -> str:

@@ -3,6 +3,7 @@
 import ast
 import importlib
 import importlib.util
+import json
 import re
 import subprocess
 import sys
@@ -177,7 +178,7 @@ class Requests(HTMLParser):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    for module in ("sphinx", "myst_parser", "sphinx_book_theme"):
+    for module in ("sphinx", "myst_nb", "sphinx_book_theme"):
         if importlib.util.find_spec(module) is None:
             pytest.skip(f"no {module}: the site needs the extra docs")
     folder = tmp_path_factory.mktemp("site")
@@ -202,6 +203,17 @@ def test_the_site_has_a_page_for_everything(site: Path) -> None:
         assert not missing
     assert "lane" in (site / "reference" / "rasterization.html").read_text()
     assert "<svg" in (site / "structure.html").read_text()
+
+
+@pytest.mark.nightly
+def test_the_notebooks_show_what_they_gave(site: Path) -> None:
+    for path in sorted((ROOT / "docs" / "notebooks").glob("*.md")):
+        text = (site / "notebooks" / f"{path.stem}.html").read_text()
+        assert text.count("data:image/png;base64") >= 3, path.name
+        (file,) = (site / "_downloads").rglob(f"{path.stem}.ipynb")
+        cells = [cell for cell in json.loads(file.read_text())["cells"] if cell["cell_type"] == "code"]
+        assert len(cells) == path.read_text().count("```{code-cell}")
+        assert all(cell["execution_count"] for cell in cells)
 
 
 @pytest.mark.nightly
