@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from attacks import tables
-from attacks.bench.suite import COLUMNS, HIDDEN, Suite, suite_digest
+from attacks.bench.suite import ALL_VIEWS, COLUMNS, HIDDEN, ONE_VIEW, TRANSFER, Suite, suite_digest
 from attacks.observe.measures import REPORTED
 from attacks.observe.rates import Measure, blocks_of, count
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS, SUFFIX, frame_of, write_rows
@@ -44,7 +44,7 @@ HEADS = {"one_view": "one view", "all_views": "all views", "cloak": "CLOAK", "tr
 NOT_IN_ROW = ("attacks", "command", "story")
 """What the record of a result has, and its row has not."""
 _KEYS = ["columns", "commit", "cpu_seconds", "defence", "detector", "missing", "score", "suite", "torch"]
-_KEYS += ["variant", "versions"]
+_KEYS += ["variant", "versions", "warnings"]
 READER = DocumentReader(expected="a row of mi-splat bench", do="pass what mi-splat bench has written", most=1 << 20)
 """Reads rows."""
 Record = Mapping[str, Any]
@@ -129,7 +129,26 @@ def figures(record: Record, frames: Mapping[str, pl.DataFrame]) -> dict[str, Any
     columns = {name: _column(attacks, rows, name) for name in COLUMNS}
     scored = [entry["robust"] for entry in columns.values() if entry["robust"] is not None]
     whole = len(scored) == len(COLUMNS) and not record["missing"]
-    return {"columns": columns, "score": _score(scored) if whole else None}
+    return {"columns": columns, "score": _score(scored) if whole else None, "warnings": warnings(columns)}
+
+
+def warnings(columns: Mapping[str, Record]) -> list[str]:
+    """Reasons to think that attacks on the detector itself were too weak, so that a rate says little.
+
+    Args:
+        columns: The columns of a row.
+
+    Returns:
+        Sentences; none for no reason.
+    """
+    told, itself, others = [], columns[ONE_VIEW]["robust"], columns[TRANSFER]["robust"]
+    if itself and others and others["interval"][1] < itself["interval"][0]:
+        told.append("Attacks on others do more than attacks on it: its gradients may be hidden.")
+    for column in (ONE_VIEW, ALL_VIEWS):
+        noise, robust = columns[column]["noise"], columns[column]["robust"]
+        if robust and noise["total"] and noise["rate"] <= robust["interval"][1]:
+            told.append(f"Random noise of the same size does about as much as the attacks: {HEADS[column]}.")
+    return told
 
 
 def _score(rates: Sequence[Record]) -> dict[str, Any]:
@@ -206,6 +225,7 @@ def markdown(rows: Sequence[Record]) -> str:
     for column, head in HEADS.items():
         heads[head] = lambda line, column=column: _cell(line[1], column)
     heads["clean object named"] = lambda line: _named(line[1])
+    heads["warnings"] = lambda line: " ".join(line[1]["warnings"]) or "-"
     heads["CPU minutes"] = lambda line: f"{line[1]['cpu_seconds']['all'] / 60:.1f}"
     table = Table.of("", heads, lines)
     return tables.markdown(table.head, table.rows) + "\n"
@@ -265,6 +285,7 @@ def check_row(path: Path) -> dict[str, Any]:
         filled = [told["robust"] for told in columns.values() if told["robust"] is not None]
         whole = len(filled) == len(COLUMNS) and not row["missing"]
         _same(path, "score", row["score"], _score(filled) if whole else None)
+        _same(path, "warnings", row["warnings"], warnings(columns))
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, InvalidValueError):
             raise

@@ -8,7 +8,7 @@ import pytest
 
 from attacks import cli
 from attacks.bench.audits import FALSE_ALARMS, audit_rows
-from attacks.bench.row import check_row
+from attacks.bench.row import check_row, warnings
 from attacks.bench.suite import SUITES, read_suite
 from attacks.cli.bench import rescored
 from attacks.observe.rows import read_rows
@@ -37,6 +37,8 @@ budget = [{{ name = "weak", attack = {{ eps = 0.001 }} }}, {{ name = "strong", a
     "transfer": """
 base = "one_view.toml"
 attack = {{ early_stop = false }}
+[matrix]
+budget = [{{ name = "strong", attack = {{ eps = 12.0 }} }}]
 """,
     "all_views": """
 study = "dagger-eot"
@@ -100,24 +102,38 @@ def test_a_row_counts_what_is_still_named(out: Path) -> None:
     assert low < 0.5 < high
     assert row["columns"]["all_views"]["judged"] == 12
     assert row["columns"]["all_views"]["robust"]["rate"] < 0.5
-    assert row["columns"]["transfer"]["judged"] == 12
+    assert row["columns"]["transfer"]["judged"] == 6
+    assert row["columns"]["transfer"]["robust"] is None
     assert row["columns"]["cloak"] == {
         **{"robust": None, "judged": 0, "by": {}},
         "named_clean": {"rate": None, "successes": 0, "total": 0, "interval": [0.0, 1.0]},
         "noise": {"rate": None, "successes": 0, "total": 0, "interval": [0.0, 1.0]},
     }
     assert row["score"] is None
-    assert "| - | fake_colour | - |" in (out / "row.md").read_text()
+    text = (out / "row.md").read_text()
+    assert "| - | fake_colour | - |" in text
+    assert "cannot judge (6 views)" in text
     assert set(row["cpu_seconds"]) == {"one_view", "all_views", "transfer", "shared", "all"}
+
+
+def test_attacks_that_were_too_weak_are_told(out: Path) -> None:
+    columns = read(out / "row.json")["columns"]
+    assert warnings(columns) == []
+    weak = {"rate": 1.0, "successes": 40, "total": 40, "interval": [0.9, 1.0]}
+    columns["one_view"] |= {"robust": weak, "noise": weak}
+    columns["transfer"]["robust"] = {"rate": 0.5, "successes": 20, "total": 40, "interval": [0.35, 0.65]}
+    hidden, noise = warnings(columns)
+    assert "gradients may be hidden" in hidden
+    assert "one view" in noise
 
 
 def test_surrogates_are_others(out: Path) -> None:
     rows = read_rows(out / "rows.csv.gz")
     assert set(rows["detector"]) == {"fake_colour"}
     record = read(out / "result.json")
-    assert len(record["attacks"]) == 12 + 1 + 12
+    assert len(record["attacks"]) == 12 + 1 + 6
     looks = rows.filter(rows["attack"].str.starts_with("transfer"))
-    assert len(looks) == 12 * 3
+    assert len(looks) == 6 * 3
     made = {row["original_score"] for row in looks.iter_rows(named=True) if row["splat"] == "attacked"}
     assert made != {row["original_score"] for row in rows.iter_rows(named=True) if row["splat"] == "clean"}
 

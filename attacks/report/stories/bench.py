@@ -29,6 +29,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         headline=Figure(label="score", words=words),
         control=Figure(label="clean object named", rate=pooled(told["named_clean"] for told in columns.values())),
         attacked=False,
+        warnings=record["warnings"],
         figures=figures,
         configuration=tuple(
             (key, str(value)) for key, value in row_of(record).items() if key not in ("columns", "score")
