@@ -31,7 +31,9 @@ WIDE = 70
 """Signs of a line that is wrapped in a narrow window: then an empty line keeps commands apart."""
 
 _LINK = re.compile(r"(\]\()([^)#\s]+)(#[^)\s]*)?(\))")
-_COMMANDS = re.compile(r"^```sh\n.*?^```$", re.MULTILINE | re.DOTALL)
+_COMMANDS = re.compile(
+    r"^```sh\n.*?^```$|^```text\n(?:(?:mi-splat|pip|python|PYTHONPATH)\b[^\n]*\n)+```$", re.MULTILINE | re.DOTALL
+)
 _MODULES = re.compile(r"^```modules\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _COMMENT = re.compile(r"^(\S.*?)\s{2,}(# .*)$", re.MULTILINE)
 
