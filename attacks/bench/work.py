@@ -107,15 +107,22 @@ class BenchWork(Work):
             name=f"bench-{self.suite.name}-{self.detector}", kind="dagger", question="", parts={}, judges=(), text=""
         )
         self.loaded = load_detector(self.detector)
-        for column, table in self.suite.studies.items():
-            if column not in (self.columns or self.suite.studies) or column not in (*_ATTACKED, CLOAK, TRANSFER):
-                continue
-            try:
-                self.attempts += self._hidden(table) if column == CLOAK else self._attacked(column, table)
-            except MiSplatError as error:
-                if column != TRANSFER:
-                    raise
-                self.missing[column] = f"{error}"  # a surrogate is not here
+        for column in COLUMNS:
+            if column not in self.suite.studies:
+                self.missing[column] = "not in the suite"
+            elif self.columns and column not in self.columns:
+                self.missing[column] = "not done"
+            else:
+                self._add(column, self.suite.studies[column])
+
+    def _add(self, column: str, table: Settings) -> None:
+        """Add the entries of a column; without the surrogates there are none of transfer."""
+        try:
+            self.attempts += [*(self._hidden(table) if column == CLOAK else self._attacked(column, table))]
+        except MiSplatError as error:
+            if column != TRANSFER:
+                raise
+            self.missing[column] = str(error)
 
     def _attacked(self, column: str, table: Settings) -> Iterator[Entry]:
         """The attacks of a column; where the attacker can know the defence, these, too."""

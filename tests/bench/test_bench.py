@@ -1,6 +1,7 @@
 """`mi-splat bench` with a tiny suite and toy detectors: what a row says, and what makes it be refused."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,10 @@ from attacks import cli
 from attacks.bench.audits import FALSE_ALARMS, audit_rows
 from attacks.bench.row import check_row, warnings
 from attacks.bench.suite import SUITES, read_suite
+from attacks.bench.work import BenchWork
 from attacks.cli.bench import rescored
+from attacks.detectors.catalogue import SMALL_WEIGHTS
+from attacks.detectors.registry import DETECTORS
 from attacks.observe.rows import read_rows
 from attacks.studies import attack as attack_kind
 from mi_splat.errors import InvalidValueError
@@ -136,6 +140,25 @@ def test_surrogates_are_others(out: Path) -> None:
     assert len(looks) == 6 * 3
     made = {row["original_score"] for row in looks.iter_rows(named=True) if row["splat"] == "attacked"}
     assert made != {row["original_score"] for row in rows.iter_rows(named=True) if row["splat"] == "clean"}
+
+
+def test_a_column_without_its_surrogates_is_not_filled(suite: Path) -> None:
+    asked = replace(read_suite(str(suite)), surrogates=("fake_colour", "nobody"))
+    work = BenchWork(asked, "fake_colour")
+    assert {entry.column for entry in work.attempts} == {"one_view", "all_views"}
+    assert "nobody" in work.missing["transfer"]
+    assert work.missing["cloak"] == "not in the suite"
+    assert BenchWork(asked, "fake_colour", columns=["one_view"]).missing["all_views"] == "not done"
+
+
+def test_weights_of_a_file_are_asked(suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "mine.safetensors"
+    file.write_bytes(SMALL_WEIGHTS.read_bytes())
+    monkeypatch.setitem(DETECTORS.own, "fasterrcnn_small", DETECTORS["fasterrcnn_small"])
+    work = BenchWork(read_suite(str(suite)), "fasterrcnn_small", weights=file, columns=["one_view"])
+    first = work.attempts[0]
+    assert file in first.made[first.name].inputs.values()
+    assert work.loaded.name == "fasterrcnn_small"
 
 
 def test_a_killed_run_goes_on(suite: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
