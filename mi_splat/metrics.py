@@ -1,7 +1,7 @@
 """How far apart two pictures are."""
 
 from collections.abc import Callable
-from typing import Literal, cast
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -57,13 +57,12 @@ def ssim(image: Tensor, reference: Tensor) -> Tensor:
     return cast("Tensor", measure(planes[0], planes[1], data_range=1.0))
 
 
-def load_lpips(network: Literal["alex", "vgg", "squeeze"] = "alex") -> Perceptual:
-    """Learned perceptual image patch similarity (Zhang et al. 2018), as torchmetrics has it.
+def load_lpips() -> Perceptual:
+    """Learned perceptual image patch similarity (Zhang et al. 2018) of AlexNet, as torchmetrics has it.
 
     The network's weights come from torchvision's hub when they are first used, and stay in torch's cache.
 
-    Args:
-        network: On whose features the pictures are compared; pictures have to be 32 pixels wide for "alex".
+    Pictures have to be at least 32 pixels wide.
 
     Raises:
         MiSplatError: The weights cannot be reached.
@@ -71,9 +70,9 @@ def load_lpips(network: Literal["alex", "vgg", "squeeze"] = "alex") -> Perceptua
     from torchmetrics.image.lpip import LearnedPerceptualImagePatchSimilarity  # takes seconds
 
     try:
-        measure = LearnedPerceptualImagePatchSimilarity(net_type=network, normalize=True)
+        measure = LearnedPerceptualImagePatchSimilarity(net_type="alex", normalize=True)
     except (OSError, RuntimeError) as error:  # no network, or a broken download
-        expected = f"the weights of {network} in torch's cache, or a network that reaches torchvision's hub"
+        expected = "the weights of alex in torch's cache, or a network that reaches torchvision's hub"
         do = "go without it, or put the file there"
         raise MiSplatError.of("lpips", expected, str(error).splitlines()[0], do) from error
 

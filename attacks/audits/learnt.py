@@ -4,7 +4,7 @@ Fake3DGS (arXiv:2604.27590) trains a point transformer on 41,000 splats. Here ar
 statistics of the same attributes. What counts is how it does on kinds of attack and objects that it was not trained on.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -84,29 +84,20 @@ class AttributeClassifier:
         """(N,) log odds that splats of (N, F) attributes hide something."""
         return ((values - self.middle) / self.spread) @ self.weights + self.bias
 
-    def scores(self, scenes: Iterable[GaussianScene]) -> list[float]:
-        """Log odds that each splat hides something."""
-        return [float(self.odds(attributes(scene)[None])) for scene in scenes]
 
-
-def fit(scenes: Iterable[GaussianScene], labels: Sequence[bool]) -> AttributeClassifier:
+def fit_attributes(values: Tensor, labels: Sequence[bool]) -> AttributeClassifier:
     """Train a classifier on splats of which it is known whether they hide something.
 
     Args:
-        scenes: Splats; each is asked for once, so that they need not be in memory together.
+        values: (N, F) attributes of the splats.
         labels: Whether each hides something.
 
     Returns:
         The trained classifier.
 
     Raises:
-        InvalidValueError: There is not a label for each, or not one of either kind.
+        InvalidValueError: A splat has no label, or all hide something, or none does.
     """
-    return fit_attributes(torch.stack([attributes(scene) for scene in scenes]), labels)
-
-
-def fit_attributes(values: Tensor, labels: Sequence[bool]) -> AttributeClassifier:
-    """As `fit`, of (N, F) attributes."""
     if len(values) != len(labels) or len(set(labels)) != 2:
         got = f"{len(labels)} for {len(values)} splats, {sum(labels)} of them hiding"
         raise InvalidValueError.of("labels", "one for each splat, and both kinds", got, "add what is missing")

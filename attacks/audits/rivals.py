@@ -119,15 +119,6 @@ def measured(scene: GaussianScene) -> dict[str, tuple[float, float]]:
     return scores
 
 
-def baselines(scene: GaussianScene) -> dict[str, float]:
-    """The score of a splat by each baseline.
-
-    Raises:
-        InvalidValueError: Nothing of the splat shows.
-    """
-    return {name: score for name, (score, _) in measured(scene).items()}
-
-
 RIVALS, COST = "rivals.json", "cost.json"
 VARIES = (COST,)
 

@@ -125,24 +125,21 @@ def read_prototypes(path: Path = VECTORS) -> Prototypes:
     return Prototypes(classes=classes, features=notes.text("features"), recipe=recipe, **tensors)
 
 
-def load_prototypes(
-    weights: Path | None = None, *, classes: Sequence[str] | None = None, vectors: Path = VECTORS
-) -> FrozenClassifier:
+def load_prototypes(weights: Path | None = None, *, classes: Sequence[str] | None = None) -> FrozenClassifier:
     """The classifier.
 
     Args:
         weights: Of the network, see `load_features`.
         classes: Those of the file that are told apart; None is all.
-        vectors: A file of `Prototypes.save`.
 
     Raises:
         DetectorError: The weights are not there, or others.
         InvalidValueError: The vectors are missing or broken, of another network, or lack a class.
     """
-    features, prototypes = load_features(weights), read_prototypes(vectors)
+    features, prototypes = load_features(weights), read_prototypes(VECTORS)
     if (seen := fingerprint(features.state_dict())) != prototypes.features:
         do = "make the prototypes of this network"
-        raise InvalidValueError.of(f"network of {vectors}", prototypes.features, seen, do)
+        raise InvalidValueError.of(f"network of {VECTORS}", prototypes.features, seen, do)
     return prototype_classifier(prototypes, features, classes=classes)
 
 

@@ -22,15 +22,12 @@ _TURN = 67.0
 """Degrees by which the cameras of each object and ground are turned against those of the one before."""
 
 
-def prototype_pictures(
-    config: PrototypesConfig, name: str, *, on_step: Callable[[int, int], None] = lambda done, wanted: None
-) -> Tensor:
+def prototype_pictures(config: PrototypesConfig, name: str) -> Tensor:
     """(B, H, W, 3) sRGB pictures of the objects of one class, a pure function of the configuration."""
     scenes = [(seed, ground) for seed in config.seeds for ground in config.grounds]
     pictures: list[Tensor] = []
     for number, (seed, ground) in enumerate(scenes):
         pictures += _pictures(config, f"{name}:{seed}", ground, turn=_TURN * number)
-        on_step(len(pictures), len(scenes) * config.views)
     return torch.stack(pictures)
 
 

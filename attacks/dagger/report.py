@@ -25,6 +25,10 @@ CONTACT = "held_out.png"
 """Held-out views of an attack on a distribution."""
 
 ATTACKED = "attacked.ply"
+_PAIRS, _COLUMNS, _WIDTH = 8, 2, 384
+"""Of the contact sheet: views, pairs of pictures beside each other, and pixels across a picture."""
+_DRAWN = 0.3
+"""Confidence from which a detection is drawn."""
 _EACH = ("detectors", "views")
 """Lists of which each entry has figures."""
 
@@ -178,48 +182,37 @@ def _pictures(result: Result) -> dict[str, NDArray[np.uint8]]:
     }
 
 
-def before_and_after(view: JudgedView, *, min_confidence: float = 0.3, named: bool = False) -> NDArray[np.uint8]:
+def before_and_after(view: JudgedView, *, named: bool = False) -> NDArray[np.uint8]:
     """Boxes and confidences before (left) and after (right).
 
     Args:
         view: The view.
-        min_confidence: Confidence from which a detection is drawn, in [0, 1].
         named: Whether to write the detector's name into the pictures.
     """
     of = f" ({view.detector})" if named else ""
-    sides = [_boxes(view.clean, f"before{of}", min_confidence), _boxes(view.attacked, f"after{of}", min_confidence)]
+    sides = [_boxes(view.clean, f"before{of}"), _boxes(view.attacked, f"after{of}")]
     return np.concatenate(sides, axis=1)
 
 
-def _boxes(seen: Seen, title: str, min_confidence: float) -> NDArray[np.uint8]:
-    return annotated(seen.image, seen.detections, title, min_confidence=min_confidence)
+def _boxes(seen: Seen, title: str) -> NDArray[np.uint8]:
+    return annotated(seen.image, seen.detections, title, min_confidence=_DRAWN)
 
 
-def contact_sheet(
-    result: Result, *, most: int = 8, columns: int = 2, side: int = 384, min_confidence: float = 0.3
-) -> NDArray[np.uint8]:
-    """Held-out views with boxes, evenly around the object: the clean picture beside the attacked one.
-
-    Args:
-        result: The attack.
-        most: Views shown, by the first detector.
-        columns: Pairs of pictures beside each other.
-        side: Width of a picture, pixels.
-        min_confidence: Confidence from which a detection is drawn, in [0, 1].
-    """
+def contact_sheet(result: Result) -> NDArray[np.uint8]:
+    """Held-out views of the first detector with boxes, evenly around the object: clean beside attacked pictures."""
     views = sorted(result.views_of(result.detectors[0]), key=lambda judged: judged.view.direction.azimuth)
-    count = min(most, len(views))
-    pairs = [_pair(views[number * len(views) // count], side, min_confidence) for number in range(count)]
-    rows = [pairs[first : first + columns] for first in range(0, count, columns)]
+    count = min(_PAIRS, len(views))
+    pairs = [_pair(views[number * len(views) // count]) for number in range(count)]
+    rows = [pairs[first : first + _COLUMNS] for first in range(0, count, _COLUMNS)]
     return stacked([np.concatenate(row, axis=1) for row in rows])
 
 
-def _pair(judged: JudgedView, side: int, min_confidence: float) -> NDArray[np.uint8]:
-    """One view: clean beside attacked, each `side` pixels wide."""
+def _pair(judged: JudgedView) -> NDArray[np.uint8]:
+    """One view: clean beside attacked, each `_WIDTH` pixels wide."""
     direction, sides = judged.view.direction, []
     for seen, name in ((judged.clean, "clean"), (judged.attacked, "attacked")):
         title = f"{name}, {direction.azimuth:.0f} / {direction.elevation:.0f}"
-        large = Image.fromarray(_boxes(seen, title, min_confidence))
-        small = large.resize((side, max(1, round(large.height * side / large.width))), Image.Resampling.LANCZOS)
+        large = Image.fromarray(_boxes(seen, title))
+        small = large.resize((_WIDTH, max(1, round(large.height * _WIDTH / large.width))), Image.Resampling.LANCZOS)
         sides.append(np.asarray(small))
     return np.concatenate(sides, axis=1)

@@ -115,17 +115,16 @@ def _resampled(sums: NDArray[np.float64]) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def blocks_of(azimuth: str, elevation: str, degrees: float = BLOCK) -> pl.Expr:
-    """The block of directions that a camera stands in, as a number: about so many degrees wide and high.
+def blocks_of(azimuth: str, elevation: str) -> pl.Expr:
+    """The block of directions that a camera stands in, as a number: about `BLOCK` degrees wide and high.
 
     Args:
         azimuth: Name of the column, degrees in [0, 360).
         elevation: Name of the column, degrees.
-        degrees: Side of a block.
     """
-    band = ((pl.col(elevation) + 90) / degrees).floor()
-    middle = ((band + 0.5) * degrees - 90).clip(-89, 89)
-    around = (360 * middle.radians().cos() / degrees).round().clip(1)
+    band = ((pl.col(elevation) + 90) / BLOCK).floor()
+    middle = ((band + 0.5) * BLOCK - 90).clip(-89, 89)
+    around = (360 * middle.radians().cos() / BLOCK).round().clip(1)
     return (band * 1000 + (pl.col(azimuth) / 360 * around).floor()).cast(pl.Int64)
 
 

@@ -191,7 +191,6 @@ def evaluate(
     detectors: Detector | str | Sequence[Detector | str],
     *,
     render: RenderFn,
-    batch: int = BATCH,
 ) -> dict[str, list[ViewDetections]]:
     """Look at every scene, as its file holds it, from every camera with every detector.
 
@@ -201,7 +200,6 @@ def evaluate(
         cameras: Views; better others than those that were attacked.
         detectors: Any number, with different names; or their names.
         render: The renderer.
-        batch: Pictures that a detector gets at once.
 
     Returns:
         For each scene a value for each view and detector, for `attacks.observe.comparison.compared_rows`. Boxes
@@ -215,7 +213,7 @@ def evaluate(
     detectors = as_detectors(detectors)
     boxes = object_boxes(scenes[CLEAN], mask, cameras, render=render)
     return {
-        name: list(detect_views(as_saved(scene), cameras, detectors, render=render, boxes=boxes, batch=batch))
+        name: list(detect_views(as_saved(scene), cameras, detectors, render=render, boxes=boxes))
         for name, scene in scenes.items()
     }
 
@@ -228,9 +226,9 @@ def visible_weight(subset: GaussianSubset, camera: Camera, render: RenderFn) -> 
     return object_weight(subset.scene, subset.rows, camera, render)
 
 
-def visible_box(weight: Tensor, *, threshold: float = 0.5) -> Tensor | None:
-    """(4,) pixel box around the pixels of which the object makes up at least `threshold`; None without any."""
-    rows, columns = torch.nonzero(weight >= threshold, as_tuple=True)
+def visible_box(weight: Tensor) -> Tensor | None:
+    """(4,) pixel box around the pixels of which the object makes up at least a half; None without any."""
+    rows, columns = torch.nonzero(weight >= 0.5, as_tuple=True)
     if not len(rows):
         return None
     corners = [columns.min(), rows.min(), columns.max() + 1, rows.max() + 1]

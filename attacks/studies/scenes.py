@@ -137,27 +137,23 @@ def check_scene(path: Path, name: str, *, camera: int = 0, renderers: Sequence[s
         check_choice("renderer", renderer, method_names())
 
 
-def jittered(
-    camera: Camera, centre: torch.Tensor, *, seed: int, degrees: float = 6.0, fraction: float = 0.05
-) -> Camera:
+def jittered(camera: Camera, centre: torch.Tensor, *, seed: int) -> Camera:
     """The camera turned about the vertical axis through `centre` and moved along the line to it.
 
-    Seed 0 changes nothing.
+    It turns by at most 6 degrees, and its distance changes by at most 5 %. Seed 0 changes nothing.
 
     Args:
         camera: The camera.
         centre: (3,) world units, what it looks at.
         seed: Seed of the draw.
-        degrees: Largest angle.
-        fraction: Largest change of the distance, as a fraction of it.
     """
     if seed == 0:
         return camera
     turn, move = (2 * torch.rand(2, generator=Generator().manual_seed(seed), dtype=torch.float64) - 1).tolist()
-    angle, pivot = math.radians(degrees * turn), centre.detach().to("cpu", torch.float64)
+    angle, pivot = math.radians(6 * turn), centre.detach().to("cpu", torch.float64)
     spin = torch.eye(3, dtype=torch.float64)
     spin[:2, :2] = torch.tensor([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
     pose = camera.to_world.clone()
     pose[:3, :3] = spin @ pose[:3, :3]
-    pose[:3, 3] = pivot + (1 + fraction * move) * (spin @ (camera.position - pivot))
+    pose[:3, 3] = pivot + (1 + 0.05 * move) * (spin @ (camera.position - pivot))
     return dataclasses.replace(camera, to_world=pose)

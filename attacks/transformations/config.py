@@ -92,11 +92,6 @@ class PictureChanges(Checked):
     noise: Annotated[float, at_least(0)] = 0.0
     jpeg: Annotated[int, between(0, 95, "quality", "0 is no JPEG")] = 0
 
-    @property
-    def are_none(self) -> bool:
-        """Whether pictures stay as they are."""
-        return self == PictureChanges()
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transformations:

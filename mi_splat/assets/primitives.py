@@ -91,7 +91,6 @@ def loft(
     sections: ArrayLike,
     colour: ArrayLike,
     *,
-    caps: bool = True,
     roughness: float | None = None,
     smooth: bool = True,
 ) -> Mesh:
@@ -103,16 +102,12 @@ def loft(
     Args:
         sections: (S, P, 3) points, metres.
         colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
-        caps: Whether the ends are closed; an end that is one point needs no cap.
         roughness: As in `Mesh`.
         smooth: As in `Mesh`.
     """
     rings = np.asarray(sections, np.float64)
     rings = np.concatenate([rings, rings[:, :1]], 1)
-    body = sheet(rings, colour, roughness=roughness, smooth=smooth)
-    if not caps:
-        return body
-    parts = [body]
+    parts = [sheet(rings, colour, roughness=roughness, smooth=smooth)]
     count = rings.shape[1] - 1
     fan = np.array([[0, i + 1, (i + 1) % count + 1] for i in range(count)])
     for ring, faces, v in ((rings[0, :-1], fan[:, ::-1], 0.0), (rings[-1, :-1], fan, 1.0)):

@@ -165,11 +165,10 @@ def tiles(
     colour: ArrayLike,
     rows: int,
     columns: int,
-    bond: float = 0.5,
     joint: float = 0.04,
     spread: float = 0.12,
 ) -> Floats:
-    """Bricks, paving stones or roof tiles in a running bond; repeats at its edges for an even number of rows.
+    """Bricks, paving stones or roof tiles, every other row moved by half a tile; an even number of rows repeats.
 
     Args:
         size: Edge in pixels.
@@ -177,7 +176,6 @@ def tiles(
         colour: (3,) sRGB of a tile.
         rows: Rows of tiles.
         columns: Tiles in a row.
-        bond: Shift of every other row, in tiles.
         joint: Half width of a joint, in heights of a tile.
         spread: Standard deviation of the tones, relative to the colour.
     """
@@ -185,7 +183,7 @@ def tiles(
     x, y = grid((size, size))
     v = y * rows
     row = np.floor(v).astype(int)
-    u = x * columns + (row % 2) * bond
+    u = x * columns + (row % 2) * 0.5
     column = np.floor(u).astype(int) % columns
     tone = 1 + spread * rng.normal(size=(rows, columns))[row % rows, column]
     picture = np.clip(np.asarray(colour) * tone[..., None], 0, 1).astype(np.float32)

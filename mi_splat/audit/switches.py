@@ -29,6 +29,8 @@ LEAST_SEEN = 3
 """Cameras on each side of the edge that have to see a piece of surface."""
 MOST_PIECES = 2500
 """Pieces of surface on which sets of directions are compared, evenly taken of all."""
+_VOTES = 3
+"""Rounds of votes on which cameras see a look, at most."""
 _CHUNK = 256
 _CELL, _CELL_ELEMENTS, _CELLS = 6, 6, 6
 """Side of a cell in voxels, pieces that it has at least, and cells that count."""
@@ -258,7 +260,7 @@ def reachable(pieces: Elements, view: Sight) -> Tensor:
     return able
 
 
-def cameras_of_look(pieces: Elements, view: Sight, scores: Scores, *, rounds: int = 3) -> Tensor:
+def cameras_of_look(pieces: Elements, view: Sight, scores: Scores) -> Tensor:
     """(K,) bool, which cameras see the look: a set of any form, begun with the best cone.
 
     Each piece votes for the side whose mean colour is nearer to what the camera sees, by its score.
@@ -267,10 +269,9 @@ def cameras_of_look(pieces: Elements, view: Sight, scores: Scores, *, rounds: in
         pieces: The surface.
         view: Its cameras.
         scores: With the cone.
-        rounds: Votes at most.
     """
     shown = angles_between(scores.axis[None], view.directions)[0] < scores.half_width + (OUTSIDE - INSIDE) / 2
-    for _ in range(rounds):
+    for _ in range(_VOTES):
         inside, outside = sums_by_side(pieces.moments, shown)
         mean_in = inside[:, 1:4] / inside[:, :1].clamp(min=1)
         mean_out = outside[:, 1:4] / outside[:, :1].clamp(min=1)

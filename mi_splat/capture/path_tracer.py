@@ -1,4 +1,4 @@
-"""Path-traced pictures of mesh scenes, with exact cameras and with boxes around what can be seen of each object.
+"""Path-traced pictures of mesh scenes, with exact cameras.
 
 Everything here runs in a variant of Mitsuba that is fast at it (`tracing_variant`) and puts the caller's back
 afterwards. Pixels are box-filtered averages, converted to sRGB and clipped to [0, 1]; the same arguments give the same
@@ -8,7 +8,6 @@ picture, on any number of threads.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,9 +18,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.assets.daylight import Light, daylight
-from mi_splat.assets.mesh import Asset, Floats
+from mi_splat.assets.mesh import Floats
 from mi_splat.assets.srgb import to_linear, to_srgb
-from mi_splat.cameras import Camera, View, project_points
+from mi_splat.cameras import Camera, View
 from mi_splat.capture.mitsuba_meshes import (
     MAX_DEPTH,
     corner_normals,
@@ -49,14 +48,12 @@ NEAR = 0.01
 __all__ = [
     "Light",
     "PathTracer",
-    "Photograph",
     "capture",
     "check_camera",
     "corner_normals",
     "daylight",
     "depth_maps",
     "in_front",
-    "photograph",
     "scene_dict",
     "shapes",
     "to_linear",
@@ -68,25 +65,6 @@ _Depths = TypeVar("_Depths", NDArray[Any], Tensor)
 
 OnStep = Callable[[int, int], None]
 """Called after each picture with the number finished and the number wanted."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Photograph:
-    """A path-traced picture and what is in it.
-
-    Attributes:
-        view: The picture and its camera.
-        boxes: (B, 4) float32 x0, y0, x1, y1 in pixels, tight around the visible pixels of each object.
-        labels: B names of the objects.
-        visible: (B,) float32 fraction of the object's own outline that is inside the picture and not hidden.
-        objects: B positions of the objects in the sequence of assets that was photographed.
-    """
-
-    view: View
-    boxes: Tensor
-    labels: tuple[str, ...]
-    visible: Tensor
-    objects: tuple[int, ...]
 
 
 def _sensor(
@@ -270,54 +248,3 @@ def depth_maps(scene: dict[str, Any] | Path, cameras: Sequence[Camera], *, seed:
     with tracing_variant(made_in(scene)):
         loaded = load_scene(scene)
         return [torch.from_numpy(first_hits(loaded, camera, seed=seed)) for camera in cameras]
-
-
-def _in_frame(asset: Asset, camera: Camera) -> float:
-    pixels, depth = project_points(torch.from_numpy(asset.body.vertices), camera)
-    size = torch.tensor([camera.width, camera.height])
-    return float((((pixels >= 0) & (pixels <= size)).all(1) & (depth > 0)).float().mean())
-
-
-def photograph(
-    assets: Sequence[Asset],
-    camera: Camera,
-    *,
-    light: Light | None = None,
-    backdrop: Asset | None = None,
-    samples: int = 32,
-    seed: int = 0,
-    min_pixels: int = 8,
-) -> Photograph:
-    """A path-traced picture of `assets` and the tight boxes of those that can be seen.
-
-    Args:
-        assets: The objects, already placed in the world.
-        camera: The camera; fx must equal fy.
-        light: Sun and sky; the default daylight if None.
-        backdrop: Surroundings, which get no box.
-        samples: Samples per pixel.
-        seed: Seed of the sampler.
-        min_pixels: Objects with fewer visible pixels get no box.
-    """
-    description = scene_dict(assets, light=light, backdrop=backdrop)
-    boxes, labels, visible, objects = [], [], [], []
-    with tracing_variant():
-        scene = load_scene(description)
-        view = View(camera, _picture(scene, camera, samples=samples, seed=seed))
-        nearest = first_hits(scene, camera, seed=seed)
-        for number, asset in enumerate(assets):
-            alone = first_hits(mi.load_dict({"type": "scene", **shapes(asset.body, "body")}), camera, seed=seed)
-            rows, columns = np.nonzero(in_front(alone, nearest))
-            if len(rows) < max(min_pixels, 1):
-                continue
-            boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
-            labels.append(asset.name)
-            visible.append(len(rows) / int((alone > 0).sum()) * _in_frame(asset, camera))
-            objects.append(number)
-    return Photograph(
-        view,
-        torch.tensor(np.array(boxes, np.float32).reshape(-1, 4)),
-        tuple(labels),
-        torch.tensor(visible, dtype=torch.float32),
-        tuple(objects),
-    )

@@ -19,10 +19,10 @@ _MATCHED, _ROUNDS = 3, 32
 """Pictures in which an outlier lies at least, and how often as many as are wanted are drawn."""
 
 
-def spacing(points: Tensor, *, neighbours: int = 3) -> Tensor:
-    """Root mean squared distance of each point to its nearest neighbours; (N, 3) in, (N,) out, world units."""
+def spacing(points: Tensor) -> Tensor:
+    """Root mean squared distance of each point to its three nearest neighbours; (N, 3) in, (N,) out, world units."""
     count = len(points)
-    nearest = min(neighbours, count - 1)
+    nearest = min(3, count - 1)
     if nearest < 1:
         return torch.ones(count, dtype=points.dtype)
     rows = max(1, _BLOCK // count)

@@ -44,19 +44,16 @@ def frustums(cameras: Sequence[Camera], length: float) -> Tensor:
     return torch.cat(parts) if parts else torch.zeros(0, 2, 3, dtype=torch.float64)
 
 
-def arc(
-    centre: Point, radius: float, start: tuple[float, float], end: tuple[float, float], *, step: float = 3.0
-) -> Tensor:
-    """(S, 2, 3) segments on a sphere, along a parallel or a meridian.
+def arc(centre: Point, radius: float, start: tuple[float, float], end: tuple[float, float]) -> Tensor:
+    """(S, 2, 3) segments of at most 3 degrees on a sphere, along a parallel or a meridian.
 
     Args:
         centre: (3,) of the sphere, world units.
         radius: Of the sphere, world units.
         start: Azimuth and elevation in degrees.
         end: The same; one of the two numbers is that of `start`.
-        step: Degrees that a segment covers at most.
     """
-    count = max(1, math.ceil(max(abs(b - a) for a, b in zip(start, end, strict=True)) / step))
+    count = max(1, math.ceil(max(abs(b - a) for a, b in zip(start, end, strict=True)) / 3))
     azimuth, elevation = (
         torch.linspace(math.radians(a), math.radians(b), count + 1, dtype=torch.float64)
         for a, b in zip(start, end, strict=True)

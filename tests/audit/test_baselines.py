@@ -11,8 +11,8 @@ from torch import Tensor
 from attacks import cli
 from attacks.audits.disagreement import AROUND, OVER, Seen, seen_along_paths
 from attacks.audits.hiding import Around, Hiding, Victim, hide, lattice
-from attacks.audits.learnt import attributes, fit
-from attacks.audits.rivals import BASELINES, band_share, baselines, measured
+from attacks.audits.learnt import attributes, fit_attributes
+from attacks.audits.rivals import BASELINES, band_share, measured
 from attacks.detectors.base import Candidates, Detections
 from mi_splat.audit import surfaces as seen_surfaces
 from mi_splat.errors import InvalidValueError
@@ -38,8 +38,8 @@ def looks(made: Made) -> Made:
 def test_a_look_ranges_over_more_colours_and_needs_higher_bands(plain: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(seen_surfaces, "SIZE", 72)
     monkeypatch.setattr(seen_surfaces, "CAMERAS", 40)
-    clean, timed = baselines(plain.scene), measured(looks(plain).scene)
-    hiding = {name: score for name, (score, _) in timed.items()}
+    timed = measured(looks(plain).scene)
+    clean, hiding = ({name: score for name, (score, _) in part.items()} for part in (measured(plain.scene), timed))
     assert set(clean) == set(hiding) == set(BASELINES)
     assert timed["colour range"][1] > timed["band 1"][1] >= 0
     assert hiding["colour range"] > 1.5 * clean["colour range"]
@@ -75,15 +75,16 @@ def test_a_classifier_finds_the_kind_of_attack_that_it_was_trained_on() -> None:
         made = standing(name, count=300)
         return [made.scene, glossy(made).scene, looks(made).scene]
 
-    trained = fit([*kinds("suitcase"), *kinds("bird")], [False, False, True] * 2)
-    plain, shiny, look = trained.scores(kinds("tv"))
+    known = torch.stack([attributes(scene) for scene in (*kinds("suitcase"), *kinds("bird"))])
+    trained = fit_attributes(known, [False, False, True] * 2)
+    plain, shiny, look = trained.odds(torch.stack([attributes(scene) for scene in kinds("tv")])).tolist()
     assert look > max(plain, shiny)
     assert look > 0
 
 
 def test_a_classifier_needs_both_kinds(plain: Made) -> None:
     with pytest.raises(InvalidValueError, match="labels: expected one for each splat, and both kinds"):
-        fit([plain.scene], [True])
+        fit_attributes(attributes(plain.scene)[None], [True])
     with pytest.raises(InvalidValueError, match="over 4 Gaussians that show"):
         attributes(plain.scene.replace(opacities=torch.zeros_like(plain.scene.opacities)))
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from mi_splat.assets.mesh import Asset, translation
+from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import box, ellipsoid, quad, sheet
-from mi_splat.cameras import Camera, look_at, orbit_pose, project_box, project_points
+from mi_splat.cameras import Camera, look_at, orbit_pose, project_points
 from mi_splat.capture import path_tracer
 from mi_splat.capture.mitsuba_meshes import FEW_PICTURES, MANY_PICTURES, tracing_variant
 from mi_splat.capture.passes import PASSES, pass_samples, sampler_type
@@ -21,7 +21,6 @@ from mi_splat.capture.path_tracer import (
     capture,
     corner_normals,
     depth_maps,
-    photograph,
     scene_dict,
     to_linear,
     to_srgb,
@@ -68,54 +67,6 @@ def test_picture_is_neither_mirrored_nor_upside_down() -> None:
     assert picture[4, 27].argmax() == 1
     assert picture[27, 4].argmax() == 2
     assert picture[24, 24].max() < 0.2
-
-
-def test_boxes_are_tight_and_hidden_parts_count() -> None:
-    wall = Asset("tv", (box((0.1, 1, 1.2), (0.1, 0.8, 0.1), centre=(1.0, 1.0, 0.6)),))
-    view = camera()
-    alone = photograph([CUBE], view, samples=4)
-    projected = project_box(torch.from_numpy(CUBE.vertices), view)
-    assert projected is not None
-    assert alone.labels == ("car",)
-    assert (alone.boxes[0] - projected).abs().max() < 1.0
-    assert alone.visible[0] == pytest.approx(1.0)
-    both = photograph([CUBE, wall], view, backdrop=FLOOR, samples=4)
-    assert both.labels == ("car", "tv")
-    assert 0.05 < both.visible[0] < 0.95
-    assert both.visible[1] > 0.6  # nothing hides it, but its lower corner is outside of the picture
-    area = (both.boxes[:, 2:] - both.boxes[:, :2]).prod(1)
-    assert area[0] <= (projected[2:] - projected[:2]).prod()
-
-
-def test_supports_are_photographed_but_not_boxed() -> None:
-    post = box((0.2, 0.2, 2), (0.1, 0.1, 0.8), centre=(0, 0, -1))
-    sign = Asset("stop sign", (*CUBE.meshes, post), supports=1)
-    view = camera()
-    projected = project_box(torch.from_numpy(sign.body.vertices), view)
-    shot = photograph([sign], view, samples=4)
-    assert projected is not None
-    assert (shot.boxes[0] - projected).abs().max() < 1.0
-    assert shot.visible[0] == pytest.approx(1.0)
-    bare = photograph([sign.body], view, samples=4)
-    below = int(projected[3]) + 3
-    assert (shot.view.image - bare.view.image)[below:].abs().max() > 0.1
-
-
-def test_objects_out_of_sight_have_no_box() -> None:
-    behind = CUBE.transformed(translation(40, 20, 0))
-    shot = photograph([behind, CUBE], camera(), samples=2)
-    assert shot.labels == ("car",)
-    assert shot.objects == (1,)
-    assert shot.boxes.shape == (1, 4)
-    empty = photograph([], camera(), backdrop=FLOOR, samples=2)
-    assert empty.boxes.shape == (0, 4)
-    assert empty.labels == ()
-
-
-def test_cut_off_objects_are_less_visible() -> None:
-    shot = photograph([CUBE], camera(principal=(64.0, 24.0)), samples=2)
-    assert shot.boxes[0, 2] == 64
-    assert 0.3 < shot.visible[0] < 0.8
 
 
 def test_same_seed_same_picture() -> None:

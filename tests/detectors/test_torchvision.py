@@ -39,8 +39,8 @@ from attacks.detectors.torchvision import (
 from attacks.detectors.weights import apply_weights, fingerprint, read_weights
 from mi_splat.assets import build
 from mi_splat.assets.street import plain
-from mi_splat.cameras import Camera, orbit_pose
-from mi_splat.capture.path_tracer import daylight, photograph
+from mi_splat.cameras import Camera, orbit_pose, project_box
+from mi_splat.capture.path_tracer import capture, daylight, scene_dict
 from mi_splat.errors import InvalidValueError
 from tests.detectors.contract import each_picture_has_its_own_gradient, holds_the_protocol, slope_is_the_gradient
 from tests.detectors.made import random_detector, warm_up
@@ -75,8 +75,10 @@ def car_picture() -> CarPicture:
     camera = Camera(
         to_world=orbit_pose((0.0, 0.0, 0.7), azimuth=40, elevation=20, distance=7.0), focal=300, width=256, height=256
     )
-    photo = photograph([asset], camera, light=daylight(512_345), backdrop=plain(512_345), samples=8)
-    return CarPicture(photo.view.image, photo.boxes)
+    scene = scene_dict([asset], light=daylight(512_345), backdrop=plain(512_345))
+    box = project_box(torch.from_numpy(asset.vertices), camera)
+    assert box is not None
+    return CarPicture(capture(scene, [camera], samples=8)[0].image, box[None])
 
 
 def test_the_protocol_holds(detector: TorchvisionDetector) -> None:

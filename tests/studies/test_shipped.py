@@ -13,6 +13,7 @@ from attacks.studies import dagger
 from attacks.studies.dagger import DaggerWork
 from attacks.studies.result import Attempt
 from attacks.studies.study_file import read_study
+from attacks.transformations.config import PictureChanges
 from mi_splat.attributes import ATTRIBUTES
 from tests.project.layers import ROOT
 
@@ -147,7 +148,8 @@ def test_settings_of_attacks_from_all_around_change_one_at_a_time() -> None:
     assert Counter(config.image_psnr for config in compared) == {30.3: 8, 26.3: 8}
     changed = [one for one in attempts("eot_settings") if one.point.part.startswith("Pictures that change")]
     assert {
-        (one.job.config.transformations.pictures.are_none, one.job.config.judged.pictures.are_none) for one in changed
+        tuple(part.pictures == PictureChanges() for part in (one.job.config.transformations, one.job.config.judged))
+        for one in changed
     } == {*((True, True), (True, False), (False, True), (False, False))}
 
 

@@ -121,6 +121,6 @@ def _scatter_children(values: Parameters, rows: slice, generator: Generator) -> 
     values["scales"][rows] = (scales / SPLIT_SCALE).log()
 
 
-def reset_opacities(opacities: Tensor, *, most: float = RESET_OPACITY) -> Tensor:
-    """Logits of opacities of at most `most`."""
-    return opacities.detach().clamp(max=math.log(most / (1 - most)))
+def reset_opacities(opacities: Tensor) -> Tensor:
+    """Logits of opacities of at most `RESET_OPACITY`."""
+    return opacities.detach().clamp(max=math.log(RESET_OPACITY / (1 - RESET_OPACITY)))
