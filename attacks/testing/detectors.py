@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -12,6 +13,7 @@ from attacks.detectors.base import Candidates, Detections, Detector, check_image
 from attacks.testing.promises import Contract, expect, expect_same, expect_text, expect_uphill, other_seed
 from mi_splat.errors import InvalidValueError
 
+_Report = TypeVar("_Report", Candidates, Detections)
 _PIXEL = 1 / 255
 _BOX, _SCORE = 0.1, 1e-3
 """How far boxes (pixels) and scores may be apart for the same picture in another stack."""
@@ -45,10 +47,10 @@ def check_detector(detector: Any, *, images: Tensor | None = None) -> None:
     with contract.promise("names"):
         _names(detector)
     with contract.promise("candidates"):
-        for seen in _candidates(detector, pictures):
+        for seen in _of_each(detector.candidates(pictures), Candidates, pictures):
             _candidates_of(seen, detector, pictures)
     with contract.promise("detections"):
-        for reported in _detections(detector, pictures):
+        for reported in _of_each(detector.detect(pictures), Detections, pictures):
             _detections_of(reported, detector)
     with contract.promise("gradients"):
         do = "keep the way from the pictures to the scores free of .detach(), .numpy(), rounding and 8 bits"
@@ -66,7 +68,7 @@ def check_detector(detector: Any, *, images: Tensor | None = None) -> None:
         expect_same(together[1::2], alone[1::2], atol=_SCORE, expected="the same scores for a picture alone", do=do)
     with contract.promise("sizes"):
         smaller = pictures[:, : pictures.shape[1] // 4 * 3, : pictures.shape[2] // 2]
-        for seen in _candidates(detector, smaller):
+        for seen in _of_each(detector.candidates(smaller), Candidates, smaller):
             _candidates_of(seen, detector, smaller)
     with contract.promise("determinism"):
         first = _tensors(detector, pictures)
@@ -107,12 +109,12 @@ def _names(detector: Any) -> None:
     expect(0 <= least <= 1, "a min_confidence in [0, 1]", least, "give the threshold of `detect`")
 
 
-def _candidates(detector: Any, images: Tensor) -> list[Candidates]:
-    seen = detector.candidates(images)
-    expect(len(seen) == len(images), f"Candidates of each of {len(images)} pictures", len(seen), "give one of each")
-    for candidates in seen:
-        do = "return attacks.detectors.Candidates"
-        expect(isinstance(candidates, Candidates), "Candidates", type(candidates).__name__, do)
+def _of_each(seen: Sequence[Any], kind: type[_Report], images: Tensor) -> list[_Report]:
+    """What a detector gives, known to be one of a kind for each picture."""
+    name = kind.__name__
+    expect(len(seen) == len(images), f"{name} of each of {len(images)} pictures", len(seen), "give one of each")
+    for report in seen:
+        expect(isinstance(report, kind), name, type(report).__name__, f"return attacks.detectors.{name}")
     return list(seen)
 
 
@@ -137,15 +139,6 @@ def _candidates_of(seen: Candidates, detector: Any, images: Tensor) -> None:
     expect(float(boxes.max()) > 1.5, "boxes in pixels", f"numbers up to {float(boxes.max()):g}", do)
 
 
-def _detections(detector: Any, images: Tensor) -> list[Detections]:
-    seen = detector.detect(images)
-    expect(len(seen) == len(images), f"Detections of each of {len(images)} pictures", len(seen), "give one of each")
-    for detections in seen:
-        do = "return attacks.detectors.Detections"
-        expect(isinstance(detections, Detections), "Detections", type(detections).__name__, do)
-    return list(seen)
-
-
 def _detections_of(seen: Detections, detector: Any) -> None:
     unknown = sorted({*seen.labels} - {*detector.classes})
     expect(not unknown, "labels that are among the classes", ", ".join(unknown), "translate label numbers to classes")
@@ -163,7 +156,11 @@ def _detections_of(seen: Detections, detector: Any) -> None:
 def _tensors(detector: Any, images: Tensor) -> list[Tensor]:
     """Boxes and scores of each picture."""
     with torch.no_grad():
-        return [value for seen in _candidates(detector, images) for value in (seen.boxes, seen.scores)]
+        return [
+            value
+            for seen in _of_each(detector.candidates(images), Candidates, images)
+            for value in (seen.boxes, seen.scores)
+        ]
 
 
 def _refuses(detector: Any, words: str, images: Tensor) -> None:

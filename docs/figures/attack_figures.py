@@ -115,6 +115,16 @@ class Drawing:
         )
         self.words(x + side / 2, y + side + 20, [words], colour=colour)
 
+    def threat_model(self, given: Sequence[str], attacker: Sequence[str], victim: Sequence[str], note: str) -> None:
+        """The first part: what is given, what the attacker knows and changes, what the victim does, and a remark."""
+        self.part()
+        self.box(20, 62, 160, given)
+        self.box(230, 50, 240, attacker, ATTACKER)
+        self.box(530, 62, 170, victim, VICTIM)
+        self.arrow([(180, 104), (228, 104)])
+        self.arrow([(470, 104), (528, 104)])
+        self.words(360, 190, [note], colour=GREY)
+
     def svg(self) -> str:
         """The file."""
         return "\n".join(
@@ -134,19 +144,12 @@ class Drawing:
 def dagger() -> Drawing:
     """DAGGER: a finished file is changed."""
     drawing = Drawing("DAGGER: threat model, method and result")
-    drawing.part()
-    drawing.box(20, 62, 150, ["Splat file", "of a street", "with a car"])
-    drawing.box(
-        230,
-        50,
-        240,
+    drawing.threat_model(
+        ["Splat file", "of a street", "with a car"],
         ["Attacker", "has the file and weights", "of the detector; changes", "colours of the car only"],
-        ATTACKER,
+        ["Victim", "renders the file,", "asks the detector"],
+        "the sum of all changes stays within a budget, eps",
     )
-    drawing.box(530, 62, 170, ["Victim", "renders the file,", "asks the detector"], VICTIM)
-    drawing.arrow([(170, 104), (228, 104)])
-    drawing.arrow([(470, 104), (528, 104)])
-    drawing.words(360, 190, ["the sum of all changes stays within a budget, eps"], colour=GREY)
     drawing.part()
     drawing.box(20, 62, 150, ["Colours", "SH of the car's", "Gaussians"])
     drawing.box(210, 62, 130, ["Picture", "rendered with", "gradients"])
@@ -179,15 +182,12 @@ def dagger() -> Drawing:
 def cloak() -> Drawing:
     """CLOAK: training pictures are changed for chosen directions."""
     drawing = Drawing("CLOAK: threat model, method and result")
-    drawing.part()
-    drawing.box(20, 62, 160, ["Pictures", "of a car, from", "210 cameras"])
-    drawing.box(
-        230, 50, 240, ["Attacker", "knows no trainer and", "no detector; replaces the", "pictures from above"], ATTACKER
+    drawing.threat_model(
+        ["Pictures", "of a car, from", "210 cameras"],
+        ["Attacker", "knows no trainer and", "no detector; replaces the", "pictures from above"],
+        ["Victim", "trains a splat", "as always"],
+        "all other pictures stay as they are, to the bit",
     )
-    drawing.box(530, 62, 170, ["Victim", "trains a splat", "as always"], VICTIM)
-    drawing.arrow([(180, 104), (228, 104)])
-    drawing.arrow([(470, 104), (528, 104)])
-    drawing.words(360, 190, ["all other pictures stay as they are, to the bit"], colour=GREY)
     drawing.part()
     ground, middle = 200, 190.0
     drawing.body.append(f'<path d="M40 {drawing.origin + ground}H340" stroke="{PLAIN}" stroke-width="2"/>')
@@ -235,19 +235,12 @@ def cloak() -> Drawing:
 def poison_splat() -> Drawing:
     """Poison-splat: training pictures are changed so that a splat costs more."""
     drawing = Drawing("Poison-splat: threat model, method and result")
-    drawing.part()
-    drawing.box(20, 62, 160, ["Pictures", "of a tv, from", "60 cameras"])
-    drawing.box(
-        230,
-        50,
-        240,
+    drawing.threat_model(
+        ["Pictures", "of a tv, from", "60 cameras"],
         ["Attacker", "knows the kind of trainer;", "changes every picture by", "at most 16 of 255"],
-        ATTACKER,
+        ["Victim", "trains a splat and", "pays for its size"],
+        "the trainer adds Gaussians where pictures have detail",
     )
-    drawing.box(530, 62, 170, ["Victim", "trains a splat and", "pays for its size"], VICTIM)
-    drawing.arrow([(180, 104), (228, 104)])
-    drawing.arrow([(470, 104), (528, 104)])
-    drawing.words(360, 190, ["the trainer adds Gaussians where pictures have detail"], colour=GREY)
     drawing.part()
     drawing.box(20, 62, 180, ["Decoy", "a splat of the", "attacker's own"])
     drawing.box(270, 62, 190, ["Picture", "rendered; its total", "variation is raised"], ATTACKER)

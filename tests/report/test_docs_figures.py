@@ -143,8 +143,8 @@ def stealthy(derived: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def stealthy_in_readme(derived: Mapping[str, Any]) -> list[str]:
-    """What README tells of the stealthy study."""
+def cloak_in_readme(derived: Mapping[str, Any]) -> list[str]:
+    """What README tells of CLOAK, of pictures and of layers."""
     return [f"car missed from {percent(derived, 'trigger_miss_rate', detectors=OUR[:1])} % of cameras"]
 
 
@@ -161,10 +161,6 @@ def sector(derived: Mapping[str, Any]) -> list[str]:
         f"found elsewhere from {percent(derived, 'benign_recall')} %",
         f"The change takes {derived['transition_degrees']:.1f} degrees",
     ]
-
-
-def layers_in_readme(derived: Mapping[str, Any]) -> list[str]:
-    return [f"car missed from {percent(derived, 'trigger_miss_rate', detectors=OUR[:1])} % of cameras"]
 
 
 def layers(derived: Mapping[str, Any]) -> list[str]:
@@ -450,11 +446,11 @@ SENTENCES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], list[str]]], ...]
     ("dagger_strict", "docs/dagger.md", strict_in_docs),
     ("dagger_strict_smallest", "docs/dagger.md", strict_smallest),
     ("dagger_strict_forty", "docs/dagger.md", strict_forty),
-    ("cloak_car_stealthy", "README.md", stealthy_in_readme),
+    ("cloak_car_stealthy", "README.md", cloak_in_readme),
     ("cloak_car_stealthy", "docs/images/attack_cloak.svg", stealthy_drawn),
     ("cloak_car_stealthy", "docs/cloak.md", stealthy),
     ("cloak_car_sector", "docs/research-log.md", sector),
-    ("cloak_car_layers", "README.md", layers_in_readme),
+    ("cloak_car_layers", "README.md", cloak_in_readme),
     ("cloak_car_layers", "docs/cloak-layers.md", layers),
     ("cloak_car_layers_five", "docs/cloak-layers.md", layers_outside),
     ("cloak_car_layers_edges", "docs/cloak-layers.md", edges),
