@@ -11,7 +11,7 @@ import torch
 
 from mi_splat.cameras import Camera
 from mi_splat.cli import console
-from tests.browser import CHROMIUM, SWITCHES
+from tests.browser import CHROMIUM, SWITCHES, patient
 from tests.rewriting import rewrite_once
 from tests.warm import Warm
 
@@ -71,6 +71,7 @@ def chromium() -> Iterator[Any]:
     api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
     with api.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=SWITCHES)
+        browser.new_page, browser.new_context = patient(browser.new_page), patient(browser.new_context)
         yield browser
         browser.close()
 

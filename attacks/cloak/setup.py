@@ -35,10 +35,16 @@ BESIDE = 45.0
 """Degrees of azimuth beside a sector from which its transition is looked at."""
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def _asset(name: str, seed: int, colour: tuple[float, float, float] | None) -> Asset:
     """An object of the project; many studies in a row have the same."""
     return build(name, seed, colour=colour).body
+
+
+@lru_cache(maxsize=32)
+def _tiers(centre: Point, **placed: Any) -> tuple[Camera, ...]:
+    """As `mi_splat.camera_sets.tiers`; many studies in a row have the same cameras."""
+    return tuple(tiers(centre, **placed))
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +126,7 @@ class Setup:
     def training_cameras(self) -> list[Camera]:
         """The victim's cameras."""
         cameras = self.study.cameras
-        return tiers(self.study.centre, count=cameras.train, **self.lens, **cameras.tiers)
+        return [*_tiers(self.study.centre, count=cameras.train, **self.lens, **cameras.tiers)]
 
     @cached_property
     def held_out_cameras(self) -> list[Camera]:
@@ -136,7 +142,7 @@ class Setup:
         if evaluation.seed:
             start, offset = np.random.default_rng(evaluation.seed).uniform((0.0, 0.0), (360.0, 1.0)).tolist()
         placed = {**self.lens, **self.study.cameras.tiers}
-        everywhere = tiers(centre, count=evaluation.cameras, start=start, offset=offset, **placed)
+        everywhere = _tiers(centre, count=evaluation.cameras, start=start, offset=offset, **placed)
         used, least = self.training_cameras, evaluation.min_separation
         kept = [camera for camera in everywhere if nearest(camera, used, centre) >= least]
         if not kept:

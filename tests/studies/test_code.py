@@ -1,8 +1,6 @@
 """The code in a job's key is all that the job loads: nothing is loaded by a name that its module does not have."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +11,7 @@ from mi_splat.import_closure import closure
 from mi_splat.ledger.slurm import JOBS, export
 from tests.project.layers import PACKAGES, ROOT
 from tests.studies.toy import settings, work_of, write_toy
+from tests.warm import Warm
 
 PROGRAM = """
 import json, sys
@@ -34,13 +33,12 @@ FIXED: dict[str, Any] = {"attack": {"steps": 1}, "judge": {"matrix": {"condition
 
 
 @pytest.mark.slow
-def test_jobs_load_no_code_that_is_not_in_their_keys(tmp_path: Path) -> None:
+def test_jobs_load_no_code_that_is_not_in_their_keys(tmp_path: Path, warm: Warm) -> None:
     write_toy(tmp_path)
     works = [work_of(settings(tmp_path, **{"detectors": "fasterrcnn_small", **table})) for table in (FIXED, EOT)]
     jobs = [job for work in works for job in work.jobs().values()]
     export(jobs, tmp_path, tmp_path / "store")
-    command = [sys.executable, "-c", PROGRAM, str(tmp_path / "store"), str(tmp_path / JOBS)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    done = warm.run("-c", PROGRAM, str(tmp_path / "store"), str(tmp_path / JOBS), cwd=ROOT, check=True)
     loaded = {name for name in json.loads(done.stdout.splitlines()[-1]) if name.split(".")[0] in PACKAGES}
     kinds = {job.kind for job in jobs}
     assert len(loaded) > 80
@@ -91,10 +89,10 @@ condition = "ray"
 """
 
 
-def test_the_code_that_a_job_loads_is_in_its_key(tmp_path: Path) -> None:
+def test_the_code_that_a_job_loads_is_in_its_key(tmp_path: Path, warm: Warm) -> None:
     """What the import closure of its module does not know could change without a change of the key."""
-    words = [sys.executable, "-c", CODE, str(write_toy(tmp_path)), str(tmp_path / "out")]
-    assert subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip() == "[]"
+    done = warm.run("-c", CODE, str(write_toy(tmp_path)), str(tmp_path / "out"), cwd=ROOT, check=True)
+    assert done.stdout == "[]\n"
 
 
 @pytest.mark.nightly
