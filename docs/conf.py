@@ -2,6 +2,7 @@
 
 import os
 import sys
+import tempfile
 import warnings
 from importlib.metadata import version as installed
 from pathlib import Path
@@ -40,10 +41,16 @@ myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 myst_fence_as_directive = ["mermaid"]
 
-# Every build runs the notebooks, and a cell that fails ends it. `make NOTEBOOKS=off docs` shows them without outputs.
+# Every build runs the notebooks. A cell that fails is a warning with its traceback, and an error with -W, which all our
+# builds have. `make NOTEBOOKS=off docs` shows them without outputs.
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # torch and Dr.Jit each start a thread a core
+# Kernels have a profile of their own: nothing of the user's runs in them, and they do not warn of their local sockets.
+_profiles = tempfile.TemporaryDirectory(prefix="mi-splat-docs-")
+os.environ["IPYTHONDIR"] = _profiles.name
+(Path(_profiles.name) / "profile_default").mkdir()
+(Path(_profiles.name) / "profile_default" / "ipython_kernel_config.py").write_text('c.IPKernelApp.log_level = "ERROR"')
 nb_execution_mode = "force"
-nb_execution_raise_on_error = True
+nb_execution_show_tb = True
 nb_execution_timeout = 300
 nb_execution_excludepatterns = [] if os.environ.get("NOTEBOOKS") != "off" else ["*"]
 nb_merge_streams = True
