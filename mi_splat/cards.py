@@ -19,7 +19,7 @@ from PIL import Image
 
 from mi_splat.errors import InvalidValueError, listed, one_line
 
-HEIGHT, WIDTH = 160, 480
+HEIGHT, WIDTH = 144, 480
 """Pixels that a picture of a card has at most."""
 
 
@@ -71,7 +71,7 @@ class Pictures:
         width: The same, of the other side.
     """
 
-    def __init__(self, named: Mapping[str, Any], *, height: int = 240, width: int = WIDTH) -> None:
+    def __init__(self, named: Mapping[str, Any], *, height: int = 192, width: int = WIDTH) -> None:
         self._drawings = [picture(value, name, height=height, width=width) for name, value in named.items()]
         self._names = listed(named)
 

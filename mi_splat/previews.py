@@ -26,7 +26,7 @@ from mi_splat.variant import device_of, variant_kept
 
 MOST = 1_000_000
 """Gaussians that are drawn at most: those that cover most."""
-_SIZE, _AZIMUTH, _ELEVATION = (213, HEIGHT), -60.0, 20.0
+_SIZE, _AZIMUTH, _ELEVATION = (192, HEIGHT), -60.0, 20.0
 """Pixels of a picture of a splat, and degrees from where it is taken."""
 _BACKGROUND = (0.93, 0.93, 0.93)
 _PICTURES = 4

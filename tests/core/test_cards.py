@@ -92,7 +92,7 @@ def test_a_scene_file_shows_its_cameras(variant: str) -> None:
     made = scene._repr_html_()
     assert len(pictures(made)) == min(4, len(scene.cameras))
     assert all(name in made for name in list(scene.cameras)[:4])
-    heights = [int(width) for width in re.findall(r'width="(\d+)" style', made)]
+    heights = [int(width) for width in re.findall(r'width="(\d+)" class', made)]
     assert max(heights) <= 2 * HEIGHT
 
 
