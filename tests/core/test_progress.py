@@ -1,11 +1,12 @@
 """`on_step` of one function: a bar, and curves that TensorBoard reads."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
-from attacks import DaggerConfig, EotConfig, attack, attack_views, relabel
+from attacks import DaggerConfig, EotConfig, Result, attack, attack_views, relabel
 from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import View
 from mi_splat.errors import MiSplatError
@@ -25,19 +26,16 @@ def curves(folder: Path) -> dict[str, list[tuple[int, float]]]:
     return {tag: [(item.step, item.value) for item in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
 
 
-def test_a_bar_follows_an_attack_and_its_restarts(capsys: pytest.CaptureFixture[str]) -> None:
+def attacked_twice(on_step: Any) -> Result:
+    """Two runs of two steps on a toy."""
     config = DaggerConfig(steps=2, restarts=2, noise_draws=1, early_stop=False)
+    scene, detector = toy_scene()[0], ColourDetector()
+    return attack(scene, [0], camera(), detector, relabel("person"), render=blobs, config=config, on_step=on_step)
+
+
+def test_a_bar_follows_an_attack_and_its_restarts(capsys: pytest.CaptureFixture[str]) -> None:
     with bar(6, "attack") as on_step:
-        attack(
-            toy_scene()[0],
-            [0],
-            camera(),
-            ColourDetector(),
-            relabel("person"),
-            render=blobs,
-            config=config,
-            on_step=on_step,
-        )
+        attacked_twice(on_step)
     last = capsys.readouterr().err.split("\r")[-1]
     assert "attack: 100%" in last
     assert "6/6" in last
@@ -70,17 +68,7 @@ def test_training_writes_curves_that_tensorboard_reads(tmp_path: Path) -> None:
 
 def test_an_attack_writes_curves_that_tensorboard_reads(tmp_path: Path) -> None:
     pytest.importorskip("tensorboard")
-    config = DaggerConfig(steps=2, restarts=2, noise_draws=1, early_stop=False)
-    result = attack(
-        toy_scene()[0],
-        [0],
-        camera(),
-        ColourDetector(),
-        relabel("person"),
-        render=blobs,
-        config=config,
-        on_step=tensorboard(tmp_path),
-    )
+    result = attacked_twice(tensorboard(tmp_path))
     read = curves(tmp_path)
     both = read["loss"] + read["loss of run 2"]
     assert [step for step, _ in both] == [line.index for line in result.trace]
