@@ -22,6 +22,7 @@ FAST = {
         "artifact",
         "artifact-check",
         "audit",
+        "bench",
         "capture",
         "classifiers",
         "compare",

@@ -71,6 +71,11 @@ def shipped_artifact(path: Path) -> None:
     shutil.copytree(ROOT / path, path)
 
 
+def shipped_table(path: Path) -> None:
+    """A file of the tables of the documentation."""
+    shutil.copy(ROOT / path, path)
+
+
 def small_study(path: Path) -> None:
     """One attack of a shipped study, looked at under one condition."""
     file = path.with_suffix(".toml")
@@ -111,6 +116,7 @@ GIVEN: dict[str, str | Callable[[Path], None]] = {
     "out/cloak": "mi-splat cloak scenes/cloak_car_colour.toml --out {path}",
     "out/layers": "mi-splat cloak scenes/cloak_car_layers.toml --out {path}",
     "docs/artifacts/cloak_car_layers": shipped_artifact,
+    "docs/tables/audit.json": shipped_table,
     "out/studies/between_renderers": small_study,
 }
 """What pages take as given: a command that makes it, or a function."""
