@@ -123,7 +123,7 @@ def values_of(loaded: Any, path: str | Path, *, among: Literal["nothing", "surfa
 
 
 def _settings_of(integrator: Any, near: float) -> RenderSettings:
-    """Those of a scene's integrator; `near` where the file states none."""
+    """Render settings of a scene's integrator; `near` where the file states none."""
     if type(integrator).__name__ == "SplatRay":
         return RenderSettings(
             method="ray",

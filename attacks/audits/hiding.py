@@ -119,7 +119,7 @@ class Victim:
 
     @cached_property
     def radius(self) -> float:
-        """Of a ball that holds nearly all of the object, world units."""
+        """Radius of a ball that holds nearly all of the object, world units."""
         return float((self.scene.means[self.rows].double() - self.centre).norm(dim=1).quantile(0.98))
 
     def camera(self, direction: Tensor, *, size: int = SIZE, distance: float = DISTANCE) -> Camera:

@@ -79,7 +79,7 @@ def contribution_clusters(scene: GaussianScene) -> float:
 
 
 def _clusters(frame: Frame, target: Target) -> float:
-    """Of one object: mean shortfall of the cameras that see a Gaussian, by what it makes up."""
+    """Mean shortfall of the cameras that see each Gaussian of one object, weighted by what it makes up."""
     cameras = cameras_around(target)[::_EVERY]
     render = Renderer(RenderSettings(near=near_of(target, cameras)))
     seen = contributions(frame.scene, cameras, render=render, rows=target.rows)

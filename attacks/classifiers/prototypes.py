@@ -39,7 +39,7 @@ _READER = DocumentReader(expected="the prototypes of classes", do="restore the f
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PrototypesConfig(Checked):
-    """Of which pictures prototypes are made.
+    """Settings of the pictures that prototypes are made of.
 
     Attributes:
         classes: Keys of `mi_splat.assets.ASSETS`.

@@ -113,7 +113,7 @@ class Look:
     condition: str = ""
 
     def tables(self, done: Done) -> dict[str, pl.DataFrame]:
-        """Its tables by their names, whose rows say what they are of."""
+        """Tables of the job by their names, whose rows say what they are of."""
         files = {name: done.folder / f"{name}{SUFFIX}" for name in TABLES}
         ids = {"splat": pl.lit(self.splat), "seed": pl.lit(self.seed, dtype=pl.Int64)}
         ids |= {"condition": pl.lit(self.condition)} if self.condition else {}
@@ -461,7 +461,7 @@ def _shown(attack: AttackConfig) -> AttackConfig:
 
 
 def _cone(attack: AttackConfig) -> AttackConfig:
-    """Of an attack only its name, its cone, and the class that it wants, if any."""
+    """An attack reduced to its name, its cone, and the class that it wants, if any."""
     cone = AttackConfig(name=attack.name, elevation=attack.elevation, azimuth=attack.azimuth)
     return replace(cone, target_class=attack.target_class)
 

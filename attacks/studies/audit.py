@@ -278,7 +278,7 @@ def figures(rows: Sequence[Row], chosen_on: Sequence[str]) -> dict[str, Any]:
 
 
 def rivals_of(rows: Sequence[Row], chosen_on: Sequence[str]) -> dict[str, float]:
-    """Of every other way to find a hidden look how well it ranks the same splats (area under the ROC curve).
+    """How well every baseline ranks the same splats (area under the ROC curve).
 
     The classifier is trained on what the method was chosen on: the contents named, and their first kind of attack.
     """
@@ -319,7 +319,7 @@ def _figures(group: Sequence[Row], honest: Sequence[float]) -> dict[str, Any]:
 
 
 def tables(record: Mapping[str, Any]) -> Iterator[Table]:
-    """Of a result: how well kinds are told apart, then every file."""
+    """Tables of a result: how well kinds are told apart, then every file."""
     told = record["figures"]
     chosen = ", ".join(record["chosen_on"])
     heads: dict[str, Column[Any]] = {

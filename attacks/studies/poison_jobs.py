@@ -97,11 +97,11 @@ class Attempt:
 
     @property
     def centre(self) -> Position:
-        """Of the object, world units."""
+        """Centre of the object, world units."""
         return self._steps.study.centre
 
     def cameras(self, condition: str) -> Sequence[Camera]:
-        """Those of a condition, as its rows number them."""
+        """Cameras of a condition, as its rows number them."""
         setup = self._steps.setup
         return setup.training_cameras if TRAINING in condition else setup.held_out_cameras
 

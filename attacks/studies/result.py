@@ -300,7 +300,7 @@ def _pooled(rows: pl.DataFrame, *, several: bool) -> dict[str, Rate]:
 
 
 def _smallest(attacks: Record, each: Mapping[str, Record]) -> list[dict[str, Any]]:
-    """Of every search the smallest value that sufficed, and the largest that did not."""
+    """The smallest value that sufficed and the largest that did not, of every search."""
     lines = []
     for field in dict.fromkeys(attack["bisected"] for attack in attacks.values() if attack.get("bisected")):
         searched = {name: attack for name, attack in attacks.items() if attack.get("bisected") == field}

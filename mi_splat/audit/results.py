@@ -176,7 +176,7 @@ class Edit:
 
     @property
     def score(self) -> float:
-        """Of an attack on few views or on many, by which 1 is an edit; at least 0."""
+        """Score of an edit, the larger of an attack on few views and on many; 1 is an edit, and it is at least 0."""
         return max(self.aimed / AIMED, (self.grain - self.usual_grain) / GRAIN, 0.0)
 
     @property
@@ -233,7 +233,7 @@ class ObjectAudit:
 
     @property
     def evidence(self) -> float:
-        """Of the look that explains most, or of what covers it."""
+        """Evidence of the look that explains most, or of what covers the object."""
         return max(self.look.evidence, self.occluder.evidence if self.occluder else 0.0)
 
     @property
@@ -282,7 +282,7 @@ class Audit(Previewed):
 
     @property
     def verdict(self) -> Verdict:
-        """Of the object with the most evidence."""
+        """Verdict on the object with the most evidence."""
         return self.strongest.verdict
 
 

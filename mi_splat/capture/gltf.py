@@ -33,7 +33,7 @@ _DOCUMENT = DocumentReader(expected="a glTF 2.0 file", do="export it again", err
 
 
 def gltf_notes(path: Path) -> MeshFileNotes:
-    """Of a glTF file: its materials by their index, and the document as trimesh shall read it.
+    """Materials of a glTF file by their index, and the document as trimesh shall read it.
 
     There, names of materials are their indices, and the texture coordinates of a base colour are always the first.
 

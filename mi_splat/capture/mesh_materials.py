@@ -59,7 +59,7 @@ class MeshFileNotes:
 
 
 def obj_notes(path: Path) -> MeshFileNotes:
-    """Of an OBJ file: the pictures that its material file names, and materials that are not to be found."""
+    """Pictures that the material file of an OBJ file names, and materials that are not to be found."""
     text = _text(path)
     used = list(dict.fromkeys(re.findall(r"^[ \t]*usemtl[ \t]+(.*\S)", text, re.MULTILINE)))
     libraries = list(dict.fromkeys(re.findall(r"^[ \t]*mtllib[ \t]+(.*\S)", text, re.MULTILINE)))
@@ -106,7 +106,7 @@ def _mtl_materials(text: str) -> dict[str, MaterialNotes]:
 
 
 def _texture_options(rest: str) -> tuple[str, str]:
-    """Of what follows `map_Kd`: the options that change the picture, in the file's words, and the name of the file."""
+    """Options behind `map_Kd` that change the picture, in the file's words, and the name of the picture."""
     asked = []
     while match := _OPTION.match(rest):
         rest = rest[match.end() :]
@@ -119,7 +119,7 @@ def _texture_options(rest: str) -> tuple[str, str]:
 
 
 def ply_notes(path: Path) -> MeshFileNotes:
-    """Of a PLY file: the picture that a comment of its header names, and how exact its coordinates are."""
+    """The picture that a comment in the header of a PLY file names, and how exact its coordinates are."""
     with path.open("rb") as file:
         header = file.read(1 << 16).partition(b"end_header")[0].decode("utf-8", "replace")
     match = re.search(r"^comment[ \t]+texturefile[ \t]+(.*\S)", header, re.IGNORECASE | re.MULTILINE)

@@ -76,7 +76,7 @@ def _frames(normals: Tensor) -> Tensor:
 
 
 def _observe(samples: SurfaceSamples, view: View, depth: Tensor, tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Of one view: (N,) weight of each sample (0 where hidden), (N, 3) its colour, (N, 3) direction to it."""
+    """Samples in one view: (N,) weight of each (0 where hidden), (N, 3) its colour, (N, 3) direction to it."""
     points, normals = torch.from_numpy(samples.points), torch.from_numpy(samples.normals)
     camera = view.camera
     pixels, forward = project_points(points, camera)

@@ -83,7 +83,7 @@ class Option:
 
     @property
     def flag(self) -> str:
-        """Its flag, or what its value is called if it has none."""
+        """The flag, or what the value is called if it has none."""
         no = "no-" if self.default is True else ""
         name = f"--{self.prefix}{no}{self.how.name or self.name}".replace("_", "-")
         return self.called if self.how.positional else name

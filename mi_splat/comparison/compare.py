@@ -47,7 +47,7 @@ class CompareConfig(Checked):
     rounds: Count = 5
     """How often each method is timed; 0 measures neither time nor memory."""
     seed: Seed = 0
-    """Of the random weights that make one number of a picture, whose gradients are compared."""
+    """Seed of the random weights that make one number of a picture, whose gradients are compared."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

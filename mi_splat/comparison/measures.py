@@ -124,7 +124,7 @@ class GradientAgreement:
 
     @property
     def cosine(self) -> float | None:
-        """Of the angle between them, 1 if they point the same way; None if one is 0 or not finite."""
+        """Cosine of the angle between them, 1 if they point the same way; None if one is 0 or not finite."""
         return _cosine(*self._sums.sum(0)[:3].tolist())
 
     @property
@@ -145,6 +145,6 @@ class GradientAgreement:
 
 
 def _cosine(product: float, first: float, second: float) -> float | None:
-    """Of two vectors by their products; None if one is 0 or not finite."""
+    """Cosine of two vectors by their products; None if one is 0 or not finite."""
     lengths = math.sqrt(first * second)
     return max(-1.0, min(1.0, product / lengths)) if lengths > 0 and math.isfinite(lengths) else None

@@ -194,7 +194,7 @@ class Dataset(ViewSet):
 
 
 def _product(first: Tensor | None, second: Tensor | None) -> Tensor | None:
-    """Of two masks, of which either may be missing."""
+    """Product of two masks, of which either may be missing."""
     if first is None or second is None:
         return second if first is None else first
     return first * second

@@ -123,7 +123,7 @@ def _polynomial(coefficients: tuple[float, ...], square: Values) -> Values:
 
 @functools.lru_cache(maxsize=256)
 def pinhole(lens: Intrinsics) -> Intrinsics:
-    """Those without distortion whose picture is all inside the photograph, as COLMAP's undistorter chooses them.
+    """Intrinsics without distortion whose picture lies inside the photograph, as COLMAP's undistorter chooses them.
 
     Raises:
         InvalidValueError: The photograph is too large, or a side of it is where the lens shows nothing.

@@ -115,7 +115,7 @@ class Child:
         return Outcome(state="failed", text=failures[0])
 
     def stop(self) -> None:
-        """Have another thread's `run` come to its end now; what it did counts as no try."""
+        """End the `run` of another thread now; what it did counts as no try."""
         self._stopped = True
         if (process := self._process) is not None:
             process.kill()

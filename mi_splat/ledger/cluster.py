@@ -93,7 +93,7 @@ class Cluster:
             outcome.set_exception(error or EngineError(f"{ended.status} at Dask"))
 
     def close(self) -> None:
-        """Have the scheduler forget what no worker has begun; the cluster stays."""
+        """Make the scheduler forget what no worker has begun; the cluster stays."""
         self._futures.clear()
         self._client.close()
 

@@ -151,7 +151,7 @@ _BEAT = threading.Lock()
 
 
 def _keep_alive(path: Path) -> None:
-    """Have a thread touch a lease from now on, until it is no more in `_HELD`."""
+    """Make a thread touch a lease from now on, until it is no more in `_HELD`."""
     with _BEAT:
         _HELD.add(path)
         if not any(thread.name == _beat.__name__ for thread in threading.enumerate()):

@@ -55,7 +55,7 @@ def sharpness(pixels: Pixels) -> float:
 def sharpest_frames(
     path: Path, *, longest_side: int, interval: float, most: int, on_second: Callable[[int, int], None]
 ) -> Iterator[tuple[float, Pixels]]:
-    """Of each interval of a video, the sharpest picture, upright, and when it is.
+    """The sharpest picture of each interval of a video, upright, and its time.
 
     Args:
         path: The video.

@@ -154,7 +154,7 @@ def advance(
 
 
 def _keep_freed_memory() -> None:
-    """Have the C library of Linux keep up to 64 MiB of what is freed: a step frees so much and takes it again.
+    """Make the C library of Linux keep up to 64 MiB of what is freed: a step frees so much and takes it again.
 
     It keeps twice the size of the largest block that was freed, if that had at most 32 MiB. Otherwise each step would
     return its memory and get it back in thousands of page faults, which cost as much as its loss. Nothing else changes.

@@ -115,7 +115,7 @@ class Bench:
         return "" if self._job is None else self._job[1].kind
 
     def later(self, task: Callable[[], None]) -> None:
-        """Have something done in the thread of the pictures; from any thread."""
+        """Run an action in the thread of the pictures; from any thread."""
         self._tasks.append(task)
 
     def turn(self) -> bool:
@@ -219,7 +219,7 @@ class Bench:
         self.lines, self.outcome, self.news, self.ending = (), None, News(text="starting"), False
 
     def stop(self) -> None:
-        """Have the work that is being done end with what it has; at once where it cannot, or is asked again."""
+        """Ask running work to end with what it has; stop it at once where it cannot, or is asked again."""
         if self._job is None or self.laboratory is None:
             return
         job, request, out = self._job

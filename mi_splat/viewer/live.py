@@ -132,7 +132,7 @@ class Live(Bench):
             self._scores = f"All held-out pictures at step {line.iteration:,}: PSNR {line.held_out.psnr:.2f} dB"
 
     def toggle(self) -> None:
-        """Have the training wait, or go on."""
+        """Make the training wait, or go on."""
         self.waiting = not self.waiting
 
     def turn(self) -> bool:

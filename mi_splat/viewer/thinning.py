@@ -12,7 +12,7 @@ MOST = 64
 
 
 def thinning(count: int, pixels: int) -> int:
-    """Of how many Gaussians one is drawn in a picture of so many pixels, a power of two."""
+    """One in how many Gaussians is drawn in a picture of so many pixels; a power of two."""
     every = 1
     while every < MOST and count > DENSITY * pixels * every:
         every *= 2

@@ -52,12 +52,12 @@ class Overdraw:
 
     @property
     def mean(self) -> float:
-        """Of all of the picture: the work of a frame."""
+        """Mean number of layers over the whole picture: the work of a frame."""
         return float(self.layers.mean())
 
     @property
     def highest(self) -> int:
-        """Of the worst tile."""
+        """Number of layers in the worst tile."""
         return int(self.layers.max())
 
     def finding(self) -> Finding | None:

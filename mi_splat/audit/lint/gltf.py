@@ -110,7 +110,7 @@ def _primitive(document: Glb, primitive: Fields, extension: object, where: str) 
 
 
 def _words(extension: object, where: str) -> Iterator[Finding]:
-    """Of the extension object."""
+    """What is wrong with the extension object."""
     if not isinstance(extension, Mapping):
         yield _finding("extension", f"{where}{EXTENSION} has to be an object.")
         return
@@ -162,7 +162,7 @@ def _accessor(document: Glb, index: object, form: str, kinds: Kinds) -> tuple[Ma
 
 
 def _values(name: str, values: NDArray[np.floating], accessor: Mapping[str, object], where: str) -> Iterator[Finding]:
-    """Of the values of an attribute."""
+    """What is wrong with the values of an attribute."""
     short = name.removeprefix(f"{EXTENSION}:")
     finite = np.isfinite(values).all(1)
     faults = [("it is not finite", ~finite)]
