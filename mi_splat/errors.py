@@ -92,6 +92,11 @@ def listed(names: Iterable[str], most: int = 6) -> str:
     return ", ".join([*told, f"{len(every) - most} more"] if len(every) > most else told) or "none"
 
 
+def counted(number: int, noun: str) -> str:
+    """A number with its noun: "1 step", "2 steps"."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
 def message(what: str, expected: object, got: object, do: str) -> str:
     """The one form of an error message: what was looked at, what was expected, what came, what to do.
 

@@ -14,7 +14,7 @@ from attacks.rate import Rate
 from attacks.search import Step
 from attacks.transformations.config import Transformations
 from mi_splat._lazy import Previewed
-from mi_splat.errors import one_line
+from mi_splat.errors import counted, one_line
 from mi_splat.scene import GaussianScene
 
 _ZERO_GRADIENT_LIMIT = 0.9
@@ -81,10 +81,10 @@ class Result(Previewed):
 
     def __repr__(self) -> str:
         aim = " ".join(filter(None, (self.objective.name, self.objective.label)))
-        rate, warnings = self.rate, len(self.warnings)
+        rate, steps, warnings = self.rate, counted(self.best.index, "step"), counted(len(self.warnings), "warning")
         return (
             f"Result({'success' if self.success else 'no success'}: {one_line(aim, 40)}, score {self.score:.2f}, "
-            f"{rate.successes} of {rate.total} views, {self.best.index} steps, {warnings} warnings)"
+            f"{rate.successes} of {rate.total} views, {steps}, {warnings})"
         )
 
     @property

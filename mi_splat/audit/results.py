@@ -11,6 +11,7 @@ from torch import Tensor
 from mi_splat._lazy import Previewed
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point
+from mi_splat.errors import counted
 
 if TYPE_CHECKING:
     from mi_splat.audit.against import Changes
@@ -273,7 +274,7 @@ class Audit(Previewed):
     def __repr__(self) -> str:
         carry = f"{int(self.mask.sum()):,} of {len(self.mask):,} Gaussians carry it"
         evidence = f"evidence {self.strongest.evidence:.2f}"
-        return f"Audit({self.verdict}, {len(self.objects)} objects, {evidence}, {carry})"
+        return f"Audit({self.verdict}, {counted(len(self.objects), 'object')}, {evidence}, {carry})"
 
     @property
     def strongest(self) -> ObjectAudit:

@@ -22,7 +22,7 @@ from mi_splat.cameras import View
 from mi_splat.cards import HEIGHT, Pictures, card, picture
 from mi_splat.comparison.compare import CompareConfig, compare
 from mi_splat.comparison.methods import Method
-from mi_splat.errors import InvalidValueError, listed, one_line
+from mi_splat.errors import InvalidValueError, counted, listed, one_line
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene_files import SplatScene, read_scene
 from mi_splat.training.config import FitConfig
@@ -157,3 +157,4 @@ def test_lines_and_lists_are_short() -> None:
     assert listed(str(number) for number in range(9)) == "0, 1, 2, 3, 4, 5, 3 more"
     assert listed([]) == "none"
     assert repr(lint_scene(random_scene(9))).startswith("Lint(9 Gaussians, findings: ")
+    assert (counted(1, "step"), counted(2000, "step")) == ("1 step", "2,000 steps")
