@@ -104,7 +104,7 @@ def write_result(
     record = merged_figures(record, figures(record, {ROWS: rows}))
     paths = [out / name for name in (f"{ROWS}{SUFFIX}", RECORD, STUDY_FILE, TABLE)]
     write_rows(rows, paths[0])
-    save_json(record, paths[1], indent=1)
+    save_json(record, paths[1], indent=None)
     save_text(study.text, paths[2])
     save_text(markdown(record), paths[3])
     return paths

@@ -72,7 +72,8 @@ def comparison(title: str, groups: Sequence[Group]) -> Iterator[Table]:
         "best of the others": lambda case: _best(case.others),
         "doubt": lambda case: "; ".join(case.doubts) or "none",
     }
-    yield Table.of(f"Signs of doubt{after}", of_case, [case for case in cases(groups) if case.many and case.others])
+    if asked := [case for case in cases(groups) if case.many and case.others]:
+        yield Table.of(f"Signs of doubt{after}", of_case, asked)
 
 
 def by_attack(groups: Sequence[Group]) -> dict[str, list[Group]]:

@@ -62,6 +62,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
             "cloak_design_size",
         ),
     ),
+    "attack_zoo": ("The attack zoo", "[the attack zoo](../attack-zoo.md)", ("attack_zoo",)),
     "dagger": ("DAGGER", "[DAGGER](../dagger.md)", ("dagger",)),
     "dagger_strict": (
         "DAGGER, the own class gone, too",

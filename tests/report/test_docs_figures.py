@@ -16,6 +16,8 @@ from attacks.observe.rows import ATTACKED, CLEAN, ROWS
 from attacks.report.checking import Result, check_result, flat, in_words, read_result
 from attacks.report.results import read_section, story_of
 from attacks.report.stories.cloak import figures as cloak_figures
+from attacks.report.wording import pooled
+from attacks.studies.zoo import by_attack
 from tests.project.documented_commands import ROOT
 
 OUR, COCO = ("fasterrcnn_small", "yolov8n_small"), ("centernet_coco", "nanodet_coco")
@@ -438,6 +440,23 @@ def misread(derived: Mapping[str, Any]) -> list[str]:
     ]
 
 
+def side_by_side(derived: Mapping[str, Any]) -> list[str]:
+    """The table of docs/attack-zoo.md: successes of every attack by detector and together, looks, and CPU seconds."""
+    lines = []
+    members = by_attack([group for group in derived["groups"] if group["part"] == "car to person"])
+    for name, groups in members.items():
+        parts = [[group for group in groups if group["labels"]["detectors"] == detector] for detector in OUR]
+        first, second, every = (pooled(group["success"] for group in part) for part in (*parts, groups))
+        low, high = every.interval
+        counts = (
+            f"{first.successes}/{first.total} | {second.successes}/{second.total} | {every.successes}/{every.total}"
+        )
+        (looks,) = {group["evaluations"] for group in groups}
+        seconds = sum(group["cpu_seconds"] for group in groups) / len(groups)
+        lines.append(f"| `{name}` | {counts} ({low:.2f} to {high:.2f}) | {looks:g} | {seconds:.1f} |")
+    return lines
+
+
 SENTENCES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], list[str]]], ...] = (
     ("dagger_eot_tried", "docs/research-log.md", tried),
     ("dagger_strict", "README.md", pairs_in_readme),
@@ -463,6 +482,7 @@ SENTENCES: tuple[tuple[str, str, Callable[[Mapping[str, Any]], list[str]]], ...]
     ("poison_splat", "docs/poison-splat.md", times_of_poison),
     ("poison_splat", "docs/poison-splat.md", rows_of_poison),
     ("m_ifgsm", "docs/m-ifgsm.md", misread),
+    ("attack_zoo", "docs/attack-zoo.md", side_by_side),
     ("poison_splat", "docs/images/attack_poison_splat.svg", times_of_poison),
     ("transfer", "README.md", one_view_in_readme),
     ("transfer", "docs/transfer.md", one_view_in_docs),

@@ -27,7 +27,7 @@ PAIRS = {
     *(("stop_sign", target) for target in ("tv", "train", "bird")),
 }
 JOBS = {
-    "attack_zoo": (459, 0),
+    "attack_zoo": (225, 0),
     "between_renderers": (54, 432),
     "coco": (72, 0),
     "coco_demo": (12, 0),
@@ -124,15 +124,13 @@ def test_the_searches_on_coco_detectors_are_the_strong_one() -> None:
 
 
 def test_the_zoo_compares_every_attack_at_equal_steps_and_in_the_time_of_pgd() -> None:
-    for title in ("car to person", "stop sign to tv"):
-        points = [one for one in attempts("attack_zoo") if one.point.part == title]
-        configs = {str(one.point.labels["attack.optimiser"]): one.job.config.attack for one in points}
-        equal = {name: config for name, config in configs.items() if config.steps == 40 and config.restarts == 1}
-        assert set(OPTIMISERS) < set(equal)
-        assert {config.optimiser for config in configs.values() if config not in equal.values()} == {
-            *("fgsm", "square", "random")
-        }
-        assert Counter(one.job.config.attack.seed for one in points) == dict.fromkeys(range(3), len(points) // 3)
+    points = [one for one in attempts("attack_zoo") if one.point.part == "car to person"]
+    configs = {str(one.point.labels["attack.optimiser"]): one.job.config.attack for one in points}
+    equal = {name: config for name, config in configs.items() if config.steps == 40 and config.restarts == 1}
+    assert set(OPTIMISERS) < set(equal)
+    timed = {config.optimiser for name, config in configs.items() if name not in equal}
+    assert timed == {"fgsm", *(name for name, spec in OPTIMISERS.items() if not spec.gradient)}
+    assert Counter(one.job.config.attack.seed for one in points) == {0: 72, 1: 72, 2: 72}
     assert not any(one.job.config.attack.early_stop for one in attempts("attack_zoo"))
     assert {config.optimiser for config in part("attack_zoo", "car to person, 160")} == {"pgd", "apgd", "cw"}
 
