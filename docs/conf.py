@@ -33,7 +33,7 @@ extensions = [
 source_suffix = {".md": "myst-nb", ".rst": "restructuredtext"}
 root_doc = "index"
 # README.md is what a forge shows for this folder; the site has index.md.
-exclude_patterns = ["README.md", "artifacts/*/*"]
+exclude_patterns = ["README.md", "artifacts/*/*", "bench/*/*"]
 # Several modules have a class `Step`; a link to it leads to one of them.
 suppress_warnings = ["ref.python"]
 

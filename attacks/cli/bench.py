@@ -19,7 +19,7 @@ EXAMPLES = (
     "bench fasterrcnn_small --defence .spz",
     "bench --audit docs/tables/audit.json",
     "bench --rescore out/bench/v1/fasterrcnn_small",
-    "bench --check docs/bench/v1/fasterrcnn_small.json",
+    "bench --check docs/bench/v1/fasterrcnn_small/row.json",
 )
 SEE_ALSO = ("study", "evaluate", "artifact-check")
 

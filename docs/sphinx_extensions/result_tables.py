@@ -113,7 +113,7 @@ def write_pages(app: Sphinx) -> None:
     for figures in sorted((docs / "tables" / "detectors").glob("*.json")):
         _write(figures.with_suffix(".md"), table_page(figures))
     _write(docs / "tables" / "detectors" / "compared.md", compared_page())
-    rows = [read_json(path) for path in sorted((docs / "bench" / "v1").glob("*.json"))]
+    rows = [read_json(path) for path in sorted((docs / "bench" / "v1").glob("*/row.json"))]
     for name, title, text in (
         ("bench_v1", "The scoreboard: rows of detectors", markdown([row for row in rows if not row["defence"]])),
         ("bench_v1_defences", "The scoreboard: rows of defences", defences(rows)),

@@ -305,3 +305,13 @@ def test_audits_are_ranked_by_a_study(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_what_is_not_there_is_said(words: tuple[str, ...], text: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["bench", *words]) == cli.FAILED
     assert text in capsys.readouterr().err
+
+
+def test_the_rows_of_the_repository_are_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    folders = [path.parent for path in Path("docs/bench/v1").glob("*/row.json")]
+    assert folders
+    for folder in folders:
+        row = check_row(folder / "row.json")
+        assert row["suite"]["name"] == "v1"
+        assert rescored(folder) == row

@@ -110,11 +110,11 @@ def blocks(language: str, text: str) -> list[str]:
 
 
 def pages() -> list[Path]:
-    """The README and every page of the documentation; results in docs/artifacts have tables of their own."""
+    """The README and every page of the documentation; results have tables of their own."""
     docs = ROOT / "docs"
     return [
         ROOT / "README.md",
-        *(path for path in sorted(docs.rglob("*.md")) if docs / "artifacts" not in path.parents),
+        *(path for path in sorted(docs.rglob("*.md")) if not {docs / "artifacts", docs / "bench"} & {*path.parents}),
     ]
 
 
