@@ -51,7 +51,7 @@ os.environ["IPYTHONDIR"] = _profiles.name
 (Path(_profiles.name) / "profile_default" / "ipython_kernel_config.py").write_text('c.IPKernelApp.log_level = "ERROR"')
 nb_execution_mode = "force"
 nb_execution_show_tb = True
-nb_execution_timeout = 300
+nb_execution_timeout = 900
 nb_execution_excludepatterns = [] if os.environ.get("NOTEBOOKS") != "off" else ["*"]
 nb_merge_streams = True
 nb_output_stderr = "remove"  # progress bars
