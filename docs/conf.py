@@ -52,7 +52,9 @@ os.environ["IPYTHONDIR"] = _profiles.name
 nb_execution_mode = "force"
 nb_execution_show_tb = True
 nb_execution_timeout = 900
-nb_execution_excludepatterns = [] if os.environ.get("NOTEBOOKS") != "off" else ["*"]
+if os.environ.get("NOTEBOOKS") == "off":
+    nb_execution_mode = "off"
+    suppress_warnings += ["myst-nb.lexer"]  # no kernel has said that the cells are Python
 nb_merge_streams = True
 nb_output_stderr = "remove"  # progress bars
 
