@@ -50,7 +50,8 @@ class BenchOptions(JsonOptions):
     store: Folder = Path("out/store")
     """Folder of finished jobs; what no detector has a part in is made there once for all."""
     out: Folder | None = None
-    """Folder for the row and its raw rows; None is out/bench/SUITE/NAME."""
+    """Folder for the row and its raw rows; None is out/bench/SUITE/NAME, and another one beside it with
+    --weights or --defence."""
     workers: Workers | None = None
     """Processes that do jobs side by side; None is one for each core if memory allows; 0 does them in this one."""
     rescore: Folder | None = None
@@ -102,7 +103,7 @@ def _bench(options: BenchOptions) -> int:
     work = BenchWork(
         suite, options.detector, weights=options.weights, defence=options.defence or "", columns=options.columns
     )
-    out = options.out or Path("out/bench") / suite.name / options.detector
+    out = options.out or usual_folder(options)
     check_own_folder(out, ROW)
     workers = 0 if options.weights else chosen_workers(options.workers)  # other processes do not know the file
     with own_folder(out, ROW), progress("preparing", total=work.size) as advance:
@@ -118,6 +119,21 @@ def _bench(options: BenchOptions) -> int:
         show((out / TABLE).read_text())
         show(f"{out}: {ROW} is the row, rows.csv.gz has every look; mi-splat bench --rescore {out} counts them again.")
     return 1 if done.failed else 0
+
+
+def usual_folder(options: BenchOptions) -> Path:
+    """Where a row goes if nothing is said: each detector, weights and defence has a folder of its own.
+
+    Args:
+        options: What was asked for.
+
+    Returns:
+        The folder.
+    """
+    from mi_splat.io.documents import file_name
+
+    parts = (options.detector, options.weights and options.weights.stem, options.defence)
+    return Path("out/bench") / Path(options.suite).name / file_name(" ".join(filter(None, parts)))
 
 
 def rescored(folder: Path) -> dict[str, Any]:

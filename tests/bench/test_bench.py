@@ -12,7 +12,7 @@ from attacks.bench.audits import FALSE_ALARMS, audit_rows
 from attacks.bench.row import check_row, warnings
 from attacks.bench.suite import SUITES, read_suite
 from attacks.bench.work import BenchWork
-from attacks.cli.bench import rescored
+from attacks.cli.bench import BenchOptions, rescored, usual_folder
 from attacks.detectors.catalogue import SMALL_WEIGHTS
 from attacks.detectors.registry import DETECTORS
 from attacks.observe.rows import read_rows
@@ -315,3 +315,10 @@ def test_the_rows_of_the_repository_are_whole(monkeypatch: pytest.MonkeyPatch) -
         row = check_row(folder / "row.json")
         assert row["suite"]["name"] == "v1"
         assert rescored(folder) == row
+
+
+def test_rows_of_other_weights_and_defences_do_not_take_the_folder_of_the_plain_one() -> None:
+    asked: list[dict[str, Any]] = [{}, {"weights": Path("a/mine.pth")}, {"defence": "JPEG 60"}, {"suite": "v1-hidden"}]
+    folders = [usual_folder(BenchOptions(detector="fake", **more)) for more in asked]
+    names = ["v1/fake", "v1/fake_mine", "v1/fake_JPEG_60", "v1-hidden/fake"]
+    assert folders == [Path("out/bench") / name for name in names]
