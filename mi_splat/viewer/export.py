@@ -125,7 +125,7 @@ def page_text(
     (script,) = re.findall(r"<script>(.*?)</script>", template, re.DOTALL)
     pictures = [
         f'<figure><img id="picture{i}" src="{(cameras or around)[0]["splats"][i]["picture"]}" alt="">'
-        f'<figcaption><strong>{html.escape(name)}</strong> <span id="found{i}"></span></figcaption></figure>'
+        f'<figcaption><strong>{html.escape(name)}</strong> <span id="findings{i}"></span></figcaption></figure>'
         for i, name in enumerate(exhibit.names)
     ]
     return Template(template).substitute(
