@@ -132,8 +132,9 @@ def usual_folder(options: BenchOptions) -> Path:
     """
     from mi_splat.io.documents import file_name
 
-    parts = (options.detector, options.weights and options.weights.stem, options.defence)
-    return Path("out/bench") / Path(options.suite).name / file_name(" ".join(filter(None, parts)))
+    weights = options.weights.stem if options.weights else ""
+    name = " ".join(filter(None, (options.detector, weights, options.defence)))
+    return Path("out/bench") / Path(options.suite).name / file_name(name)
 
 
 def rescored(folder: Path) -> dict[str, Any]:
