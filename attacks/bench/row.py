@@ -20,7 +20,7 @@ from attacks.observe.measures import REPORTED
 from attacks.observe.rates import Measure, blocks_of, count
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS, SUFFIX, frame_of, write_rows
 from attacks.rate import Rate
-from attacks.tables import Table, cell
+from attacks.tables import Table
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_json, save_text
@@ -243,10 +243,10 @@ def defences(rows: Sequence[Record]) -> str:
         "defence": lambda line: line[0]["defence"],
         "detector": lambda line: line[0]["detector"]["name"],
         "attack": lambda line: HEADS[line[1]],
-        "without it": lambda line: cell(line[2]["robust"]),
-        "with it": lambda line: cell(line[2]["defended"]["robust"]),
-        "the attacker knows it": lambda line: cell(line[2]["defended"].get("robust_who_knows")),
-        "clean, with it": lambda line: cell(line[2]["defended"]["clean"]),
+        "without it": lambda line: _rate(line[2]["robust"]),
+        "with it": lambda line: _rate(line[2]["defended"]["robust"]),
+        "the attacker knows it": lambda line: _rate(line[2]["defended"].get("robust_who_knows")),
+        "clean, with it": lambda line: _rate(line[2]["defended"]["clean"]),
     }
     table = Table.of("", heads, lines)
     return tables.markdown(table.head, table.rows) + "\n"
@@ -312,10 +312,18 @@ def _score_words(score: Record | None) -> str:
     return "-" if score is None else f"{score['mean']:.2f} ({score['interval'][0]:.2f} to {score['interval'][1]:.2f})"
 
 
+def _rate(rate: Record | None) -> str:
+    """A rate in few letters, since a row has many: per cent, of how many views, and the interval."""
+    if rate is None:
+        return "-"
+    low, high = (100 * end for end in rate["interval"])
+    return f"{100 * rate['rate']:.0f} % of {rate['total']} ({low:.0f} to {high:.0f})"
+
+
 def _cell(row: Record, column: str) -> str:
     told = row["columns"][column]
     if told["robust"] is not None:
-        return cell(told["robust"])
+        return _rate(told["robust"])
     return "not filled" if column in row["missing"] else f"cannot judge ({told['judged']} views)"
 
 
