@@ -192,7 +192,7 @@ def test_a_row_is_counted_again_without_attacks(
 ) -> None:
     monkeypatch.setattr(engines, "run_job", None)
     assert cli.main(["bench", "--rescore", str(out)]) == 0
-    assert "6 of 12" in capsys.readouterr().out
+    assert "50 % of 12" in capsys.readouterr().out
     assert cli.main(["artifact-check", str(out)]) == 0
 
 
