@@ -299,6 +299,5 @@ def test_every_page_is_read_in_a_browser(chromium: Any, site: Path, scheme: str,
 def test_the_search_works_without_a_network(chromium: Any, site: Path) -> None:
     window = chromium.new_page()
     window.goto((site / "search.html").as_uri() + "?q=poison")
-    window.locator("#search-results li a").first.wait_for()
-    assert window.locator("#search-results li a[href*='poison-splat']").count()
+    window.locator("#search-results li a[href*='poison-splat']").first.wait_for()  # results come one by one
     window.close()
