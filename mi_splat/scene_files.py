@@ -176,7 +176,6 @@ def open_scene(path: Path, device: str = "cpu") -> SplatScene:
         settings = RenderSettings(near=near_plane(scene))
         loaded = SplatScene(scene=scene, objects={path.stem: slice(0, len(scene))}, cameras={}, settings=settings)
     if device == "cpu":
-        variant.use(variant.DEFAULT_VARIANT if variant.device_of(variant.use()) == "cuda" else "")
         return loaded
     variant.check_device(device)
     settings = dataclasses.replace(loaded.settings, variant=variant.use("cuda_ad_rgb"))
