@@ -113,10 +113,8 @@ def attack(
     configs = _of_radii(config or DaggerConfig(), eps)
     detectors = as_detectors(detector)
     results = [
-        _attack(
-            scene, mask, cameras, detectors, objective, render=render, config=config_of_group, up=up, on_step=on_step
-        )
-        for config_of_group in configs
+        _attack(scene, mask, cameras, detectors, objective, render=render, config=single, up=up, on_step=on_step)
+        for single in configs
     ]
     return results[0] if eps is None else results
 
@@ -240,10 +238,8 @@ def attack_views(
             "checkpoint", "none with eps", checkpoint.path, "keep each radius in a call of its own"
         )
     results = [
-        _attack_views(
-            views, detectors, objective, config=config_of_group, judged=judged, checkpoint=checkpoint, on_step=on_step
-        )
-        for config_of_group in configs
+        _attack_views(views, detectors, objective, config=single, judged=judged, checkpoint=checkpoint, on_step=on_step)
+        for single in configs
     ]
     return results[0] if eps is None else results
 
