@@ -70,11 +70,7 @@ class PluggedObjective:
 
     @property
     def aim(self) -> Objective:
-        """The aim itself.
-
-        Raises:
-            InvalidValueError: There is none of this name, or its package is broken.
-        """
+        """The aim itself."""
         return _made(self.kind, self.label, self.confidence)
 
     def __call__(self, candidates: Candidates, target: Target) -> Tensor:
@@ -96,19 +92,7 @@ def _made(kind: str, label: str | None, confidence: float | None) -> Objective:
 
 
 def objective_of(name: str, label: str | None = None, confidence: float | None = None) -> Objective:
-    """An aim by its name.
-
-    Args:
-        name: Key of `OBJECTIVES`.
-        label: Class that is wanted, of an aim that is `targeted`.
-        confidence: That counts, in [0, 1]; None is the aim's own.
-
-    Returns:
-        The aim.
-
-    Raises:
-        InvalidValueError: There is no such aim, its package is broken, or a class is missing or not wanted.
-    """
+    """An aim by its name."""
     spec = OBJECTIVES.chosen(name)
     if spec.targeted is (label is None):
         do = "name the class wanted" if label is None else "leave it out"

@@ -77,11 +77,7 @@ class L2:
         return float(self.sizes(delta).max()) if delta.numel() else 0.0
 
     def shrink(self, delta: Tensor, radius: float) -> Tensor:
-        """Scale down what is too long.
-
-        Returns:
-            The nearest perturbation in the ball.
-        """
+        """Scale down what is too long."""
         sizes = self.sizes(delta)
         return torch.where(sizes > radius, delta * (radius / sizes.clamp(min=1e-300)), delta)
 

@@ -42,11 +42,7 @@ class GaussianSubset:
 
     @classmethod
     def of(cls, scene: GaussianScene, mask: Mask, *, sh_degree: int | None = None) -> GaussianSubset:
-        """The object that a mask (see `Mask`) selects.
-
-        Raises:
-            InvalidValueError: The mask does not fit the scene or selects nothing.
-        """
+        """The object that a mask (see `Mask`) selects."""
         rows = _rows_of(mask, len(scene.means)).to(scene.means.device)
         return cls(scene, rows, to_raw_parameters(scene.select(rows).detach()), sh_degree)
 

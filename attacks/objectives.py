@@ -128,14 +128,7 @@ def overlap(boxes: Tensor, box: Tensor) -> Tensor:
 
 
 def confidence(detections: Detections, box: Tensor, *, labels: Sequence[str] | None = None, iou: float = 0.5) -> float:
-    """Highest score among the detections that overlap `box`; 0 when there are none.
-
-    Args:
-        detections: What the detector reports.
-        box: (4,) pixels.
-        labels: Classes to look at, all if None.
-        iou: Overlap from which a detection belongs to the box.
-    """
+    """Highest score among the detections that overlap `box`; 0 when there are none."""
     if not len(detections):
         return 0.0
     near = overlap(detections.boxes, box) >= iou

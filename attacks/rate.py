@@ -44,12 +44,7 @@ class Rate:
 
     @classmethod
     def of(cls, value: Mapping[str, Any]) -> Rate:
-        """A rate as `as_dict` makes it, with the interval that it has there.
-
-        Raises:
-            KeyError: It is none.
-            ValueError: More succeeded than there were.
-        """
+        """A rate as `as_dict` makes it, with the interval that it has there."""
         rate = cls(successes=int(value["successes"]), total=int(value["total"]))
         low, high = map(float, value.get("interval") or rate.interval)
         if not (0 <= rate.successes <= rate.total and 0 <= low <= high <= 1):

@@ -148,12 +148,7 @@ class OptimiserState:
     def after(
         self, *, tensors: Mapping[str, Parameters] | None = None, numbers: Mapping[str, float] | None = None
     ) -> OptimiserState:
-        """The memory one step later; what is not given stays.
-
-        Args:
-            tensors: All that is remembered.
-            numbers: All that is remembered.
-        """
+        """The memory one step later; what is not given stays."""
         return dataclasses.replace(
             self,
             index=self.index + 1,
@@ -287,12 +282,7 @@ def pgd(
 
 
 def rank(line: Step, smallest: bool = False) -> tuple[bool, bool, float, float]:
-    """Key by which points are sorted: success, then an unambiguous one, then the score; the loss only between equals.
-
-    Args:
-        line: The point.
-        smallest: Whether of two successes the smaller change is better, whatever their scores.
-    """
+    """Sort key of points: success, then an unambiguous one, then the score; the loss only between equals."""
     value = 1.0 - line.share if smallest and line.success else line.score
     return line.success, line.unambiguous, value, -line.loss
 

@@ -42,13 +42,7 @@ class Table:
 
     @classmethod
     def of(cls, caption: str, columns: Mapping[str, Column[Line]], lines: Iterable[Line]) -> Table:
-        """A table with a row for each line.
-
-        Args:
-            caption: What stands above it.
-            columns: By their titles.
-            lines: What the columns are taken from.
-        """
+        """A table with a row for each line."""
         rows = (tuple(_cell_of(line, column) for column in columns.values()) for line in lines)
         return cls(caption=caption, head=tuple(columns), rows=tuple(rows))
 

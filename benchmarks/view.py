@@ -34,14 +34,7 @@ from mi_splat.viewer.visitor import JPEG_QUALITY
 
 
 def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures: int) -> dict[str, float]:
-    """Pictures a second while the camera moves, and what a full picture takes.
-
-    Args:
-        scene: What is shown.
-        splats: How many of it, 1 or 2.
-        canvas: Width and height of the page's place for pictures.
-        pictures: Number of coarse pictures.
-    """
+    """Pictures a second while the camera moves, and what a full picture takes."""
     settings = RenderSettings()
     names = ("clean", "attacked")[:splats]
     shown = tuple(

@@ -8,15 +8,7 @@ from collections.abc import Callable, Mapping
 def attach(
     package: str, homes: Mapping[str, tuple[str, ...]]
 ) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """Make `__getattr__` and `__dir__` for a package.
-
-    Args:
-        package: `__name__` of the package.
-        homes: Names that each module gives to the package.
-
-    Returns:
-        The two functions, `__getattr__` first.
-    """
+    """Make `__getattr__` and `__dir__` for a package."""
     home_of = {name: home for home, names in homes.items() for name in names}
 
     def get(name: str) -> object:

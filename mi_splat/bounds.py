@@ -21,9 +21,6 @@ def bounds(scene: GaussianScene) -> tuple[tuple[float, float, float], float]:
     They are those of the box around the middle 98 % of the means along each axis: the rest are often floaters. Where
     that is more than three times as large as the ball that holds half of the means, there is a sky or a background,
     too; then it is that ball about the median of the means, three times as large.
-
-    Raises:
-        InvalidValueError: The scene is empty.
     """
     if not len(scene):
         raise InvalidValueError.of("scene", "Gaussians to look at", "none", "pass another file")
@@ -46,25 +43,12 @@ def near_plane(scene: GaussianScene, cameras: Sequence[Camera] = ()) -> float:
     3DGS culls Gaussians nearer than 0.2 world units whatever the scene. An object of 5 cm in metres would be culled
     whole. So near is a tenth of the scene's radius, or of the usual distance of the cameras where that is less, but at
     least a thousandth of the radius and at most 0.2.
-
-    Args:
-        scene: What is looked at; of an empty one near is 0.2.
-        cameras: Where from, if known.
-
-    Returns:
-        Depth in world units, for `RenderSettings.near`.
     """
     return near_plane_of(*bounds(scene), cameras) if len(scene) else REFERENCE_NEAR
 
 
 def near_plane_of(middle: Sequence[float], radius: float, cameras: Sequence[Camera] = ()) -> float:
-    """The near plane that suits a ball, world units, as `near_plane` of a scene.
-
-    Args:
-        middle: (3,) of the ball, world units.
-        radius: Of the ball, world units.
-        cameras: Where from, if known.
-    """
+    """The near plane that suits a ball, world units, as `near_plane` of a scene."""
     reach = radius
     if cameras:
         eyes = torch.stack([camera.position for camera in cameras])
@@ -74,13 +58,7 @@ def near_plane_of(middle: Sequence[float], radius: float, cameras: Sequence[Came
 
 
 def culled_in_view(scene: GaussianScene, camera: Camera, near: float) -> int:
-    """How many Gaussians a picture lacks because they are nearer than `near`, though inside the view of the camera.
-
-    Args:
-        scene: What is looked at.
-        camera: Where from.
-        near: The near plane, world units.
-    """
+    """How many Gaussians a picture lacks because they are nearer than `near`, though inside the view of the camera."""
     pose, means = camera.to_camera, scene.means.detach().double().cpu()
     depth = means @ pose[2, :3] + pose[2, 3]
     near_by = (depth > 0) & (depth < near)  # few, mostly none: a training asks for every one of its cameras

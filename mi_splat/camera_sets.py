@@ -51,17 +51,7 @@ def orbit(
     size: tuple[int, int],
     start: float = 0.0,
 ) -> CameraList:
-    """`count` cameras at equal azimuths around `target`, the first at azimuth `start`.
-
-    Args:
-        target: (3,) point that all cameras look at, world units.
-        count: Number of cameras.
-        elevation: Degrees above the horizontal plane.
-        distance: World units from the target.
-        focal: Focal length in pixels.
-        size: (width, height) in pixels.
-        start: Azimuth of the first camera, degrees from world +x towards +y.
-    """
+    """`count` cameras at equal azimuths around `target`, the first at azimuth `start`."""
     return CameraList(
         Camera(
             to_world=orbit_pose(target, azimuth=start + 360.0 * i / count, elevation=elevation, distance=distance),
@@ -129,17 +119,6 @@ def tiers(
 
     Multiples of the distance follow the additive recurrence of sqrt(2), so that they are spread evenly over the range
     whichever way the cameras are cut: near and far ones stand at all azimuths and elevations.
-
-    Args:
-        target: As in `hemisphere`.
-        count: Number of cameras; rings share them out evenly, the lower ones first.
-        distance: World units from the target.
-        focal: Focal length in pixels.
-        size: (width, height) in pixels.
-        distances: Lowest and highest multiple of the distance.
-        elevations: Of each ring, degrees; none is the whole hemisphere.
-        start: Azimuth of the first camera, and of the first ring, in degrees.
-        offset: As in `hemisphere`, and where in their range multiples of the distance begin.
     """
     if elevations:
         shares = [count // len(elevations) + (ring < count % len(elevations)) for ring in range(len(elevations))]
@@ -187,15 +166,6 @@ def grid(
     """Cameras at every pair of an azimuth and an elevation, row by row from the lowest.
 
     The range of elevations is cut into equal parts with a row of cameras in the middle of each, so none is at a pole.
-
-    Args:
-        target: (3,) point that all cameras look at.
-        azimuths: Cameras in a row, at equal distances around the target.
-        elevations: Number of rows.
-        distance: World units from the target.
-        focal: Focal length in pixels.
-        size: (width, height) in pixels.
-        elevation: Lowest and highest elevation in degrees.
     """
     low, high = elevation
     rows = [low + (high - low) * (row + 0.5) / elevations for row in range(elevations)]
@@ -207,13 +177,7 @@ def grid(
 
 
 def framing(radius: float, *, fov: float, size: tuple[int, int]) -> tuple[float, float]:
-    """Distance in world units from which a ball is seen whole, and focal length in pixels.
-
-    Args:
-        radius: Of the ball, world units.
-        fov: Field of view along the shorter side, degrees.
-        size: (width, height) in pixels.
-    """
+    """Distance in world units from which a ball is seen whole, and focal length in pixels."""
     half = math.radians(fov) / 2
     return MARGIN * radius / math.sin(half), min(size) / 2 / math.tan(half)
 
@@ -221,20 +185,7 @@ def framing(radius: float, *, fov: float, size: tuple[int, int]) -> tuple[float,
 def camera_set(
     spec: str, centre: Sequence[float], *, distance: float, focal: float, size: tuple[int, int]
 ) -> list[Camera]:
-    """The cameras that a text describes.
-
-    Args:
-        spec: One of the forms in `FORMS`, angles in degrees. Of a file, its own cameras come in its order, and
-            `centre`, `distance` and `focal` are not used.
-        centre: (3,) point that all cameras look at, world units.
-        distance: World units from it.
-        focal: Focal length in pixels.
-        size: (width, height) in pixels; of a file, only where that has none.
-
-    Raises:
-        InvalidValueError: The text has none of the forms, or a number is out of range.
-        DatasetError: The file is missing or broken.
-    """
+    """The cameras that a text describes."""
     if spec.lower().endswith(".json"):
         return read_cameras(Path(spec), size)
     kind, numbers = _parse(spec)
@@ -251,19 +202,7 @@ def camera_set(
 def held_out_set(
     spec: str, count: int, centre: Sequence[float], *, distance: float, focal: float, size: tuple[int, int]
 ) -> list[Camera]:
-    """`count` cameras for tests, spread evenly over the elevations that `camera_set` covers, but turned away from it.
-
-    Args:
-        spec: As in `camera_set`, but no file: which pictures of a file are for tests, it says itself.
-        count: Number of cameras; none if 0.
-        centre: As in `camera_set`.
-        distance: As in `camera_set`.
-        focal: As in `camera_set`.
-        size: As in `camera_set`.
-
-    Raises:
-        InvalidValueError: The text has none of the forms, or a number is out of range.
-    """
+    """`count` cameras for tests, spread evenly over the elevations of `camera_set`, but rotated away from it."""
     if not 0 <= count <= MOST:
         raise InvalidValueError.of("test cameras", f"0 to {MOST}", count, "ask for fewer")
     if count == 0:

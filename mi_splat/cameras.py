@@ -128,11 +128,7 @@ class Camera(Previewed):
 
 
 def as_cameras(cameras: Camera | Sequence[Camera]) -> tuple[Camera, ...]:
-    """The cameras as a tuple, whether one was given or several.
-
-    Raises:
-        InvalidValueError: Something else is among them.
-    """
+    """The cameras as a tuple, whether one was given or several."""
     return several_of(Camera, "cameras", cameras)
 
 
@@ -255,18 +251,7 @@ def orbit_pose(
     distance: float,
     roll: float = 0.0,
 ) -> Tensor:
-    """Camera-to-world pose on a sphere around `target`, looking at it.
-
-    Args:
-        target: (3,) point looked at, world units.
-        azimuth: Degrees from world +x towards +y.
-        elevation: Degrees above the horizontal plane, 90 is straight down.
-        distance: World units between camera and target.
-        roll: Degrees that the camera is turned about its axis, clockwise as it looks.
-
-    Raises:
-        InvalidValueError: A number is not finite, or the distance is not positive.
-    """
+    """Camera-to-world pose on a sphere around `target`, looking at it."""
     check_points(target=target)
     check_finite(azimuth=(azimuth,), elevation=(elevation,), distance=(distance,), roll=(roll,))
     if distance <= 0:
@@ -284,16 +269,7 @@ def orbit_pose(
 
 
 def project_points(points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
-    """Project world points with a camera.
-
-    Args:
-        points: (N, 3) world units.
-        camera: The camera.
-
-    Returns:
-        (N, 2) pixel coordinates and (N,) depths along the optical axis in world units; coordinates of points with
-        depth <= 0 carry no meaning.
-    """
+    """Project world points with a camera."""
     pose = camera.to_camera.to(points)
     local = points @ pose[:3, :3].T + pose[:3, 3]
     focal = local.new_tensor([camera.fx, camera.fy])
@@ -302,15 +278,7 @@ def project_points(points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
 
 
 def project_box(points: Tensor, camera: Camera) -> Tensor | None:
-    """The pixel box around the projection of `points`, clipped to the image.
-
-    Args:
-        points: (N, 3) world units, for instance the vertices of one object.
-        camera: The camera.
-
-    Returns:
-        (4,) x0, y0, x1, y1 in pixels, or None when nothing lies in front of the camera and inside the image.
-    """
+    """The pixel box around the projection of `points`, clipped to the image."""
     pixels, depth = project_points(points, camera)
     pixels = pixels[depth > 1e-6]
     if len(pixels) == 0:

@@ -24,29 +24,14 @@ HEIGHT, WIDTH = 144, 480
 
 
 def card(facts: str, *drawings: str) -> str:
-    """Drawings side by side, and a line of facts below them.
-
-    Args:
-        facts: Plain text; it is escaped.
-        drawings: HTML, of `picture` or `sky`.
-    """
+    """Drawings side by side, and a line of facts below them."""
     shown = _row(drawings) if drawings else ""
     line = f'<div style="font-family:monospace;font-size:0.85em;overflow-wrap:anywhere">{_text(facts)}</div>'
     return f'<div class="mi-splat-card">{shown}{line}</div>'
 
 
 def picture(pixels: Any, caption: str = "", *, height: int = HEIGHT, width: int = WIDTH) -> str:
-    """A picture with a caption below it.
-
-    Args:
-        pixels: (H, W, 3) uint8, or numbers in [0, 1] in sRGB: an array, or a tensor of torch or Dr.Jit.
-        caption: Plain text; it is escaped.
-        height: Pixels at most; a smaller picture stays as it is.
-        width: The same, of the other side.
-
-    Raises:
-        InvalidValueError: It is no picture.
-    """
+    """A picture with a caption below it."""
     values = _bytes(pixels)
     factor = min(1.0, height / values.shape[0], width / values.shape[1])
     image = Image.fromarray(values)
@@ -83,13 +68,7 @@ class Pictures:
 
 
 def sky(directions: NDArray[np.float64], marked: Sequence[bool], caption: str) -> str:
-    """Directions as seen from straight above: the middle of the disc is up, its inner ring the horizon.
-
-    Args:
-        directions: (K, 3) unit vectors, z up.
-        marked: Of each, whether it is filled.
-        caption: Plain text; it is escaped.
-    """
+    """Directions as seen from straight above: the middle of the disc is up, its inner ring the horizon."""
     dots = []
     for (x, y, z), on in zip(directions.tolist(), marked, strict=True):
         far = math.acos(max(-1.0, min(1.0, z))) / math.pi  # 0 straight above, 1 straight below

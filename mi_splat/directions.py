@@ -35,12 +35,6 @@ def up_of(turns: Tensor) -> Tensor:
     """Where up is, as people hold cameras: across the rights of all cameras, on the side of their ups.
 
     Where cameras were all turned alike, or held on their side, it is the mean of the ups.
-
-    Args:
-        turns: (N, 3, 3) float64 rotations from camera axes (x right, y down) to the world's.
-
-    Returns:
-        (3,) float64 of length one.
     """
     import torch
 
@@ -69,16 +63,7 @@ class Direction:
 
 
 def direction_of(camera: Camera, centre: Point, up: Point = UP) -> Direction:
-    """Direction from `centre` (3,), world units, to a camera.
-
-    Args:
-        camera: The camera.
-        centre: Where from.
-        up: (3,) direction that is up; with another one than z, axes are those that `from_z` turns there.
-
-    Raises:
-        InvalidValueError: The camera stands at the centre.
-    """
+    """Direction from `centre` (3,), world units, to a camera."""
     if tuple(up) != UP:
         import torch
 
@@ -97,11 +82,6 @@ def depth_in_band(direction: Direction, least: float, most: float) -> float:
     """Depth between two elevations; a limit of -90 or 90 degrees is none.
 
     The shortest way to a parallel runs along the meridian.
-
-    Args:
-        direction: Of the camera.
-        least: Lowest elevation, degrees.
-        most: Highest elevation, degrees.
     """
     above = direction.elevation - least if least > -90 else math.inf
     below = most - direction.elevation if most < 90 else math.inf
@@ -118,11 +98,6 @@ def depth_in_wedge(direction: Direction, middle: float, half_width: float) -> fl
 
     To a half great circle the shortest way runs across it, or, from where it has no foot on that half, to a pole.
     Across it, Napier's rules for right spherical triangles give sin(distance) = sin(azimuth difference) cos(elevation).
-
-    Args:
-        direction: Of the camera.
-        middle: Azimuth of the wedge's middle, degrees.
-        half_width: Degrees from there to each edge, up to 180, which is every direction.
     """
     if half_width == 180:
         return math.inf
@@ -138,14 +113,7 @@ def depth_in_wedge(direction: Direction, middle: float, half_width: float) -> fl
 
 
 def depth_in_cap(direction: Direction, azimuth: float, elevation: float, half_angle: float) -> float:
-    """Depth within an angle of a direction; a half angle of 180 degrees is every direction.
-
-    Args:
-        direction: Of the camera.
-        azimuth: Of the middle, degrees.
-        elevation: Of the middle, degrees.
-        half_angle: From the middle to the edge, degrees.
-    """
+    """Depth within an angle of a direction; a half angle of 180 degrees is every direction."""
     if half_angle == 180:
         return math.inf
     x, y, z = unit_vector(direction.azimuth - azimuth, direction.elevation)  # the middle has azimuth 0

@@ -70,23 +70,13 @@ def printable(text: str) -> str:
 
 
 def one_line(text: str, most: int = 400) -> str:
-    """A text as one line of so many signs at most, without what a terminal would obey.
-
-    Args:
-        text: It may come out of a file.
-        most: Signs; what is longer ends in three dots.
-    """
+    """A text as one line of so many signs at most, without what a terminal would obey."""
     line = " ".join(printable(text[: 2 * most]).split())
     return line if len(line) <= most else f"{line[: most - 3]}..."
 
 
 def listed(names: Iterable[str], most: int = 6) -> str:
-    """The first of some names in one line, each of at most 40 signs, and how many are left.
-
-    Args:
-        names: They may come out of a file.
-        most: Names that are told.
-    """
+    """The first of some names in one line, each of at most 40 signs, and how many are left."""
     every = list(names)
     told = [one_line(name, 40) for name in every[:most]]
     return ", ".join([*told, f"{len(every) - most} more"] if len(every) > most else told) or "none"
@@ -98,25 +88,12 @@ def counted(number: int, noun: str) -> str:
 
 
 def message(what: str, expected: object, got: object, do: str) -> str:
-    """The one form of an error message: what was looked at, what was expected, what came, what to do.
-
-    Args:
-        what: Name of the argument, file or option at fault.
-        expected: What would have been right.
-        got: What was found instead.
-        do: What the reader should do about it.
-    """
+    """The one form of an error message: what was looked at, what was expected, what came, what to do."""
     return f"{what}: expected {expected}, got {got}; {do}"
 
 
 def nearest(word: str, known: Iterable[str], otherwise: str) -> str:
-    """What to do about a word that is not known: "did you mean X?", for the one that is most like it.
-
-    Args:
-        word: What came; small and capital letters count as the same.
-        known: What would have been right.
-        otherwise: What to do where none of them is like it.
-    """
+    """What to do about a word that is not known: "did you mean X?", for the one that is most like it."""
     by_small = {name.lower(): name for name in known}
     near = difflib.get_close_matches(word.lower(), by_small, n=1, cutoff=0.5)
     return f"did you mean {by_small[near[0]]}?" if near else otherwise
@@ -126,8 +103,5 @@ def install(extra: str) -> str:
     """What to do where an optional part of the package is not installed.
 
     The package is in no index: by its bare name, pip would fetch whatever somebody has put there.
-
-    Args:
-        extra: Name of the part in pyproject.toml.
     """
     return f"pip install -e '.[{extra}]' in your checkout of mi-splat"

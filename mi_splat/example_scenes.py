@@ -76,14 +76,7 @@ def _dome() -> Asset:
 def start_splat(
     recipe: SceneRecipe, views: Sequence[View], depths: Sequence[Tensor], *, seed: int
 ) -> tuple[GaussianScene, GaussianScene]:
-    """Untrained splats of the target and of its surroundings, sky included.
-
-    Args:
-        recipe: What the scene shows.
-        views: Pictures of it.
-        depths: (H, W) distance from the camera in each picture, 0 for sky, metres.
-        seed: Seed of the samples on the surfaces.
-    """
+    """Untrained splats of the target and of its surroundings, sky included."""
     target, surroundings = recipe.assets()
     density = nearness([view.camera for view in views][:: max(1, len(views) // 24)])
     parts = []
@@ -170,23 +163,7 @@ def make(
     seed: int = 0,
     on_step: OnStep | None = None,
 ) -> dict[str, object]:
-    """Make one scene: two splat files, the scene file and a record of how it was made and how good it is.
-
-    Args:
-        name: One of `RECIPES`.
-        folder: Where the files go.
-        views: Pictures to fit to; the recipe's number if None.
-        samples: Samples per pixel in them; pictures to compare with have twice as many.
-        steps: Steps of the training; the recipe's number if None.
-        seed: Seed of everything but the assets.
-        on_step: Called after each picture and each step.
-
-    Returns:
-        The record, as it is written to `<name>.json`: counts, seeds and PSNR over pictures that took no part.
-
-    Raises:
-        InvalidValueError: There is no such recipe, or a number is not positive.
-    """
+    """Make one scene: two splat files, the scene file and a record of how it was made and how good it is."""
     if name not in RECIPES:
         raise InvalidValueError.of("name", f"one of {sorted(RECIPES)}", repr(name), "choose one of these")
     recipe, start, report = RECIPES[name], time.time(), on_step or (lambda *_: None)

@@ -114,14 +114,7 @@ def above(low: float, unit: str = "", do: str = "change it") -> Range:
 
 
 def between(low: float, high: float, unit: str = "", do: str = "change it") -> Range:
-    """The numbers from `low` to `high`, both included.
-
-    Args:
-        low: The least.
-        high: The greatest.
-        unit: What is counted or measured, in words.
-        do: What to do with another number.
-    """
+    """The numbers from `low` to `high`, both included."""
     return Range(low=low, high=high, unit=unit, do=do)
 
 
@@ -141,12 +134,6 @@ def check(config: object) -> None:
 
     Called in `__post_init__`. Values of NumPy become Python's, and lists tuples, so that the configuration can be
     compared, and written as JSON; one value stands for a tuple of it. Types that are not known here are left alone.
-
-    Args:
-        config: A frozen dataclass.
-
-    Raises:
-        FieldError: A value is something else.
     """
     hints = type_hints(type(config))
     for field in dataclasses.fields(config):  # type: ignore[arg-type]  # a dataclass, as said above
@@ -165,17 +152,7 @@ class Checked:
 
 
 def decode(kind: type[_Value], table: Mapping[str, Any], where: str) -> _Value:
-    """A frozen dataclass from a table of TOML or an object of JSON.
-
-    Args:
-        kind: The dataclass.
-        table: Its keys and values; lists stand for tuples, and so does one value for a tuple of it; tables stand for
-            other dataclasses.
-        where: Name of the table, for errors.
-
-    Raises:
-        InvalidValueError: A key is unknown or missing, or a value is one that its field does not take.
-    """
+    """A frozen dataclass from a table of TOML or an object of JSON."""
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for key in table:
         check_choice(f"key in {where}", key, fields)
@@ -205,15 +182,7 @@ def type_hints(kind: type) -> dict[str, Any]:
 
 
 def unwrapped(hint: Any) -> tuple[Any, tuple[Any, ...], bool]:
-    """What a type of a field says.
-
-    Args:
-        hint: The type.
-
-    Returns:
-        The type itself, without Annotated and `| None`; what is said of its values, the outermost first; and whether
-        None is taken. A union of several types stays one.
-    """
+    """What a type of a field says."""
     marks: tuple[Any, ...] = ()
     optional = False
     while True:
@@ -228,11 +197,7 @@ def unwrapped(hint: Any) -> tuple[Any, tuple[Any, ...], bool]:
 
 
 def check_choice(what: str, value: object, known: Collection[Any]) -> None:
-    """Raise unless a value is one of those known, naming the nearest.
-
-    Raises:
-        FieldError: It is another.
-    """
+    """Raise unless a value is one of those known, naming the nearest."""
     if value not in known:
         raise _unknown(what, value, known)
 
@@ -251,16 +216,7 @@ def several(value: Any) -> tuple[Any, ...]:
 
 
 def several_of(kind: type[_Value], what: str, value: object) -> tuple[_Value, ...]:
-    """One value of a kind, or several, as a tuple.
-
-    Args:
-        kind: Its class.
-        what: Name of the argument, for the error.
-        value: One, or an iterable of them.
-
-    Raises:
-        InvalidValueError: Something else is among them.
-    """
+    """One value of a kind, or several, as a tuple."""
     values = several(value)
     for item in values:
         if not isinstance(item, kind):
@@ -270,17 +226,7 @@ def several_of(kind: type[_Value], what: str, value: object) -> tuple[_Value, ..
 
 
 def checked_number(name: str, value: Any, allowed: Range | None = None, *, whole: bool = False) -> Any:
-    """A number in a range.
-
-    Args:
-        name: Of it, for the error.
-        value: The number.
-        allowed: The range; all finite numbers if None.
-        whole: Whether it has to be an int.
-
-    Raises:
-        FieldError: It is none, not finite, not whole, or out of the range.
-    """
+    """A number in a range."""
     if hasattr(value, "item") and getattr(value, "ndim", 0) == 0:  # of NumPy or torch
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, Real) or (whole and not hasattr(value, "__index__")):
@@ -299,18 +245,7 @@ def checked_number(name: str, value: Any, allowed: Range | None = None, *, whole
 
 
 def taken(hint: Any, value: Any, name: str, marks: tuple[Any, ...] = (), *, read: bool = False) -> Any:
-    """A value as its field has it.
-
-    Args:
-        hint: Type of the field.
-        value: What is given.
-        name: For the error.
-        marks: What is said of the values of a tuple around this one.
-        read: Whether it comes from a file, in which lists stand for tuples and tables for dataclasses.
-
-    Raises:
-        FieldError: The field does not take it.
-    """
+    """A value as its field has it."""
     kind, own_marks, optional = unwrapped(hint)
     marks = own_marks or marks
     if value is None and optional:

@@ -80,16 +80,7 @@ class FrozenView:
         self._look(camera, max_bytes, held=sum(tensor.nbytes for tensor in self._kept))
 
     def at(self, camera: Camera, *, max_bytes: int = MAX_BYTES) -> FrozenView:
-        """The same scene, settings and rows seen from another camera; what the views know of the scene is kept once.
-
-        Args:
-            camera: The other camera.
-            max_bytes: Upper bound of the new view's `nbytes`, in which what is kept once has no part.
-
-        Raises:
-            InvalidValueError: It is no camera.
-            MiSplatError: `nbytes` would be above `max_bytes`.
-        """
+        """The same scene, settings and rows seen from another camera; what the views know of the scene is kept once."""
         view = copy.copy(self)
         _make_current(self.variant)
         view._look(camera, max_bytes, held=0)
@@ -109,18 +100,7 @@ class FrozenView:
         return self.nbytes / 1e6
 
     def __call__(self, sh: Tensor) -> Tensor:
-        """The picture with these colours.
-
-        Args:
-            sh: (M, K, 3) coefficients of the Gaussians in `rows`, K = (degree + 1)^2 with degree 0 to 3; differentiable
-                in reverse mode, once.
-
-        Returns:
-            (H, W, 3) float32 tensor, or (H, W, 4) with `settings.alpha`. Values above 1 are not clipped.
-
-        Raises:
-            InvalidValueError: The shape or the device is another one, or a number of a visible Gaussian is not finite.
-        """
+        """The picture with these colours."""
         if not isinstance(sh, Tensor) or sh.ndim != 3 or sh.shape[::2] != (len(self.rows), 3):
             got = tuple(sh.shape) if isinstance(sh, Tensor) else type(sh).__name__
             do = "pass the SH of the Gaussians in `rows`, in that order"
@@ -138,15 +118,7 @@ class FrozenView:
         return torch.cat([picture, self._alpha[..., None]], dim=2) if self.settings.alpha else picture
 
     def render(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        """The same as a `RenderFn`: the picture of a scene that differs from the view's in the SH of `rows` only.
-
-        Args:
-            scene: The view's scene with other colours; its SH may be of another degree where all are free.
-            camera: The view's camera.
-
-        Raises:
-            InvalidValueError: Something else differs.
-        """
+        """The same as a `RenderFn`: the picture of a scene that differs from the view's in the SH of `rows` only."""
         check_scene("scene", scene)
         if camera is not self.camera and not _same_camera(camera, self.camera):
             raise InvalidValueError.of("camera", "that of the FrozenView", camera, "make a FrozenView for it")
@@ -230,11 +202,7 @@ def _make_current(name: str) -> None:
 
 
 def _indices(rows: Tensor | slice | None, count: int) -> Tensor:
-    """Rows of a scene of `count` Gaussians as indices from 0.
-
-    Raises:
-        InvalidValueError: They are no rows of such a scene, or one is there twice.
-    """
+    """Rows of a scene of `count` Gaussians as indices from 0."""
     if rows is None or isinstance(rows, slice):
         return torch.arange(count)[slice(None) if rows is None else rows]
     if not isinstance(rows, Tensor):

@@ -26,13 +26,6 @@ def code_digest(*modules: str, alone: tuple[str, ...] = ()) -> str:
 
     What a module loads by its name belongs to them where that name stands in it as a whole, as in a table of modules
     that are imported when they are needed.
-
-    Args:
-        modules: Dotted names, of packages that lie beside this one.
-        alone: Further modules, without what they import.
-
-    Raises:
-        ModuleNotFoundError: There is no such module.
     """
     total = hashlib.sha256(f"python {sys.version_info[0]}.{sys.version_info[1]}".encode())
     for name in sorted({*closure(*modules), *alone}):
@@ -43,11 +36,7 @@ def code_digest(*modules: str, alone: tuple[str, ...] = ()) -> str:
 
 
 def closure(*modules: str) -> tuple[str, ...]:
-    """Dotted names of some modules and of all that they import from packages beside this one, sorted.
-
-    Raises:
-        ModuleNotFoundError: There is no such module.
-    """
+    """Dotted names of some modules and of all that they import from packages beside this one, sorted."""
     names, waiting = set[str](), list(modules)
     while waiting:
         name = waiting.pop()

@@ -9,14 +9,7 @@ Plate = tuple[float, float, float, float]
 
 
 def plate_of(draw: ImageDraw.ImageDraw, corner: tuple[float, float], text: str, *, size: float = 16) -> Plate:
-    """Where `write_label` puts its plate.
-
-    Args:
-        draw: Of the picture.
-        corner: Left and top of the plate, pixels; it is moved into the picture.
-        text: One line.
-        size: Of the font, pixels.
-    """
+    """Where `write_label` puts its plate."""
     left, top, right, bottom = draw.textbbox((0, 0), text, font=ImageFont.load_default(size=size))
     width, height = right - left + size / 2, bottom - top + 3 * size / 8
     x = min(max(corner[0], 0), max(draw.im.size[0] - width, 0))
@@ -39,15 +32,7 @@ def _shared(a: Plate, b: Plate) -> float:
 def write_label(
     draw: ImageDraw.ImageDraw, corner: tuple[float, float], text: str, colour: str, *, size: float = 16
 ) -> None:
-    """Write text on a filled plate, kept inside the picture.
-
-    Args:
-        draw: Of the picture.
-        corner: Left and top of the plate, pixels.
-        text: One line.
-        colour: Of the plate, as CSS writes it.
-        size: Of the font, pixels.
-    """
+    """Write text on a filled plate, kept inside the picture."""
     font = ImageFont.load_default(size=size)
     left, top, _, _ = draw.textbbox((0, 0), text, font=font)
     x, y, right, bottom = plate_of(draw, corner, text, size=size)

@@ -55,11 +55,7 @@ def llvm_version(path: Path) -> int | None:
 
 
 def find_llvm(folders: Iterable[Path] | None = None) -> Path | None:
-    """The newest libLLVM of version 17 or later on this machine, or None.
-
-    Args:
-        folders: Where to look; the usual places of Linux, Homebrew and an active conda environment if None.
-    """
+    """The newest libLLVM of version 17 or later on this machine, or None."""
     if folders is None:
         folders = [match for pattern in _FOLDERS for match in Path("/").glob(pattern[1:])]
         if "CONDA_PREFIX" in os.environ:
@@ -74,14 +70,7 @@ def find_llvm(folders: Iterable[Path] | None = None) -> Path | None:
 
 
 def prepare_llvm() -> Path | None:
-    """Point Dr.Jit at a usable libLLVM unless the environment already names one; must run before the first LLVM array.
-
-    Returns:
-        The library that Dr.Jit will load, or None where it is left to Dr.Jit (macOS and Windows keep it elsewhere).
-
-    Raises:
-        LLVMError: On Linux, none of version 17 or later was found, or DRJIT_LIBLLVM_PATH names a missing or old one.
-    """
+    """Point Dr.Jit at a usable libLLVM unless the environment already names one; call it before the first array."""
     named = os.environ.get("DRJIT_LIBLLVM_PATH")
     if named:
         path = Path(named)

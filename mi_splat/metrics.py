@@ -13,41 +13,18 @@ Perceptual = Callable[[Tensor, Tensor], Tensor]
 
 
 def mse(image: Tensor, reference: Tensor) -> Tensor:
-    """Mean squared error of two tensors of one shape, a scalar; differentiable.
-
-    Raises:
-        InvalidValueError: The shapes differ.
-    """
+    """Mean squared error of two tensors of one shape, a scalar; differentiable."""
     _check_shapes(image, reference)
     return ((image - reference) ** 2).mean()
 
 
 def psnr(image: Tensor, reference: Tensor) -> Tensor:
-    """Peak signal-to-noise ratio in dB for values in [0, 1], a scalar; infinite for equal pictures.
-
-    Args:
-        image: (..., H, W, 3) sRGB in [0, 1].
-        reference: Same shape.
-
-    Raises:
-        InvalidValueError: The shapes differ.
-    """
+    """Peak signal-to-noise ratio in dB for values in [0, 1], a scalar; infinite for equal pictures."""
     return -10 * torch.log10(mse(image, reference))
 
 
 def ssim(image: Tensor, reference: Tensor) -> Tensor:
-    """Structural similarity (Wang et al. 2004; Gaussian window with sigma 1.5) for values in [0, 1]; differentiable.
-
-    Args:
-        image: (H, W, 3) or (B, H, W, 3) sRGB in [0, 1].
-        reference: Same shape.
-
-    Returns:
-        A scalar, 1 for equal pictures.
-
-    Raises:
-        InvalidValueError: The shapes differ or are not those of pictures.
-    """
+    """Structural similarity (Wang et al. 2004; Gaussian window with sigma 1.5) for values in [0, 1]; differentiable."""
     _check_shapes(image, reference)
     if image.ndim not in (3, 4):
         raise InvalidValueError.of("image", "shape (H, W, 3) or (B, H, W, 3)", tuple(image.shape), "pass pictures")
@@ -63,9 +40,6 @@ def load_lpips() -> Perceptual:
     The network's weights come from torchvision's hub when they are first used, and stay in torch's cache.
 
     Pictures have to be at least 32 pixels wide.
-
-    Raises:
-        MiSplatError: The weights cannot be reached.
     """
     from torchmetrics.image.lpip import LearnedPerceptualImagePatchSimilarity  # takes seconds
 

@@ -60,18 +60,7 @@ class MixedScene:
         self.samples, self.seed, self.linear = samples, seed, linear
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        """Render one picture.
-
-        Args:
-            scene: What stands in the place of the file's Gaussians: as many, shape after shape, with SH of any degree.
-            camera: The camera.
-
-        Returns:
-            (H, W, 3) float32 tensor of sRGB values in [0, 1], or of linear ones.
-
-        Raises:
-            InvalidValueError: There is another number of Gaussians than the file has.
-        """
+        """Render one picture."""
         import mitsuba as mi
 
         from mi_splat.plugins.sensor import sensor_dict

@@ -17,11 +17,6 @@ def overdraw(scene: GaussianScene, cameras: Sequence[Camera], *, near: float) ->
     """How many Gaussians the list of each tile holds, camera by camera: exactly those that the rasteriser would make.
 
     No list is made, so memory does not grow with what Gaussians cover.
-
-    Args:
-        scene: N Gaussians on the CPU.
-        cameras: Where from.
-        near: Near plane, world units.
     """
     check_scene("scene", scene)
     variant.use()

@@ -78,11 +78,7 @@ class Placement:
             raise InvalidValueError.of("crop", "no first number above its second", self.crop, do)
 
     def apply(self, scene: GaussianScene) -> GaussianScene:
-        """The splat as it is put; its very tensors where nothing is changed.
-
-        Raises:
-            InvalidValueError: No Gaussian lies in the box.
-        """
+        """The splat as it is put; its very tensors where nothing is changed."""
         import torch
 
         from mi_splat.scene import Similarity

@@ -35,21 +35,12 @@ _PICTURES = 4
 
 @singledispatch
 def html(value: object) -> str:
-    """The card of a value, as HTML.
-
-    Args:
-        value: One of the types below; of another one the card is its `repr`.
-    """
+    """The card of a value, as HTML."""
     return card(repr(value))
 
 
 def drawn(value: object, draw: Callable[[], Sequence[str]]) -> str:
-    """A card with drawings, or without them where drawing fails.
-
-    Args:
-        value: Whose `repr` is the line of facts.
-        draw: Makes the drawings.
-    """
+    """A card with drawings, or without them where drawing fails."""
     try:
         drawings = draw()
     except Exception as error:  # noqa: BLE001 - whatever is wrong with a value, a notebook has to be able to show it
@@ -145,12 +136,7 @@ def _rendered(
 
 
 def largest(scene: GaussianScene, most: int) -> GaussianScene:
-    """The Gaussians that cover most, so that a picture of a large splat is quick.
-
-    Args:
-        scene: N Gaussians.
-        most: How many are kept.
-    """
+    """The Gaussians that cover most, so that a picture of a large splat is quick."""
     if len(scene) <= most:
         return scene
     area = scene.scales.sort(dim=1).values[:, 1:].prod(1) * scene.opacities

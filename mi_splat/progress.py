@@ -77,30 +77,12 @@ class Bar:
 
 
 def bar(total: int | None = None, text: str = "") -> Bar:
-    """A progress bar, to be passed as `on_step`.
-
-    Args:
-        total: Number of steps; None where it is not known, or where `on_step` is told it.
-        text: What is going on.
-
-    Returns:
-        A function, which a `with` block closes at its end.
-    """
+    """A progress bar, to be passed as `on_step`."""
     return Bar(total, text)
 
 
 def tensorboard(folder: str | Path) -> Callable[..., None]:
-    """Curves of all figures for TensorBoard, to be passed as `on_step`.
-
-    Args:
-        folder: Where the file of events is written; `tensorboard --logdir FOLDER` shows it.
-
-    Returns:
-        A function of steps that have figures. The file is complete after each step.
-
-    Raises:
-        MiSplatError: The package tensorboard is not installed.
-    """
+    """Curves of all figures for TensorBoard, to be passed as `on_step`."""
     if importlib.util.find_spec("tensorboard") is None:
         raise MiSplatError.of("tensorboard", "the package", "none", install("tensorboard"))
     from torch.utils.tensorboard import SummaryWriter
@@ -117,14 +99,7 @@ def tensorboard(folder: str | Path) -> Callable[..., None]:
 
 
 def together(*listeners: Callable[..., object]) -> Callable[..., Any]:
-    """Several functions as one `on_step`.
-
-    Args:
-        listeners: Each hears of every step.
-
-    Returns:
-        A function that asks for an end where one of them does.
-    """
+    """Several functions as one `on_step`."""
 
     def on_step(*step: object) -> bool:
         answers = [listener(*step) for listener in listeners]  # each hears of it, whatever the others say

@@ -29,11 +29,7 @@ def command() -> str | None:
 
 @contextmanager
 def running_command(command: Sequence[str]) -> Iterator[None]:
-    """Results that are made within name this command line.
-
-    Args:
-        command: The program and what the user typed after it.
-    """
+    """Results that are made within name this command line."""
     before = _COMMAND.set(shlex.join(command))
     try:
         yield
@@ -55,11 +51,7 @@ def torch_arithmetic() -> dict[str, Any] | None:
 
 
 def rendered_with(render: object) -> dict[str, Any]:
-    """What pictures depend on besides the splat and the camera, `background` and `near`, as JSON can hold it.
-
-    Args:
-        render: A renderer, such as `mi_splat.rendering.Renderer`; of a function without settings nothing is known.
-    """
+    """What pictures depend on besides the splat and the camera, `background` and `near`, as JSON can hold it."""
     settings: Any = getattr(render, "settings", None)
     if not (hasattr(settings, "background") and hasattr(settings, "near")):
         return {}

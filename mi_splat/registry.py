@@ -51,12 +51,7 @@ class Registry(Mapping[str, _Value]):
         self._expected, self._fits, self._error = expected, fits, error
 
     def __getitem__(self, name: str) -> _Value:
-        """A value by its name.
-
-        Raises:
-            KeyError: There is none of this name.
-            MiSplatError: It is another package's, which cannot be imported, or has something else there.
-        """
+        """A value by its name."""
         return self.own[name] if name in self.own else self._brought(_points(self.group)[name])
 
     def __iter__(self) -> Iterator[str]:
@@ -75,31 +70,13 @@ class Registry(Mapping[str, _Value]):
         return tuple(name for name in _points(self.group) if name not in self.own)
 
     def add(self, name: str, value: _Value) -> None:
-        """Register a value for this process.
-
-        Args:
-            name: One that is free.
-            value: Of this registry's kind.
-
-        Raises:
-            MiSplatError: The name is taken.
-        """
+        """Register a value for this process."""
         if name in self.own:
             raise self._error.of(self.what, "a name that is free", repr(name), "choose another name")
         self.own[name] = value
 
     def chosen(self, name: object) -> _Value:
-        """A value by a name that a user gave.
-
-        Args:
-            name: The name.
-
-        Returns:
-            The value.
-
-        Raises:
-            MiSplatError: There is none of this name, which is said with the nearest one, or it is a broken package's.
-        """
+        """A value by a name that a user gave."""
         if not isinstance(name, str) or name not in self:
             do = nearest(str(name), self, "choose one of them")
             raise self._error.of(self.what, " or ".join(self), repr(name), do)
@@ -129,11 +106,7 @@ class Registry(Mapping[str, _Value]):
 
 
 def brought_by_packages() -> list[tuple[str, str, str]]:
-    """Everything that other packages bring, in whatever group of ours; nothing is imported.
-
-    Returns:
-        For each entry point its group, its name, and what it is: "my_package.module:NAME of my-package 1.0".
-    """
+    """Everything that other packages bring, in whatever group of ours; nothing is imported."""
     groups = sorted(group for group in entry_points().groups if group.startswith(_OURS))
     points = (point for group in groups for point in entry_points(group=group))
     return [(point.group, point.name, f"{point.value} of {_package(point)}") for point in points]

@@ -247,16 +247,7 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
         """A renderer as one node of Dr.Jit's AD graph."""
 
         def eval(self, means: Any, scales: Any, rotations: Any, opacities: Any, sh: Any, job: _Job) -> Any:
-            """One image per camera, followed by its two depths if the job has side outputs.
-
-            Args:
-                means: TensorXf (N, 3), world units.
-                scales: TensorXf (N, 3), standard deviations, world units.
-                rotations: TensorXf (N, 4), quaternions w, x, y, z.
-                opacities: TensorXf (N,).
-                sh: TensorXf (N, K, 3).
-                job: Cameras and settings.
-            """
+            """One image per camera, followed by its two depths if the job has side outputs."""
             tensors = (means, scales, rotations, opacities, sh)
             self.shapes = [t.shape for t in tensors]
             # Here and not only in `rasterize`, so that memory that is not aligned is copied once and not once a camera.

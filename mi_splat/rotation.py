@@ -16,12 +16,6 @@ def normalise(quaternions: Tensor) -> Tensor:
 
     The norm is taken in float64. A quaternion that is already a unit one (norm within 1e-6 of one) keeps its bits,
     which makes the function idempotent; its gradient is that of the normalisation all the same.
-
-    Args:
-        quaternions: (..., 4) of any length but zero.
-
-    Returns:
-        (..., 4) unit quaternions of the same dtype; a zero quaternion gives NaN.
     """
     wide = quaternions.double()
     factor: Tensor = torch.linalg.vector_norm(wide, dim=-1, keepdim=True).reciprocal()
@@ -32,15 +26,7 @@ def normalise(quaternions: Tensor) -> Tensor:
 
 
 def multiply(left: Tensor, right: Tensor) -> Tensor:
-    """Hamilton product: the rotation `right` followed by the rotation `left`.
-
-    Args:
-        left: (..., 4) quaternions.
-        right: (..., 4) quaternions, broadcast against `left`.
-
-    Returns:
-        (..., 4) products, not normalised.
-    """
+    """Hamilton product: the rotation `right` followed by the rotation `left`."""
     a, b, c, d = left.unbind(-1)
     w, x, y, z = right.unbind(-1)
     return torch.stack(
@@ -55,14 +41,7 @@ def multiply(left: Tensor, right: Tensor) -> Tensor:
 
 
 def to_matrix(quaternions: Tensor) -> Tensor:
-    """Rotation matrices of unit quaternions.
-
-    Args:
-        quaternions: (..., 4) unit quaternions.
-
-    Returns:
-        (..., 3, 3) matrices R with world = R @ local.
-    """
+    """Rotation matrices of unit quaternions."""
     w, x, y, z = quaternions.unbind(-1)
     entries = [
         1 - 2 * (y * y + z * z),
@@ -83,15 +62,6 @@ def from_matrix(matrices: Tensor) -> Tensor:
 
     All four of the equivalent formulas are evaluated and the one with the largest divisor is taken (Shepperd 1978), so
     that half turns lose no precision.
-
-    Args:
-        matrices: (..., 3, 3) rotation matrices.
-
-    Returns:
-        (..., 4) unit quaternions.
-
-    Raises:
-        InvalidValueError: The last two dimensions are not (3, 3).
     """
     if matrices.shape[-2:] != (3, 3):
         raise InvalidValueError.of("matrices", "shape (..., 3, 3)", tuple(matrices.shape), "pass rotation matrices")
@@ -121,14 +91,7 @@ def is_rotation(matrix: Tensor, tolerance: float = 1e-4) -> bool:
 
 
 def from_z(direction: Tensor) -> Tensor:
-    """(3, 3) float64, the shortest rotation that takes z to a direction; about x where it is straight down (Rodrigues).
-
-    Args:
-        direction: (3,), of any length.
-
-    Raises:
-        InvalidValueError: It is no direction.
-    """
+    """(3, 3) float64, shortest rotation from z to a direction; about x where it is straight down (Rodrigues)."""
     length = float(direction.norm())
     if not (math.isfinite(length) and length > 0):
         raise InvalidValueError.of("up", "a direction", direction.tolist(), "for instance 0 0 1")

@@ -61,11 +61,7 @@ class Similarity:
 
     @classmethod
     def from_matrix(cls, matrix: Tensor, what: str) -> Similarity:
-        """The similarity of a (4, 4) matrix that is called `what`.
-
-        Raises:
-            InvalidValueError: The matrix shears, mirrors or scales its axes differently.
-        """
+        """The similarity of a (4, 4) matrix that is called `what`."""
         linear = matrix[:3, :3].double()
         determinant = float(torch.linalg.det(linear))
         scale = abs(determinant) ** (1 / 3)
@@ -249,11 +245,7 @@ def check_scene(what: str, value: object) -> None:
 
 
 def merge(*scenes: GaussianScene) -> GaussianScene:
-    """All Gaussians of several scenes, in order; SH of lower degree are padded with zeros.
-
-    Raises:
-        InvalidValueError: No scene is given, or dtypes or devices differ.
-    """
+    """All Gaussians of several scenes, in order; SH of lower degree are padded with zeros."""
     if not scenes:
         raise InvalidValueError.of("scenes", "at least one scene", "none", "pass the scenes to merge")
     degree = max(scene.degree for scene in scenes)

@@ -62,13 +62,7 @@ def read_scene(path: str | Path) -> SplatScene:
 
 
 def load_mitsuba_scene(path: str | Path, **parameters: Any) -> Any:
-    """A Mitsuba scene from a file; `parameters` take the place of its default values.
-
-    Raises:
-        InvalidValueError: The file is missing, is not a Mitsuba scene, or is too large or too deep for one.
-        PictureFileError: A picture that it names has too many pixels.
-        SplatFileError: A splat that it names cannot be read.
-    """
+    """A Mitsuba scene from a file; `parameters` take the place of its default values."""
     import mitsuba as mi
 
     path = Path(path_name(path))
@@ -86,17 +80,7 @@ def load_mitsuba_scene(path: str | Path, **parameters: Any) -> Any:
 
 
 def values_of(loaded: Any, path: str | Path, *, among: Literal["nothing", "surfaces"] = "nothing") -> SplatScene:
-    """The splats, cameras and settings of a Mitsuba scene as values.
-
-    Args:
-        loaded: The scene.
-        path: Its file, for messages.
-        among: What else it may hold.
-
-    Raises:
-        InvalidValueError: It holds no `gaussians` shape or no sensor, a sensor that is no pinhole camera, or shapes
-            that it may not hold.
-    """
+    """The splats, cameras and settings of a Mitsuba scene as values."""
     from mi_splat.plugins import sensor as sensors
     from mi_splat.plugins.gaussian_shapes import GaussianShapes
 
@@ -157,16 +141,6 @@ def open_scene(path: Path, device: str = "cpu") -> SplatScene:
     """The scene in `path`, to be rendered as detectors and PNG files want it: three channels, sRGB.
 
     A bare splat file becomes a scene of one object without cameras, in front of black.
-
-    Args:
-        path: A scene XML or a splat file.
-        device: Where it lies and is rendered, "cpu" or "cuda".
-
-    Returns:
-        The scene.
-
-    Raises:
-        MiSplatError: The file cannot be read, or is neither a Mitsuba scene nor a splat; or there is no such device.
     """
     if path.suffix.lower() == ".xml":
         loaded = read_scene(path)
@@ -192,20 +166,7 @@ def orbit_camera(
     size: tuple[int, int],
     centre: Sequence[float] | None = None,
 ) -> Camera:
-    """A camera that looks at the middle of a scene, or at another point.
-
-    Args:
-        scene: What to look at.
-        azimuth: Degrees from +x towards +y.
-        elevation: Degrees above the ground.
-        distance: World units; None is as near as shows all of `bounds`.
-        fov: Degrees over the shorter side of the picture.
-        size: Width and height in pixels.
-        centre: (3,) point to look at, world units; None is the middle of `bounds`.
-
-    Raises:
-        InvalidValueError: The scene is empty, or a number is out of range.
-    """
+    """A camera that looks at the middle of a scene, or at another point."""
     if not 0 < fov < 180:
         raise InvalidValueError.of("fov", "degrees between 0 and 180", fov, "45 is usual")
     if min(size) < 1:
@@ -220,11 +181,7 @@ def orbit_camera(
 
 
 def resized(camera: Camera, size: tuple[int, int]) -> Camera:
-    """The same camera with another picture size; what it saw from left to right, it still sees.
-
-    Raises:
-        InvalidValueError: The size is not positive.
-    """
+    """The same camera with another picture size; what it saw from left to right, it still sees."""
     if size == (camera.width, camera.height):
         return camera
     width, height = size

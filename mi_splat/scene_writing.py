@@ -17,20 +17,7 @@ _OPENCV_TO_MITSUBA = (-1.0, -1.0, 1.0, 1.0)
 
 
 def write_scene(loaded: SplatScene, scene: GaussianScene, path: Path) -> list[Path]:
-    """Write a changed scene with the parts, cameras and settings that it was read with.
-
-    Args:
-        loaded: The scene as it was read; it says what the parts, the cameras and the settings are.
-        scene: Its Gaussians now, in the same order.
-        path: The XML. The parts lie beside it, as NAME_PART.ply.
-
-    Returns:
-        The files, the XML last: where it is, the parts are.
-
-    Raises:
-        InvalidValueError: There are other numbers of Gaussians, or a camera's pixels are not square.
-        SplatFileError: A file cannot be written.
-    """
+    """Write a changed scene with the parts, cameras and settings that it was read with."""
     if len(scene) != len(loaded.scene):
         do = "pass the scene whose parts these are"
         raise InvalidValueError.of("scene", f"{len(loaded.scene):,} Gaussians", f"{len(scene):,}", do)

@@ -36,22 +36,14 @@ _C3_ZZZ = 0.25 * math.sqrt(7 / math.pi)
 
 
 def coefficient_count(degree: int) -> int:
-    """Number of coefficients K = (degree + 1)^2 of one colour channel.
-
-    Raises:
-        InvalidValueError: degree is not 0, 1, 2 or 3.
-    """
+    """Number of coefficients K = (degree + 1)^2 of one colour channel."""
     if degree not in range(MAX_DEGREE + 1):
         raise InvalidValueError.of("degree", "0, 1, 2 or 3", degree, "use a supported SH degree")
     return (degree + 1) ** 2
 
 
 def degree_of(count: int) -> int:
-    """SH degree that has `count` coefficients a channel.
-
-    Raises:
-        InvalidValueError: count is not 1, 4, 9 or 16.
-    """
+    """SH degree that has `count` coefficients a channel."""
     degree = math.isqrt(count) - 1 if count > 0 else -1
     if degree not in range(MAX_DEGREE + 1) or (degree + 1) ** 2 != count:
         raise InvalidValueError.of("sh", "1, 4, 9 or 16 coefficients", count, "pass SH of degree 0 to 3")
@@ -89,18 +81,7 @@ def band(directions: tuple[_Values, _Values, _Values], degree: int) -> list[_Val
 
 
 def sh_basis(directions: Tensor, degree: int) -> Tensor:
-    """All basis functions up to `degree`.
-
-    Args:
-        directions: (..., 3) unit vectors.
-        degree: 0 to 3.
-
-    Returns:
-        (..., (degree + 1)^2) values of the basis.
-
-    Raises:
-        InvalidValueError: degree is not 0, 1, 2 or 3, or directions are not 3-vectors.
-    """
+    """All basis functions up to `degree`."""
     coefficient_count(degree)
     if directions.ndim == 0 or directions.shape[-1] != 3:
         raise InvalidValueError.of(
@@ -113,15 +94,7 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
 
 
 def sh_to_colour(sh: Tensor, directions: Tensor) -> Tensor:
-    """Colour of each Gaussian seen along its direction.
-
-    Args:
-        sh: (..., K, 3) coefficients.
-        directions: (..., 3) unit vectors from the camera centre to the Gaussian's mean.
-
-    Returns:
-        (..., 3) sRGB, max(0, 0.5 + sum); not clamped from above.
-    """
+    """Colour of each Gaussian seen along its direction."""
     basis = sh_basis(directions, degree_of(sh.shape[-2]))
     return ((basis[..., None] * sh).sum(-2) + 0.5).clamp(min=0)
 
@@ -139,16 +112,7 @@ def dc_to_colour(dc: Tensor) -> Tensor:
 def colours_by_direction(
     sh: NDArray[np.floating[Any]], directions: NDArray[np.float64], *, rows: int = 1 << 14
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean colour of all Gaussians in each direction, and the largest; an honest splat has nearly the same in all.
-
-    Args:
-        sh: (N, K, 3) coefficients, N at least 1.
-        directions: (M, 3) unit vectors from a camera to the splat.
-        rows: Gaussians that are looked at together.
-
-    Returns:
-        (M,) mean over Gaussians and channels, and (M,) largest value; sRGB, not clamped from above.
-    """
+    """Mean colour of all Gaussians in each direction, and the largest; an honest splat has nearly the same in all."""
     degree, (x, y, z) = degree_of(sh.shape[-2]), directions.T
     values = [value for number in range(degree + 1) for value in band((x, y, z), number)]
     basis = np.stack(values, axis=1).astype(sh.dtype)
@@ -175,13 +139,6 @@ def sh_rotation(rotation: Tensor, degree: int) -> Tensor:
 
     Each band is closed under rotation, so the least-squares fit of the basis at R^T d to the basis at d, over
     well-spread directions d, is exact; no recursion for the Wigner matrices is needed.
-
-    Args:
-        rotation: (3, 3) rotation matrix R.
-        degree: 0 to 3.
-
-    Returns:
-        (K, K) float64 block-diagonal orthogonal matrix D on the CPU, K = (degree + 1)^2.
     """
     import torch
 
@@ -197,15 +154,7 @@ def sh_rotation(rotation: Tensor, degree: int) -> Tensor:
 
 
 def rotate_sh(sh: Tensor, rotation: Tensor) -> Tensor:
-    """Coefficients of the same colours after the Gaussians have turned by a rotation.
-
-    Args:
-        sh: (..., K, 3) coefficients.
-        rotation: (3, 3) rotation matrix R; the result seen along R d is `sh` seen along d.
-
-    Returns:
-        (..., K, 3) coefficients.
-    """
+    """Coefficients of the same colours after the Gaussians have turned by a rotation."""
     import torch
 
     degree = degree_of(sh.shape[-2])

@@ -32,11 +32,7 @@ class SideOutputs:
 
 
 def save_floats(channels: Mapping[str, NDArray[np.float32]], path: Path) -> None:
-    """Write (H, W) channels by their names as OpenEXR with 32-bit floats, without loss.
-
-    Raises:
-        SplatFileError: The file cannot be written.
-    """
+    """Write (H, W) channels by their names as OpenEXR with 32-bit floats, without loss."""
     variant.use()
     import mitsuba as mi
 

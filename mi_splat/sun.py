@@ -9,14 +9,6 @@ def sun_direction(hour: float, *, latitude: float, declination: float = 0.0) -> 
     """Unit vector to the sun: east, north, up.
 
     The hour angle grows by 15 degrees an hour from 0 at noon (Meeus, Astronomical Algorithms, chapter 13).
-
-    Args:
-        hour: Local solar time, 12 is noon.
-        latitude: Of the place, degrees north.
-        declination: Of the sun, degrees; 0 at the equinoxes, 23.4 at midsummer.
-
-    Raises:
-        InvalidValueError: The sun has not risen yet, or has set.
     """
     angle = math.radians(15 * (hour - 12))
     phi, tilt = math.radians(latitude), math.radians(declination)

@@ -17,19 +17,7 @@ class VariantError(MiSplatError):
 
 
 def use(variant: str = "") -> str:
-    """Make a Mitsuba variant that can render splats the current one.
-
-    Args:
-        variant: A name such as "llvm_ad_rgb" or "cuda_ad_rgb"; if empty, the current variant is kept where it can
-            render splats and "llvm_ad_rgb" is set otherwise.
-
-    Returns:
-        Name of the variant.
-
-    Raises:
-        VariantError: The variant cannot render splats, this build lacks it, or there is no GPU for it.
-        LLVMError: No libLLVM can be found.
-    """
+    """Make a Mitsuba variant that can render splats the current one."""
     import mitsuba as mi
 
     if not variant:
@@ -68,14 +56,7 @@ def device_of(variant: str) -> str:
 
 
 def check_device(device: str) -> None:
-    """Refuse the device "cuda" where Dr.Jit or torch has none.
-
-    Args:
-        device: "cpu" or "cuda".
-
-    Raises:
-        VariantError: There is none.
-    """
+    """Refuse the device "cuda" where Dr.Jit or torch has none."""
     import torch
 
     if device == "cuda" and not (has_cuda() and torch.cuda.is_available()):

@@ -35,15 +35,6 @@ def freeze_views(
 
     The pictures are those of `render` but for rounding. Which cameras have a view depends on the arguments alone, so
     that a run that was interrupted goes on with the same pictures to the bit.
-
-    Args:
-        scene: The splat.
-        cameras: In the order in which they have a view; the first one that does not fit is the end.
-        render: What pictures are made with otherwise. Of anything but a `Renderer` with the method "tile" and without
-            screen gradients it is not known what it does, and there are no views.
-        pictures: How many with a gradient each camera shall take; under `MIN_PICTURES` there are no views.
-        rows: The Gaussians whose colours may change, see `FrozenView`; all if None.
-        max_bytes: Upper bound of the memory of all views.
     """
     views: dict[Camera, FrozenView] = {}
     if pictures < MIN_PICTURES:

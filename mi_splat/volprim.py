@@ -46,18 +46,7 @@ class Volprim:
         self.variant = variant.use(self.settings.variant)
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        """Render one picture.
-
-        Args:
-            scene: N Gaussians, on the device of the variant.
-            camera: With square pixels.
-
-        Returns:
-            (H, W, 3) float32 tensor. Values above 1 are not clipped.
-
-        Raises:
-            InvalidValueError: The pixels are not square, or something else than a scene was passed.
-        """
+        """Render one picture."""
         check_scene("scene", scene)
         variant.use(self.variant)
         if not len(scene):

@@ -35,17 +35,7 @@ class Warm:
     def run(
         self, *words: str, cwd: Path, missing: Sequence[str] = (), check: bool = False
     ) -> subprocess.CompletedProcess[str]:
-        """Run a program to its end.
-
-        Args:
-            words: `-c` and the code, or `-m` and a module; then what the program is given.
-            cwd: Where it runs.
-            missing: Modules that it can neither import nor find among what is installed.
-            check: Whether an exit status other than 0 is an error.
-
-        Raises:
-            subprocess.CalledProcessError: The status is another than 0, and `check` is set.
-        """
+        """Run a program to its end."""
         if self._server is None:
             command = [sys.executable, "-m", "tests.warm"]
             root = Path(__file__).resolve().parents[1]

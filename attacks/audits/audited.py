@@ -45,14 +45,7 @@ class AuditedConfig:
 
 
 def run(config: AuditedConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
-    """Audit the splat of a job, and compare what the audit says with the truth.
-
-    Returns:
-        One row: the verdict, and how near it is to the truth.
-
-    Raises:
-        InvalidValueError: It cannot be judged.
-    """
+    """Audit the splat of a job, and compare what the audit says with the truth."""
     scene = open_scene(inputs["splat"]).scene
     begun = time.process_time()
     judged = audit(scene)

@@ -60,18 +60,7 @@ class Seen:
 
 
 def seen_along_paths(scene: GaussianScene, detectors: Sequence[Detector]) -> Iterator[Seen]:
-    """Look at each object of a splat with detectors along two paths: around it, and over it.
-
-    Args:
-        scene: N Gaussians.
-        detectors: With different names.
-
-    Returns:
-        What each detector reports on each object along each path.
-
-    Raises:
-        InvalidValueError: Nothing of the splat shows.
-    """
+    """Look at each object of a splat with detectors along two paths: around it, and over it."""
     frame = frame_of(scene)
     for number, target in enumerate(targets(frame.scene), 1):
         centre = frame.point(target.centre).double()

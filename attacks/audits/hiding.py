@@ -123,13 +123,7 @@ class Victim:
         return float((self.scene.means[self.rows].double() - self.centre).norm(dim=1).quantile(0.98))
 
     def camera(self, direction: Tensor, *, size: int = SIZE, distance: float = DISTANCE) -> Camera:
-        """Looks at the middle of the object.
-
-        Args:
-            direction: (3,) unit vector from there to the camera.
-            size: Pixels of the picture to each side.
-            distance: Radii of the object.
-        """
+        """Looks at the middle of the object."""
         top = (0.0, 0.0, 1.0) if abs(float(direction[2])) < 0.999 else (1.0, 0.0, 0.0)
         pose = look_at(
             (self.centre + distance * self.radius * direction.double()).tolist(), self.centre.tolist(), up=top

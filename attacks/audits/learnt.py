@@ -24,14 +24,7 @@ _RIDGE, _STEPS = 0.06, 12
 
 
 def attributes(scene: GaussianScene) -> Tensor:
-    """(F,) float64 statistics of a splat's attributes that do not depend on its axes, unit or order of rows.
-
-    Args:
-        scene: N Gaussians, of which at least some are solid.
-
-    Raises:
-        InvalidValueError: Too few Gaussians show.
-    """
+    """(F,) float64 statistics of a splat's attributes that do not depend on its axes, unit or order of rows."""
     check_scene("scene", scene)
     rows = (scene.opacities > SOLID).nonzero()[:, 0]
     if len(rows) <= _NEIGHBOURS:
@@ -86,18 +79,7 @@ class AttributeClassifier:
 
 
 def fit_attributes(values: Tensor, labels: Sequence[bool]) -> AttributeClassifier:
-    """Train a classifier on splats of which it is known whether they hide something.
-
-    Args:
-        values: (N, F) attributes of the splats.
-        labels: Whether each hides something.
-
-    Returns:
-        The trained classifier.
-
-    Raises:
-        InvalidValueError: A splat has no label, or all hide something, or none does.
-    """
+    """Train a classifier on splats of which it is known whether they hide something."""
     if len(values) != len(labels) or len(set(labels)) != 2:
         got = f"{len(labels)} for {len(values)} splats, {sum(labels)} of them hiding"
         raise InvalidValueError.of("labels", "one for each splat, and both kinds", got, "add what is missing")

@@ -42,11 +42,7 @@ class PhotographedConfig(Checked):
 
 
 def run(config: PhotographedConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Photograph the scene of a job.
-
-    Raises:
-        MiSplatError: The scene is broken.
-    """
+    """Photograph the scene of a job."""
     cameras, source = config.cameras, open_source(str(inputs["scene"]))
     size = (cameras.size, cameras.size)
     distance, focal = framing(source.radius, fov=cameras.fov, size=size)

@@ -105,11 +105,7 @@ BASELINES: Mapping[str, Baseline] = {
 
 
 def measured(scene: GaussianScene) -> dict[str, tuple[float, float]]:
-    """The score of a splat by each baseline, and the CPU seconds that it took.
-
-    Raises:
-        InvalidValueError: Nothing of the splat shows.
-    """
+    """The score of a splat by each baseline, and the CPU seconds that it took."""
     check_scene("scene", scene)
     scores = {}
     for name, score in BASELINES.items():
@@ -129,11 +125,7 @@ class RivalsConfig:
 
 
 def run(config: RivalsConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Write the score of each, and the attributes that a classifier reads.
-
-    Raises:
-        InvalidValueError: Nothing of the splat shows.
-    """
+    """Write the score of each, and the attributes that a classifier reads."""
     scene = open_scene(inputs["splat"]).scene
     scores = measured(scene)
     save_json({"seconds": {name: seconds for name, (_, seconds) in scores.items()}}, out / COST)

@@ -24,16 +24,6 @@ def audit_rows(path: Path) -> list[dict[str, Any]]:
     """The row of the audit and of each other way to find a hidden look, the best one first.
 
     Contents on which the audit was chosen are left out, and so are splats that were changed afterwards.
-
-    Args:
-        path: Folder of the result, or its result.json.
-
-    Returns:
-        For each its area under the ROC curve with interval, the rate of what it finds at `FALSE_ALARMS`, and the CPU
-        seconds for each file (None where the result does not say them).
-
-    Raises:
-        InvalidValueError: It is no result of a study of the audit, or all of its files are of one kind.
     """
     record = _READER.read_json(path / RECORD if path.is_dir() else path)
     if record.get("story") != STORY:
@@ -67,11 +57,7 @@ def _score(row: Mapping[str, Any], name: str) -> float:
 
 
 def audit_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows of audits as a table.
-
-    Args:
-        rows: Of `audit_rows`.
-    """
+    """Rows of audits as a table."""
     heads: dict[str, Any] = {
         "rank": lambda line: str(line[0]),
         "what looks at the file": lambda line: line[1]["audit"],

@@ -75,19 +75,7 @@ def write(
     missing: Mapping[str, str],
     out: Path,
 ) -> list[Path]:
-    """Write rows.csv.gz, result.json, and the row as row.json and row.md into a folder that is there.
-
-    Args:
-        asked: Who was asked what.
-        attacks: Column and labels of each attack of the rows.
-        rows: Of all looks.
-        seconds: CPU seconds by column.
-        missing: Why a column has no rate, by column.
-        out: The folder.
-
-    Returns:
-        The files.
-    """
+    """Write rows.csv.gz, result.json, and the row as row.json and row.md into a folder that is there."""
     suite, detector, table = asked.suite, asked.detector, frame_of(rows)
     record: dict[str, Any] = {
         "story": STORY,
@@ -119,12 +107,7 @@ def row_of(record: Record) -> dict[str, Any]:
 
 
 def figures(record: Record, frames: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
-    """Every figure of a suite, of its rows.
-
-    Args:
-        record: What its attacks are of, at `attacks`.
-        frames: Its tables.
-    """
+    """Every figure of a suite, of its rows."""
     attacks, rows = record["attacks"], frames[ROWS]
     columns = {name: _column(attacks, rows, name) for name in COLUMNS}
     scored = [entry["robust"] for entry in columns.values() if entry["robust"] is not None]
@@ -133,14 +116,7 @@ def figures(record: Record, frames: Mapping[str, pl.DataFrame]) -> dict[str, Any
 
 
 def warnings(columns: Mapping[str, Record]) -> list[str]:
-    """Reasons to think that attacks on the detector itself were too weak, so that a rate says little.
-
-    Args:
-        columns: The columns of a row.
-
-    Returns:
-        Sentences; none for no reason.
-    """
+    """Reasons to think that attacks on the detector itself were too weak, so that a rate says little."""
     told, itself, others = [], columns[ONE_VIEW]["robust"], columns[TRANSFER]["robust"]
     if itself and others and others["interval"][1] < itself["interval"][0]:
         told.append("Attacks on others do more than attacks on it: its gradients may be hidden.")
@@ -199,13 +175,7 @@ def judged(rows: pl.DataFrame) -> pl.DataFrame:
 
 
 def _rates(rows: pl.DataFrame, wanted: Mapping[str, str], condition: str = "") -> dict[str, Rate]:
-    """How often the object is still named on splats, with the interval of blocks of cameras and of seeds.
-
-    Args:
-        rows: Of `judged`.
-        wanted: Splats, by the name of the rate.
-        condition: That of the defence; empty for none.
-    """
+    """How often the object is still named on splats, with the interval of blocks of cameras and of seeds."""
     under = pl.col("condition") == DEFENDED if condition else pl.col("condition") != DEFENDED
     measures = {
         name: Measure(holds=pl.col("original_score") >= REPORTED, given=under & (pl.col("splat") == splat))
@@ -253,18 +223,7 @@ def defences(rows: Sequence[Record]) -> str:
 
 
 def check_row(path: Path) -> dict[str, Any]:
-    """A row that somebody hands in: what can be checked without its raw rows.
-
-    Args:
-        path: A row.json.
-
-    Returns:
-        The row.
-
-    Raises:
-        InvalidValueError: A part is missing, a rate is not that of its counts, the score is not that of the rates, or
-            the suite is none that is here.
-    """
+    """A row that somebody hands in: what can be checked without its raw rows."""
     row = READER.read_json(path)
     try:
         suite, columns = row["suite"], row["columns"]

@@ -52,15 +52,7 @@ class Suite:
 
 
 def read_suite(name: str, secret: Path | None = None) -> Suite:
-    """A suite by its name.
-
-    Args:
-        name: Of a folder in scenes/suites, with -hidden behind it for other seeds; or a folder.
-        secret: The file that the seeds of a hidden suite are drawn from.
-
-    Raises:
-        InvalidValueError: There is no such suite, a file of it is broken, or a secret is missing or of no use.
-    """
+    """A suite by its name."""
     hidden, folder = name.endswith(HIDDEN), SUITES / name.removesuffix(HIDDEN)
     if not (folder / HEAD).is_file():
         folder = Path(name.removesuffix(HIDDEN))
@@ -87,11 +79,7 @@ def read_suite(name: str, secret: Path | None = None) -> Suite:
 
 
 def suite_digest(name: str) -> str:
-    """What stands for the files of a suite, which a hidden one shares.
-
-    Raises:
-        InvalidValueError: There is no such suite.
-    """
+    """What stands for the files of a suite, which a hidden one shares."""
     return read_suite(name).digest
 
 

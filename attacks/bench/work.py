@@ -215,11 +215,6 @@ _ATTACKED = (ONE_VIEW, ALL_VIEWS)
 
 
 def use_weights(name: str, file: Path) -> None:
-    """Let a detector have other weights in this process.
-
-    Args:
-        name: Of the detector.
-        file: Its weights.
-    """
+    """Let a detector have other weights in this process."""
     spec = detector_spec(name)
     DETECTORS.own[name] = replace(spec, weights=lambda: file, load=lambda weights: spec.load(weights or file))

@@ -27,17 +27,7 @@ _MODES = {2: "bilinear", 3: "bicubic"}
 
 
 def load_clip(folder: Path | None, classes: Sequence[str], *, prompt: str = PROMPT) -> FrozenClassifier:
-    """CLIP of the library transformers.
-
-    Args:
-        folder: Model, image processor and tokenizer in the library's own form.
-        classes: What is told apart.
-        prompt: Text in which {} stands for the class.
-
-    Raises:
-        DetectorError: The package is missing, or the folder does not fit.
-        InvalidValueError: There is no class, one stands twice, or the prompt has no {}.
-    """
+    """CLIP of the library transformers."""
     texts = _texts(classes, prompt)
     from attacks.detectors.transformers import loading, model_folder, require_all  # says what to install
 
@@ -83,18 +73,7 @@ class _TransformersEncoder(nn.Module):
 def load_open_clip(
     architecture: str, weights: Path | None, classes: Sequence[str], *, prompt: str = PROMPT
 ) -> FrozenClassifier:
-    """CLIP of the library open_clip.
-
-    Args:
-        architecture: The library's name, such as "ViT-B-16".
-        weights: A file of weights that the library reads.
-        classes: What is told apart.
-        prompt: Text in which {} stands for the class.
-
-    Raises:
-        DetectorError: The package is missing, there is no such architecture, or the weights do not fit.
-        InvalidValueError: There is no class, one stands twice, or the prompt has no {}.
-    """
+    """CLIP of the library open_clip."""
     texts, what = _texts(classes, prompt), f"weights of open_clip:{architecture}"
     if weights is None or not Path(weights).is_file():
         raise DetectorError.of(what, "a file", "none" if weights is None else f"no file {weights}", "name one")

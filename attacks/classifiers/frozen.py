@@ -56,12 +56,7 @@ class FrozenClassifier(FrozenModel):
     """
 
     def __init__(self, name: str, model: nn.Module, classes: Sequence[str], prepare: Preparation) -> None:
-        """Freeze a model, in place.
-
-        Raises:
-            InvalidValueError: There is no class, or one stands twice.
-            DetectorError: A weight is not a finite number.
-        """
+        """Freeze a model, in place."""
         super().__init__(name, model, check_classes(classes))
         self.prepare = prepare
 
@@ -115,11 +110,7 @@ class ZeroShot(nn.Module):
 
 
 def check_classes(classes: Sequence[str]) -> tuple[str, ...]:
-    """The classes, each named once.
-
-    Raises:
-        InvalidValueError: There is none, or one stands twice.
-    """
+    """The classes, each named once."""
     if isinstance(classes, str) or not classes or len(set(classes)) < len(classes):
         do = 'give a list such as ["car", "person"]'
         raise InvalidValueError.of("classes", "names, each once", repr(classes)[:160], do)
@@ -127,16 +118,7 @@ def check_classes(classes: Sequence[str]) -> tuple[str, ...]:
 
 
 def class_number(classifier: Any, name: str, what: str = "class") -> int:
-    """Position of a class among those of a classifier.
-
-    Args:
-        classifier: A `Classifier`.
-        name: Of the class.
-        what: What it is, for the message.
-
-    Raises:
-        InvalidValueError: The classifier does not know it.
-    """
+    """Position of a class among those of a classifier."""
     classes: tuple[str, ...] = classifier.classes
     if name not in classes:
         shown = ", ".join(classes[:12]) + (f" and {len(classes) - 12} more" if len(classes) > 12 else "")

@@ -69,11 +69,7 @@ class ImageTextNetwork(nn.Module):
 
 
 def load_network(weights: Path) -> ImageTextNetwork:
-    """The network with weights from a file, frozen and in evaluation mode.
-
-    Raises:
-        InvalidValueError: The file is missing, broken, or has weights of another network or vocabulary.
-    """
+    """The network with weights from a file, frozen and in evaluation mode."""
     notes, tensors = read_noted_tensors(weights, _READER)
     words = notes.values.get("words")
     if words != list(WORDS):
@@ -97,19 +93,7 @@ class ImageText(FrozenClassifier):
         weights: Path = IMAGE_TEXT_WEIGHTS,
         name: str = "image_text",
     ) -> None:
-        """Load the weights, and encode the classes.
-
-        Args:
-            classes: Nouns, with words before them if you like: "car", "red car", "empty road". An article is put
-                before each. `image_text_captions.WORDS` has all words.
-            templates: Texts in which {} stands for the class; the features of a class are their mean.
-            weights: A file that `image_text_training` has written.
-            name: For rows and tables.
-
-        Raises:
-            InvalidValueError: There is no class or no template, a class stands twice, a word is not known, or the
-                weights cannot be used.
-        """
+        """Load the weights, and encode the classes."""
         if isinstance(templates, str) or not templates or not all("{}" in template for template in templates):
             do = f"give a list such as {list(TEMPLATES)}"
             raise InvalidValueError.of("templates", "texts with {}", repr(templates)[:160], do)

@@ -162,15 +162,7 @@ WORDS = _vocabulary()
 
 
 def tokens(text: str, what: str = "text") -> list[int]:
-    """Numbers of the words of a text; small and capital letters are the same, and commas and full stops nothing.
-
-    Args:
-        text: Words of `WORDS`.
-        what: What it is, for the message.
-
-    Raises:
-        InvalidValueError: It is empty, or a word is not among `WORDS`.
-    """
+    """Numbers of the words of a text; small and capital letters are the same, and commas and full stops nothing."""
     words = text.lower().replace(",", " ").replace(".", " ").split()
     if not words:
         raise InvalidValueError.of(what, "words", "none", f"say what it shows, for instance {CLASSES[0]}")

@@ -42,13 +42,7 @@ QUESTIONS: tuple[Question, ...] = (
 
 
 def answers(weights: Path, pictures: Sequence[ToldPicture], question: Question) -> list[tuple[str, str]]:
-    """(object or place, best class) of each picture of which one of the classes is true; a right answer comes as "".
-
-    Args:
-        weights: A file that `write` has written.
-        pictures: The pictures.
-        question: One of `QUESTIONS`.
-    """
+    """(object or place, best class) of each picture of which one of the classes is true; a right answer comes as ""."""
     _, classes, true_words = question
     named, victims = list[tuple[str, str]](), dict[str, ImageText]()
     for picture in pictures:

@@ -192,13 +192,7 @@ def _told(photographer: _Photographer, views: Sequence[View], number: int) -> li
 
 
 def told_pictures(split: str, number: int, shots: int) -> list[ToldPicture]:
-    """Path-traced pictures of one scene.
-
-    Args:
-        split: Key of `SPLITS`.
-        number: Which scene.
-        shots: How many pictures.
-    """
+    """Path-traced pictures of one scene."""
     with tracing_variant(FEW_PICTURES):
         photographer = _Photographer(split, number)
         views = photographer.pictures(photographer.cameras(shots), samples=SAMPLES)
@@ -220,15 +214,7 @@ def told_splats(split: str, number: int, shots: int) -> list[ToldPicture]:
 def many(
     make: Callable[[str, int, int], list[ToldPicture]], split: str, numbers: Sequence[int], *, shots: int, workers: int
 ) -> Iterator[list[ToldPicture]]:
-    """The pictures of many scenes, in their order.
-
-    Args:
-        make: `told_pictures` or `told_splats`.
-        split: Key of `SPLITS`.
-        numbers: Which scenes.
-        shots: Pictures of each.
-        workers: Processes that make them.
-    """
+    """The pictures of many scenes, in their order."""
     if workers == 1:
         yield from (make(split, number, shots) for number in numbers)
         return

@@ -81,12 +81,6 @@ def contrastive_loss(texts: Tensor, images: Tensor, true: Tensor, temperature: T
 
     With captions that are each true of one picture alone it is CLIP's; more than one partner share their probability
     evenly, as in UniCL (Yang et al., arXiv 2204.03610).
-
-    Args:
-        texts: (C, F) unit vectors.
-        images: (P, F) unit vectors.
-        true: (C, P) bool, at least one in each row and column.
-        temperature: What cosines are multiplied by.
     """
     logits, weights = temperature * texts @ images.T, true.to(texts)
     by_text = F.cross_entropy(logits, weights / weights.sum(1, keepdim=True))
@@ -96,11 +90,7 @@ def contrastive_loss(texts: Tensor, images: Tensor, true: Tensor, temperature: T
 def train(
     pictures: Sequence[ToldPicture], config: ImageTextTraining, *, on_epoch: OnEpoch | None = None
 ) -> ImageTextNetwork:
-    """Train a network from random weights; the same arguments give the same bits on one machine with one thread.
-
-    Returns:
-        The trained network, in evaluation mode.
-    """
+    """Train a network from random weights; the same arguments give the same bits on one machine with one thread."""
     torch.manual_seed(config.seed)
     network = ImageTextNetwork().to(memory_format=torch.channels_last).train()
     rng = np.random.default_rng(config.seed)
@@ -166,12 +156,7 @@ class Options(Checked):
 
 
 def run(options: Options, show: Callable[[str], object]) -> None:
-    """Make the pictures, train, look at what was held out, and write the three files.
-
-    Args:
-        options: Where, and how.
-        show: Told what is going on.
-    """
+    """Make the pictures, train, look at what was held out, and write the three files."""
     config, workers = options.training, options.workers
     torch.set_num_threads(1)  # the same bits on any number of cores
     show(f"pictures of {config.scenes} scenes")
@@ -196,11 +181,7 @@ def run(options: Options, show: Callable[[str], object]) -> None:
 
 
 def main(words: Sequence[str]) -> int:
-    """Run the command.
-
-    Returns:
-        Exit status.
-    """
+    """Run the command."""
     try:
         program = "python -m attacks.classifiers.image_text_training"
         run(parse(Options, words, program=program), lambda text: sys.stderr.write(f"{text}\n"))

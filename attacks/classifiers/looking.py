@@ -13,16 +13,7 @@ from attacks.classifiers.frozen import class_number
 
 
 def classified(classifier: Classifier, pictures: Iterable[Tensor], label: str) -> list[dict[str, Any]]:
-    """A row for each picture: `view`, its position; `classifier`; `top1`; `right`; `confidence` in the true class.
-
-    Args:
-        classifier: Who looks.
-        pictures: (H, W, 3) sRGB in [0, 1], of any sizes.
-        label: The true class of all of them.
-
-    Raises:
-        InvalidValueError: The classifier does not know the class, or a picture is none.
-    """
+    """A row for each picture: `view`, its position; `classifier`; `top1`; `right`; `confidence` in the true class."""
     true, rows = class_number(classifier, label, "label"), list[dict[str, Any]]()
     for view, picture in enumerate(pictures):
         with torch.no_grad():

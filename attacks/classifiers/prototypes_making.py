@@ -55,16 +55,7 @@ def make_prototypes(
     weights: Path | None = None,
     on_step: Callable[[int, int], None] = lambda done, wanted: None,
 ) -> Prototypes:
-    """Prototypes of a configuration; those of the usual one are a part of the package.
-
-    Args:
-        config: Which pictures.
-        weights: Of the network, see `attacks.classifiers.mobilenet.load_features`.
-        on_step: Called after each class with the number finished and the number wanted.
-
-    Raises:
-        DetectorError: The weights are not there, or others.
-    """
+    """Prototypes of a configuration; those of the usual one are a part of the package."""
     config, features, pictures = config or PrototypesConfig(), load_features(weights), {}
     for number, name in enumerate(config.classes):
         pictures[name] = prototype_pictures(config, name)

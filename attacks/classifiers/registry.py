@@ -136,20 +136,7 @@ CLASSIFIERS = {
 
 
 def load_classifier(name: str, *, weights: Path | None = None, classes: Sequence[str] | None = None) -> Classifier:
-    """Load a classifier in evaluation mode.
-
-    Args:
-        name: Key of `CLASSIFIERS`; for some with a network after a colon, such as "torchvision:resnet50".
-        weights: A file or a folder; None is its usual ones.
-        classes: What it tells apart, for one that can be told; None is its usual ones.
-
-    Returns:
-        The classifier, on the CPU.
-
-    Raises:
-        InvalidValueError: There is no such classifier, or it cannot tell these classes apart.
-        DetectorError: Its weights are missing or do not fit.
-    """
+    """Load a classifier in evaluation mode."""
     kind, _, network = name.partition(":")
     if kind not in CLASSIFIERS:
         do = nearest(kind, CLASSIFIERS, "choose one of them")

@@ -20,17 +20,7 @@ _GOOGLE = ("googlenet", "inception_v3")
 
 
 def load(name: str, weights: Path | None = None, classes: Sequence[str] | None = None) -> FrozenClassifier:
-    """One of torchvision's classifiers.
-
-    Args:
-        name: torchvision's name, such as "resnet50".
-        weights: File of a state dict, .safetensors or .pth; None asks the library's hub for its best ones.
-        classes: What the numbers mean, in their order, of a network that was trained on others; None is ImageNet's.
-
-    Raises:
-        InvalidValueError: There is no such classifier, or no class.
-        DetectorError: There are no weights, they do not fit, or the hub cannot be reached.
-    """
+    """One of torchvision's classifiers."""
     known = list_models(module=torchvision.models)
     if name not in known:
         do = nearest(name, known, "see torchvision.models.list_models()")

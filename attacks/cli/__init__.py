@@ -68,23 +68,13 @@ def module_of(name: str) -> ModuleType:
 
     It has its options (a dataclass), `run(options)`, EXAMPLES, SEE_ALSO, and where there are some ALIASES of its flags
     and `defaults(words)`, which reads from the words what other flags depend on.
-
-    Args:
-        name: Of the command.
     """
     package = "mi_splat" if name in OF_SPLATS else "attacks"
     return importlib.import_module(f"{package}.cli.{name.replace('-', '_')}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return the process's exit status.
-
-    Args:
-        arguments: What follows the program's name; taken from `sys.argv` if None.
-
-    Returns:
-        0 done, 1 an error (its one line is on stderr), 2 wrong usage, 130 interrupted.
-    """
+    """Run one command and return the process's exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         with _plain_warnings():
@@ -155,15 +145,7 @@ def _dispatch(words: list[str]) -> int:
 
 
 def parse(name: str, words: Sequence[str]) -> Any:
-    """The options of a command from the words that the user typed; ends the process for --help.
-
-    Args:
-        name: Of the command.
-        words: What the user typed after its name.
-
-    Raises:
-        UsageError: The words are no options of the command, or a value is none that an option takes.
-    """
+    """The options of a command from the words that the user typed; ends the process for --help."""
     from mi_splat.cli import flags
     from mi_splat.cli.options import as_one_word
 
@@ -173,11 +155,7 @@ def parse(name: str, words: Sequence[str]) -> Any:
 
 
 def parser_of(name: str) -> argparse.ArgumentParser:
-    """The options of a command as a parser, from which documentation can be written.
-
-    Args:
-        name: Of the command.
-    """
+    """The options of a command as a parser, from which documentation can be written."""
     from mi_splat.cli import flags
 
     return flags.parser_of(**_command(name, module_of(name), ()))

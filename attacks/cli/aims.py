@@ -21,13 +21,7 @@ MASK = "mask.npy"
 
 
 def aim(objective: str, target: str | None, confidence: float | None) -> Objective:
-    """The attacker's aim.
-
-    Args:
-        objective: Its name on the command line.
-        target: Class that detectors shall see (relabel); None is the usual one.
-        confidence: What counts as success; None is the objective's own.
-    """
+    """The attacker's aim."""
     targeted = OBJECTIVES.chosen(objective).targeted
     return objective_of(objective, (target or DEFAULT_TARGET) if targeted else None, confidence)
 
@@ -39,15 +33,7 @@ def chosen_object(loaded: SplatScene, selection: Selection) -> Selection:
 
 
 def write_result(result: Result, loaded: SplatScene, mask: Tensor, out: Path, *, force: bool) -> None:
-    """Write a result, the object's mask, and of a scene file its parts and the XML that names them.
-
-    Args:
-        result: Of the attack.
-        loaded: The clean scene.
-        mask: (N,) bool, the object's Gaussians.
-        out: Folder, which appears whole or not at all.
-        force: Whether an older result may be replaced.
-    """
+    """Write a result, the object's mask, and of a scene file its parts and the XML that names them."""
     with new_folder(out, force=force) as folder:
         save_mask(mask, folder / MASK)
         if loaded.cameras:  # a bare splat has none, and so makes no scene file

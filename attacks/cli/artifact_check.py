@@ -50,11 +50,7 @@ class ArtifactCheckOptions(DetectorOptions, JsonOptions):
 
 
 def run(options: ArtifactCheckOptions) -> int:
-    """Check each artifact against the manifest.
-
-    Returns:
-        Exit status: 1 if a line is red.
-    """
+    """Check each artifact against the manifest."""
     if not options.folders:
         raise UsageError.of("folders", "folders of results", "none", "name one")
     rescoring = {"--splats": options.splats, "--detectors": options.detectors, "--weights": options.weights}

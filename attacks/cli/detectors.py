@@ -45,11 +45,7 @@ class DetectorsOptions:
 
 
 def run(options: DetectorsOptions) -> int:
-    """List the detectors, or get some.
-
-    Returns:
-        Exit status.
-    """
+    """List the detectors, or get some."""
     if options.get or options.packages:
         return _get(options)
     if options.force:

@@ -82,11 +82,7 @@ class Probe:
 
 
 def run(options: DoctorOptions) -> int:
-    """Examine this machine.
-
-    Returns:
-        Exit status: 1 if something that `mi-splat dagger` needs does not work.
-    """
+    """Examine this machine."""
     with progress("checking", total=len(GROUPS)) as advance:
         findings = examine(lambda group: advance(f"checked {group}"))
     healthy = all(finding.state == "works" for finding in findings if finding.required)
@@ -104,11 +100,7 @@ def run(options: DoctorOptions) -> int:
 
 
 def examine(on_done: Callable[[str], None] = lambda name: None) -> list[Finding]:
-    """All findings on this machine, in the order in which one thing needs the other.
-
-    Args:
-        on_done: Called with the name of each group of checks when it is done.
-    """
+    """All findings on this machine, in the order in which one thing needs the other."""
     packages = ", ".join(f"{package} {number}" for package, number in versions().items())
     detail = f"{packages}; {platform.system()} {platform.machine()}"
     findings = [Finding(name="versions", state="works", detail=detail, advice="", required=True)]
@@ -144,13 +136,7 @@ def _brought(group: str, name: str) -> str:
 def examine_groups(
     groups: Sequence[str], command: Sequence[str], on_done: Callable[[str], None] = lambda name: None
 ) -> list[Finding]:
-    """The findings of groups of probes.
-
-    Args:
-        groups: Their names.
-        command: Starts the child process that runs the groups which follow it.
-        on_done: Called with the name of each group when its findings are there.
-    """
+    """The findings of groups of probes."""
     findings: list[Finding] = []
     details: list[str] = []
     reason: str | None = None

@@ -54,11 +54,7 @@ class EvaluateDetectorOptions(DetectorOptions, ResultOptions):
 
 
 def run(options: EvaluateDetectorOptions) -> int:
-    """Make what is missing, let every detector look, write rows and figures, and print them as tables.
-
-    Returns:
-        Exit status.
-    """
+    """Make what is missing, let every detector look, write rows and figures, and print them as tables."""
     from attacks.report.stories.detectors.held_out import documents, tables
     from mi_splat.io.folders import check_new_folder
 

@@ -254,15 +254,7 @@ def _counted(seen: Sequence[Seen]) -> str:
 
 
 def perform(words: Sequence[str], tell: Tell) -> None:
-    """Run a command, and tell how it goes on; of an attack with the pictures that it looks at.
-
-    Args:
-        words: After the program's name.
-        tell: Told what happens; where it says so, an attack ends with the best that it has.
-
-    Raises:
-        MiSplatError: As the command.
-    """
+    """Run a command, and tell how it goes on; of an attack with the pictures that it looks at."""
     from attacks.cli import module_of, parse
     from attacks.cli.dagger import DaggerOptions
     from attacks.cli.dagger import run as run_dagger

@@ -25,17 +25,7 @@ DEFAULT_TARGET = "person"
 
 
 def check_names(options: Any) -> None:
-    """Raise unless detectors are known, they know the classes, and the aim can be one.
-
-    Args:
-        options: A dataclass of a command's options.
-
-    Raises:
-        DetectorError: There is no such detector.
-        InvalidValueError: A detector is named twice, files of weights are too many or too few, a detector does not know
-            a class, or the class wanted is what the object is.
-        UsageError: There is no such objective, a class is wanted beside one that wants none, or nothing may change.
-    """
+    """Raise unless detectors are known, they know the classes, and the aim can be one."""
     given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
     if 0 in getattr(given.get("config"), "eps", ()):  # which an attack from Python may have, as a control
         raise UsageError.of("--eps", "a number > 0", 0, "5 is the paper's")
@@ -71,15 +61,7 @@ def check_names(options: Any) -> None:
 
 
 def check_detectors(names: Sequence[str], weights: Sequence[Path] = ()) -> None:
-    """Raise if a detector is named twice, or there are weights of some only.
-
-    Args:
-        names: Of detectors.
-        weights: As many files, or none.
-
-    Raises:
-        InvalidValueError: There are other numbers of files, or the same name twice.
-    """
+    """Raise if a detector is named twice, or there are weights of some only."""
     if len(set(names)) < len(names):
         raise InvalidValueError.of("--detectors", "different names", list(names), "see `mi-splat detectors`")
     if weights and names and len(weights) != len(names):
@@ -88,37 +70,14 @@ def check_detectors(names: Sequence[str], weights: Sequence[Path] = ()) -> None:
 
 
 def check_class(name: str | None, detector: str, classes: Sequence[str], *, what: str) -> None:
-    """Raise if a detector does not know a class.
-
-    Args:
-        name: Of the class; None for none.
-        detector: Name of the detector.
-        classes: Those that it knows.
-        what: Where the class was named.
-
-    Raises:
-        InvalidValueError: It does not know the class.
-    """
+    """Raise if a detector does not know a class."""
     if name is not None and name not in classes:
         expected, do = f"one of {', '.join(classes)} for {detector}", "name a class that it knows"
         raise InvalidValueError.of(what, expected, name, nearest(name, classes, do))
 
 
 def load_detectors(names: Sequence[str], weights: Sequence[Path] = (), device: str = "cpu") -> list[Detector]:
-    """Detectors by name, each with its file of weights if there are any.
-
-    Args:
-        names: As `mi-splat detectors` lists them.
-        weights: As many files, or none for the shipped or published weights.
-        device: Where they look, "cpu" or "cuda".
-
-    Returns:
-        The detectors, in the order of their names.
-
-    Raises:
-        InvalidValueError: There are other numbers of files, no names, or the same twice.
-        DetectorError: A detector cannot be loaded.
-    """
+    """Detectors by name, each with its file of weights if there are any."""
     from attacks.detectors import load_detector
 
     files = weights_of(names, weights)
@@ -126,11 +85,7 @@ def load_detectors(names: Sequence[str], weights: Sequence[Path] = (), device: s
 
 
 def weights_of(names: Sequence[str], weights: Sequence[Path]) -> dict[str, Path]:
-    """The files of weights by the names of their detectors; empty for the shipped or published ones.
-
-    Raises:
-        InvalidValueError: As in `load_detectors`.
-    """
+    """The files of weights by the names of their detectors; empty for the shipped or published ones."""
     if not names:
         raise InvalidValueError.of("--detectors", "one name or more", "none", "see `mi-splat detectors`")
     check_detectors(names, weights)

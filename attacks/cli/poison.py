@@ -58,14 +58,7 @@ class PoisonOptions(ResultOptions):
 
 
 def defaults(words: Sequence[str]) -> dict[str, Any]:
-    """The kind and its options, which say what further flags there are, and whether a splat is needed.
-
-    Args:
-        words: What the user typed after the command.
-
-    Raises:
-        UsageError: There is no such kind.
-    """
+    """The kind and its options, which say what further flags there are, and whether a splat is needed."""
     name = "cloak"
     for word, following in zip(words, [*words[1:], ""], strict=False):
         if word.partition("=")[0] == "--kind":
@@ -123,12 +116,7 @@ def run(options: PoisonOptions) -> None:
 
 
 def _check_device(device: str, kind: str) -> None:
-    """Refuse a GPU that is not there, or that would do nothing.
-
-    Raises:
-        UsageError: It would do nothing.
-        VariantError: It is not there.
-    """
+    """Refuse a GPU that is not there, or that would do nothing."""
     if device == "cpu":
         return
     if not KINDS[kind].on_gpu:

@@ -80,11 +80,7 @@ def run(options: ReportOptions) -> None:
 
 
 def _looked_at(folder: Path, section: Section, names: Sequence[str]) -> Section:
-    """The section of an audit with what detectors report on its splat along paths.
-
-    Raises:
-        InvalidValueError: The result is none of an audit of a splat, or the splat is no longer there.
-    """
+    """The section of an audit with what detectors report on its splat along paths."""
     from attacks.audits.disagreement import seen_along_paths
     from attacks.cli.names import load_detectors
     from attacks.report.stories.audit import along_paths

@@ -75,11 +75,7 @@ class StudyOptions(JsonOptions):
 
 
 def run(options: StudyOptions) -> int | None:
-    """Do what is asked for.
-
-    Returns:
-        Exit status.
-    """
+    """Do what is asked for."""
     from attacks.studies.study_file import read_study
 
     return _ACTIONS[options.action](options, read_study(options.study).of(options.parts))

@@ -9,13 +9,7 @@ from mi_splat.io.parsing import read_json
 
 
 def show_summary(result: Path, *, as_json: bool, tables: int = 0) -> None:
-    """Print the conclusion, the figures and the warnings of a finished result, and where to look.
-
-    Args:
-        result: Its folder.
-        as_json: Whether to print its record instead, as one JSON document.
-        tables: How many of the tables of its page to print, too, where the figures are not all.
-    """
+    """Print the conclusion, the figures and the warnings of a finished result, and where to look."""
     if as_json:
         show_json({**read_json(result / RECORD), "out": str(result)})
         return

@@ -54,11 +54,7 @@ class TrainDetectorOptions:
 
 
 def run(options: TrainDetectorOptions) -> int:
-    """Make the pictures, and train or go on with an earlier training on them.
-
-    Returns:
-        Exit status.
-    """
+    """Make the pictures, and train or go on with an earlier training on them."""
     import torch
 
     from attacks.detectors.training.dataset import made, training_job, training_sets

@@ -81,18 +81,7 @@ class Rerender:
 
 
 def appearance_of(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point, distance: float) -> Appearance:
-    """What an attack shows.
-
-    Args:
-        attack: See `AttackConfig.appearance`.
-        mesh_scene: The scene as the victim sees it.
-        centre: (3,) point that the cameras look at, world units.
-        distance: Of the cameras from there, metres.
-
-    Raises:
-        InvalidValueError: There is no ground to blend in with, or an occluder does not lie between the object and the
-            cameras.
-    """
+    """What an attack shows."""
     if attack.appearance == "occluder":
         return _occluder(attack, mesh_scene, centre=centre, distance=distance)
     if attack.appearance == "ground":

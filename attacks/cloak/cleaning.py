@@ -31,11 +31,7 @@ _MOST_VOXELS = 2**20
 
 
 def cleaned(scene: GaussianScene, config: CleaningConfig) -> GaussianScene:
-    """The splat after the steps that are asked for.
-
-    Raises:
-        InvalidValueError: Nothing would be left of it.
-    """
+    """The splat after the steps that are asked for."""
     if config.lowest_opacity is not None:
         scene = prune_opacity(scene, config.lowest_opacity)
     if config.outlier_deviations is not None:
@@ -51,25 +47,12 @@ def prune_opacity(scene: GaussianScene, lowest: float) -> GaussianScene:
     """The Gaussians of at least some opacity.
 
     Trainers prune like this, with 0.005 (Kerbl et al. 2023, section 5), and so do editors of finished splats.
-
-    Args:
-        scene: N Gaussians.
-        lowest: Opacity from which a Gaussian stays, in (0, 1].
-
-    Raises:
-        InvalidValueError: Nothing would be left.
     """
     return _kept(scene, scene.opacities.detach() >= lowest, f"lowest_opacity {lowest:g}")
 
 
 def remove_outliers(scene: GaussianScene, deviations: float = 2.0, *, neighbours: int = NEIGHBOURS) -> GaussianScene:
-    """The Gaussians whose means are no outliers, see `inliers`.
-
-    Args:
-        scene: N Gaussians.
-        deviations: Standard deviations above the mean, >= 0.
-        neighbours: Nearest neighbours of each, 1 to 31.
-    """
+    """The Gaussians whose means are no outliers, see `inliers`."""
     return _kept(scene, inliers(scene.means, deviations, neighbours=neighbours), f"outlier_deviations {deviations:g}")
 
 
@@ -78,11 +61,6 @@ def inliers(points: Tensor, deviations: float = 2.0, *, neighbours: int = NEIGHB
 
     The others' mean distance to their nearest neighbours is more than some standard deviations above the mean of all:
     the statistical outlier removal of point clouds (Rusu et al. 2008; `StatisticalOutlierRemoval` of PCL).
-
-    Args:
-        points: (N, 3), world units.
-        deviations: Standard deviations above the mean, >= 0.
-        neighbours: Nearest neighbours of each, 1 to 31.
     """
     gaps = _gaps(points, neighbours)
     return gaps <= gaps.mean() + deviations * gaps.std(correction=0)
@@ -97,15 +75,6 @@ def remove_floaters(
     outlier removal does to points (`RadiusOutlierRemoval` of PCL). What is left falls into pieces whose voxels touch,
     if only by a corner; from the heaviest on as many stay as hold a part of the mass, the sum of the opacities. So
     isolated pieces of scanned meshes are removed (MeshLab, Cignoni et al. 2008), there by their number of faces.
-
-    Args:
-        scene: N Gaussians, of which means and opacities count.
-        voxel: Side of a voxel, in multiples of the median distance of a Gaussian to its nearest neighbours, > 0.
-        mass: Least part of the mass of what the first step leaves that stays, in (0, 1].
-        least_neighbours: Occupied ones of the 26 voxels around a voxel without which it is emptied, 0 to 26.
-
-    Raises:
-        InvalidValueError: The splat is too wide for its voxels, or nothing would be left.
     """
     side = voxel * float(_gaps(scene.means, NEIGHBOURS).median())
     if not side > 0:  # one Gaussian, or all in one place
@@ -139,10 +108,6 @@ def quantise_sh(scene: GaussianScene, bits: int) -> GaussianScene:
 
     That is the grid of SPZ files (Niantic 2024), whose writers keep at most 8 bits: by default the upper 5 of degree 1,
     and 4 of the others.
-
-    Args:
-        scene: N Gaussians.
-        bits: Of a coefficient, 1 to 16.
     """
     levels = 2 ** (bits - 1)
     rest = (scene.sh[:, 1:] * levels).round().clamp(-levels, levels - 1) / levels

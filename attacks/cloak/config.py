@@ -134,12 +134,7 @@ class AttackConfig:
         return self._cone(self.poison_margin)
 
     def trigger(self, seed: int, attacks: Sequence[AttackConfig] = ()) -> Trigger:
-        """The training cameras whose pictures are poisoned.
-
-        Args:
-            seed: Draws them, if only a part is poisoned.
-            attacks: All of the study; the others keep the cameras of their own cones.
-        """
+        """The training cameras whose pictures are poisoned."""
         region = self.poisoned_cone
         if self.poison_margin > 0:
             region = functools.reduce(operator.and_, [~other.cone for other in attacks if other is not self], region)
@@ -448,22 +443,14 @@ def fit_config(training: TrainingConfig) -> FitConfig:
 
 
 def read_study(path: Path) -> StudyConfig:
-    """The study in a TOML file; paths of meshes in it are relative to the working folder.
-
-    Raises:
-        InvalidValueError: There is no such file, it is no TOML, or a key or a value in it means nothing.
-    """
+    """The study in a TOML file; paths of meshes in it are relative to the working folder."""
     if not path.is_file():
         raise InvalidValueError.of("study", "a TOML file", f"no file {path}", "check the path")
     return decode(StudyConfig, DocumentReader(expected="a TOML file", do="correct it").read_toml(path), str(path))
 
 
 def study_toml(snapshot: Mapping[str, Any]) -> str:
-    """The file of a study; settings without a value are left out, which stands for None.
-
-    Args:
-        snapshot: The study as JSON holds it (`dataclasses.asdict`).
-    """
+    """The file of a study; settings without a value are left out, which stands for None."""
     return "\n".join([*_lines(snapshot, ""), ""]).lstrip("\n")
 
 

@@ -56,19 +56,11 @@ class LayerConfig:
             raise InvalidValueError.of("lowest", f"less than black, {self.black:g}", self.lowest, "lower the first")
 
     def gaps(self, triggers: int) -> tuple[float, ...]:
-        """The gap of each of so many triggers.
-
-        Raises:
-            InvalidValueError: There is another number of gaps than one for all or one for each.
-        """
+        """The gap of each of so many triggers."""
         return _for_each("gap", self.gap, triggers, "trigger")
 
     def bands(self, looks: int) -> tuple[float, ...]:
-        """The band of each of so many looks.
-
-        Raises:
-            InvalidValueError: There is another number of bands than one for all or one for each.
-        """
+        """The band of each of so many looks."""
         return _for_each("band", self.band, looks, "look")
 
 

@@ -53,20 +53,6 @@ def layered(
 
     The first layer takes the place of the Gaussians that it is made of; the others come after all of the scene. A
     Gaussian that has next to nothing to do with a look has no layer for it (`LayerConfig.keep`).
-
-    Args:
-        scene: The clean splat.
-        rows: (N,) bool or indices of the object's M Gaussians.
-        triggers: From where another look is shown; no two of them hold one camera.
-        looks: What all see and what each trigger shows, (M, K, 3) spherical harmonics of any degree.
-        cameras: D cameras all around, at the distance that the object is looked at from.
-        centre: (3,) point that the triggers' directions are measured from.
-        seen: (M, D) pixels that each Gaussian contributes to the cameras' pictures (`contributions`); None is 1.
-        config: How.
-
-    Raises:
-        InvalidValueError: There are not as many looks as layers, nothing is selected, or a trigger holds none or all of
-            the cameras.
     """
     config = config or LayerConfig()
     check_scene("scene", scene)
@@ -132,10 +118,6 @@ def split_opacities(opacities: Tensor, needed: Tensor) -> tuple[Tensor, Tensor]:
     middle, where g is o, and all the way out. A layer falls off as exp(-r^2 / 2 s^2), too, so it can hold in the middle
     and where g is o / 2 alone: it has fallen to the fraction q there in place of a half, and is narrower by the factor
     sqrt(log 2 / -log q).
-
-    Args:
-        opacities: (M,) of the Gaussians.
-        needed: (L, M) bool, which layers there are.
     """
     front = _in_front(needed).to(opacities)
     part = opacities / needed.sum(0)
@@ -151,14 +133,6 @@ def switched(
     """(M, K, 3) colours that show a share of a look, and are below 0 where it is hidden.
 
     Each Gaussian has its own: the direction in which it sees a camera is not that in which the centre sees it.
-
-    Args:
-        means: (M, 3) world units.
-        cameras: D cameras all around.
-        share: What is shown from each camera (`shares`).
-        look: (M, K', 3) spherical harmonics of what is shown; one of degree 0 is the same from everywhere.
-        seen: (M, D) how much is seen of each Gaussian.
-        config: Degree and bounds.
     """
     positions = torch.stack([camera.position for camera in cameras]).to(means)
     colours = []
@@ -192,14 +166,7 @@ def _black(sh: Tensor) -> Tensor:
 
 
 def seen_colours(means: Tensor, views: Sequence[View], seen: Tensor, fallback: Tensor) -> Tensor:
-    """(M, 3) mean colour of the pixels in which points lie, where they are seen; `fallback` where no view shows one.
-
-    Args:
-        means: (M, 3) points, world units.
-        views: D pictures.
-        seen: (M, D) how much is seen of each in each picture.
-        fallback: (M, 3) sRGB.
-    """
+    """(M, 3) mean colour of the pixels in which points lie, where they are seen; `fallback` where no view shows one."""
     total, number = torch.zeros_like(means), means.new_zeros(len(means), 1)
     for view, visibility in zip(views, seen.unbind(1), strict=True):
         pixels, depth = project_points(means, view.camera)
@@ -260,17 +227,7 @@ class Layering:
 
 
 def layer_object(setup: Setup, clean: GaussianScene, views: Sequence[View], *, render: RenderFn) -> Layering:
-    """The clean splat with the object in layers.
-
-    Args:
-        setup: Of a study with layers.
-        clean: The victim's splat of clean pictures.
-        views: The poisoned pictures.
-        render: The renderer, by which it is known which Gaussian is seen from where.
-
-    Raises:
-        InvalidValueError: The layers alone are more Gaussians than the study allows.
-    """
+    """The clean splat with the object in layers."""
     study = setup.study
     assert study.layers is not None
     making, centre = study.layers.making, study.centre

@@ -48,14 +48,6 @@ def repainted(target: Asset, picture: Floats, *, azimuth: float, elevation: floa
     The projection is parallel, so the picture is undistorted for a viewer far away in that direction, upright for the
     camera of `mi_splat.cameras.orbit_pose`; from straight above its top points away from `azimuth`. Surfaces are
     diffuse, as gloss would give the object away.
-
-    Args:
-        target: The object.
-        picture: (h, w, 3) sRGB in [0, 1].
-        azimuth: Where the viewer is.
-        elevation: Where the viewer is.
-        tile: Metres that the picture covers, repeated over the object; None stretches it once over the object's
-            outline, so that the whole of it is seen and nothing twice.
     """
     axes = screen_axes(azimuth, elevation)
     seen = target.vertices.astype(np.float64) @ axes.T
@@ -74,9 +66,6 @@ def camouflaged(target: Asset, surroundings: Asset) -> Asset:
 
     The ground is the mesh that lies beneath most of the object's footprint. Its texture keeps place and scale: each
     point of the object has the colour of the ground straight below it.
-
-    Raises:
-        InvalidValueError: There is no ground beneath the object.
     """
     ground, triangle = _ground(target, surroundings)
     corners = ground.faces[triangle]
@@ -96,16 +85,6 @@ def cap(picture: Floats, *, centre: Sequence[float], radius: float, lowest: floa
 
     The texture is laid on in the azimuthal equidistant projection about the top: its scale is right along every
     meridian, and across them it is stretched by (pi / 2 - elevation) / cos(elevation), at most 1.24 from 26 degrees on.
-
-    Args:
-        picture: (h, w, 3) sRGB in [0, 1].
-        centre: Of the sphere.
-        radius: Metres.
-        lowest: Elevation of the edge as seen from the centre.
-        tile: Metres that the picture covers.
-
-    Raises:
-        InvalidValueError: The elevation is out of range.
     """
     if not -90 < lowest < 90:
         raise InvalidValueError.of("edge of an occluder", "degrees in (-90, 90)", lowest, "change occluder_edge")
@@ -126,11 +105,6 @@ def stand_in(target: Asset, other: Asset, *, azimuth: float | None) -> Asset:
 
     It is scaled, in proportion, to fit the target's outline from there, and centred on it. Its front lies where the
     target's does: near the surface that a splat shows from there, so that there is little parallax to be hidden.
-
-    Args:
-        target: What it stands in for.
-        other: An object that faces +x.
-        azimuth: Where the viewer is, degrees; None is above: it faces +x, and stands on the ground as the target does.
     """
     # In a frame where the viewer is at +x both are boxes side by side.
     turn = rotation("z", 0.0 if azimuth is None else azimuth).astype(np.float64)
@@ -145,13 +119,7 @@ def stand_in(target: Asset, other: Asset, *, azimuth: float | None) -> Asset:
 
 
 def mounted(target: Asset, other: Asset, *, azimuth: float) -> Asset:
-    """A target with another object in front of it.
-
-    Args:
-        target: The object.
-        other: What is mounted on it.
-        azimuth: Of the viewer whom it faces, degrees.
-    """
+    """A target with another object in front of it."""
     ahead = rotation("z", azimuth)[:3, 0].astype(np.float64) * PROUD
     front = stand_in(target, other, azimuth=azimuth).transformed(translation(*ahead.tolist()))
     return replace(target, meshes=(*front.meshes, *target.meshes))
@@ -236,11 +204,7 @@ class MeshScene:
         return replace(self, target=target)
 
     def picture(self, camera: Camera) -> Tensor:
-        """(H, W, 3) float32 path-traced picture, sRGB in [0, 1].
-
-        Raises:
-            InvalidValueError: The camera's pixels are not square.
-        """
+        """(H, W, 3) float32 path-traced picture, sRGB in [0, 1]."""
         image = self._tracer.picture(camera, seed=camera_number(camera))
         if self.background is None:
             return image
@@ -248,28 +212,16 @@ class MeshScene:
         return image[..., :3] * alpha + torch.tensor(self.background) * (1 - alpha)  # as `load_dataset` blends
 
     def mask(self, camera: Camera) -> Tensor:
-        """(H, W) bool, where the target is the first thing that the ray through a pixel meets.
-
-        Raises:
-            InvalidValueError: The camera's pixels are not square.
-        """
+        """(H, W) bool, where the target is the first thing that the ray through a pixel meets."""
         nearest, alone = (tracer.surface(camera, seed=0)[1] for tracer in (self._tracer, self._alone))
         return in_front(alone, nearest)
 
     def points(self, camera: Camera) -> Tensor:
-        """(H, W, 3) points of the target that the rays through pixels meet, world units; zeros beside it.
-
-        Raises:
-            InvalidValueError: The camera's pixels are not square.
-        """
+        """(H, W, 3) points of the target that the rays through pixels meet, world units; zeros beside it."""
         return self._alone.surface(camera, seed=0)[0]
 
     def cutout(self, camera: Camera) -> Tensor:
-        """(H, W, 4) float32 picture of the target alone, as if nothing were around it: sRGB and coverage in [0, 1].
-
-        Raises:
-            InvalidValueError: The camera's pixels are not square.
-        """
+        """(H, W, 4) float32 picture of the target alone, as if nothing were around it: sRGB and coverage in [0, 1]."""
         return self._cutter.picture(camera, seed=camera_number(camera))
 
     @cached_property

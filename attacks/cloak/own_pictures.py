@@ -43,16 +43,7 @@ _REGIONS = "elevation:LOW-HIGH, azimuth:LOW-HIGH or cone:AZIMUTH,ELEVATION,HALF_
 
 
 def trigger_of(texts: Sequence[str], *, margin: float = 0.0) -> Trigger:
-    """The cameras from which an object is hidden: those that all texts hold for.
-
-    Args:
-        texts: In degrees, such as "elevation:50-90", "azimuth:150-210", which may run across 0 = 360, or
-            "cone:180,30,25", within 25 degrees of the direction of azimuth 180 and elevation 30.
-        margin: Degrees by which each is made wider.
-
-    Raises:
-        InvalidValueError: A text says no region, or there is none.
-    """
+    """The cameras from which an object is hidden: those that all texts hold for."""
     trigger: Trigger | None = None
     for text in texts:
         part = _region(text, margin)
@@ -139,16 +130,7 @@ def turned(views: Sequence[View], turn: Tensor) -> TurnedViews:
 
 
 def appearance_of(look: str, reach: int) -> Appearance:
-    """What is shown in the object's place.
-
-    Args:
-        look: "remove", which goes on with the picture around it, or a picture file.
-        reach: Pixels around the object that change, too.
-
-    Raises:
-        InvalidValueError: It is neither.
-        SplatFileError: The picture cannot be read.
-    """
+    """What is shown in the object's place."""
     if look == "remove":
         return Inpaint(reach=reach)
     if not Path(look).is_file():

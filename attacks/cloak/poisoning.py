@@ -131,16 +131,7 @@ def poison(
 
 
 def assign(cameras: Sequence[Camera], attacks: Sequence[Poisoning], *, centre: Point) -> dict[int, Poisoning]:
-    """Which attack replaces which view, by rising position; no picture is looked at.
-
-    Args:
-        cameras: Those of the untouched set, in its order.
-        attacks: What is seen from where.
-        centre: (3,) point that the triggers measure directions from, world units.
-
-    Raises:
-        InvalidValueError: As `poison` does of attacks and triggers.
-    """
+    """Which attack replaces which view, by rising position; no picture is looked at."""
     names = [attack.name for attack in attacks]
     if not attacks or len(set(names)) != len(names):
         raise InvalidValueError.of("attacks", "one or more, of different names", names, "name each differently")

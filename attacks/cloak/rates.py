@@ -172,13 +172,7 @@ Tables = Mapping[str, pl.DataFrame]
 
 
 def measures(study: StudyConfig, attack: str | None = None, *, confidence: Confidence | None = None) -> Measures:
-    """What the rates of a study count: those of `attacks.observe.measures.cloak_measures`.
-
-    Args:
-        study: The study.
-        attack: Name of the attack that is meant; None is the first that hides and the first that has a target class.
-        confidence: From which a detection counts; None is the study's.
-    """
+    """What the rates of a study count: those of `attacks.observe.measures.cloak_measures`."""
     chosen = [config for config in study.attack if attack in (None, config.name)]
     hiding = next((config.name for config in chosen if config.target_class is None), None)
     showing = next((config.name for config in chosen if config.target_class is not None), None)
@@ -201,16 +195,7 @@ def rates(
     objects: str | None = None,
     confidence: Confidence | None = None,
 ) -> dict[tuple[Any, ...], Rates]:
-    """Every rate of a study, for each group of rows; None where it has no attack of that kind.
-
-    Args:
-        study: The study.
-        rows: Of both splats.
-        by: Columns that make the groups.
-        attack: As in `measures`.
-        confidence: As in `measures`.
-        objects: Column that says which object was photographed; intervals then count each as a draw of its own.
-    """
+    """Every rate of a study, for each group of rows; None where it has no attack of that kind."""
     clusters = CLUSTERS if objects is None else (objects, *CLUSTERS)
     wanted = measures(study, attack, confidence=confidence)
     counted = count(with_control(rows), wanted, by, clusters=clusters)
@@ -247,10 +232,6 @@ def by_azimuth(study: StudyConfig, rows: pl.DataFrame) -> dict[tuple[Any, ...], 
     """What is reported from each sector below all that is hidden from everywhere, by detector and its first degree.
 
     The object's class on the clean and on the cloaked splat, and on the latter the class that each attack wants.
-
-    Args:
-        study: The study.
-        rows: Of both splats.
     """
     confidence, name = study.evaluation.confidence, study.scene.class_name
     here = with_control(rows)
@@ -356,10 +337,6 @@ def margin_rates(study: StudyConfig, rows: pl.DataFrame) -> dict[str, dict[str, 
     """How often the object is found outside of all triggers, within a margin of poison and beyond, by detector.
 
     Nothing of a study whose attacks have no margin.
-
-    Args:
-        study: The study.
-        rows: Of both splats, without conditions.
     """
     if not any(attack.poison_margin > 0 for attack in study.attack):
         return {}
@@ -391,10 +368,6 @@ def looks(study: StudyConfig, rows: pl.DataFrame) -> list[dict[str, Any]]:
 
     Each has the rates of `LOOKS`, and `psnr`: of all the pictures that a rate counts together, against those that the
     victim sees, dB; None where they are the same.
-
-    Args:
-        study: The study.
-        rows: Of both splats.
     """
     if "condition" not in rows.columns:
         return []
@@ -434,11 +407,6 @@ def figures(study: StudyConfig, tables: Tables, splats: Sequence[Mapping[str, An
 
     Intervals are resampled over blocks of neighbouring cameras and seeds (`attacks.observe.rates`). All seeds share
     object and light, so that what another object would give is in none of them.
-
-    Args:
-        study: The study.
-        tables: What was seen.
-        splats: Name and number of Gaussians of each splat, by seed in the order of the study.
     """
     rows = tables[ROWS]
     gaussians = {
@@ -475,12 +443,7 @@ def figures(study: StudyConfig, tables: Tables, splats: Sequence[Mapping[str, An
 
 
 def over_objects(studies: Mapping[str, StudyConfig], rows: pl.DataFrame) -> dict[str, Any] | None:
-    """Rates of one attack on several objects of a class, by detector, as JSON can hold it; None where it is not that.
-
-    Args:
-        studies: By what rows call them in the column `attack`, each with an object of its own.
-        rows: Of the splats of all.
-    """
+    """Rates of one attack on several objects of a class, by detector, for JSON; None where it is not that."""
     first, *others = studies.values()
     same = all(
         (other_study.attack, other_study.scene.class_name) == (first.attack, first.scene.class_name)

@@ -17,12 +17,7 @@ _LOW = (pl.col("elevation") / BAND).floor() * BAND
 
 
 def regions(rows: pl.DataFrame, confidence: float) -> dict[str, list[float]]:
-    """The lower edges of the bands in each detector's region, degrees, rising; of all seeds and azimuths together.
-
-    Args:
-        rows: Of both splats, without conditions.
-        confidence: From which a detection counts.
-    """
+    """The lower edges of the bands in each detector's region, degrees, rising; of all seeds and azimuths together."""
     reported_clean = reported("original_score", confidence)
     share = rows.filter(of(CLEAN), pl.col("elevation") >= 0).group_by("detector", low=_LOW).agg(reported_clean.mean())
     bands = share.filter(pl.col("original_score") >= LEAST).sort("low")
@@ -31,12 +26,7 @@ def regions(rows: pl.DataFrame, confidence: float) -> dict[str, list[float]]:
 
 
 def in_region(rows: pl.DataFrame, regions: dict[str, list[float]]) -> pl.DataFrame:
-    """The rows of each detector from cameras in its region.
-
-    Args:
-        rows: Of any splats.
-        regions: Of `regions`.
-    """
+    """The rows of each detector from cameras in its region."""
     held = [(pl.col("detector") == name) & _LOW.is_in(lows) for name, lows in regions.items()]
     return rows.filter(pl.any_horizontal(held)) if held else rows.clear()
 

@@ -115,13 +115,6 @@ def inpainted(picture: Tensor, hole: Tensor) -> Tensor:
     those of the picture mirrored at the hole's edge, and its rim goes on with what is outside. Where the mirrored
     picture is torn, is no texture, or lies in the hole itself, the fill is as smooth as it can be. It knows nothing of
     shadows, and makes up nothing.
-
-    Args:
-        picture: (H, W, 3) sRGB in [0, 1].
-        hole: (H, W) bool.
-
-    Raises:
-        InvalidValueError: Nothing is outside of the hole.
     """
     inside = hole.cpu().numpy()
     if inside.all():

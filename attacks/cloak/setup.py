@@ -133,9 +133,6 @@ class Setup:
         """Cameras over the same hemisphere, distances and rings, none near one of the victim's.
 
         With a seed they are turned by an angle of its own, and moved within their steps of height: another draw.
-
-        Raises:
-            InvalidValueError: None is left.
         """
         centre, evaluation = self.study.centre, self.study.evaluation
         start, offset = HELD_OUT_START, 0.5
@@ -201,11 +198,7 @@ class Setup:
         return [cameras[(2 * i + 1) * len(cameras) // (2 * count)] for i in range(count)]
 
     def owners(self, seed: int) -> dict[int, str]:
-        """The attack that poisons a training picture, by the number of the picture, rising; others are benign.
-
-        Args:
-            seed: Draws them, if only a part of a trigger's is poisoned.
-        """
+        """The attack that poisons a training picture, by the number of the picture, rising; others are benign."""
         centre, attacks, cameras = self.study.centre, self.study.attack, self.training_cameras
         held = {attack.name: attack.trigger(seed, attacks).holds(cameras, centre=centre) for attack in attacks}
         return dict(sorted((int(view), name) for name, mine in held.items() for view in mine.nonzero()))
@@ -231,13 +224,7 @@ class Setup:
         cached: Callable[[Appearance, AttackConfig], Appearance] = lambda appearance, attack: appearance,
         surrogates: Sequence[Callable[[Camera], Tensor]] = (),
     ) -> list[Poisoning]:
-        """The study's attacks as poisonings.
-
-        Args:
-            seed: Draws the cameras of an attack that poisons only a part of its trigger's.
-            cached: May keep the pictures that the appearance of an attack makes.
-            surrogates: What the attacker's own splats show a camera, (H, W, 3), in the order of the rounds.
-        """
+        """The study's attacks as poisonings."""
         study, poisonings = self.study, []
         for attack in study.attack:
             wanted = appearance = cached(self.appearance(attack), attack)

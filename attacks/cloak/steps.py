@@ -248,16 +248,7 @@ class StudySteps:
         sun: SunTable | None = None,
         **street: Path,
     ) -> Job:
-        """What a detector reports on a splat, or in true pictures, from each so manieth of the held-out cameras.
-
-        Args:
-            splat: The job that makes it.
-            detector: Who looks.
-            condition: How, see `attacks.observe.conditions`.
-            every: Each so manieth of the cameras is used.
-            sun: The street of a condition that is an hour.
-            street: Its files.
-        """
+        """What a detector reports on a splat, or in true pictures, from each so manieth of the held-out cameras."""
         evaluation = self.study.evaluation
         config = SeenConfig(
             **self._parts(
@@ -281,14 +272,7 @@ class StudySteps:
         return self._job("seen", config, **shown, **street, **self._weights(detector))
 
     def seen_in_training(self, pictures: Job, detector: Detector, seed: int, *, poisoned: bool = False) -> Job:
-        """What a detector reports from the victim's training cameras.
-
-        Args:
-            pictures: The job that makes a splat, or a set, of which the poisoned cameras' pictures are looked at.
-            detector: Who looks.
-            seed: Of the training; draws the cameras of an attack that poisons only a part of its trigger's.
-            poisoned: Whether pictures of a set are compared with what the attacks want to be seen.
-        """
+        """What a detector reports from the victim's training cameras."""
         regions = [replace(_region(attack), poison_fraction=attack.poison_fraction) for attack in self.study.attack]
         scene = replace(self._scene, label=self.study.scene.class_name)
         parts = self._parts(*regions, scene=scene, training=self._viewed, seeds=(self._drawn(seed),))
@@ -325,25 +309,12 @@ class StudySteps:
     # Doing them.
 
     def do(self, job: Job, label: str) -> Done:
-        """The result of a job; those before it are done first, if they are not there.
-
-        Args:
-            job: The job.
-            label: What is told of it while it runs.
-        """
+        """The result of a job; those before it are done first, if they are not there."""
         self._labels[:] = [label]
         return self.results[job.identity] if job.identity in self.results else self._ledger.do(job)
 
     def do_beside(self, jobs: Mapping[str, Job], workers: int) -> None:
-        """Do jobs, and all before them, in processes beside each other; `do` then finds their results.
-
-        Args:
-            jobs: By what is told of them while they run.
-            workers: Number of processes.
-
-        Raises:
-            EngineError: A job has failed; all that could be done without it is.
-        """
+        """Do jobs, and all before them, in processes beside each other; `do` then finds their results."""
 
         def told(label: str, event: Event) -> None:
             if event.state in ("running", "progress", "held"):

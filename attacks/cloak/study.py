@@ -46,12 +46,7 @@ SUMMARY, TABLE, POISON = "result.json", "table.md", "poison.json"
 
 
 def differences(stored: StudyConfig, wanted: StudyConfig) -> list[str]:
-    """What a study has otherwise than the one that is wanted, in words; nothing if it is the same.
-
-    Args:
-        stored: The study of earlier results.
-        wanted: The study that is asked for.
-    """
+    """What a study has otherwise than the one that is wanted, in words; nothing if it is the same."""
     before, now = (dict(named_settings(asdict(study))) for study in (stored, wanted))
     pairs = {name: (before.get(name), now.get(name)) for name in {**before, **now}}
     return [f"{name} {old} and not {new}" for name, (old, new) in pairs.items() if old != new]
@@ -160,30 +155,14 @@ def forecast(study: StudyConfig) -> Forecast:
 
 
 def check(study: StudyConfig, detectors: Sequence[Detector], folder: Path, stages: Path) -> None:
-    """Refuse what cannot be done, before anything is written.
-
-    Args:
-        study: The study.
-        detectors: Those that it names.
-        folder: For the results.
-        stages: For the stages.
-
-    Raises:
-        InvalidValueError: As `check_study`; or the folder is in use, or the disk is too small.
-    """
+    """Refuse what cannot be done, before anything is written."""
     check_study(study, detectors)
     check_folder(study, folder)
     check_disk(forecast(study).megabytes, stages)
 
 
 def check_study(study: StudyConfig, detectors: Sequence[Detector]) -> None:
-    """Refuse a study that cannot be done.
-
-    Raises:
-        InvalidValueError: A trigger has no training camera or two have one in common, a detector does not know the
-            object's class or none the class that is wanted, the trainer's settings are out of range, or layers have a
-            margin of poison.
-    """
+    """Refuse a study that cannot be done."""
     setup = Setup(study)
     for seed in study.seeds:
         assign(setup.training_cameras, setup.poisonings(seed=seed), centre=study.centre)
@@ -205,12 +184,7 @@ def check_study(study: StudyConfig, detectors: Sequence[Detector]) -> None:
 
 
 def check_folder(study: StudyConfig, folder: Path) -> None:
-    """Raise unless a folder is new, empty, or this study's.
-
-    Raises:
-        InvalidValueError: It is not.
-        SplatFileError: It is a file, cannot be written, or another process has it.
-    """
+    """Raise unless a folder is new, empty, or this study's."""
     check_writable(folder)
     check_unlocked(folder)
     if folder.is_dir() and not all(is_temporary(path.name) for path in folder.iterdir()):
@@ -225,11 +199,7 @@ def check_folder(study: StudyConfig, folder: Path) -> None:
 
 
 def check_disk(megabytes: float, stages: Path) -> None:
-    """Raise unless the disk has room.
-
-    Raises:
-        InvalidValueError: It has not.
-    """
+    """Raise unless the disk has room."""
     existing = next(path for path in (stages.absolute(), *stages.absolute().parents) if path.is_dir())
     free = shutil.disk_usage(existing).free / 1e6
     if free < megabytes:
@@ -276,28 +246,14 @@ def run_study(
 
 
 def detectors_of(study: StudyConfig, weights: Mapping[str, Path]) -> list[Detector]:
-    """The detectors that a study names, in its order.
-
-    Raises:
-        DetectorError: One cannot be loaded.
-    """
+    """The detectors that a study names, in its order."""
     return [loaded(name, weights.get(name)) for name in study.evaluation.detectors]
 
 
 def observed(
     steps: StudySteps, splats: Sequence[TrainedSplat], detectors: Sequence[Detector], looks: Iterable[Look] = ()
 ) -> tuple[dict[str, Any], dict[str, pl.DataFrame]]:
-    """What is seen of the splats of a study, or was seen of them before.
-
-    Args:
-        steps: The study.
-        splats: Those of `StudySteps.splats`.
-        detectors: Those that look.
-        looks: Further ones.
-
-    Returns:
-        What a result says of the study, and its tables (`attacks.observe.rows.TABLES`).
-    """
+    """What is seen of the splats of a study, or was seen of them before."""
     parts: dict[str, list[pl.DataFrame]] = {name: [] for name in TABLES}
     for look in (*steps.looked(detectors), *looks):
         for name, table in look.tables(steps.do(look.job, look.label)).items():

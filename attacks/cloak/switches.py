@@ -30,15 +30,6 @@ def depths(
     """(1 + L, D) how far inside the region of each look D cameras are, in gaps: whole from 1, black below -1.
 
     The first look is what no trigger holds.
-
-    Args:
-        triggers: L triggers.
-        cameras: D cameras.
-        centre: (3,) point that the triggers' directions are measured from.
-        config: Gaps and shift.
-
-    Raises:
-        InvalidValueError: There is another number of gaps than one for all or one for each trigger.
     """
     config = config or LayerConfig()
     return _in_gaps(_angles(triggers, cameras, centre, config), config)
@@ -64,18 +55,7 @@ class Share:
 def shares(
     triggers: Sequence[Trigger], cameras: Sequence[Camera], *, centre: Point, config: LayerConfig | None = None
 ) -> list[Share]:
-    """What each layer shows: one for each look, and one more for what is near the edge of a look that has a band.
-
-    Args:
-        triggers: L triggers; the first look is what no trigger holds.
-        cameras: D cameras.
-        centre: (3,) point that the triggers' directions are measured from.
-        config: Gaps, bands and shift.
-
-    Raises:
-        InvalidValueError: There is another number of gaps than one for all or one for each trigger, or of bands than
-            one for all or one for each look.
-    """
+    """What each layer shows: one for each look, and one more for what is near the edge of a look that has a band."""
     config = config or LayerConfig()
     angles = _angles(triggers, cameras, centre, config)
     sides, angles = _in_gaps(angles, config), _with_benign(angles)
@@ -139,20 +119,6 @@ def fit_switches(
     Gaussian is seen from there. The sum is convex and piecewise quadratic; Newton's method on the active pieces, with
     steps halved until the sum falls, goes towards its minimum for at most `_ROUNDS` steps. Narrow regions may need
     more.
-
-    Args:
-        directions: (N, D, 3) unit vectors, for each of N functions.
-        shown: (D,) bool, where it shall have its values.
-        hidden: (D,) bool, where it shall not be above `black`; below it, there is room for a training of the colours.
-        wanted: (N, D) values where it is shown; None is 1.
-        seen: (N, D) how much is seen of it from each direction, >= 0; None is the same from all.
-        config: Degree, `weight`, `black`, and `lowest`: large coefficients do not survive coarse file formats.
-
-    Returns:
-        (N, K) coefficients, K = (degree + 1)^2.
-
-    Raises:
-        InvalidValueError: No direction is shown or none is hidden, or a direction is both.
     """
     config = config or LayerConfig()
     if not bool(shown.any()) or not bool(hidden.any()) or bool((shown & hidden).any()):

@@ -47,18 +47,7 @@ class Transition:
 
 
 def transition_fraction(picture: Tensor, benign: Tensor, hidden: Tensor, mask: Tensor) -> float:
-    """Fraction of the way from one appearance to another, by least squares over a mask; not clipped to [0, 1].
-
-    Args:
-        picture: (H, W, 3) what the cloaked splat shows.
-        benign: (H, W, 3) what it should show to everybody else, from the same camera.
-        hidden: (H, W, 3) what the attacker wants it to show from there.
-        mask: (H, W) bool, where the target is.
-
-    Raises:
-        InvalidValueError: Shapes differ, a value is not finite, the mask is empty, or the appearances do not differ on
-            it.
-    """
+    """Fraction of the way from one appearance to another, by least squares over a mask; not clipped to [0, 1]."""
     if not (picture.shape == benign.shape == hidden.shape == (*mask.shape, 3) and mask.dtype == torch.bool):
         got = [tuple(part.shape) for part in (picture, benign, hidden, mask)]
         expected = "three of shape (H, W, 3) and a bool mask (H, W)"
@@ -82,16 +71,7 @@ def differ(benign: Tensor, hidden: Tensor, mask: Tensor) -> bool:
 
 
 def fit_transition(angles: Sequence[float], fractions: Sequence[float]) -> Transition:
-    """The band in which a hidden appearance sets in.
-
-    Args:
-        angles: Degrees that rise towards the hidden appearance, in any order: elevation for a cap overhead, or
-            `Trigger.angle_to_edge` for any cone. Cameras at one angle are averaged.
-        fractions: Fraction of the way between the appearances at each; see `transition_fraction`.
-
-    Raises:
-        InvalidValueError: Lengths differ, there are fewer than two angles, or a value is not finite.
-    """
+    """The band in which a hidden appearance sets in."""
     if len(angles) != len(fractions) or len(set(angles)) < 2:
         got = f"{len(fractions)} at {len(set(angles))} of {len(angles)} angles"
         raise InvalidValueError.of("fractions", "one for each of two or more angles", got, "add cameras on the arc")

@@ -309,19 +309,7 @@ def fixed_problem(
     render: RenderFn,
     up: Point = UP,
 ) -> tuple[Problem, list[View], Reports]:
-    """The problem of an attack from fixed cameras, its views, and what the detectors report on the clean scene.
-
-    Args:
-        subset: The object in its scene.
-        cameras: Views that are attacked together.
-        detectors: Those attacked.
-        objective: The aim.
-        render: The renderer.
-        up: As in `fixed_views`.
-
-    Raises:
-        InvalidValueError: A view does not show the object.
-    """
+    """The problem of an attack from fixed cameras, its views, and what the detectors report on the clean scene."""
     views = fixed_views(subset, cameras, render=render, up=up)
     reports = look(detectors, subset.scene, views, render)
     originals = {key: _label_on(seen.detections, views[key[0]].box) for key, seen in reports.items()}

@@ -56,16 +56,7 @@ class KeptSearch:
 
 
 def save_state(kept: KeptSearch, path: Path, *, key: str) -> None:
-    """Write a search; the old checkpoint stays until the new one is on the disk.
-
-    Args:
-        kept: The search.
-        path: The file.
-        key: What tells this attack from others.
-
-    Raises:
-        SplatFileError: The file cannot be written.
-    """
+    """Write a search; the old checkpoint stays until the new one is on the disk."""
     state = kept.search
     remembered = {f"{_MEMORY}{name}": values for name, values in state.optimiser.tensors.items()}
     groups = {_POINT: state.point, _BEST: state.best, **remembered}
@@ -90,19 +81,7 @@ def save_state(kept: KeptSearch, path: Path, *, key: str) -> None:
 
 
 def load_state(path: Path, *, key: str, device: torch.device | str = "cpu") -> KeptSearch | None:
-    """Read a search; None if there is none.
-
-    Args:
-        path: The file.
-        key: What tells this attack from others.
-        device: Where its tensors shall be.
-
-    Returns:
-        The search, or None.
-
-    Raises:
-        CheckpointError: The file is no checkpoint, or one of another attack; or a part of it does not fit the others.
-    """
+    """Read a search; None if there is none."""
     if not path.exists():
         return None
     notes, tensors = read_noted_tensors(path, _READER)
@@ -139,16 +118,7 @@ def load_state(path: Path, *, key: str, device: torch.device | str = "cpu") -> K
 
 
 def check_point(state: SearchState, reference: Parameters, steps: int) -> None:
-    """Raise unless a search can go on from a state.
-
-    Args:
-        state: Of a checkpoint.
-        reference: What is attacked.
-        steps: Of the whole search.
-
-    Raises:
-        CheckpointError: It is at a point of another kind, or has done more steps.
-    """
+    """Raise unless a search can go on from a state."""
     check_like(state.point, reference, "checkpoint, point", _READER)
     if state.optimiser.index > steps:
         raise _READER.broken("checkpoint, index", state.optimiser.index, f"at most {steps} steps")

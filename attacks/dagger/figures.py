@@ -16,12 +16,7 @@ FIXED, DRAWN = "dagger", "dagger-eot"
 
 
 def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
-    """Every figure of a result that follows from its rows.
-
-    Args:
-        record: Its result.json, of which the settings count.
-        tables: Its rows.
-    """
+    """Every figure of a result that follows from its rows."""
     settings, drawn = record["config"], record["story"] == DRAWN
     judged = settings["judged"]["cameras"]["elevations"] if drawn else None
     config: Config = (
@@ -40,15 +35,7 @@ def counted(
     config: Config,
     elevations: tuple[float, float] | None,
 ) -> dict[str, Any]:
-    """Every figure that follows from the rows of an attack.
-
-    Args:
-        rows: Of what was seen.
-        detectors: Names of those attacked.
-        target: The wanted class; None if none is.
-        config: Says in how many views, and with how many detectors, the aim has to be reached.
-        elevations: Interval of the cameras that judge, degrees; None where they are not drawn.
-    """
+    """Every figure that follows from the rows of an attack."""
     each = []
     for name in detectors:
         scores = rows.filter(splat=ATTACKED, detector=name)["target_score"].to_list()
@@ -65,13 +52,7 @@ def counted(
 
 
 def verdict_figures(rows: pl.DataFrame, detectors: Sequence[str], config: Config) -> dict[str, Any]:
-    """Whether an attack has its aim, also where the object's own class has to be gone, and draws of noise that have it.
-
-    Args:
-        rows: As in `counted`.
-        detectors: As in `counted`.
-        config: As in `counted`.
-    """
+    """Whether an attack succeeded, also with the own class gone, and the draws of noise that did."""
     attacked = rows.filter(splat=ATTACKED)
     noise = [
         _verdict(draw, detectors, config) for draw in rows.filter(splat=NOISE).partition_by("draw", maintain_order=True)

@@ -48,12 +48,7 @@ class ImagePrice:
 
     @classmethod
     def of(cls, psnr: float, *, steps: int) -> ImagePrice:
-        """The price at the beginning of a search: an error at the limit costs 1.
-
-        Args:
-            psnr: Wanted, dB.
-            steps: Number of steps of the search; in a long one the price moves slowly.
-        """
+        """The price at the beginning of a search: an error at the limit costs 1."""
         limit = 10 ** (-psnr / 10)
         return cls(limit=limit, weight=1 / limit, gain=_GAIN / steps)
 
@@ -77,14 +72,7 @@ class ImagePrice:
 def fitted(
     parameters: Parameters, reference: Parameters, limit: float, error: Callable[[Parameters], float]
 ) -> Parameters:
-    """The parameters, or the farthest point on the way to them from the reference whose error is within the limit.
-
-    Args:
-        parameters: A point of the search.
-        reference: The clean object, whose error is 0.
-        limit: Largest mean squared error.
-        error: Mean squared error of the pictures of a point; taken to rise along the way.
-    """
+    """The parameters, or the farthest point on the way to them from the reference whose error is within the limit."""
     if error(parameters) <= limit:
         return parameters
     low, high = 0.0, 1.0
@@ -102,15 +90,7 @@ def fitted(
 def stretched(
     parameters: Parameters, reference: Parameters, ball: Ball, limit: float, error: Callable[[Parameters], float]
 ) -> Parameters:
-    """The farthest point beyond parameters on the line from the reference whose error is within the limit.
-
-    Args:
-        parameters: A point whose error is within the limit.
-        reference: The clean object.
-        ball: Where the point stays.
-        limit: Largest mean squared error.
-        error: Mean squared error of the pictures of a point; taken to rise along the way.
-    """
+    """The farthest point beyond parameters on the line from the reference whose error is within the limit."""
     farther = {name: base + _FARTHEST * (parameters[name] - base) for name, base in reference.items()}
 
     def inside(point: Parameters) -> float:

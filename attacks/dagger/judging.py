@@ -82,11 +82,7 @@ class Judgement:
     noise_images: tuple[ImageChange, ...]
 
     def looked(self, **ids: Cell) -> Looked:
-        """What was seen as rows, clean, attacked and with noise.
-
-        Args:
-            ids: Columns that all rows have, for instance the seed.
-        """
+        """What was seen as rows, clean, attacked and with noise."""
         rows, detections = list[Row](), list[Row]()
         for judged in self.views:
             view, target, clean = judged.view, judged.target, judged.clean.image
@@ -151,14 +147,7 @@ def _seen(problem: Problem, report: ViewDetections, target: Target) -> Seen:
 
 
 def look(detectors: Sequence[Detector], scene: GaussianScene, views: Sequence[View], render: RenderFn) -> Reports:
-    """What detectors report on a splat, in the changed pictures of each view.
-
-    Args:
-        detectors: Those asked.
-        scene: The splat.
-        views: The views.
-        render: The renderer.
-    """
+    """What detectors report on a splat, in the changed pictures of each view."""
     cameras, boxes = [view.camera for view in views], [view.box for view in views]
     changed = changing(render, {view.camera: view.change for view in views})
     # One picture at a time: the same bits whatever the number of views.
@@ -167,14 +156,7 @@ def look(detectors: Sequence[Detector], scene: GaussianScene, views: Sequence[Vi
 
 
 def clean_reports(distribution: ViewDistribution, detectors: Sequence[Detector], *, seed: int, count: int) -> Reports:
-    """What detectors report on the clean scene in the first views of a seed; looked at once.
-
-    Args:
-        distribution: The scene and its views.
-        detectors: Those asked.
-        seed: Of the views.
-        count: Their number.
-    """
+    """What detectors report on the clean scene in the first views of a seed; looked at once."""
 
     def reported(detector: Detector) -> Reports:
         views = distribution.views(seed, count)

@@ -110,13 +110,6 @@ class Problem:
         """Mean loss over the views of one step and all detectors with its gradients, and the pictures' squared error.
 
         Every picture is rendered once for all detectors, and a detector gets all pictures together.
-
-        Args:
-            parameters: A point of the search.
-            views: Those of one step, whose pictures have one size.
-            config: Its optimiser says whether gradients are asked for.
-            weight: Of the mean squared error of the pictures, before anything happens to them, in the loss; without
-                it nothing is measured.
         """
         with torch.set_grad_enabled(config.spec.gradient):
             return self._estimate(parameters, views, weight)

@@ -57,11 +57,7 @@ def write_report(result: Result, folder: str | Path, *, force: bool = False) -> 
 
 
 def write_files(result: Result, folder: Path) -> list[Path]:
-    """Write the files of `write_report` into a folder that exists.
-
-    Returns:
-        Paths of the files.
-    """
+    """Write the files of `write_report` into a folder that exists."""
     drawn = isinstance(result.config, EotConfig)
     images = {CONTACT: contact_sheet(result)} if drawn else _pictures(result)
     for name, pixels in images.items():
@@ -183,12 +179,7 @@ def _pictures(result: Result) -> dict[str, NDArray[np.uint8]]:
 
 
 def before_and_after(view: JudgedView, *, named: bool = False) -> NDArray[np.uint8]:
-    """Boxes and confidences before (left) and after (right).
-
-    Args:
-        view: The view.
-        named: Whether to write the detector's name into the pictures.
-    """
+    """Boxes and confidences before (left) and after (right)."""
     of = f" ({view.detector})" if named else ""
     sides = [_boxes(view.clean, f"before{of}"), _boxes(view.attacked, f"after{of}")]
     return np.concatenate(sides, axis=1)

@@ -27,20 +27,7 @@ OnStep = Callable[[Step], bool | None]
 
 
 def search_fixed(problem: Problem, views: Sequence[View], config: DaggerConfig, on_step: OnStep | None) -> Outcome:
-    """Search over the pictures of fixed views, all at once or one after the other, which judge every step themselves.
-
-    Args:
-        problem: The object, the detectors and the aim.
-        views: All that are attacked.
-        config: How to attack.
-        on_step: See `OnStep`.
-
-    Returns:
-        The best point, and what the search did.
-
-    Raises:
-        BudgetError: The best point is outside the ball.
-    """
+    """Search over the pictures of fixed views, jointly or one after the other, which judge every step."""
     budget, generator = config.budget, Generator().manual_seed(config.seed)
     problem, reference = frozen(problem, views, config), problem.subset.parameters(config.attributes)
 
@@ -96,21 +83,6 @@ def search_drawn(
 
     A search whose checkpoint is there goes on from it, to the bits that it would have found without the break, on the
     same number of torch threads.
-
-    Args:
-        problem: Losses and verdicts.
-        views: Where views are drawn from.
-        config: How to attack.
-        key: What tells this attack from others, for the checkpoint.
-        checkpoint: Where to keep the search; None for nowhere.
-        on_step: See `OnStep`.
-
-    Returns:
-        The best point, and the seconds of all runs.
-
-    Raises:
-        CheckpointError: The checkpoint is one of another attack.
-        BudgetError: The best point is outside the ball.
     """
     clock, reference = time.perf_counter(), problem.subset.parameters(config.attributes)
     device = problem.subset.scene.means.device

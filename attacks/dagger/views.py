@@ -58,17 +58,7 @@ class View:
 
 
 def fixed_views(subset: GaussianSubset, cameras: Sequence[Camera], *, render: RenderFn, up: Point = UP) -> list[View]:
-    """The views of an object from cameras.
-
-    Args:
-        subset: The object in its scene.
-        cameras: Where from.
-        render: The renderer.
-        up: (3,) direction that is up, for azimuth and elevation.
-
-    Raises:
-        InvalidValueError: A camera does not show the object.
-    """
+    """The views of an object from cameras."""
     centre, _ = bounds(subset.scene.select(subset.rows))
     views = []
     for index, camera in enumerate(cameras):
@@ -110,11 +100,7 @@ class ViewDistribution:
         render: RenderFn,
         up: Point = UP,
     ) -> None:
-        """The distribution; see the attributes.
-
-        Raises:
-            InvalidValueError: The mask does not fit the scene or selects nothing.
-        """
+        """The distribution; see the attributes."""
         check_scene("scene", scene)
         self.scene, self.mask, self.reference, self.render, self.up = scene, mask, reference, render, up
         self.transformations = transformations or Transformations()
@@ -232,14 +218,7 @@ class ViewDistribution:
 
 
 def batch_indices(step: int, *, seed: int, batch: int, pool: int) -> list[int]:
-    """Numbers of the views of one step: a function of the step, so that a run can be taken up again.
-
-    Args:
-        step: Number of the step, 0 or more.
-        seed: Of the order.
-        batch: Views a step.
-        pool: Number of different views, each of which comes once before one comes again; 0 for new ones at each step.
-    """
+    """Numbers of the views of one step: a function of the step, so that a run can be taken up again."""
     first = step * batch
     if not pool:
         return list(range(first, first + batch))

@@ -136,12 +136,7 @@ class Detector(Protocol):
 
 
 def check_images(images: Tensor) -> None:
-    """Raise unless `images` is a stack that a detector takes.
-
-    Raises:
-        InvalidValueError: It is not floating point of shape (B, H, W, 3), is empty, or holds values that are not finite
-            or not in [0, 1]; rounding may exceed that by 1e-3.
-    """
+    """Raise unless `images` is a stack that a detector takes."""
     if not isinstance(images, Tensor):
         got = type(images).__name__
         raise InvalidValueError.of("images", "a torch tensor", got, "use torch.from_numpy or torch.stack")

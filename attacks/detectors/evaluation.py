@@ -75,10 +75,6 @@ def load_for_evaluation(name: str, weights: Path | None = None) -> Detector:
     """A detector of the project's classes that keeps its unlikely detections too, as an average precision needs them.
 
     Where `min_confidence` is an attribute of the detector it is lowered; others keep theirs, 0.05 for most.
-
-    Raises:
-        DetectorError: It knows none of the project's classes, its weights are missing or do not fit, or it needs a
-            package that is not there.
     """
     detector: Any = load_detector(name, weights=weights)
     if lacking(detector) == SMALL_CLASSES:
@@ -197,13 +193,7 @@ def _object_row(ids: Mapping[str, Cell], picture: LabelledPicture, number: int, 
 
 
 def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
-    """Every figure of an evaluation, of its rows.
-
-    Args:
-        record: Its result.json: `detectors` by name, `sets` (name to number of pictures), and `confidence`, from which
-            a detection counts for everything but an average precision.
-        tables: Its rows and detections, see `look_at`.
-    """
+    """Every figure of an evaluation, of its rows."""
     by_detector = {}
     for name in record["detectors"]:
         rows, detections = (tables[table].filter(detector=name) for table in (ROWS, DETECTIONS))
@@ -218,12 +208,6 @@ def detector_figures(
 
     `confidence_at` says from which confidence there are so many false positives per picture: rates that count from
     there compare detectors that are equally strict.
-
-    Args:
-        rows: Of `look_at`.
-        detections: Of `look_at`.
-        sets: Number of pictures by the name of their set.
-        confidence: From which a detection counts.
     """
     judged = with_right(rows, detections)
     together = {
@@ -253,14 +237,7 @@ def with_right(rows: pl.DataFrame, detections: pl.DataFrame) -> pl.DataFrame:
 
 
 def set_figures(rows: pl.DataFrame, judged: pl.DataFrame, pictures: int, confidence: float) -> dict[str, Any]:
-    """Every figure of one set as JSON can hold it; average precision and recall only where there are objects.
-
-    Args:
-        rows: Of the set.
-        judged: Its detections, see `with_right`.
-        pictures: Number of pictures.
-        confidence: From which a detection counts.
-    """
+    """Every figure of one set as JSON can hold it; average precision and recall only where there are objects."""
     likely = judged.filter(pl.col("score") >= confidence)
     others = likely.filter(~pl.col("label").is_in(SMALL_CLASSES))["label"].to_list()
     wrong = false_positives(judged, pictures, confidence)
@@ -324,13 +301,7 @@ def _frequencies(labels: Sequence[str]) -> dict[str, int]:
 
 
 def average_precision(scores: Tensor, right: Tensor, objects: int) -> float:
-    """Area under the precision-recall curve, precision made monotonous (all-point interpolation of PASCAL VOC 2010).
-
-    Args:
-        scores: (D,) confidences.
-        right: (D,) bool, whether each detection matched an object.
-        objects: Number of objects that there are, at least one.
-    """
+    """Area under the precision-recall curve, precision made monotonous (all-point interpolation of PASCAL VOC 2010)."""
     hits = right[torch.argsort(scores, descending=True, stable=True)].double()
     precision = hits.cumsum(0) / torch.arange(1, len(hits) + 1)
     best_later = precision.flip(0).cummax(0).values.flip(0)
@@ -345,11 +316,6 @@ def false_positives(judged: pl.DataFrame, pictures: int, confidence: float) -> d
     """False positives as JSON can hold them; there must be pictures.
 
     The interval is a 95 % range of those per picture if they came independently; those of one scene often do not.
-
-    Args:
-        judged: Detections, see `with_right`.
-        pictures: Number of pictures.
-        confidence: From which a detection counts.
     """
     wrong = _wrong(judged).filter(pl.col("score") >= confidence)
     labels = wrong["label"].to_list()
@@ -364,17 +330,7 @@ def false_positives(judged: pl.DataFrame, pictures: int, confidence: float) -> d
 
 
 def confidences_at(scores: Sequence[float], pictures: int, rates: Sequence[float] = EQUAL) -> dict[str, float | None]:
-    """From which confidence a detector has so many false positives per picture: where detectors are equally strict.
-
-    Args:
-        scores: Of all false positives, whatever their confidence.
-        pictures: Number of pictures.
-        rates: Numbers of false positives per picture.
-
-    Returns:
-        For each of them, as text, the least confidence at which there are at most so many; None where the detector's
-        own floor lets fewer through, so that no confidence is known.
-    """
+    """From which confidence a detector has so many false positives per picture: where detectors are equally strict."""
     wrong = sorted(scores, reverse=True)
     allowed = {f"{rate:g}": math.floor(rate * pictures + 1e-9) for rate in rates}
     return {

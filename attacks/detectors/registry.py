@@ -84,11 +84,7 @@ DETECTORS: Registry[DetectorSpec] = Registry(
 
 
 def register_detector(spec: DetectorSpec) -> None:
-    """Make a detector known to `load_detector` and every command of this process.
-
-    Raises:
-        DetectorError: There is one of this name already.
-    """
+    """Make a detector known to `load_detector` and every command of this process."""
     DETECTORS.add(spec.name, spec)
 
 
@@ -119,23 +115,12 @@ def load_detector(name: str, *, weights: Path | None = None, device: str = "cpu"
 
 
 def detector_spec(name: str) -> DetectorSpec:
-    """The spec of a detector; nothing heavy is imported for those of this project.
-
-    Args:
-        name: Key of `DETECTORS`.
-
-    Raises:
-        DetectorError: There is no such detector.
-    """
+    """The spec of a detector; nothing heavy is imported for those of this project."""
     return DETECTORS.chosen(name)
 
 
 def as_detectors(detectors: Detector | str | Sequence[Detector | str]) -> tuple[Detector, ...]:
-    """The detectors as a tuple, whether one was given or several; those given by name are loaded.
-
-    Raises:
-        DetectorError: As in `load_detector`, or something else is among them.
-    """
+    """The detectors as a tuple, whether one was given or several; those given by name are loaded."""
     chosen = detectors if isinstance(detectors, Sequence) and not isinstance(detectors, str) else [detectors]
     return tuple(_as_detector(detector) for detector in chosen)
 

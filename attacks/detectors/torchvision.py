@@ -213,27 +213,13 @@ def _channels_first(images: Tensor) -> list[Tensor]:
 
 
 def wrap(name: str, model: nn.Module, labels: Sequence[str]) -> TorchvisionDetector:
-    """A model of the library behind the `Detector` interface.
-
-    Args:
-        name: Of the detector.
-        model: A FasterRCNN, RetinaNet, FCOS or SSD.
-        labels: Label number i means labels[i]; labels[0] is `BACKGROUND`.
-    """
+    """A model of the library behind the `Detector` interface."""
     adapter = RCNNDetector if isinstance(model, FasterRCNN) else OneStageDetector
     return adapter(name, model, labels)
 
 
 def load(name: str, weights: Path | None = None) -> TorchvisionDetector:
-    """The project's own detector, or one of torchvision's COCO detectors.
-
-    Args:
-        name: `SMALL`, or torchvision's name.
-        weights: File in the form of the published checkpoint; None takes the shipped one, or asks the library's hub.
-
-    Raises:
-        DetectorError: There are no weights, they do not fit, or the hub cannot be reached.
-    """
+    """The project's own detector, or one of torchvision's COCO detectors."""
     path = SMALL_WEIGHTS if name == SMALL and weights is None else weights
     state = _from_hub(name) if path is None else read_weights(Path(path))
     model = _build(name)

@@ -70,14 +70,7 @@ class TransformersDetector(FrozenModel):
     """
 
     def __init__(self, name: str, model: Any, processor: Any, *, min_confidence: float = _MIN_CONFIDENCE) -> None:
-        """Wrap `model`.
-
-        Args:
-            name: Of the detector.
-            model: A DetrForObjectDetection or RTDetrForObjectDetection, whose configuration names the classes.
-            processor: The image processor that goes with it.
-            min_confidence: Confidence below which `detect` reports nothing.
-        """
+        """Wrap `model`."""
         self._labels = _labels(model.config.id2label)
         self._columns = [i for i, label in enumerate(self._labels) if label not in (BACKGROUND, UNUSED)]
         super().__init__(name, model, [self._labels[i] for i in self._columns])
@@ -151,16 +144,7 @@ def _labels(names: Mapping[int, str]) -> tuple[str, ...]:
 
 
 def load(name: str, weights: Path | None = None) -> TransformersDetector:
-    """One of the COCO detectors of the library's hub.
-
-    Args:
-        name: Key of `attacks.detectors.catalogue.TRANSFORMERS_HUB`.
-        weights: Folder in the library's own form (config.json, preprocessor_config.json, model.safetensors), or the
-            file of weights in it; None asks the library's own hub.
-
-    Raises:
-        DetectorError: The folder does not fit, or the hub cannot be reached.
-    """
+    """One of the COCO detectors of the library's hub."""
     hub = TRANSFORMERS_HUB[name]
     if weights is None:
         where: dict[str, Any] = {"pretrained_model_name_or_path": hub.repository, "revision": hub.revision}

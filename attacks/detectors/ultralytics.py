@@ -79,15 +79,7 @@ class YOLODetector(FrozenModel):
     def __init__(
         self, name: str, model: nn.Module, classes: Sequence[str], *, side: int, min_confidence: float = _MIN_CONFIDENCE
     ) -> None:
-        """Wrap `model`.
-
-        Args:
-            name: Of the detector.
-            model: A network of the library.
-            classes: Its class number i is classes[i].
-            side: Longer image side that the network works at, pixels.
-            min_confidence: Confidence below which `detect` reports nothing.
-        """
+        """Wrap `model`."""
         super().__init__(name, model, classes)
         self.side, self.min_confidence = side, min_confidence
         strides: Any = model.stride
@@ -150,16 +142,7 @@ def build(size: str, classes: int, *, family: str = "yolov8") -> nn.Module:
 
 
 def load(name: str, weights: Path | None = None) -> YOLODetector:
-    """The project's own small YOLOv8, or one of the library's COCO detectors.
-
-    Args:
-        name: `SMALL`, or one of `attacks.detectors.catalogue.YOLO_NAMES`.
-        weights: A .safetensors or .pth file of a state dict, or the library's own .pt file, of which nothing but known
-            classes of layers is unpickled. None takes the file of a checkout, or asks the library's hub.
-
-    Raises:
-        DetectorError: There are no weights, they do not fit, or the hub cannot be reached.
-    """
+    """The project's own small YOLOv8, or one of the library's COCO detectors."""
     small = name == SMALL
     path = _shipped() if small and weights is None else weights
     side = SMALL_SIDE if small else USUAL_SIDE

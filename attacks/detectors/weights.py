@@ -26,12 +26,7 @@ _UNREADABLE = (
 
 
 def fingerprint(state: Mapping[str, Tensor], more: str = "") -> str:
-    """16 hex digits that stand for a state dict: SHA-256 over the names and bytes of its tensors, in their order.
-
-    Args:
-        state: Tensors by name.
-        more: Stands for what else the detector is made of; it comes first.
-    """
+    """16 hex digits that stand for a state dict: SHA-256 over the names and bytes of its tensors, in their order."""
     total = hashlib.sha256(more.encode())
     for name, value in state.items():
         total.update(name.encode())
@@ -46,15 +41,7 @@ def in_a_line(error: Exception) -> str:
 
 
 def read_weights(path: Path) -> dict[str, Tensor]:
-    """Read a state dict from a safetensors file, or from a .pth file with `weights_only=True`.
-
-    Returns:
-        Tensors by name, on the CPU.
-
-    Raises:
-        DetectorError: the file is missing, unreadable, of another format, or holds something else than
-            tensors of finite numbers.
-    """
+    """Read a state dict from a safetensors file, or from a .pth file with `weights_only=True`."""
     path = Path(path)
     if path.suffix not in SUFFIXES:
         raise DetectorError.of(
@@ -85,9 +72,6 @@ def check_finite(state: dict[str, Tensor], what: str) -> dict[str, Tensor]:
     """The weights, whose numbers are all finite: a detector of others finds nothing, as if each attack had succeeded.
 
     A single infinite number without axes is a setting, for instance what a picture is padded with.
-
-    Raises:
-        DetectorError: One is not.
     """
     weights = {name: value for name, value in state.items() if value.ndim or not bool(torch.isinf(value))}
     if name := not_finite(weights):
@@ -100,9 +84,6 @@ def apply_weights(model: nn.Module, state: Mapping[str, Tensor], source: object)
 
     Names of an older version of the model's library are read, as the model's own `load_state_dict` reads them. Where
     this raises, `model` has some of the weights.
-
-    Raises:
-        DetectorError: keys are missing, unexpected or of another shape; the message names the first few.
     """
     expected = model.state_dict()
     misshapen = [k for k in expected if k in state and state[k].shape != expected[k].shape]
@@ -164,11 +145,7 @@ class FrozenModel:
     model: Any
 
     def __init__(self, name: str, model: nn.Module, classes: Sequence[str]) -> None:
-        """Freeze a model, in place.
-
-        Raises:
-            DetectorError: A weight is not a finite number.
-        """
+        """Freeze a model, in place."""
         check_finite(model.state_dict(), f"weights of {name}")
         self.name, self.classes = name, tuple(classes)
         self.model = model.eval().requires_grad_(False)
@@ -179,10 +156,6 @@ class FrozenModel:
         return fingerprint(self.model.state_dict())
 
     def to(self: _Self, device: torch.device | str) -> _Self:
-        """Move the weights to a device, in place.
-
-        Returns:
-            This model.
-        """
+        """Move the weights to a device, in place."""
         self.model.to(device)
         return self

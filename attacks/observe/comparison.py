@@ -69,14 +69,7 @@ def compared_rows(
     target: str | None = None,
     min_confidence: float = REPORTED,
 ) -> Looked:
-    """What detectors report on a clean and an attacked splat, row by row.
-
-    Args:
-        seen: Both splats from the same cameras, from `attacks.observe.views.evaluate`.
-        original: What the object is; if None, what each detector calls it in most views of the clean splat.
-        target: What the attacker wants it to be.
-        min_confidence: Confidence from which a detection says what the object is, in [0, 1].
-    """
+    """What detectors report on a clean and an attacked splat, row by row."""
     rows, detections = list[Row](), list[Row]()
     clean = {(view.detector, view.view): view for view in seen[CLEAN]}
     shown = {
@@ -97,12 +90,7 @@ def compared_rows(
 
 
 def compare(rows: pl.DataFrame, *, confidence: Confidence = REPORTED) -> list[Comparison]:
-    """Rates of each detector on the clean and the attacked splat, and the distance of their pictures.
-
-    Args:
-        rows: From `compared_rows`.
-        confidence: From which a detection counts, in [0, 1].
-    """
+    """Rates of each detector on the clean and the attacked splat, and the distance of their pictures."""
     targeted = rows["target"].null_count() < len(rows)
     counted = count(with_control(rows), comparison_measures(confidence, targeted=targeted), ("detector",))
     comparisons = []
@@ -131,11 +119,7 @@ def usual_label(views: Sequence[ViewDetections], min_confidence: float = 0.5) ->
 
 
 def changed_mask(clean: GaussianScene, attacked: GaussianScene) -> Tensor:
-    """(N,) bool, which Gaussians an attack changed.
-
-    Raises:
-        InvalidValueError: There are other numbers of Gaussians, or all are the same.
-    """
+    """(N,) bool, which Gaussians an attack changed."""
     do = "say which Gaussians are the object, for instance by a box"
     if len(clean) != len(attacked):
         got = f"{len(clean):,} and {len(attacked):,}"
@@ -160,15 +144,7 @@ def side_by_side(
     most: int,
     names: Sequence[str] = (),
 ) -> NDArray[np.uint8]:
-    """Boxes on the clean pictures (left) and the attacked ones (right), views below one another.
-
-    Args:
-        clean: The clean scene, from `evaluate`.
-        attacked: The attacked scene, from the same cameras.
-        detector: Whose boxes.
-        most: Views shown, evenly out of all.
-        names: Of the cameras; numbers if there are none.
-    """
+    """Boxes on the clean pictures (left) and the attacked ones (right), views below one another."""
     before, after = ([view for view in views if view.detector == detector] for views in (clean, attacked))
     rows = [round(i * (len(before) - 1) / max(min(most, len(before)) - 1, 1)) for i in range(min(most, len(before)))]
     return stacked(

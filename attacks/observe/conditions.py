@@ -130,16 +130,7 @@ def rendered(name: str, render: RenderFn, change: Callable[[GaussianScene], Gaus
 
 
 def condition_of(name: str, viewing: Viewing) -> Condition:
-    """The condition of a name.
-
-    Args:
-        name: See the head of this module.
-        viewing: How the splat is looked at otherwise.
-
-    Raises:
-        InvalidValueError: There is no such condition; the sun is not up.
-        MiSplatError: The street cannot be read, or is no scene of splats among surfaces.
-    """
+    """The condition of a name."""
     check_condition(name, viewing.sun)
     own = renderer_of("", viewing.settings)
     if name in FORMS:
@@ -161,14 +152,7 @@ def condition_of(name: str, viewing: Viewing) -> Condition:
 
 
 def package_of(name: str) -> str:
-    """Which package brings a condition or a renderer, with its version; empty for those of this project.
-
-    Args:
-        name: Of the condition or of the renderer.
-
-    Returns:
-        For instance "my-package 1.0"; a job that keeps it is another one with another version.
-    """
+    """Which package brings a condition or a renderer, with its version; empty for those of this project."""
     brought = (registry for registry in (RENDERERS, CONDITIONS) if name in registry.brought)
     return next((registry.package(name) for registry in brought), "")
 
@@ -190,16 +174,7 @@ def check_condition(name: str, sun: SunTable | None) -> None:
 
 
 def renderer_of(name: str, settings: RenderSettings) -> RenderFn:
-    """A renderer by its name, as in `mi-splat compare`; "" is the scene's own.
-
-    Args:
-        name: Of the renderer.
-        settings: Background and near plane.
-
-    Raises:
-        InvalidValueError: There is none of this name.
-        MiSplatError: It cannot run here.
-    """
+    """A renderer by its name, as in `mi-splat compare`; "" is the scene's own."""
     if not name:
         return Renderer(settings)
     if name == "volprim" and any(settings.background):
@@ -253,15 +228,7 @@ FORMATS = (".ply", ".compressed.ply", ".spz", ".sog", ".glb", ".splat")
 
 
 def through_file(scene: GaussianScene, suffix: str) -> GaussianScene:
-    """The splat after it was saved in a format and loaded again.
-
-    Args:
-        scene: The splat.
-        suffix: One of `FORMATS`.
-
-    Raises:
-        InvalidValueError: It is none of them.
-    """
+    """The splat after it was saved in a format and loaded again."""
     if suffix not in FORMATS:
         raise InvalidValueError.of("format", f"one of {', '.join(FORMATS)}", suffix, "choose one")
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
@@ -290,11 +257,7 @@ FORMS: Mapping[str, Callable[[GaussianScene], GaussianScene]] = {
 
 
 def hour_of(name: str) -> float:
-    """The hour that a condition as 09:30 is, of local solar time.
-
-    Raises:
-        InvalidValueError: It is none.
-    """
+    """The hour that a condition as 09:30 is, of local solar time."""
     if not _HOUR.fullmatch(name):
         raise InvalidValueError.of("condition", "an hour as 09:30", name, "write two digits each")
     hours, minutes = name.split(":")

@@ -22,18 +22,7 @@ _COLOURS = ("#e6194b", "#3cb44b", "#4363d8", "#f58231", "#911eb4", "#008080", "#
 def annotated(
     picture: Tensor, detections: Detections, title: str, *, min_confidence: float = 0.3, width: int = 512
 ) -> NDArray[np.uint8]:
-    """A picture with the boxes and confidences of its detections, and a title.
-
-    Args:
-        picture: (H, W, 3) sRGB in [0, 1].
-        detections: What is reported in it; boxes in its pixels.
-        title: Written into the lower left corner.
-        min_confidence: Confidence from which a detection is drawn, in [0, 1].
-        width: Pixels that the result is wide, at least; it is a whole multiple of the picture.
-
-    Returns:
-        (H', W', 3) uint8.
-    """
+    """A picture with the boxes and confidences of its detections, and a title."""
     canvas = _enlarged(to_bytes(picture), width)
     draw = ImageDraw.Draw(canvas)
     scale, corner = canvas.width / picture.shape[1], (6, canvas.height - 26)
@@ -51,15 +40,7 @@ def draw_detections(
     min_confidence: float = 0.3,
     taken: Sequence[Plate] = (),
 ) -> None:
-    """Draw boxes, labels and confidences, the best last and so on top; no label covers another one.
-
-    Args:
-        draw: Of the picture.
-        detections: What is reported in it, the best first.
-        scale: Pixels of the picture for one of the boxes' pixels.
-        min_confidence: Confidence from which a detection is drawn, in [0, 1].
-        taken: Other labels in the picture.
-    """
+    """Draw boxes, labels and confidences, the best last and so on top; no label covers another one."""
     rows = zip(detections.labels, detections.scores.tolist(), (scale * detections.boxes).tolist(), strict=True)
     shown = [(label, f"{label} {score:.0%}", box) for label, score, box in rows if score >= min_confidence]
     for label, _, box in reversed(shown):
@@ -88,15 +69,7 @@ def _corners(box: Sequence[float], height: float) -> list[tuple[float, float]]:
 
 
 def difference(before: Sequence[Tensor], after: Sequence[Tensor]) -> NDArray[np.uint8]:
-    """What changed in all views, amplified around grey; the factor is written into the picture.
-
-    Args:
-        before: (H, W, 3) sRGB in [0, 1] for each view.
-        after: The same views, attacked.
-
-    Returns:
-        (H', W', 3) uint8: 128 + factor * (after - before), enlarged to be legible, views below one another.
-    """
+    """What changed in all views, amplified around grey; the factor is written into the picture."""
     gaps = [b - a for a, b in zip(before, after, strict=True)]
     changed = torch.cat([gap.abs()[gap.abs().amax(-1) > 0].amax(-1) for gap in gaps])
     # The largest round factor that shows nearly every change without clipping; 1 at least.

@@ -61,15 +61,7 @@ class Judged(Previewed):
         return {str(detector): rates for (detector,), rates in counted.items()}
 
     def count(self, measures: Mapping[str, Measure], by: Sequence[str] = ("detector",)) -> dict[Group, dict[str, Rate]]:
-        """Any rate that the rows give.
-
-        Args:
-            measures: What is counted, by name (`attacks.observe.rates.Measure`).
-            by: Columns whose values make the groups.
-
-        Returns:
-            The rate of each measure, for each group.
-        """
+        """Any rate that the rows give."""
         return count(self.rows, measures, by)
 
 

@@ -28,13 +28,7 @@ ON_OBJECT, NEAR_OBJECT = 0.5, 0.1
 
 
 def camera_cells(camera: Camera, box: Tensor | None, direction: Direction | None = None) -> dict[str, Cell]:
-    """Where a camera is, and where the object is in its picture.
-
-    Args:
-        camera: The camera.
-        box: (4,) of the object in pixels; None where it does not show.
-        direction: Of the camera from the object, if it is known.
-    """
+    """Where a camera is, and where the object is in its picture."""
     angles = {} if direction is None else {"azimuth": direction.azimuth, "elevation": direction.elevation}
     corners: Sequence[float | None] = (None,) * 4 if box is None else box.tolist()
     return {**angles, **dict(zip("xyz", camera.position.tolist(), strict=True)), **dict(zip(BOX, corners, strict=True))}
@@ -43,14 +37,7 @@ def camera_cells(camera: Camera, box: Tensor | None, direction: Direction | None
 def report_cells(
     detections: Detections, box: Tensor | None, *, original: str | None, target: str | None = None
 ) -> dict[str, Cell]:
-    """What is reported on the object: the best detection of any class, and the scores of two classes.
-
-    Args:
-        detections: Of the picture.
-        box: (4,) of the object in pixels; None where it does not show, so that nothing is reported on it.
-        original: Its class; None is any, since it is not known.
-        target: The class that is wanted; None if none is.
-    """
+    """What is reported on the object: the best detection of any class, and the scores of two classes."""
 
     def score(label: str | None, iou: float = ON_OBJECT) -> float:
         if box is None:
@@ -90,13 +77,7 @@ def verdict_cells(verdict: Verdict) -> dict[str, Cell]:
 
 
 def detection_rows(ids: Mapping[str, Cell], detections: Detections, box: Tensor | None) -> list[Row]:
-    """Every detection of a picture.
-
-    Args:
-        ids: Of the picture: splat, detector, view.
-        detections: Of the picture.
-        box: (4,) of the object in pixels; None where it does not show.
-    """
+    """Every detection of a picture."""
     shared = [None] * len(detections) if box is None or not len(detections) else overlap(detections.boxes, box).tolist()
     return [{**ids, **detection_cells(detections, number, iou)} for number, iou in enumerate(shared)]
 
@@ -114,11 +95,7 @@ class Looked:
     detections: pl.DataFrame
 
     def write(self, folder: Path) -> list[Path]:
-        """Write rows.csv.gz and detections.csv.gz.
-
-        Returns:
-            Paths of the two files.
-        """
+        """Write rows.csv.gz and detections.csv.gz."""
         tables = {ROWS: self.rows, DETECTIONS: self.detections}
         return [write_rows(table, folder / f"{name}{SUFFIX}") for name, table in tables.items()]
 
@@ -133,20 +110,7 @@ def look(
     cells: Callable[[ViewDetections], Mapping[str, Cell]],
     batch: int = BATCH,
 ) -> Looked:
-    """Run every detector on every splat from every camera, under every condition.
-
-    Args:
-        conditions: Ways to look.
-        splats: By their name in the column `splat`, as they were loaded from their files.
-        cameras: Views, numbered in their order; a condition may move them, and leave some out.
-        detectors: Those that look.
-        boxes: Where the object is in the picture of a camera, (4,) pixels; None where it does not show.
-        cells: What else is known of a view, and what is reported in it; usually with `report_cells`.
-        batch: Pictures that a detector gets at once.
-
-    Returns:
-        A row for each splat, camera, detector and condition, and all detections.
-    """
+    """Run every detector on every splat from every camera, under every condition."""
     rows, detections = list[Row](), list[Row]()
     for condition in conditions:
         views = [view for view, camera in enumerate(cameras) if condition.holds(camera)]

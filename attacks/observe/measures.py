@@ -96,14 +96,7 @@ AZIMUTHS, ELEVATIONS = 8, 4
 def aim_figures(
     rows: pl.DataFrame, detectors: Sequence[str], elevations: tuple[float, float] | None = None
 ) -> dict[str, Any]:
-    """Every rate of an attack, as JSON can hold it.
-
-    Args:
-        rows: With the verdict of every view.
-        detectors: Names of those attacked.
-        elevations: Interval of the cameras that judge it, degrees; None where they are not drawn, so that nothing is
-            told by angles.
-    """
+    """Every rate of an attack, as JSON can hold it."""
     together, success = count(joint_views(rows), AIMS)[()], AIMS["success"]
     told = {
         "rate": together["success"].as_dict(),
@@ -196,14 +189,6 @@ def cloak_measures(
     nothing of any class is reported on the object. `benign_recall`: the cloaked splat is found outside of all triggers,
     where the control is; `control_benign_recall`: the control is found there. `target_rate`: the target class is
     reported on the cloaked splat, by detectors that have such a class; `control_target_rate`: on the control.
-
-    Args:
-        attacks: Names of all attacks of the study.
-        hiding: The one that hides the object.
-        showing: The one that has a target class.
-        well_inside: Degrees inside the trigger from which a camera is well inside it.
-        confidence: From which a detection counts.
-        depth: Which depth: inside the trigger (`DEPTH`), or inside the edge of the poison (`POISON_DEPTH`).
     """
 
     def inside(name: str, degrees: float = 0.0) -> pl.Expr:
@@ -247,15 +232,7 @@ def rates_at(
     *,
     clusters: Sequence[str] | None = None,
 ) -> dict[str, dict[Group, dict[str, Rate]]]:
-    """The same rates at several confidences.
-
-    Args:
-        rows: As the measures need them.
-        measures: Of a confidence, for instance `transfer_measures`.
-        confidences: By name, for instance {"0.5": 0.5, "equal false positives": {"yolov8n_small": 0.41}}.
-        by: As in `count`.
-        clusters: As in `count`.
-    """
+    """The same rates at several confidences."""
     return {name: count(rows, measures(least), by, clusters=clusters) for name, least in confidences.items()}
 
 
@@ -268,16 +245,7 @@ def threshold_curve(
     *,
     clusters: Sequence[str] | None = None,
 ) -> dict[Group, list[tuple[float, Rate]]]:
-    """A rate over the confidence from which a detection counts, for each group: what a report draws.
-
-    Args:
-        rows: As in `rates_at`.
-        measures: As in `rates_at`.
-        name: Of the measure.
-        confidences: Where.
-        by: As in `count`.
-        clusters: As in `count`.
-    """
+    """A rate over the confidence from which a detection counts, for each group: what a report draws."""
     lines: dict[Group, list[tuple[float, Rate]]] = {}
     for confidence in confidences:
         counted = count(rows, {name: measures(confidence)[name]}, by, clusters=clusters)

@@ -46,18 +46,7 @@ def count(
     *,
     clusters: Sequence[str] | None = None,
 ) -> dict[Group, dict[str, Rate]]:
-    """Count measures over groups of rows.
-
-    Args:
-        rows: With the columns that the measures name.
-        measures: By name.
-        by: Columns whose values make the groups; none makes one group, (), of all rows.
-        clusters: Columns (block of cameras, seed; before them the object, if there are several): rows with the same
-            value of any are not independent, and intervals are resampled. None takes all rows for independent.
-
-    Returns:
-        For each group that has rows, in the order of its first one, the rate of each measure.
-    """
+    """Count measures over groups of rows."""
     if not measures:
         return {}
     sums = []
@@ -116,12 +105,7 @@ def _resampled(sums: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def blocks_of(azimuth: str, elevation: str) -> pl.Expr:
-    """The block of directions that a camera stands in, as a number: about `BLOCK` degrees wide and high.
-
-    Args:
-        azimuth: Name of the column, degrees in [0, 360).
-        elevation: Name of the column, degrees.
-    """
+    """The block of directions that a camera stands in, as a number: about `BLOCK` degrees wide and high."""
     band = ((pl.col(elevation) + 90) / BLOCK).floor()
     middle = ((band + 0.5) * BLOCK - 90).clip(-89, 89)
     around = (360 * middle.radians().cos() / BLOCK).round().clip(1)
@@ -131,15 +115,7 @@ def blocks_of(azimuth: str, elevation: str) -> pl.Expr:
 def banded(
     rows: pl.DataFrame, angle: str, interval: tuple[float, float], parts: int, measure: Measure
 ) -> list[dict[str, Any]]:
-    """A rate over an angle, in equal parts of an interval, as JSON can hold it; of an empty interval nothing.
-
-    Args:
-        rows: With a column for the angle.
-        angle: Name of the column, degrees.
-        interval: Degrees; what lies outside of it counts to its first or last part.
-        parts: Number of parts.
-        measure: What is counted.
-    """
+    """A rate over an angle, in equal parts of an interval, as JSON can hold it; of an empty interval nothing."""
     low, width = interval[0], (interval[1] - interval[0]) / parts
     if not width:
         return []

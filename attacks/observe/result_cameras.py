@@ -22,13 +22,7 @@ _UNITS = "world units; pixels; poses are camera to world, x right, y down, z for
 
 
 def cameras_document(cameras: Sequence[Mapping[str, Any]], **settings: Any) -> dict[str, Any]:
-    """cameras.json: all that a picture of a splat needs, and where the object is in it.
-
-    Args:
-        cameras: As `mi_splat.io.camera_records.describe` has them, each with the object's `box`, or None where it does
-            not show, and with the `change` of its picture if there is one.
-        settings: Background and near plane, as far as they are known, and what else there is to say.
-    """
+    """cameras.json: all that a picture of a splat needs, and where the object is in it."""
     return {"units": _UNITS, **settings, "cameras": list(cameras)}
 
 
@@ -51,14 +45,7 @@ class ResultCameras:
     def look(
         self, scene: GaussianScene, detectors: Sequence[Detector], views: Sequence[int], *, batch: int = BATCH
     ) -> Iterator[ViewDetections]:
-        """What detectors report of a splat from some of the cameras.
-
-        Args:
-            scene: The splat.
-            detectors: Any number.
-            views: Numbers of the cameras.
-            batch: Pictures that a detector gets at once.
-        """
+        """What detectors report of a splat from some of the cameras."""
         cameras, render = [self.cameras[view] for view in views], Renderer(self.settings)
         changes = {camera: self.changes.get(camera, PictureChange()) for camera in cameras}
         reports = detect_views(
@@ -73,15 +60,7 @@ class ResultCameras:
 
 
 def result_cameras(values: Mapping[str, Any], where: str) -> ResultCameras:
-    """The cameras of a result.
-
-    Args:
-        values: What cameras.json holds.
-        where: The file, for errors.
-
-    Raises:
-        InvalidValueError: It is something else.
-    """
+    """The cameras of a result."""
     try:
         entries = values["cameras"]
         cameras = tuple(map(camera_of, entries))

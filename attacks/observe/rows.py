@@ -163,11 +163,7 @@ _EACH = tuple(column.name for column in COLUMNS if column.name.endswith(": "))
 
 
 def column_of(name: str) -> Column:
-    """The column of this name.
-
-    Raises:
-        InvalidValueError: The schema has none.
-    """
+    """The column of this name."""
     head = next((head for head in _EACH if name.startswith(head) and len(name) > len(head)), name)
     if head not in _ORDER or (head == name and head in _EACH):
         raise InvalidValueError.of("column", "one of attacks.observe.rows.COLUMNS", name[:40], "rename it")
@@ -186,11 +182,7 @@ def columns_of(names: Iterable[str]) -> tuple[Column, ...]:
 
 
 def frame_of(rows: Iterable[Row]) -> pl.DataFrame:
-    """Rows as a table; a cell that a row does not have is empty.
-
-    Raises:
-        InvalidValueError: A column is none of the schema, or a cell is not of its kind.
-    """
+    """Rows as a table; a cell that a row does not have is empty."""
     held = list(rows)
     columns = columns_of(dict.fromkeys(name for row in held for name in row))
     try:
@@ -202,11 +194,7 @@ def frame_of(rows: Iterable[Row]) -> pl.DataFrame:
 
 
 def frame_with(rows: Iterable[Row], columns: Sequence[str]) -> pl.DataFrame:
-    """As `frame_of`, with some columns even where there is no row.
-
-    Raises:
-        InvalidValueError: As in `frame_of`.
-    """
+    """As `frame_of`, with some columns even where there is no row."""
     return pl.concat([frame_of([dict.fromkeys(columns)]).clear(), frame_of(rows)], how="diagonal")
 
 
@@ -219,11 +207,7 @@ def by_camera(rows: pl.DataFrame) -> pl.DataFrame:
 
 
 def rows_bytes(rows: pl.DataFrame) -> bytes:
-    """A table as the text of a CSV file; equal tables have equal bytes.
-
-    Raises:
-        InvalidValueError: A column is none of the schema, or a cell is not of its kind.
-    """
+    """A table as the text of a CSV file; equal tables have equal bytes."""
     columns = columns_of(rows.columns)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -233,19 +217,7 @@ def rows_bytes(rows: pl.DataFrame) -> bytes:
 
 
 def write_rows(rows: pl.DataFrame, path: Path) -> Path:
-    """Write a table; equal tables have equal bytes.
-
-    Args:
-        rows: The table; columns in any order.
-        path: File to write, NAME.csv.gz.
-
-    Returns:
-        The file.
-
-    Raises:
-        InvalidValueError: A column is none of the schema, or a cell is not of its kind.
-        SplatFileError: The file cannot be written.
-    """
+    """Write a table; equal tables have equal bytes."""
     data = packed(rows_bytes(rows))
     with atomic_write(path) as file:
         file.write(data)
@@ -261,16 +233,7 @@ def packed(data: bytes) -> bytes:
 
 
 def read_rows(path: Path, *, needs: Sequence[str] = ()) -> pl.DataFrame:
-    """A table from its file, which may come from anybody.
-
-    Args:
-        path: NAME.csv.gz, or NAME.csv of a table that was unpacked.
-        needs: Columns that it must have.
-
-    Raises:
-        InvalidValueError: The file is missing, too large or no CSV, a column is none of the schema or there twice, one
-            that is needed is missing, or a cell is not of the kind of its column.
-    """
+    """A table from its file, which may come from anybody."""
     head, lines = _read_cells(path)
     columns = [column_of(name) for name in head]
     if len(set(head)) < len(head) or len(head) > MOST_COLUMNS:
@@ -336,11 +299,7 @@ def _type(column: Column) -> type[pl.DataType]:
 
 
 def _written(column: Column, cells: pl.Series) -> list[str]:
-    """The cells of a column as they stand in the file.
-
-    Raises:
-        InvalidValueError: One is not of the kind of its column.
-    """
+    """The cells of a column as they stand in the file."""
     if cells.dtype not in (_type(column), pl.Null):
         raise _unfit(column, 0, cells)
     wrong = cells.is_null() & (not column.optional)
@@ -369,11 +328,7 @@ _READ = {
 
 
 def _read_column(column: Column, texts: Sequence[str], path: Path) -> pl.Series:
-    """The values of a column.
-
-    Raises:
-        InvalidValueError: A cell is not of the kind of its column.
-    """
+    """The values of a column."""
     pattern, expected = _READ[column.kind]
     cells = pl.Series(texts, dtype=pl.String)
     cells = cells.set(cells == "", None) if column.optional else cells

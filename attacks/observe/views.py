@@ -85,20 +85,6 @@ def detect_views(
 
     Each picture is rendered once for all detectors. Nothing is rendered before the first value is asked for, so that a
     caller can report progress.
-
-    Args:
-        scene: The scene, as it was loaded from its file.
-        cameras: Views.
-        detectors: Any number, with different names; or their names.
-        render: The renderer; no gradient is taken.
-        boxes: For each camera the object's box, (4,) pixels, or None where the object does not show.
-        batch: Pictures that a detector gets at once; those of different sizes never go together.
-
-    Yields:
-        A value for each view and detector: batch by batch, in a batch detector by detector, then view by view.
-
-    Raises:
-        InvalidValueError: There are not as many boxes as cameras.
     """
     yield from detect_pictures(
         lambda camera: render(scene, camera), as_cameras(cameras), detectors, boxes=boxes, batch=batch
@@ -113,18 +99,7 @@ def detect_pictures(
     boxes: Sequence[Tensor | None] | None = None,
     batch: int = BATCH,
 ) -> Iterator[ViewDetections]:
-    """As `detect_views`, of pictures that come from anywhere.
-
-    Args:
-        picture_from: (H, W, 3) sRGB from a camera; asked for once for each.
-        cameras: Views.
-        detectors: Any number, with different names; or their names.
-        boxes: As in `detect_views`.
-        batch: As in `detect_views`.
-
-    Raises:
-        InvalidValueError: There are not as many boxes as cameras.
-    """
+    """As `detect_views`, of pictures that come from anywhere."""
     detectors = as_detectors(detectors)
     if boxes is not None and len(boxes) != len(cameras):
         raise InvalidValueError.of("boxes", f"{len(cameras)}, one for each camera", len(boxes), "use None in gaps")
@@ -169,17 +144,7 @@ def as_saved(scene: GaussianScene) -> GaussianScene:
 def object_boxes(
     scene: GaussianScene, mask: Mask, cameras: Camera | Sequence[Camera], *, render: RenderFn
 ) -> list[Tensor | None]:
-    """Where an object shows in each view, what hides it taken into account.
-
-    Args:
-        scene: The scene.
-        mask: The object's Gaussians: (N,) bool, row numbers, or a slice.
-        cameras: Views.
-        render: The renderer.
-
-    Returns:
-        (4,) pixels for each camera, None where the object does not show.
-    """
+    """Where an object shows in each view, what hides it taken into account."""
     subset = GaussianSubset.of(scene, mask)
     return [visible_box(visible_weight(subset, camera, render)) for camera in as_cameras(cameras)]
 
@@ -192,22 +157,7 @@ def evaluate(
     *,
     render: RenderFn,
 ) -> dict[str, list[ViewDetections]]:
-    """Look at every scene, as its file holds it, from every camera with every detector.
-
-    Args:
-        scenes: Scenes by name, with the same Gaussians in the same order; one must be called "clean".
-        mask: The object's Gaussians: (N,) bool, row numbers, or a slice.
-        cameras: Views; better others than those that were attacked.
-        detectors: Any number, with different names; or their names.
-        render: The renderer.
-
-    Returns:
-        For each scene a value for each view and detector, for `attacks.observe.comparison.compared_rows`. Boxes
-        are those of the object in the clean scene.
-
-    Raises:
-        InvalidValueError: No scene is called "clean".
-    """
+    """Look at every scene, as its file holds it, from every camera with every detector."""
     if CLEAN not in scenes:
         raise InvalidValueError.of("scenes", f"one of the name {CLEAN}", list(scenes), "add the unattacked scene")
     detectors = as_detectors(detectors)
@@ -264,11 +214,7 @@ class ImageChange:
 
 
 def image_change(before: Sequence[Tensor], after: Sequence[Tensor], weights: Sequence[Tensor]) -> ImageChange:
-    """Compare (H, W, 3) pictures pairwise; `weights` are (H, W) as from `visible_weight`.
-
-    Returns:
-        Distances of all pairs together, over whole pictures and on the object.
-    """
+    """Compare (H, W, 3) pictures pairwise; `weights` are (H, W) as from `visible_weight`."""
     gaps = [(b.detach() - a.detach()).double() for b, a in zip(before, after, strict=True)]
     squares = [gap.square() for gap in gaps]
     on_object = [square[weight >= 0.5] for square, weight in zip(squares, weights, strict=True)]

@@ -16,11 +16,7 @@ _ENOUGH = 0.75
 
 
 def checkpoints(steps: int) -> list[int]:
-    """The steps after which the length is asked about.
-
-    Args:
-        steps: Of the run.
-    """
+    """The steps after which the length is asked about."""
     percent, interval, numbers = _FIRST, _FIRST, []
     while percent < 100:
         numbers.append(-(-percent * steps // 100))
@@ -30,11 +26,7 @@ def checkpoints(steps: int) -> list[int]:
 
 
 def apgd(settings: SearchSettings) -> Optimiser:
-    """The steps of APGD; momentum is the share of the last move that is kept, 1 - alpha in the paper.
-
-    Args:
-        settings: Its ball, number of steps and momentum; its step length and schedule are not used.
-    """
+    """The steps of APGD; momentum is the share of the last move that is kept, 1 - alpha in the paper."""
     asked, ball = checkpoints(settings.steps), settings.ball
 
     def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> tuple[Parameters | None, OptimiserState]:

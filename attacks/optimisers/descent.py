@@ -17,9 +17,6 @@ def momentum(settings: SearchSettings) -> Optimiser:
     stay as they are: with the constant schedule this is PGD (Madry et al. 2018). A power between 0 and 1 makes small
     gradients count for more: the direction is then the steepest one of the l_p norm with p = 1 + 1 / power, between
     that of l2 (1) and that of linf (0).
-
-    Args:
-        settings: Its steps, momentum, schedule and power; the norm of its ball says which direction is steepest.
     """
     decay, power = settings.momentum, settings.power
 
@@ -43,9 +40,6 @@ def fgsm(settings: SearchSettings) -> Optimiser:
     """One step as long as the radius, and no other: FGSM (Goodfellow et al. 2015) in any norm.
 
     From a random start it is what "Fast is better than free" (Wong et al. 2020) trains against.
-
-    Args:
-        settings: Its ball; the steps that were asked for are not taken.
     """
 
     def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> tuple[Parameters | None, OptimiserState]:
@@ -64,9 +58,6 @@ def adam(settings: SearchSettings) -> Optimiser:
     A coefficient whose gradient changes its sign from view to view moves little, where a sign step moves it by as much
     as any other. So less of the change is noise. Where every gradient is steady the step has its full length in the
     norm of the ball, and every coefficient the same share of it.
-
-    Args:
-        settings: Its steps, momentum and schedule.
     """
     decay, unit = settings.momentum, settings.unit
 

@@ -27,9 +27,6 @@ def cw(settings: SearchSettings) -> Optimiser:
     round without a success makes the weight ten times as large, one with a success looks between this weight and the
     largest that failed. Each begins at the run's first point, whose gradient is kept, with steps as long as if it were
     the whole search. Where steps are not judged one by one (`dagger-eot`) the weight only grows.
-
-    Args:
-        settings: Its ball, steps and momentum; steps fall to 0 in every round.
     """
     length = math.ceil(settings.steps / _ROUNDS)
     step = {name: size * settings.steps / length for name, size in settings.step.items()}

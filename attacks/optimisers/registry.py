@@ -53,30 +53,12 @@ OPTIMISERS: Registry[OptimiserSpec] = Registry(
 
 
 def register_optimiser(spec: OptimiserSpec) -> None:
-    """Make an optimiser known to every configuration of this process.
-
-    Args:
-        spec: The optimiser.
-
-    Raises:
-        InvalidValueError: There is one of this name already.
-    """
+    """Make an optimiser known to every configuration of this process."""
     OPTIMISERS.add(spec.name, spec)
 
 
 def optimiser_spec(name: str) -> OptimiserSpec:
-    """The optimiser of a name.
-
-    Args:
-        name: Key of `OPTIMISERS`.
-
-    Returns:
-        Its spec.
-
-    Raises:
-        FieldError: There is none of this name.
-        InvalidValueError: It is a broken package's.
-    """
+    """The optimiser of a name."""
     if name not in OPTIMISERS.own:
         check_choice("optimiser", name, tuple(OPTIMISERS))
     return OPTIMISERS[name]

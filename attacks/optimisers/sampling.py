@@ -27,9 +27,6 @@ def square(settings: SearchSettings) -> Optimiser:
     up or down, at random, by what fills the ball evenly. In linf this is the radius, as in the paper. In l2 every
     coefficient has the same share of the radius; the paper moves mass between windows there, which this does not. A
     block is kept if the loss falls. Blocks become smaller.
-
-    Args:
-        settings: Its ball, positions, number of steps and seed.
     """
     level = settings.level
 
@@ -51,11 +48,7 @@ def square(settings: SearchSettings) -> Optimiser:
 
 
 def random_points(settings: SearchSettings) -> Optimiser:
-    """Points at random: every second one from the whole ball, the others within a step of the best one so far.
-
-    Args:
-        settings: Its ball, step and seed.
-    """
+    """Points at random: every second one from the whole ball, the others within a step of the best one so far."""
     near = dataclasses.replace(settings.ball, radius=settings.step)
 
     def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> tuple[Parameters | None, OptimiserState]:

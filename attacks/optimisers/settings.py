@@ -49,11 +49,7 @@ class SearchSettings:
     seed: int = 0
 
     def generator(self, memory: OptimiserState) -> Generator:
-        """Random numbers of one step; the same ones again where a search is taken up again.
-
-        Args:
-            memory: Of the run; its step and the number of the run count.
-        """
+        """Random numbers of one step; the same ones again where a search is taken up again."""
         run = self.seed * _RESTARTS + memory.restart % _RESTARTS
         return Generator().manual_seed(run * _STEPS + memory.index)
 

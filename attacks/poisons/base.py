@@ -94,11 +94,7 @@ class PoisonedViews(ViewSet):
     def __getitem__(self, index: slice) -> list[View]: ...
 
     def __getitem__(self, index: int | slice) -> View | list[View]:
-        """A view, or a list of some.
-
-        Raises:
-            IndexError: There is no such view.
-        """
+        """A view, or a list of some."""
         if isinstance(index, slice):
             return [self[i] for i in range(len(self))[index]]
         index = range(len(self))[index]
@@ -145,16 +141,7 @@ class PicturePoison(Protocol):
 
 
 def poisoned(views: Sequence[View], pictures: Mapping[int, Tensor], poison: Mapping[str, Any]) -> Poisoned:
-    """A set in which some pictures are replaced.
-
-    Args:
-        views: The untouched set.
-        pictures: (H, W, 3) sRGB in [0, 1], by position.
-        poison: See `Poisoned`.
-
-    Raises:
-        InvalidValueError: A picture has another size than its view, or a value outside [0, 1].
-    """
+    """A set in which some pictures are replaced."""
     replaced, changes = {}, []
     for index in sorted(pictures):
         before = views[index]
@@ -164,11 +151,7 @@ def poisoned(views: Sequence[View], pictures: Mapping[int, Tensor], poison: Mapp
 
 
 def checked_picture(picture: Tensor, before: View, what: str) -> Tensor:
-    """A copy of a new picture, of the kind of the one that it takes the place of.
-
-    Raises:
-        InvalidValueError: It has another size, or a value outside [0, 1].
-    """
+    """A copy of a new picture, of the kind of the one that it takes the place of."""
     image = picture.detach().to(before.image).clone()
     if image.shape != before.image.shape:
         expected, got = f"shape {tuple(before.image.shape)}", tuple(image.shape)
@@ -184,11 +167,6 @@ def within_ball(image: Tensor, clean: Tensor, eps: int | None) -> Tensor:
 
     It is clipped in whole steps of 1/255: a file of 8 bits holds it exactly, and it stays in the ball there, too, even
     where the clean picture lies between two steps.
-
-    Args:
-        image: (H, W, 3) sRGB.
-        clean: (H, W, 3) sRGB in [0, 1].
-        eps: Radius of the ball in steps of 1/255; None is none.
     """
     steps, middle, eps = (image.detach().clamp(0, 1) * 255).round(), clean.to(image) * 255, 255 if eps is None else eps
     steps = steps.clamp((middle - eps - _ROUNDING).ceil(), (middle + eps + _ROUNDING).floor())
@@ -196,11 +174,7 @@ def within_ball(image: Tensor, clean: Tensor, eps: int | None) -> Tensor:
 
 
 def chosen_views(views: Sequence[View], share: float, seed: int) -> list[int]:
-    """Positions of the pictures to change, rising; those of a smaller share are among those of a larger.
-
-    Raises:
-        InvalidValueError: There are no views.
-    """
+    """Positions of the pictures to change, rising; those of a smaller share are among those of a larger."""
     if not len(views):
         raise InvalidValueError.of("views", "at least one", "none", "capture views first")
     order = torch.randperm(len(views), generator=torch.Generator().manual_seed(seed)).tolist()
@@ -208,21 +182,13 @@ def chosen_views(views: Sequence[View], share: float, seed: int) -> list[int]:
 
 
 def check_masks(masks: Masks | None, views: int) -> None:
-    """Raise unless there is a mask for each view.
-
-    Raises:
-        InvalidValueError: There are more or fewer.
-    """
+    """Raise unless there is a mask for each view."""
     if masks is not None and not callable(masks) and len(masks) != views:
         raise InvalidValueError.of("masks", f"one for each of {views} views", len(masks), "pass them all")
 
 
 def mask_of(masks: Masks | None, index: int, camera: Camera) -> Tensor:
-    """(H, W) bool mask of one view; None masks everything.
-
-    Raises:
-        InvalidValueError: It has another size, or is not bool.
-    """
+    """(H, W) bool mask of one view; None masks everything."""
     size = (camera.height, camera.width)
     if masks is None:
         return torch.ones(size, dtype=torch.bool)

@@ -82,12 +82,7 @@ def _pictures(config: ClassifiedConfig, inputs: Mapping[str, Path]) -> Iterator[
 
 
 def checked_classifier(name: str, fingerprint: str, device: str) -> Classifier:
-    """The classifier of a job, on a device.
-
-    Raises:
-        InvalidValueError: It has other weights or classes than those that were asked for.
-        DetectorError: It cannot be loaded.
-    """
+    """The classifier of a job, on a device."""
     classifier = load_classifier(name)
     if classifier.fingerprint != fingerprint:
         do = "get the weights that the study began with, or begin it anew"

@@ -57,23 +57,7 @@ class Decoy:
         seed: int = 0,
         on_step: OnStep | None = None,
     ) -> GaussianScene:
-        """The decoy after some steps, each towards the target at one camera; each camera comes once before any again.
-
-        Args:
-            views: The untouched set.
-            target: What it learns.
-            steps: Cameras that it looks at.
-            every: Cameras whose gradients are summed in one step of the optimiser.
-            strategy: How it is cloned, split and pruned; None never does it.
-            prune_large: Whether the classic strategy also removes what is large, as it does once opacities were reset.
-            look: What the victim sees of a picture; the loss is that of what is seen. None is all of it.
-            seed: Of the order of the cameras, and of splits.
-            on_step: Called after each step.
-
-        Raises:
-            InvalidValueError: There are no views, or no Gaussian of the start is in any of them.
-            TrainingError: The decoy is no longer finite, or all of it was pruned.
-        """
+        """The decoy after some steps, each towards the target at one camera; cameras come in shuffled epochs."""
         state = self._begun(views, steps, strategy or FixedConfig(), seed)
         if strategy is not None and prune_large:
             state.strategy_state["opacities_were_reset"][:] = True

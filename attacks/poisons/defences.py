@@ -24,36 +24,18 @@ _LEVELS = 2
 
 
 def filtered(image: Tensor, config: FilterConfig) -> Tensor:
-    """A picture after a filter.
-
-    Args:
-        image: (H, W, 3) sRGB.
-        config: Which filter, and how strong.
-
-    Returns:
-        (H, W, 3) sRGB in [0, 1], differentiable.
-    """
+    """A picture after a filter."""
     return _FILTERS[config.name](image, config.amount).clamp(0, 1)
 
 
 def blurred(image: Tensor, sigma: float = 1.5) -> Tensor:
-    """A Gaussian window of 5 x 5 over a picture (H, W, 3), whose rim goes on outside.
-
-    Args:
-        image: The picture.
-        sigma: Standard deviation, pixels.
-    """
+    """A Gaussian window of 5 x 5 over a picture (H, W, 3), whose rim goes on outside."""
     taps = [math.exp(-0.5 * (k / sigma) ** 2) for k in range(-_BLUR_RADIUS, _BLUR_RADIUS + 1)]
     return _smoothed(image, [tap / sum(taps) for tap in taps])
 
 
 def low_frequencies(image: Tensor, share: float = 0.5) -> Tensor:
-    """A picture (H, W, 3) of its lowest spatial frequencies alone, by FFT of the picture and its mirror images.
-
-    Args:
-        image: The picture.
-        share: Of the frequencies up to half a wave a pixel along each axis, how many stay.
-    """
+    """A picture (H, W, 3) of its lowest spatial frequencies alone, by FFT of the picture and its mirror images."""
     height, width, _ = image.shape
     mirrored = torch.cat([image, image.flip(0)])
     mirrored = torch.cat([mirrored, mirrored.flip(1)], dim=1)  # without it, opposite rims would bleed into each other
@@ -71,10 +53,6 @@ def shrunk_detail(image: Tensor, steps: float = 16.0) -> Tensor:
     DefenseSplat (arXiv 2602.19323) takes detail bands of a wavelet transform out of training pictures. Here the
     transform is the undecimated one "a trous" of the kernel (1, 2, 1)/4, of two levels, which leaves no blocks, and
     strong edges stay.
-
-    Args:
-        image: The picture.
-        steps: Up to this size detail goes, and what is larger shrinks by as much; steps of 1/255. 255 takes all of it.
     """
     coarse, detail = image, torch.zeros_like(image)
     for level in range(_LEVELS):
@@ -85,16 +63,7 @@ def shrunk_detail(image: Tensor, steps: float = 16.0) -> Tensor:
 
 
 def finest_samples(scene: GaussianScene, cameras: Sequence[Camera], *, near: float) -> Tensor:
-    """Size of a pixel at each Gaussian, in the camera that sees it finest (Mip-Splatting, Yu et al. 2024, equation 7).
-
-    Args:
-        scene: N Gaussians.
-        cameras: Those of the training.
-        near: Near plane, world units; what is nearer is not seen.
-
-    Returns:
-        (N,) depth over focal length, world units; infinite for what no camera sees.
-    """
+    """Size of a pixel at each Gaussian, in its finest camera (Mip-Splatting, Yu et al. 2024, equation 7)."""
     finest = torch.full_like(scene.opacities.detach(), torch.inf)
     for camera in cameras:
         pixels, depths = project_points(scene.means.detach(), camera)
@@ -111,15 +80,6 @@ def frequency_pruned(
     Spectral Defense (arXiv 2603.12796) prunes Gaussians of high frequency. What is high is taken from the sampling of
     the training cameras here. A surface needs Gaussians that are thin along its normal, so that the middle axis counts
     and not the shortest. What no camera sees stays.
-
-    Args:
-        scene: The splat.
-        views: Those that it was trained on.
-        config: From which frequency on.
-        near: Near plane of the training, world units.
-
-    Raises:
-        InvalidValueError: Nothing would be left.
     """
     finest = finest_samples(scene, cameras_of(views), near=near)
     middle = scene.scales.detach().sort(dim=1).values[:, 1]
@@ -131,13 +91,7 @@ def frequency_pruned(
 
 
 def _smoothed(image: Tensor, taps: Sequence[float], *, apart: int = 1) -> Tensor:
-    """A picture (H, W, 3) under one window along columns and rows; its rim goes on outside.
-
-    Args:
-        image: The picture.
-        taps: The window, an odd number.
-        apart: Pixels between two of them.
-    """
+    """A picture (H, W, 3) under one window along columns and rows; its rim goes on outside."""
     margin, (height, width, _) = apart * (len(taps) // 2), image.shape
     padded = F.pad(image.permute(2, 0, 1), (margin,) * 4, mode="replicate")
     rows = sum(tap * padded[:, k * apart : k * apart + height] for k, tap in enumerate(taps))

@@ -56,17 +56,7 @@ class MIFGSM:
     decoy: Decoy | None = None
 
     def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
-        """The set with the chosen pictures changed, but for those that the classifier misreads already.
-
-        Args:
-            views: The untouched set.
-            seed: Of the pictures that are changed, and of the decoy's order of cameras.
-            on_step: Told of the progress.
-
-        Raises:
-            InvalidValueError: The classifier does not know the label or the target, they are the same, a mask is empty
-                or does not fit, there are no views, or a decoy is there without steps, or steps without a decoy.
-        """
+        """The set with the chosen pictures changed, but for those that the classifier misreads already."""
         config = self.config
         true = class_number(self.classifier, self.label, "label")
         goal = true if config.target is None else class_number(self.classifier, config.target, "target")

@@ -26,28 +26,13 @@ from mi_splat.training.strategies import ClassicConfig, StrategyConfig
 
 
 def total_variation(image: Tensor, variation: Variation = "both") -> Tensor:
-    """Sum of the absolute differences between neighbours of a picture (H, W, 3), differentiable.
-
-    Args:
-        image: The picture.
-        variation: "both" sums over the neighbours along columns and along rows. "vertical" sums over those along
-            columns twice, as `image_total_variation` of the public implementation does for a picture (3, H, W).
-    """
+    """Sum of the absolute differences between neighbours of a picture (H, W, 3), differentiable."""
     along_columns = (image[1:] - image[:-1]).abs().sum()
     return 2 * along_columns if variation == "vertical" else along_columns + (image[:, 1:] - image[:, :-1]).abs().sum()
 
 
 def raised(image: Tensor, clean: Tensor, config: PoisonSplatConfig | RaisedVariationConfig) -> Tensor:
-    """A picture of more total variation, reached by steps along the sign of its gradient.
-
-    Args:
-        image: (H, W, 3) sRGB to begin with.
-        clean: (H, W, 3) sRGB, the middle of the ball.
-        config: The ball, the steps, what is raised, and through which filter it is looked at.
-
-    Returns:
-        (H, W, 3) sRGB in the ball and in [0, 1].
-    """
+    """A picture of more total variation, reached by steps along the sign of its gradient."""
     eps, look = _radius(config.eps) / 255, _through(config.through)
     lowest, highest = (clean - eps).clamp(min=0), (clean + eps).clamp(max=1)
     image = image.detach().clamp(0, 1)
@@ -72,17 +57,7 @@ class PoisonSplat:
     begun: Decoy
 
     def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
-        """The poisoned set; with eps or a share of 0 it is the untouched one, picture for picture.
-
-        Args:
-            views: The untouched set; pictures are (H, W, 3) sRGB in [0, 1].
-            seed: Of the order of the cameras, of the decoy's splits, and of the pictures that are changed.
-            on_step: Called after each step of the decoy.
-
-        Raises:
-            InvalidValueError: There are no views, or no Gaussian of the start is in any of them.
-            TrainingError: The decoy is no longer finite, or all of it was pruned.
-        """
+        """The poisoned set; with eps or a share of 0 it is the untouched one, picture for picture."""
         config, begun = self.config, self.begun
         chosen = chosen_views(views, config.share, seed)
         about = _about("poison-splat", config, seed)
@@ -136,16 +111,7 @@ class UniformNoise:
     config: UniformNoiseConfig = field(default_factory=UniformNoiseConfig)
 
     def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
-        """The set with noise; each picture's is its own, whatever share is changed.
-
-        Args:
-            views: The untouched set.
-            seed: Of the noise, and of the pictures that are changed.
-            on_step: Called after each picture.
-
-        Raises:
-            InvalidValueError: There are no views.
-        """
+        """The set with noise; each picture's is its own, whatever share is changed."""
         eps = self.config.eps
 
         def noisy(view: View, index: int) -> Tensor:
@@ -167,16 +133,7 @@ class RaisedVariation:
     config: RaisedVariationConfig = field(default_factory=RaisedVariationConfig)
 
     def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
-        """The set of raised variation.
-
-        Args:
-            views: The untouched set.
-            seed: Of the pictures that are changed.
-            on_step: Called after each picture.
-
-        Raises:
-            InvalidValueError: There are no views.
-        """
+        """The set of raised variation."""
         config = self.config
 
         def changed(view: View, index: int) -> Tensor:

@@ -52,18 +52,7 @@ POISONS.add("cloak", PoisonSpec(name="cloak", config=CloakConfig))
 
 
 def poison_config(table: Mapping[str, Any], where: str) -> PoisonConfig:
-    """The settings of a poison.
-
-    Args:
-        table: With its `kind`.
-        where: Name of the table, for errors.
-
-    Returns:
-        The settings, checked.
-
-    Raises:
-        InvalidValueError: There is no such kind, it is a broken package's, or a setting is unknown or cannot be.
-    """
+    """The settings of a poison."""
     if not isinstance(table, Mapping):
         raise InvalidValueError(message(where, "a table", repr(table), 'write { kind = "poison-splat" }'))
     check_choice(f"kind of {where}", table.get("kind"), tuple(POISONS))
@@ -75,18 +64,7 @@ def poison_config(table: Mapping[str, Any], where: str) -> PoisonConfig:
 
 
 def poison_of(config: PoisonConfig, decoy: Decoy | None) -> PicturePoison:
-    """The poison of settings; those of M-IFGSM and CLOAK need more than a decoy.
-
-    Args:
-        config: The settings.
-        decoy: Where one begins; only some kinds need one.
-
-    Returns:
-        The poison.
-
-    Raises:
-        InvalidValueError: As in `PoisonSpec.poison`.
-    """
+    """The poison of settings; those of M-IFGSM and CLOAK need more than a decoy."""
     if isinstance(config, PluggedPoison):
         spec = POISONS.chosen(config.kind)
         config = decode(spec.config, config.settings, config.kind)

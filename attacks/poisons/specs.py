@@ -36,18 +36,7 @@ class PoisonSpec:
     needs_splat: bool = False
 
     def poison(self, config: Any, decoy: Decoy | None) -> PicturePoison:
-        """The poison of settings.
-
-        Args:
-            config: An instance of `config`.
-            decoy: Starts as the splat of the set; None where there is none.
-
-        Returns:
-            The poison.
-
-        Raises:
-            InvalidValueError: It needs more than a splat, or a splat where there is none.
-        """
+        """The poison of settings."""
         if self.make is None or (self.needs_splat and decoy is None):
             expected, do = "one that needs no more than a splat", "run it as a study"
             raise InvalidValueError(message("poison", expected, type(config).__name__, do))

@@ -114,11 +114,7 @@ class _Costs:
         self._wall, self._processor = time.monotonic(), time.process_time()
 
     def look(self, line: Progress) -> None:
-        """Count a step.
-
-        Raises:
-            _TooMuchError: The victim can afford no more.
-        """
+        """Count a step."""
         self.steps += 1
         seconds, megabytes = self._config.seconds, self._config.megabytes
         if seconds is not None and time.monotonic() - self._wall > seconds:

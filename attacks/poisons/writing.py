@@ -38,19 +38,6 @@ def write_poisoned(
     """Write a poisoned set: transforms files, PNG pictures, masks, points.
 
     A picture that stayed keeps its bytes if it is a PNG file that is read as it is, and its pixels otherwise.
-
-    Args:
-        folder: For the set.
-        clean: The untouched set.
-        done: The same after the poison, see `as_files_hold`.
-        held_out: Pictures for tests, which stay as they are.
-        changes_count: Whether what was changed counts for who trains, even where a mask of the set leaves it out.
-        keeps_alpha: Whether changed pictures stay transparent where they were, and so cannot change there; else they
-            are opaque.
-
-    Raises:
-        DatasetError: A picture or its mask cannot be read.
-        SplatFileError: A file cannot be written.
     """
     images = make_folder(folder / IMAGES)
     parts: dict[str, tuple[Dataset, Mapping[int, View]]] = {"train": (clean, done.views.replaced)}
@@ -79,13 +66,6 @@ def as_files_hold(done: Poisoned, clean: Dataset) -> Poisoned:
 
     There the colour of the file is moved by whole steps of 1/255, as many as do not go beyond what was asked for. Other
     pictures, and what is said of them, stay as they are.
-
-    Args:
-        done: After the poison, whose pictures are blended with the background.
-        clean: The untouched set.
-
-    Raises:
-        DatasetError: A picture cannot be read.
     """
     replaced, changes = dict(done.views.replaced), list[Change]()
     for change in done.changes:
@@ -124,11 +104,7 @@ def difference_sheet(done: Poisoned) -> NDArray[np.uint8]:
 
 
 def _part(changed: Tensor) -> slice:
-    """What is shown along an axis of a picture.
-
-    Args:
-        changed: (N,) bool, whether something changed in each row or column.
-    """
+    """What is shown along an axis of a picture."""
     count, indices = len(changed), changed.nonzero().flatten().tolist()
     middle = (indices[0] + indices[-1]) // 2 if indices else count // 2
     start = max(0, min(middle - _LARGEST // 2, count - _LARGEST))
@@ -157,16 +133,7 @@ def _straight(image: Tensor, alpha: Tensor, behind: Tensor) -> Tensor:
 
 
 def _counting(views: Dataset, index: int, changed: View | None) -> Tensor | None:
-    """What of a picture counts for who trains on it: as it was, and all that was changed.
-
-    Args:
-        views: The set.
-        index: Of the picture.
-        changed: What takes its place; None if it stays, or where changes do not count of themselves.
-
-    Returns:
-        (H, W) in [0, 1]; None where all of it counts.
-    """
+    """What of a picture counts for who trains on it: as it was, and all that was changed."""
     if views.frames[index].mask is None and views.frames[index].lens is None:
         return None  # without reading the picture once more
     mask = views.loss_mask(index)

@@ -44,11 +44,7 @@ def missing_packages() -> list[str]:
 
 
 def need_packages() -> None:
-    """Raise, before any work is done, if a page cannot be made.
-
-    Raises:
-        InvalidValueError: Jinja2 or matplotlib is not installed.
-    """
+    """Raise, before any work is done, if a page cannot be made."""
     missing = missing_packages()
     if missing:
         raise InvalidValueError.of(" and ".join(missing), "the package, for pages", "not installed", install("report"))
@@ -64,12 +60,7 @@ def colours(chart: Chart) -> list[int]:
 
 
 def svg(chart: Chart, name: str) -> str:
-    """A chart as an SVG element.
-
-    Args:
-        chart: What is drawn.
-        name: Of the chart on its page, which keeps the names inside of it apart from those of others.
-    """
+    """A chart as an SVG element."""
     import matplotlib
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure

@@ -79,41 +79,20 @@ class Result:
 
 
 def read_result(folder: Path) -> Result:
-    """A result with its tables.
-
-    Raises:
-        InvalidValueError: A file of it is missing or broken.
-    """
+    """A result with its tables."""
     record = DocumentReader(do="pass a folder of results").read_json(folder / RECORD)
     tables = {name: read_rows(path) for name in TABLES if (path := folder / f"{name}{SUFFIX}").is_file()}
     return Result(folder=folder, record=record, manifest=read_manifest(folder), tables=tables)
 
 
 def check_result(result: Result, figures: Figures | None, *, manifest: str | None = None) -> list[Check]:
-    """Every line of a result: of its files, of its figures, and of its single detections.
-
-    Args:
-        result: The result.
-        figures: Derives its figures from its rows; None where its kind has no rows.
-        manifest: As in `check_files`.
-
-    Raises:
-        InvalidValueError: The manifest is broken, or rows and settings are not those of one result.
-    """
+    """Every line of a result: of its files, of its figures, and of its single detections."""
     lines = [*check_files(result.folder, manifest=manifest), *check_figures(result, figures)]
     return [*lines, *check_detections(result)]
 
 
 def check_files(folder: Path, *, manifest: str | None = None) -> list[Check]:
-    """A line for the manifest of a result, for each file that it lists, and for each that it does not list.
-
-    Args:
-        folder: Of the result.
-        manifest: SHA-256 that its manifest.json has to have; None is not known.
-
-    Raises:
-        InvalidValueError: There is no manifest, or it is broken.
-    """
+    """A line for the manifest of a result, for each file that it lists, and for each that it does not list."""
     listed = read_manifest(folder)
     same = None if manifest is None else listed.sha256 == manifest
     lines = [Check(name=MANIFEST, words=f"sha256 {listed.sha256}{', another' if same is False else ''}", passed=same)]
@@ -130,12 +109,7 @@ def check_files(folder: Path, *, manifest: str | None = None) -> list[Check]:
 
 
 def check_figures(result: Result, figures: Figures | None) -> list[Check]:
-    """A line for each figure that follows from the rows, and for each rate in result.json that does not.
-
-    Args:
-        result: The result.
-        figures: Derives them; None where the kind has no rows.
-    """
+    """A line for each figure that follows from the rows, and for each rate in result.json that does not."""
     derived = {} if figures is None else flat(_derived(result, figures))
     stated = flat(result.record)
     lines = []
@@ -233,20 +207,6 @@ def pack(folder: Path, out: Path, figures: Figures | None, *, whole: bool = Fals
 
     Its manifest stays what it is, so that the copy has the same name (the SHA-256 of its manifest) and says what was
     left out.
-
-    Args:
-        folder: Of the result.
-        out: The new folder.
-        figures: Derives its figures from its rows; None where its kind has no rows.
-        whole: Whether to copy splats and pictures, too.
-        force: Whether an older result at `out` may be replaced.
-
-    Returns:
-        The copy.
-
-    Raises:
-        InvalidValueError: A file of the result is missing or was changed, or its rows do not give its figures.
-        SplatFileError: `out` is in use or cannot be written.
     """
     result = read_result(folder)
     red = next((line for line in check_result(result, figures) if line.passed is False), None)

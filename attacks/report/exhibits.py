@@ -42,23 +42,7 @@ def open_exhibit(
     cameras: Path | None = None,
     background: tuple[float, float, float] | None = None,
 ) -> Exhibit:
-    """A splat, a scene XML, a data set, or a folder of `train`, `dagger`, `dagger-eot`, `evaluate`, `cloak` or `audit`.
-
-    Args:
-        path: The file or the folder.
-        clean: Splat file or scene XML to compare with. Of a folder of `mi-splat dagger` it is found, if it lies among
-            the scenes of the working folder; a folder of `mi-splat cloak` has its own. Of an audit, the splat that was
-            audited, if it is not any more where it was.
-        up: (3,) direction that is up in the files; None is what a result was made with, z if it says nothing.
-        cameras: Data set or JSON file whose cameras stand before those that there are; with a data set one splat is
-            shown beside what was photographed. That of a training is found if it is where it was, with the
-            poses that it had.
-        background: sRGB colour behind splats and transparent pixels of a data set; None is what the files say.
-
-    Raises:
-        MiSplatError: It is none of these, a file in it is missing or broken, or the clean scene is not the one that was
-            attacked.
-    """
+    """A splat, scene XML, data set, or folder of `train`, `dagger`, `dagger-eot`, `evaluate`, `cloak` or `audit`."""
     exhibit = _opened(path, clean, background or (0.0, 0.0, 0.0))
     run = path / CONFIG
     if run.is_file() and exhibit.photographs is None:
@@ -209,11 +193,7 @@ def _purpose(record: Mapping[str, Any]) -> str:
 
 
 def middle_of_change(clean: GaussianScene, attacked: GaussianScene) -> Point:
-    """(3,) mean of the Gaussians that an attack has changed, world units: the middle of the attacked object.
-
-    Raises:
-        InvalidValueError: The scenes have different numbers of Gaussians.
-    """
+    """(3,) mean of the Gaussians that an attack has changed, world units: the middle of the attacked object."""
     if len(clean) != len(attacked):
         do = "pass the scene that was attacked"
         raise InvalidValueError.of("attacked.ply", f"{len(clean)} Gaussians", len(attacked), do)
@@ -320,11 +300,7 @@ class DetectorInspection:
 
 
 def detector_inspector(detector: Detector, *, min_confidence: float = MIN_CONFIDENCE) -> Inspector:
-    """A function that looks at a picture of a page with a detector, as an evaluation does.
-
-    Returns:
-        What draws the detections and says them in words.
-    """
+    """A function that looks at a picture of a page with a detector, as an evaluation does."""
 
     def inspect(picture: Tensor) -> DetectorInspection:
         (detections,) = detector.detect(picture[None])

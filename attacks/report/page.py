@@ -26,33 +26,14 @@ MOST_NAMED = 3
 
 
 def write_page(sections: Sequence[Section], path: Path, *, title: str | None = None, force: bool = False) -> None:
-    """Write the page; the file appears whole or not at all.
-
-    Args:
-        sections: The results, in their order.
-        path: The file, which ends in .html.
-        title: Heading; None is made of the results.
-        force: Whether a file that is there may be replaced.
-
-    Raises:
-        InvalidValueError: As `mi_splat.io.folders.check_new_file`, or a picture is broken.
-        SplatFileError: The file cannot be written.
-    """
+    """Write the page; the file appears whole or not at all."""
     text = page_text(sections, title=title)
     check_new_file(path, ENDINGS, force=force)
     save_text(text, path)
 
 
 def page_text(sections: Sequence[Section], *, title: str | None = None) -> str:
-    """The page as HTML; the same sections give the same text.
-
-    Args:
-        sections: The results, in their order.
-        title: Heading; None is made of the results.
-
-    Raises:
-        InvalidValueError: A picture is broken.
-    """
+    """The page as HTML; the same sections give the same text."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
@@ -129,11 +110,7 @@ def _part(number: int, section: Section) -> dict[str, Any]:
 
 
 def data_address(path: Path) -> dict[str, Any]:
-    """A picture as a data: address, with its width and height on the page.
-
-    Raises:
-        PictureFileError: The file is no picture, or has too many pixels.
-    """
+    """A picture as a data: address, with its width and height on the page."""
     picture = load_picture(path).convert("RGB")
     picture.thumbnail((LONGEST_SIDE, LONGEST_SIDE), Image.Resampling.LANCZOS)
     buffer = io.BytesIO()

@@ -53,24 +53,7 @@ def rescore(
     rate_tolerance: float = RATE_TOLERANCE,
     on_view: OnView = lambda done, total: None,
 ) -> list[Check]:
-    """Render the splats of a result, let detectors look, and say how every rate moved.
-
-    Args:
-        result: The result.
-        rescoring: How its kind is scored again; None if it is not.
-        detectors: Those of the result or others.
-        splats: Folder with the splats; None takes those in the result.
-        every: Looks from each so manieth camera; the rates of the rows are then those of the same cameras.
-        rate_tolerance: How far a rate may move.
-        on_view: Told of the progress.
-
-    Returns:
-        A line for each detector and rate; grey for a detector that the result does not have.
-
-    Raises:
-        InvalidValueError: A splat is not there or another one, cameras.json is missing or broken, or the result is of a
-            kind that is not scored again.
-    """
+    """Render the splats of a result, let detectors look, and say how every rate moved."""
     if rescoring is None:
         do = "score one of its attacks again"
         raise InvalidValueError.of(str(result.folder), "one attack, or a study of CLOAK", result.story, do)

@@ -81,14 +81,7 @@ STORIES = (
 
 
 def read_section(path: Path) -> Section:
-    """What a page says of one result; whatever is broken in it is told in one line.
-
-    Args:
-        path: A folder of results.
-
-    Raises:
-        InvalidValueError: It is none that one of `STORIES` names, or a file in it is broken.
-    """
+    """What a page says of one result; whatever is broken in it is told in one line."""
     names = (story.file for story in STORIES if (path / story.file).is_file())
     file, commands = path / next(names, RECORD), ", ".join(f"mi-splat {story.name}" for story in STORIES)
     if not file.is_file():
@@ -111,13 +104,7 @@ def read_section(path: Path) -> Section:
 
 
 def finished(section: Section, path: Path, record: Record) -> Section:
-    """A section with what all results have, and without what is empty.
-
-    Args:
-        section: What the story says.
-        path: Folder of the result.
-        record: A document with what `mi_splat.provenance.origin` gives.
-    """
+    """A section with what all results have, and without what is empty."""
     control = section.control
     return replace(
         section,
@@ -134,11 +121,7 @@ def finished(section: Section, path: Path, record: Record) -> Section:
 
 
 def story_of(result: Result) -> Story:
-    """The kind of a result.
-
-    Raises:
-        InvalidValueError: It is of none.
-    """
+    """The kind of a result."""
     story = _story(result.record)
     if story is None:
         got, do = result.story[:40], "make the result again with this version"

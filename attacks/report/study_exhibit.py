@@ -65,13 +65,7 @@ def exhibit_of_study(folder: Path, record: Mapping[str, Any]) -> Exhibit:
 
 
 def region(attack: AttackConfig, centre: Point, radius: float) -> torch.Tensor:
-    """(S, 2, 3) edges of the directions from which an attack is to be seen, on a sphere.
-
-    Args:
-        attack: Whose.
-        centre: (3,) of the sphere, world units.
-        radius: Of the sphere, world units.
-    """
+    """(S, 2, 3) edges of the directions from which an attack is to be seen, on a sphere."""
     low, high = attack.elevation
     middle, half = attack.azimuth or (180.0, 180.0)
     west, east = middle - half, middle + half

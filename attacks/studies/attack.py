@@ -96,11 +96,7 @@ class DrawnAttack(Attack):
 
 
 def run(config: FixedAttack | DrawnAttack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
-    """Attack, and write what comes of it.
-
-    Returns:
-        A row for each splat, view and detector.
-    """
+    """Attack, and write what comes of it."""
     scene = attack_scene(inputs["scene"])
 
     def follow(step: Step) -> None:
@@ -155,10 +151,6 @@ def with_gradient_of(gradient: RenderFn, picture: RenderFn) -> RenderFn:
 
     A derivative of the loss by the pixels is therefore that at the picture that is shown; the derivative of the pixels
     by the Gaussians is the other renderer's.
-
-    Args:
-        gradient: A differentiable renderer.
-        picture: Any renderer.
     """
 
     def rendered(scene: GaussianScene, camera: Camera) -> Tensor:

@@ -102,11 +102,7 @@ class Audited:
         return {**told, **audit.rows[0], **read_json(rivals.folder / RIVALS), "seconds": seconds}
 
     def copy_pair(self, results: Mapping[str, Done], folder: Path) -> Path | None:
-        """Copy the two pictures that speak against the splat, if there are any, under its name.
-
-        Returns:
-            The file; None without pictures.
-        """
+        """Copy the two pictures that speak against the splat, if there are any, under its name."""
         done = results.get(self.audit.identity)
         if done is None or not (done.folder / PAIR).is_file():
             return None

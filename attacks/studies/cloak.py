@@ -70,9 +70,6 @@ def tables(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Ta
 
     Rates are pooled over seeds, as a summary has them. Losses, and the numbers of Gaussians, are means over the seeds;
     the transition is that of all seeds together.
-
-    Args:
-        groups: By group and value, the summary of each study.
     """
     for group, results in groups.items():
         title, summaries = group.replace("_", " "), [{"value": value, **summary} for value, summary in results.items()]
@@ -156,16 +153,7 @@ class CloakJudge:
         check(self)
 
     def looks(self, steps: StudySteps, detectors: Sequence[Detector]) -> Iterator[Look]:
-        """The looks at each splat of a study.
-
-        Args:
-            steps: The study.
-            detectors: Those that it names.
-
-        Raises:
-            InvalidValueError: There is no such condition or detector, or the study has no layers, by which the object
-                is known Gaussian by Gaussian, and shall stand on a street.
-        """
+        """The looks at each splat of a study."""
         sun, street = street_of(self.condition, self.sun)
         if sun is not None and steps.study.layers is None:
             do = "take a study with [layers], whose object is known Gaussian by Gaussian"
@@ -280,15 +268,7 @@ class CloakWork(Work):
 
 
 def config_of(settings: Settings, name: str) -> StudyConfig:
-    """The study of CLOAK of a point.
-
-    Args:
-        settings: As the file has them; "none" stands for None.
-        name: Of the study.
-
-    Raises:
-        InvalidValueError: The base is no study, or a setting is unknown or cannot be.
-    """
+    """The study of CLOAK of a point."""
     values = {key: value for key, value in settings.items() if key != "base"}
     if "base" in settings:
         path = Path(str(settings["base"]))
@@ -309,13 +289,7 @@ def _seen(point: CloakPoint, done: Mapping[str, Done]) -> tuple[dict[str, Any], 
 def pooled(
     points: Mapping[str, Mapping[str, Any]], studies: Mapping[str, StudyConfig], rows: pl.DataFrame
 ) -> dict[str, Any]:
-    """What a result says of each part whose points are one attack on several objects (`over_objects`), if any is.
-
-    Args:
-        points: What was found, by title.
-        studies: Of each point.
-        rows: Of all points, with their titles in the column `attack`.
-    """
+    """What a result says of each part whose points are one attack on several objects (`over_objects`), if any is."""
     parts: dict[str, dict[str, StudyConfig]] = {}
     for title, point in points.items():
         parts.setdefault(point["part"], {})[title] = studies[title]
@@ -325,11 +299,7 @@ def pooled(
 
 
 def pooled_tables(record: Mapping[str, Any]) -> Iterator[Table]:
-    """For each part that is one attack on several objects a table of its rates over all of them.
-
-    Args:
-        record: result.json.
-    """
+    """For each part that is one attack on several objects a table of its rates over all of them."""
     columns: dict[str, Column[Any]] = {"detector": "detector", "its region": "region"}
     columns |= {head: lambda line, key=key: cell(line[key]) for key, head in _POOLED.items()}  # type: ignore[misc]
     for part, over in record.get("pooled", {}).items():
@@ -345,11 +315,7 @@ def pooled_tables(record: Mapping[str, Any]) -> Iterator[Table]:
 
 
 def by_part(record: Mapping[str, Any]) -> dict[str, dict[str, Mapping[str, Any]]]:
-    """What was found, by part and value.
-
-    Args:
-        record: result.json.
-    """
+    """What was found, by part and value."""
     groups: dict[str, dict[str, Mapping[str, Any]]] = {}
     for point in record["points"].values():
         groups.setdefault(point["part"], {})[point["value"]] = point

@@ -63,12 +63,7 @@ class Judge:
     views: int = 24
 
     def looks(self, scene: Path, attacked: Job) -> list[Job]:
-        """A look by each detector at the splat of an attack.
-
-        Args:
-            scene: The scene.
-            attacked: The attack.
-        """
+        """A look by each detector at the splat of an attack."""
         config: FixedAttack | DrawnAttack = attacked.config
         attack, of = config.attack, dict[str, Any]()
         if isinstance(config, FixedAttack):
@@ -95,16 +90,7 @@ class Judge:
 
 
 def attack_of(kind: type[FixedAttack | DrawnAttack], settings: Settings, where: str) -> tuple[Path, Job]:
-    """The scene and the attack that settings ask for; "none" stands for None.
-
-    Args:
-        kind: What they are the settings of.
-        settings: The tables.
-        where: The file, for errors.
-
-    Raises:
-        InvalidValueError: A key is unknown or missing, or a value cannot be.
-    """
+    """The scene and the attack that settings ask for; "none" stands for None."""
     values: dict[str, Any] = with_none(settings)
     region = ("cameras", "pictures", "judged_pictures") if kind is DrawnAttack else ()
     known = [name for name in (entry.name for entry in dataclasses.fields(kind)) if name not in _ELSEWHERE]
@@ -153,11 +139,7 @@ def _objective(values: dict[str, Any], where: str) -> Relabel | Hide | Untargete
 
 
 def weights(detectors: tuple[str, ...]) -> dict[str, Path]:
-    """The files with the weights of detectors, as inputs of a job.
-
-    Raises:
-        DetectorError: There is no such detector, or something that it needs is missing.
-    """
+    """The files with the weights of detectors, as inputs of a job."""
     files = {}
     for name in detectors:
         spec = detector_spec(name)

@@ -73,11 +73,7 @@ class Look:
 
 
 def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
-    """Look at the splats of a job with its detector.
-
-    Returns:
-        A row for each splat and view.
-    """
+    """Look at the splats of a job with its detector."""
     scene = attack_scene(inputs["scene"])
     rows, original = scene.objects[config.object], config.object.replace("_", " ")
     viewing = Viewing(
@@ -142,14 +138,7 @@ def _splats(config: Look, scene: AttackScene, saved: GaussianScene) -> dict[str,
 def clean_and_attacked(
     scene: GaussianScene, rows: slice, saved: GaussianScene, attributes: Sequence[str]
 ) -> tuple[GaussianSubset, GaussianSubset]:
-    """An object in the clean scene, with as many coefficients as the attacked one has, and in the attacked scene.
-
-    Args:
-        scene: The clean scene.
-        rows: The object.
-        saved: Its Gaussians after the attack, as they were loaded from their file.
-        attributes: What of them was attacked; all else is taken from the clean scene.
-    """
+    """An object in the clean scene, with as many coefficients as the attacked one has, and in the attacked scene."""
     clean = GaussianSubset.of(scene.with_degree(max(saved.degree, scene.degree)), rows)
     values = {
         name: whole.clone().index_put((clean.rows,), part)

@@ -49,36 +49,15 @@ class Work:
         return [grid(self.jobs())]
 
     def check_room(self, store: Path) -> None:
-        """Refuse a disk that has no room for what the jobs leave.
-
-        Args:
-            store: Folder of the ledger, which need not be there.
-
-        Raises:
-            InvalidValueError: The disk is too small.
-        """
+        """Refuse a disk that has no room for what the jobs leave."""
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
-        """Write result.json, tables of rows, study.toml and table.md into a folder that exists.
-
-        Args:
-            results: Of the jobs, by their labels.
-            out: The folder.
-
-        Returns:
-            Paths of the files.
-        """
+        """Write result.json, tables of rows, study.toml and table.md into a folder that exists."""
         raise NotImplementedError
 
 
 def bisection(attempts: Sequence[_Attempt], suffices: Callable[[_Attempt, Mapping[str, Result]], bool | None]) -> Plan:
-    """A plan that looks for the first attempt that suffices.
-
-    Args:
-        attempts: Of which those after one that suffices are taken to suffice as well.
-        suffices: Whether an attempt does, by the results of its jobs; None if it failed: then nothing is known of those
-            beyond it, and the search ends.
-    """
+    """A plan that looks for the first attempt that suffices."""
     low, high = -1, len(attempts)  # fails, suffices
     while high - low > 1:
         middle = (low + high) // 2
@@ -89,15 +68,7 @@ def bisection(attempts: Sequence[_Attempt], suffices: Callable[[_Attempt, Mappin
 
 
 def check_apart(where: str, looks: Iterable[str]) -> None:
-    """Raise if two looks at one splat are called the same: their rows would be counted as if they were one look's.
-
-    Args:
-        where: The table of the judges, for errors.
-        looks: What each is called, by detector and condition.
-
-    Raises:
-        InvalidValueError: Two are.
-    """
+    """Raise if two looks at one splat are called the same: their rows would be counted as if they were one look's."""
     for name, number in Counter(looks).items():
         if number > 1:
             do = "tell judges apart by detector and condition"

@@ -21,12 +21,7 @@ COSTS = ("gaussians", "cpu_seconds", "seconds", "peak_megabytes", "gpu_megabytes
 
 
 def figures(record: Record, tables: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
-    """Every figure of a study: for each value how many times the costs are, and how true its splats are.
-
-    Args:
-        record: result.json; costs are taken from its `victims`.
-        tables: Its tables: how true each splat is, and what classifiers saw.
-    """
+    """Every figure of a study: for each value how many times the costs are, and how true its splats are."""
     truth = tables[FIDELITY].with_columns(defended=pl.col("condition").is_not_null())
     means = truth.group_by("attack", "seed", "splat", "defended").agg(pl.col("psnr").mean(), pl.col("ssim").mean())
     quality = {tuple(row[:4]): {"psnr": row[4], "ssim": row[5]} for row in means.iter_rows()}
@@ -55,13 +50,7 @@ def figures(record: Record, tables: Mapping[str, pl.DataFrame]) -> dict[str, Any
 
 
 def _seen(rows: pl.DataFrame, which: str, clusters: Sequence[str] | None = None) -> list[dict[str, Any]]:
-    """For each value, or part, how often the object is named rightly, or found, and how confidently.
-
-    Args:
-        rows: What classifiers saw, or detectors.
-        which: Column of the value or the part.
-        clusters: See `count`.
-    """
+    """For each value, or part, how often the object is named rightly, or found, and how confidently."""
     by = (which, "detector", "splat", "condition")
     rates = count(rows, {"right": Measure(holds=~pl.col("success"))}, by, clusters=clusters)
     means = rows.group_by(by).agg(pl.col("original_score").mean())
@@ -110,11 +99,7 @@ def _spread(values: Sequence[float | None]) -> dict[str, Any] | None:
 
 
 def summary_tables(record: Record) -> Iterator[Table]:
-    """For each part a table of costs, and one of what the splats are worth.
-
-    Args:
-        record: result.json.
-    """
+    """For each part a table of costs, and one of what the splats are worth."""
     parts: dict[str, list[Record]] = {}
     for value in record["values"]:
         parts.setdefault(value["part"], []).append(value)

@@ -91,15 +91,7 @@ class PoisonPoint:
 
 
 def point_of(settings: Settings, name: str) -> PoisonPoint:
-    """What a point asks for.
-
-    Args:
-        settings: As the file has them; "none" stands for None.
-        name: Of the study.
-
-    Raises:
-        InvalidValueError: A setting is unknown or cannot be.
-    """
+    """What a point asks for."""
     values = with_none(settings)
     table = values.pop("poison", None)
     poison = None if table is None else poison_config(table, f"{name}, poison")

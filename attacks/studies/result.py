@@ -78,17 +78,7 @@ class Attempt:
 def write_result(
     study: Study, done: Sequence[tuple[Attempt, Done]], results: Mapping[str, Result], out: Path
 ) -> list[Path]:
-    """Write result.json, rows.csv.gz, study.toml and table.md into a folder that is there.
-
-    Args:
-        study: The study.
-        done: Its attacks that are done.
-        results: Of all jobs, by their labels.
-        out: The folder.
-
-    Returns:
-        The files.
-    """
+    """Write result.json, rows.csv.gz, study.toml and table.md into a folder that is there."""
     named = list(zip(_names(done), done, strict=True))
     rows = frame_of(_whole([row for name, (attempt, result) in named for row in _rows(name, attempt, result, results)]))
     record = {
@@ -198,12 +188,7 @@ def merged_figures(record: Record, derived: Record) -> dict[str, Any]:
 
 
 def figures(record: Record, tables: Tables) -> dict[str, Any]:
-    """Every figure of a study, of its rows, and of what its attacks say of themselves.
-
-    Args:
-        record: result.json.
-        tables: Its tables.
-    """
+    """Every figure of a study, of its rows, and of what its attacks say of themselves."""
     rows, attacks = tables[ROWS], attacks_of(record)
     looked = pl.col("condition").is_not_null() if "condition" in rows.columns else pl.lit(value=False)
     judged, looks = rows.filter(~looked), rows.filter(looked)

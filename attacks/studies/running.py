@@ -35,17 +35,7 @@ class Run:
 
 
 def work_of(study: Study) -> Work:
-    """The jobs of a study, by its kind.
-
-    Args:
-        study: The study.
-
-    Returns:
-        Its work.
-
-    Raises:
-        InvalidValueError: A setting is unknown or cannot be.
-    """
+    """The jobs of a study, by its kind."""
     if study.kind == "cloak":
         from attacks.studies.cloak import CloakWork
 
@@ -64,19 +54,7 @@ def work_of(study: Study) -> Work:
 
 
 def run_with(engine: Engine, study: Study, work: Work, *, store: Path, out: Path, on_event: OnEvent) -> Run:
-    """Do what of a study is not done yet, and write its result into a folder that is its own.
-
-    Args:
-        engine: Who does the jobs.
-        study: The study.
-        work: Its jobs.
-        store: Folder of finished jobs.
-        out: Folder of the result; the caller holds it (`own_folder`).
-        on_event: Told what happens.
-
-    Returns:
-        What came of it.
-    """
+    """Do what of a study is not done yet, and write its result into a folder that is its own."""
     from mi_splat.io.manifest import write_manifest
     from mi_splat.ledger.plans import Driver
 

@@ -30,14 +30,7 @@ class AttackScene(SplatScene):
         return x, y, z
 
     def views(self, name: str, *, camera: int, count: int, seed: int) -> list[Camera]:
-        """Cameras of the scene, moved about an object as `jittered` does.
-
-        Args:
-            name: Of the object.
-            camera: Position of the first camera in the order of the scene file.
-            count: Number of cameras from that one on; 0 is all.
-            seed: Seed of the move.
-        """
+        """Cameras of the scene, moved about an object as `jittered` does."""
         centre = self.scene.means[self.objects[name]].mean(0)
         return [jittered(view, centre, seed=seed) for view in [*self.cameras.values()][camera:][: count or None]]
 
@@ -47,11 +40,7 @@ class AttackScene(SplatScene):
 
 
 def attack_scene(path: Path) -> AttackScene:
-    """A scene XML ready for attacks; read once as long as its files are the same.
-
-    Raises:
-        MiSplatError: It cannot be read.
-    """
+    """A scene XML ready for attacks; read once as long as its files are the same."""
     return _read(path, tuple(_state(file) for file in scene_files(path).values()))
 
 
@@ -62,12 +51,7 @@ def _read(path: Path, state: object) -> AttackScene:
 
 
 def detectors_of(names: tuple[str, ...], inputs: Mapping[str, Path]) -> list[Detector]:
-    """The detectors of a job, each loaded once as long as its weights are the same.
-
-    Args:
-        names: Of the detectors.
-        inputs: Of the job.
-    """
+    """The detectors of a job, each loaded once as long as its weights are the same."""
     return [
         _detector(name, _state(inputs[f"weights {name}"]) if f"weights {name}" in inputs else None) for name in names
     ]
@@ -85,25 +69,13 @@ def _state(file: Path) -> tuple[str, int, int]:
 
 
 def scene_files(path: Path) -> dict[str, Path]:
-    """A scene file and all that it names, as inputs of a job; read once as long as the file is the same.
-
-    Raises:
-        InvalidValueError: It cannot be read.
-    """
+    """A scene file and all that it names, as inputs of a job; read once as long as the file is the same."""
     files = dict.fromkeys(_parts(path, _state(path) if path.is_file() else None).files)
     return {f"scene {number}" if number else "scene": file for number, file in enumerate(files)}
 
 
 def street_of(condition: str, sun: SunTable | None) -> tuple[SunTable | None, dict[str, Path]]:
-    """The street of a condition that is an hour, and its files as inputs of a job; none of another condition.
-
-    Args:
-        condition: Its name.
-        sun: The street of those who judge.
-
-    Raises:
-        InvalidValueError: There is no such condition, or a file of the street cannot be read.
-    """
+    """The street of a condition that is an hour, and its files as inputs of a job; none of another condition."""
     check_condition(condition, sun)
     if sun is None or ":" not in condition:
         return None, {}
@@ -116,17 +88,7 @@ def _parts(path: Path, state: object) -> SceneParts:
 
 
 def check_scene(path: Path, name: str, *, camera: int = 0, renderers: Sequence[str] = ()) -> None:
-    """Raise unless a scene file has an object and a camera, and there are renderers; nothing is loaded.
-
-    Args:
-        path: The scene file.
-        name: Id of the object.
-        camera: Position of the camera in the order of the file.
-        renderers: Names of renderers, as in `mi-splat compare`; "" is the scene's own.
-
-    Raises:
-        InvalidValueError: Something is not there.
-    """
+    """Raise unless a scene file has an object and a camera, and there are renderers; nothing is loaded."""
     elements = _parts(path, _state(path) if path.is_file() else None).elements
     objects = [str(part.get("id")) for part in elements if part.tag == "shape" and part.get("type") == "gaussians"]
     check_choice(f"object of {path}", name, objects)
@@ -141,11 +103,6 @@ def jittered(camera: Camera, centre: torch.Tensor, *, seed: int) -> Camera:
     """The camera turned about the vertical axis through `centre` and moved along the line to it.
 
     It turns by at most 6 degrees, and its distance changes by at most 5 %. Seed 0 changes nothing.
-
-    Args:
-        camera: The camera.
-        centre: (3,) world units, what it looks at.
-        seed: Seed of the draw.
     """
     if seed == 0:
         return camera

@@ -98,11 +98,7 @@ class Study:
     text: str
 
     def of(self, names: Sequence[str]) -> Study:
-        """The study with some of its parts alone; all if none is named.
-
-        Raises:
-            InvalidValueError: There is no such part.
-        """
+        """The study with some of its parts alone; all if none is named."""
         for name in names:
             do = nearest(name, self.parts, "name one of these")
             _check(name in self.parts, f"part of {self.name}", " or ".join(self.parts), name, do)
@@ -115,11 +111,7 @@ class Study:
 
 
 def read_study(path: Path) -> Study:
-    """The study in a TOML file.
-
-    Raises:
-        InvalidValueError: There is no such file, it is no TOML, or it is none of a study.
-    """
+    """The study in a TOML file."""
     if not path.is_file():
         raise InvalidValueError.of("study", "a TOML file", f"no file {path}", "check the path")
     table = DocumentReader(expected="a TOML file", do="correct it").read_toml(path)
@@ -127,16 +119,7 @@ def read_study(path: Path) -> Study:
 
 
 def study_of(table: Settings, name: str, text: str = "") -> Study:
-    """The study in a table.
-
-    Args:
-        table: The content of a file.
-        name: Name of the study.
-        text: The file.
-
-    Raises:
-        InvalidValueError: Some part is none.
-    """
+    """The study in a table."""
     kind, question = table.get("study"), table.get("question", "")
     do = nearest(str(kind), KINDS, 'write for instance study = "dagger" first')
     _check(kind in [*KINDS], f"study in {name}", " or ".join(KINDS), repr(kind), do)

@@ -14,21 +14,13 @@ Cell = Callable[[Record], str]
 
 
 def markdown(record: Record) -> str:
-    """All tables of a study as a page.
-
-    Args:
-        record: Its result.json.
-    """
+    """All tables of a study as a page."""
     head = [f"# {record.get('question') or record['name']}", "", *_introduction(record), ""]
     return "\n".join(head) + f"\n{sections(tables(record))}"
 
 
 def tables(record: Record) -> Iterator[Table]:
-    """All tables of a study: what its attacks have reached, the smallest that suffices, and what others see.
-
-    Args:
-        record: Its result.json.
-    """
+    """All tables of a study: what its attacks have reached, the smallest that suffices, and what others see."""
     for title, groups in by_part(record["groups"]).items():
         compared = list(comparison(title, groups))
         columns = {**_axes(groups), **(_OF_VIEWS if "rate" in groups[0] else _OF_ATTACKS)}
@@ -106,11 +98,7 @@ def _introduction(record: Record) -> list[str]:
 
 
 def attacks_of(record: Record) -> dict[str, Any]:
-    """Every attack of a study with all that is stated of it, by its name.
-
-    Args:
-        record: result.json.
-    """
+    """Every attack of a study with all that is stated of it, by its name."""
     return {name: merged(record.get(SHARED, {}), attack) for name, attack in record["attacks"].items()}
 
 

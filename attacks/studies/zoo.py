@@ -48,10 +48,6 @@ def comparison(title: str, groups: Sequence[Group]) -> Iterator[Table]:
     """Every optimiser against all else that varies, and the signs of doubt; nothing for groups of one optimiser alone.
 
     A cell has the successes, and in brackets the median over seeds of the lowest loss.
-
-    Args:
-        title: Of the part of the study.
-        groups: Its groups.
     """
     members = by_attack(groups)
     after = f": {title}" if title else ""
@@ -77,11 +73,7 @@ def comparison(title: str, groups: Sequence[Group]) -> Iterator[Table]:
 
 
 def by_attack(groups: Sequence[Group]) -> dict[str, list[Group]]:
-    """The groups of each optimiser; none where all have the same, or where the study is no comparison.
-
-    Args:
-        groups: Of one part.
-    """
+    """The groups of each optimiser; none where all have the same, or where the study is no comparison."""
     members: dict[str, list[Group]] = {}
     for group in groups if all(_told(group) for group in groups) else ():
         members.setdefault(str(group["labels"].get(AXIS)), []).append(group)
@@ -96,11 +88,7 @@ def together(groups: Sequence[Group]) -> Group:
 
 
 def cases(groups: Sequence[Group]) -> list[Case]:
-    """Attacks by what they have in common besides the optimiser.
-
-    Args:
-        groups: Of one part, or of all; those that state no loss are left out.
-    """
+    """Attacks by what they have in common besides the optimiser."""
     alike: dict[tuple[str, str], list[Group]] = {}
     for group in groups:
         if _told(group) and AXIS in group["labels"]:
@@ -116,11 +104,7 @@ def cases(groups: Sequence[Group]) -> list[Case]:
 
 
 def doubts(groups: Sequence[Group]) -> Iterator[str]:
-    """What speaks against attacks of a study that differ in the optimiser alone.
-
-    Args:
-        groups: Of all parts.
-    """
+    """What speaks against attacks of a study that differ in the optimiser alone."""
     for case in cases(groups):
         yield from (f"{doubt} ({case.name})" for doubt in case.doubts)
 

@@ -90,15 +90,7 @@ def _run(
     starts: SearchState | None = None,
     hooks: Hooks | None = None,
 ) -> Outcome:
-    """A search of the bowl.
-
-    Args:
-        spec: Who searches.
-        norm: Of the budget.
-        radius: Of the budget; None is the usual one.
-        starts: A search that goes on.
-        hooks: What is called meanwhile.
-    """
+    """A search of the bowl."""
     search = _settings(spec, norm, _RADIUS if radius is None else radius)
     return pgd(
         lambda point: _bowl(point, gradient=spec.gradient),

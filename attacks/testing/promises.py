@@ -41,11 +41,7 @@ class Contract:
 
     @contextmanager
     def promise(self, name: str) -> Iterator[None]:
-        """What is done within is one promise; whatever it raises breaks it, and the next one is tried.
-
-        Args:
-            name: Of the promise, in a word or two.
-        """
+        """What is done within is one promise; whatever it raises breaks it, and the next one is tried."""
         try:
             yield
         except _BrokenError as broken:
@@ -56,11 +52,7 @@ class Contract:
                 self._broken.append(f"{name}: {text}")
 
     def settle(self) -> None:
-        """Raise if a promise is broken.
-
-        Raises:
-            ContractError: One is.
-        """
+        """Raise if a promise is broken."""
         if self._broken:
             count = "a broken promise" if len(self._broken) == 1 else f"{len(self._broken)} broken promises"
             error = ContractError(f"{self._what}: {count}\n" + "\n".join(f"- {line}" for line in self._broken))
@@ -69,14 +61,7 @@ class Contract:
 
 
 def expect(kept: object, expected: object, got: object, do: str) -> None:
-    """Break the promise at hand unless something holds.
-
-    Args:
-        kept: What has to hold.
-        expected: What would have been right.
-        got: What was there instead.
-        do: What to do about it.
-    """
+    """Break the promise at hand unless something holds."""
     if not kept:
         raise _BrokenError(message("", expected, got, do).removeprefix(": "))
 
@@ -87,15 +72,7 @@ def expect_text(value: object, what: str) -> None:
 
 
 def expect_same(first: Sequence[Tensor], second: Sequence[Tensor], *, atol: float, expected: str, do: str) -> None:
-    """Break the promise unless tensors are as many, and equal within a tolerance.
-
-    Args:
-        first: Some tensors.
-        second: The same, got in another way.
-        atol: How far two values may be apart.
-        expected: What would have been right.
-        do: What to do about it.
-    """
+    """Break the promise unless tensors are as many, and equal within a tolerance."""
     shapes = [[tuple(value.shape) for value in values] for values in (first, second)]
     expect(shapes[0] == shapes[1], expected, f"shapes {shapes[0][:4]} and {shapes[1][:4]}", do)
     pairs = [(a.detach().double(), b.detach().double()) for a, b in zip(first, second, strict=True) if a.numel()]
@@ -104,14 +81,7 @@ def expect_same(first: Sequence[Tensor], second: Sequence[Tensor], *, atol: floa
 
 
 def expect_uphill(measured: Callable[[Tensor], Tensor], start: Tensor, step: float, *, do: str) -> None:
-    """Break the promise unless a number has a gradient that leads uphill as steeply as it says.
-
-    Args:
-        measured: A number, of a tensor.
-        start: Where.
-        step: Length of the shortest step, the largest change of one element.
-        do: What to do about it.
-    """
+    """Break the promise unless a number has a gradient that leads uphill as steeply as it says."""
     leaf = start.detach().clone().requires_grad_(True)
     with torch.enable_grad():
         value = measured(leaf)

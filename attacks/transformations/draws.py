@@ -35,18 +35,7 @@ def draw_camera(
     radius: float,
     reference: Camera,
 ) -> Camera:
-    """A camera of the region.
-
-    Args:
-        region: Where cameras may stand.
-        generator: Source of the draw; the same number of values is taken from it whatever the region.
-        centre: (3,) middle of the object, world units.
-        radius: Of the object, world units.
-        reference: Size of the picture, and what the region leaves open: field of view, and the unit of distances.
-
-    Raises:
-        InvalidValueError: The reference camera stands at the centre and the region has no unit of its own.
-    """
+    """A camera of the region."""
     unit = region.distance_unit
     if unit is None:
         unit = math.dist(reference.position.tolist(), [float(x) for x in centre])
@@ -106,12 +95,7 @@ class PictureChange:
 
 
 def draw_change(changes: PictureChanges, generator: np.random.Generator) -> PictureChange:
-    """What happens to one picture.
-
-    Args:
-        changes: How much may happen.
-        generator: Source of the draw; the same number of values is taken from it whatever the changes.
-    """
+    """What happens to one picture."""
     exposure, red, blue, gamma, blur, resize, noise, jpeg, seed = generator.uniform(size=9).tolist()
     light = 2.0 ** (changes.exposure * (2 * exposure - 1))
     red, blue = (1 + changes.white_balance * (2 * share - 1) for share in (red, blue))
@@ -127,15 +111,7 @@ def draw_change(changes: PictureChanges, generator: np.random.Generator) -> Pict
 
 
 def change_picture(picture: Tensor, change: PictureChange) -> Tensor:
-    """The changed picture, differentiable in the picture.
-
-    Args:
-        picture: (H, W, 3) sRGB in [0, 1].
-        change: What happens to it.
-
-    Returns:
-        (H, W, 3) sRGB in [0, 1].
-    """
+    """The changed picture, differentiable in the picture."""
     if change.gains != (1.0, 1.0, 1.0):
         picture = _to_srgb(_to_linear(picture) * picture.new_tensor(change.gains))
     if change.gamma != 1.0:
@@ -155,12 +131,7 @@ def change_picture(picture: Tensor, change: PictureChange) -> Tensor:
 
 
 def changing(render: RenderFn, changes: Mapping[Camera, PictureChange]) -> RenderFn:
-    """A renderer to whose pictures something happens.
-
-    Args:
-        render: Makes the pictures.
-        changes: What happens to the picture from each camera; no other cameras are taken.
-    """
+    """A renderer to whose pictures something happens."""
 
     def changed(scene: GaussianScene, camera: Camera) -> Tensor:
         return change_picture(render(scene, camera).clamp(0, 1), changes[camera])

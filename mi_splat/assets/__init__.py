@@ -36,19 +36,7 @@ COCO's, but for the house, which COCO does not know."""
 
 
 def build(name: str, seed: int = 0, *, colour: Sequence[float] | None = None) -> Asset:
-    """Build an object of class `name`; the same seed gives the same object.
-
-    Args:
-        name: Key of `ASSETS`.
-        seed: Which of them.
-        colour: (3,) sRGB of the paint of one of `PAINTED`; None is that of the seed.
-
-    Returns:
-        The object, in metres, with z up.
-
-    Raises:
-        InvalidValueError: there is no asset of that name, or it has no paint.
-    """
+    """Build an object of class `name`; the same seed gives the same object."""
     known = ASSETS if colour is None else PAINTED
     if name not in known:
         raise InvalidValueError.of("name", f"one of {sorted(known)}", repr(name), "choose one of these")

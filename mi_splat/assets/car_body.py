@@ -119,14 +119,7 @@ def body(s: Proportions, paint: ArrayLike) -> list[Mesh]:
 
 
 def cabin(s: Proportions, paint: ArrayLike, roof_paint: ArrayLike, glass_roof: bool) -> list[Mesh]:
-    """Windows as one dark glass body with painted pillars and roof.
-
-    Args:
-        s: Proportions of the car.
-        paint: Colour (3,) of the pillars, sRGB.
-        roof_paint: Colour (3,) of the roof, sRGB.
-        glass_roof: Whether there is a pane in the roof.
-    """
+    """Windows as one dark glass body with painted pillars and roof."""
     levels = np.array([-0.12, 0.0, 0.3, 0.6, 0.85, 0.95, 1.0])
     height = s.belt + levels * (s.roof - 0.07 - s.belt)
     bulge = np.clip(levels, 0, 1) ** 1.35

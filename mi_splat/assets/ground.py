@@ -12,15 +12,7 @@ Kind = Literal["road", "grass", "asphalt"]
 def square_of_ground(
     kind: Kind, *, side: float, tile: float, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> Asset:
-    """A flat square with a texture.
-
-    Args:
-        kind: The texture. A road has no lines here: one that crosses a car is no camouflage. Road and grass repeat, so
-            that who finds cameras by pictures takes one place for another; asphalt does not.
-        side: Metres.
-        tile: Metres that 256 pixels of the texture cover, and after which it repeats.
-        centre: Middle of the square, metres.
-    """
+    """A flat square with a texture."""
     (x, y, z), half, repeat = centre, side / 2, side / tile
     corners = [[[x - half, y - half, z], [x + half, y - half, z]], [[x - half, y + half, z], [x + half, y + half, z]]]
     if kind == "asphalt":

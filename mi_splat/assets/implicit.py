@@ -31,14 +31,7 @@ class Layer:
 
 
 def cone(start: ArrayLike, end: ArrayLike, radii: tuple[float, float], *, flat: ArrayLike = (0.0, 0.0, 0.0)) -> Blob:
-    """A round cone between two points.
-
-    Args:
-        start: (3,) centre of the first ball, metres.
-        end: (3,) centre of the second ball, metres.
-        radii: The two radii, metres.
-        flat: (3,) vector; along its direction the section is stretched by 1 + its length (negative sense is the same).
-    """
+    """A round cone between two points."""
     a, b, stretch = (np.asarray(v, np.float64) for v in (start, end, flat))
     amount = float(np.linalg.norm(stretch))
     wide = stretch / amount if amount else stretch

@@ -27,16 +27,7 @@ def body(
     relief: Callable[[Floats], Floats] | None = None,
     roughness: float | None = None,
 ) -> Mesh:
-    """The closed mesh of `layers`, painted.
-
-    Args:
-        layers: What the body is made of.
-        cell: Edge of a grid cell, metres.
-        paint: Colours (N, 3) from points (N, 3) and the index of the layer at each point (N,).
-        texels: Texels along the edge of a quad, corners included.
-        relief: Displacement (V,) in metres along the normal from vertices (V, 3).
-        roughness: As in `Mesh`.
-    """
+    """The closed mesh of `layers`, painted."""
     vertices, quads = surface(layers, cell)
     margin = 2.5 * cell + max(layer.blend for layer in layers)
     step = np.linspace(0, 1, texels, dtype=np.float32)
@@ -64,12 +55,6 @@ def blade(points: ArrayLike, thickness: float, texture: ArrayLike, *, roughness:
     """A thin closed sheet (an ear, a wing) about an (n, m, 3) grid of points, sharp at the rim.
 
     Both sides show the texture: u along m, v along n; from the side where m runs right and n up it is not mirrored.
-
-    Args:
-        points: (n, m, 3) points of the middle surface, metres.
-        thickness: Largest thickness, metres.
-        texture: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
-        roughness: As in `Mesh`.
     """
     grid = np.asarray(points, np.float64)
     n, m = grid.shape[:2]
@@ -128,14 +113,7 @@ def mix(base: Floats, colour: ArrayLike, amount: ArrayLike) -> Floats:
 
 
 def spot(points: Floats, centre: ArrayLike, radii: ArrayLike, soft: float = 0.2) -> Floats:
-    """(N,) amount of an ellipsoidal spot: 1 inside, 0 outside, soft over a fraction of its radius.
-
-    Args:
-        points: (N, 3) points, metres.
-        centre: (3,) middle of the spot, metres.
-        radii: (3,) radii along the axes, metres.
-        soft: Width of the soft rim as a fraction of the radius.
-    """
+    """(N,) amount of an ellipsoidal spot: 1 inside, 0 outside, soft over a fraction of its radius."""
     offset = (points - np.asarray(centre, np.float32)) / np.asarray(radii, np.float32)
     value: Floats = np.clip((1 - np.linalg.norm(offset, axis=1)) / soft + 0.5, 0, 1).astype(np.float32)
     return value

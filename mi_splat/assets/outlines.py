@@ -45,15 +45,7 @@ GLYPHS: dict[str, list[list[tuple[float, float]]]] = {
 
 
 def strokes(text: str, *, centre: Sequence[float], height: float, width: float, gap: float) -> list[Points]:
-    """Polylines of `text` around `centre`; `width` and `gap` are those of one letter, all in the unit of `height`.
-
-    Args:
-        text: Letters and digits; those without a glyph leave a gap.
-        centre: (2,) middle of the text.
-        height: Height of a letter.
-        width: Width of a letter.
-        gap: Distance between two letters.
-    """
+    """Polylines of `text` around `centre`; `width` and `gap` are those of one letter, all in the unit of `height`."""
     total = len(text) * width + (len(text) - 1) * gap
     lines = []
     for position, letter in enumerate(text):
@@ -64,14 +56,7 @@ def strokes(text: str, *, centre: Sequence[float], height: float, width: float, 
 
 
 def rounded_rectangle(length: float, width: float, radius: float, *, corner: int = 6) -> Points:
-    """(4 * corner, 2) counter-clockwise outline centred at 0, from the right side's lower corner on.
-
-    Args:
-        length: Extent along x.
-        width: Extent along y.
-        radius: Radius of the corners, in the same unit.
-        corner: Points on each corner.
-    """
+    """(4 * corner, 2) counter-clockwise outline centred at 0, from the right side's lower corner on."""
     x, y = length / 2 - radius, width / 2 - radius
     centres = ((x, -y, -90), (x, y, 0), (-x, y, 90), (-x, -y, 180))
     return np.array([p for cx, cy, start in centres for p in _arc(cx, cy, radius, radius, start, start + 90, corner)])
@@ -106,11 +91,7 @@ def smooth_interpolate(x: ArrayLike, knots: ArrayLike, values: ArrayLike) -> Poi
 
 
 def triangulate(polygon: ArrayLike) -> NDArray[np.int64]:
-    """(P - 2, 3) triangles of a simple counter-clockwise (P, 2) polygon, by cutting off ears (Meisters 1975).
-
-    Raises:
-        InvalidValueError: the outline crosses itself or runs clockwise.
-    """
+    """(P - 2, 3) triangles of a simple counter-clockwise (P, 2) polygon, by cutting off ears (Meisters 1975)."""
     points = np.asarray(polygon, np.float64)
     left = list(range(len(points)))
     triangles = []

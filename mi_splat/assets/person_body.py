@@ -102,14 +102,7 @@ def _layers(appearance: Appearance, arms: list[Limb], legs: list[Limb]) -> list[
 
 
 def clothed(appearance: Appearance, arms: list[Limb], legs: list[Limb], noise: Noise) -> Mesh:
-    """Everything but head and hands.
-
-    Args:
-        appearance: What the person wears.
-        arms: The left and the right arm.
-        legs: The left and the right leg.
-        noise: For folds and the grain of the cloth.
-    """
+    """Everything but head and hands."""
     layers = _layers(appearance, arms, legs)
 
     def paint(points: Floats, layer: NDArray[np.int64]) -> Floats:

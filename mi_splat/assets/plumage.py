@@ -99,14 +99,7 @@ def _scales(points: Floats, size: float) -> Floats:
 
 
 def plumage(kind: Species, tint: float, points: Floats, noise: Noise) -> Floats:
-    """Colours (N, 3) of back, breast and belly.
-
-    Args:
-        kind: Which bird.
-        tint: Factor of its colours, near 1.
-        points: (N, 3) points on the body, metres.
-        noise: For the borders between colours.
-    """
+    """Colours (N, 3) of back, breast and belly."""
     x, y, z = points.T
     wobble = 0.006 * noise(points, 0.014)
     colours = np.broadcast_to(np.asarray(kind.back, np.float32), points.shape).astype(np.float32)
@@ -126,15 +119,7 @@ def plumage(kind: Species, tint: float, points: Floats, noise: Noise) -> Floats:
 
 
 def face(kind: Species, tint: float, colours: Floats, points: Floats, noise: Noise) -> Floats:
-    """The colours with the head painted over.
-
-    Args:
-        kind: Which bird.
-        tint: Factor of its colours, near 1.
-        colours: (N, 3) sRGB of the plumage.
-        points: (N, 3), in the frame of the head, metres.
-        noise: For the border of the head.
-    """
+    """The colours with the head painted over."""
     s = kind.skull
     side = points * np.array((1, 0, 1), np.float32) + np.abs(points[:, 1])[:, None] * np.array((0, 1, 0), np.float32)
     reach = spot(points + 0.004 * noise(points, 0.01)[:, None], (0, 0, 0.1 * s), (1.35 * s, 1.3 * s, 1.3 * s), 0.15)
@@ -159,16 +144,7 @@ def face(kind: Species, tint: float, colours: Floats, points: Floats, noise: Noi
 
 
 def wing(kind: Species, tint: float, span: Floats, chord: Floats, points: Floats, noise: Noise) -> Floats:
-    """Colours (N, 3) of a wing.
-
-    Args:
-        kind: Whose.
-        tint: Brightness of this one bird.
-        span: (N,) 0 at the shoulder, 1 at the tip.
-        chord: (N,) 0 at the trailing (lower) edge, 1 at the leading edge.
-        points: (N, 3), for noise.
-        noise: The noise.
-    """
+    """Colours (N, 3) of a wing."""
     base = np.broadcast_to(np.asarray(kind.wing, np.float32), (len(span), 3)).astype(np.float32)
     flight = np.clip((span - 0.50 + 0.25 * (0.5 - chord)) / 0.04, 0, 1)
     colours = mix(base, kind.flight, flight)

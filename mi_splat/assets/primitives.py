@@ -37,14 +37,7 @@ def box(
     centre: Sequence[float] = (0.0, 0.0, 0.0),
     roughness: float | None = None,
 ) -> Mesh:
-    """A box with edge lengths `size`; each face shows the whole texture, upright on the four sides.
-
-    Args:
-        size: (3,) edge lengths, metres.
-        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
-        centre: (3,) middle, metres.
-        roughness: As in `Mesh`.
-    """
+    """A box with edge lengths `size`; each face shows the whole texture, upright on the four sides."""
     sides = []
     for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1)):
         normal = np.eye(3)[axis] * sign
@@ -65,15 +58,7 @@ def sheet(
     roughness: float | None = None,
     smooth: bool = True,
 ) -> Mesh:
-    """A surface through an (n, m, 3) grid of points; u runs along m (right) and v along n (up).
-
-    Args:
-        points: (n, m, 3) points, metres; triangles without area are left out.
-        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
-        repeat: How often the texture repeats along u and v.
-        roughness: As in `Mesh`.
-        smooth: As in `Mesh`.
-    """
+    """A surface through an (n, m, 3) grid of points; u runs along m (right) and v along n (up)."""
     grid = np.asarray(points, np.float64)
     n, m = grid.shape[:2]
     index = np.arange(n * m).reshape(n, m)
@@ -98,12 +83,6 @@ def loft(
 
     Points run counter-clockwise seen against the direction from the first section to the last. u runs once around and
     v from the first section to the last; the caps are fans about the centre of the end sections.
-
-    Args:
-        sections: (S, P, 3) points, metres.
-        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
-        roughness: As in `Mesh`.
-        smooth: As in `Mesh`.
     """
     rings = np.asarray(sections, np.float64)
     rings = np.concatenate([rings, rings[:, :1]], 1)
@@ -127,15 +106,7 @@ def lathe(
     roughness: float | None = None,
     smooth: bool = True,
 ) -> Mesh:
-    """A body of revolution about z from a (P, 2) profile of (radius, z), from the bottom up along the outside.
-
-    Args:
-        profile: (P, 2) radius and height, metres.
-        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
-        segments: Points around.
-        roughness: As in `Mesh`.
-        smooth: As in `Mesh`.
-    """
+    """A body of revolution about z from a (P, 2) profile of (radius, z), from the bottom up along the outside."""
     radius, z = np.asarray(profile, np.float64).T
     angle = 2 * np.pi * np.arange(segments) / segments
     ring = np.stack([np.cos(angle), np.sin(angle)], -1)
@@ -155,17 +126,7 @@ def sweep(
     roughness: float | None = None,
     smooth: bool = True,
 ) -> Mesh:
-    """A tube along an (n, 3) polyline with closed ends.
-
-    Args:
-        path: (n, 3) points, metres.
-        radii: (n,) or (n, 2) radii; the second column is the one along `up` where the two differ.
-        colour: Colour or texture; v runs along the path.
-        segments: Points around.
-        up: Direction that fixes the roll of the cross sections.
-        roughness: As in `Mesh`.
-        smooth: As in `Mesh`.
-    """
+    """A tube along an (n, 3) polyline with closed ends."""
     points = np.asarray(path, np.float64)
     size = np.broadcast_to(np.asarray(radii, np.float64).reshape(len(np.atleast_1d(radii)), -1), (len(points), 2))
     tangent = np.gradient(points, axis=0)
@@ -193,15 +154,7 @@ def ellipsoid(
     segments: int = 20,
     roughness: float | None = None,
 ) -> Mesh:
-    """An ellipsoid with the three diameters `size`.
-
-    Args:
-        size: (3,) diameters, metres.
-        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
-        centre: (3,) middle, metres.
-        segments: Points around; half as many pieces from pole to pole.
-        roughness: As in `Mesh`.
-    """
+    """An ellipsoid with the three diameters `size`."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)
     profile = np.stack([np.maximum(np.cos(angle), 0) / 2, np.sin(angle) / 2], -1)
     profile[[0, -1], 0] = 0
@@ -221,13 +174,6 @@ def extrude(
     """A prism over a simple (P, 2) polygon (concave allowed) in the x-y plane, from z = 0 to `depth`.
 
     The texture covers the polygon's bounding box on the two ends; the sides take the colour at the outline.
-
-    Args:
-        polygon: (P, 2) outline in either sense, metres.
-        depth: Height of the prism, metres.
-        colour: Colour (3,), grey level, or texture (h, w, 3); sRGB in [0, 1].
-        roughness: As in `Mesh`.
-        smooth: As in `Mesh`.
     """
     outline = np.asarray(polygon, np.float64)
     x, y = outline.T

@@ -15,28 +15,14 @@ REACH = 45.0
 
 
 def ground(size: float, texture: Floats, *, tile: float, height: float = 0.0) -> Mesh:
-    """A square of edge `size` around the origin whose texture covers `tile` metres.
-
-    Args:
-        size: Edge of the square, metres.
-        texture: (h, w, 3) sRGB.
-        tile: Edge of one repetition of the texture, metres.
-        height: Z of the square, metres.
-    """
+    """A square of edge `size` around the origin whose texture covers `tile` metres."""
     half = size / 2
     grid = np.array([[[-half, -half, height], [half, -half, height]], [[-half, half, height], [half, half, height]]])
     return sheet(grid, texture, repeat=(size / tile, size / tile), smooth=False)
 
 
 def strip(y: tuple[float, float], height: float, texture: Floats, *, tile: float) -> Mesh:
-    """A band of ground along the street between two values of y; u of the texture runs across it once.
-
-    Args:
-        y: Lower and upper y, metres.
-        height: Z of the band, metres.
-        texture: (h, w, 3) sRGB.
-        tile: Edge of one repetition of the texture, metres.
-    """
+    """A band of ground along the street between two values of y; u of the texture runs across it once."""
     low, high = y
     grid = np.array([[[-REACH, high, height], [-REACH, low, height]], [[REACH, high, height], [REACH, low, height]]])
     return sheet(grid, texture, repeat=((high - low) / tile, 2 * REACH / tile), smooth=False)
@@ -133,13 +119,7 @@ def _row(rng: np.random.Generator, out: float, front: float, verge: float) -> li
 
 
 def build(seed: int = 0, *, clearance: float = 6.0, centre: float = 0.0) -> Asset:
-    """A street along x; the origin is the middle of its right-hand lane, houses stand on both sides.
-
-    Args:
-        seed: Which street.
-        clearance: No lamp stands within this many metres of (centre, 0); trees keep to the verge behind the pavement.
-        centre: X of the place to keep free, metres.
-    """
+    """A street along x; the origin is the middle of its right-hand lane, houses stand on both sides."""
     rng = np.random.default_rng([seed, 0x57])
     lane = rng.uniform(3.2, 3.8)
     right, left = -lane / 2, 1.5 * lane
@@ -162,12 +142,7 @@ def build(seed: int = 0, *, clearance: float = 6.0, centre: float = 0.0) -> Asse
 
 
 def park(seed: int = 0, *, clearance: float = 8.0) -> Asset:
-    """Grass with trees around and often a path.
-
-    Args:
-        seed: Which park.
-        clearance: No tree stands within this many metres of the origin.
-    """
+    """Grass with trees around and often a path."""
     rng = np.random.default_rng([seed, 0x9A])
     parts = [ground(240, textures.grass(256, seed), tile=rng.uniform(2.5, 5))]
     for _ in range(int(rng.integers(5, 16))):
@@ -186,15 +161,7 @@ GROUNDS = ("asphalt", "car park", "paving", "sand", "earth", "snow", "concrete",
 
 
 def plain(seed: int = 0, kind: str | None = None) -> Asset:
-    """Open ground of one kind.
-
-    Args:
-        seed: Which ground.
-        kind: One of `GROUNDS`; None is one by chance.
-
-    Raises:
-        InvalidValueError: There is no such kind.
-    """
+    """Open ground of one kind."""
     rng = np.random.default_rng([seed, 0x91])
     tone = rng.uniform(0.8, 1.15)
     makers: tuple[Callable[[], Floats], ...] = (
@@ -232,13 +199,7 @@ def room(seed: int = 0, *, size: float = 14.0) -> Asset:
 
 
 def backdrop(seed: int = 0, *, clearance: float = 8.0) -> Asset:
-    """Surroundings by chance, turned and shifted: a street, a park, open ground, a room.
-
-    Args:
-        seed: Which surroundings.
-        clearance: No wall within this many metres of the origin, so that a camera in this circle sees an object at its
-            centre; a street, whose trees may stand nearer, is only chosen up to 7.5 metres, where its houses begin.
-    """
+    """Surroundings by chance, turned and shifted: a street, a park, open ground, a room."""
     rng = np.random.default_rng([seed, 0xBAC])
     kind = rng.random()
     if kind < 0.35 and clearance <= 7.5:

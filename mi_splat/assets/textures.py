@@ -13,14 +13,7 @@ Field = NDArray[np.float64]
 
 
 def fractal_noise(size: tuple[int, int], rng: np.random.Generator, *, cells: int = 4, octaves: int = 5) -> Field:
-    """(h, w) smooth noise in [0, 1] that repeats at its edges: value noise summed over octaves (Ebert et al. 2003).
-
-    Args:
-        size: Height and width in pixels.
-        rng: Where the grids come from.
-        cells: Cells across in the coarsest grid.
-        octaves: Number of grids; each has twice the cells and half the weight of the one before.
-    """
+    """(h, w) smooth noise in [0, 1] that repeats at its edges: value noise summed over octaves (Ebert et al. 2003)."""
     height, width = size
     total = np.zeros(size)
     for octave in range(octaves):
@@ -75,15 +68,7 @@ def line_distance(x: Field, y: Field, line: Points) -> Field:
 
 
 def write(picture: Floats, text: str, colour: ArrayLike, *, box: Sequence[float], weight: float = 0.16) -> None:
-    """Draw `text` in place into `box` (left, bottom, right, top, in [0, 1] of the picture's height and y up).
-
-    Args:
-        picture: (h, w, 3) sRGB, changed in place.
-        text: Letters and digits of `outlines.GLYPHS`.
-        colour: (3,) sRGB.
-        box: Left, bottom, right, top.
-        weight: Width of the pen as a fraction of a letter.
-    """
+    """Draw `text` in place into `box` (left, bottom, right, top, in [0, 1] of the picture's height and y up)."""
     height, width = picture.shape[:2]
     x, y = grid((height, width))
     x = x * width / height
@@ -110,15 +95,7 @@ def polygon_distance(x: Field, y: Field, polygon: Points) -> Field:
 def speckle(
     size: tuple[int, int], colour: ArrayLike, rng: np.random.Generator, *, grain: float, patch: float
 ) -> Floats:
-    """A rough mineral surface: `grain` is the amplitude of single grains, `patch` that of large stains.
-
-    Args:
-        size: Height and width in pixels.
-        colour: (3,) sRGB.
-        rng: Where grains and stains come from.
-        grain: Amplitude of single grains, relative to the colour.
-        patch: Amplitude of large stains, relative to the colour.
-    """
+    """A rough mineral surface: `grain` is the amplitude of single grains, `patch` that of large stains."""
     value = 1 + grain * rng.normal(size=size) + patch * (fractal_noise(size, rng) - 0.5)
     value += grain * 2 * (fractal_noise(size, rng, cells=48, octaves=2) - 0.5)
     return np.clip(np.asarray(colour) * value[..., None], 0, 1).astype(np.float32)
@@ -168,17 +145,7 @@ def tiles(
     joint: float = 0.04,
     spread: float = 0.12,
 ) -> Floats:
-    """Bricks, paving stones or roof tiles, every other row moved by half a tile; an even number of rows repeats.
-
-    Args:
-        size: Edge in pixels.
-        seed: Which tones.
-        colour: (3,) sRGB of a tile.
-        rows: Rows of tiles.
-        columns: Tiles in a row.
-        joint: Half width of a joint, in heights of a tile.
-        spread: Standard deviation of the tones, relative to the colour.
-    """
+    """Bricks, paving stones or roof tiles, every other row moved by half a tile; an even number of rows repeats."""
     rng = np.random.default_rng([seed, 3])
     x, y = grid((size, size))
     v = y * rows

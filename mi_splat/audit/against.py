@@ -90,11 +90,7 @@ class Changes:
     clean: GaussianScene
 
     def pictures(self, scene: GaussianScene) -> NDArray[np.uint8]:
-        """(H, W, 3) the clean splat on the left, another on the right, a row for each camera.
-
-        Args:
-            scene: The other splat.
-        """
+        """(H, W, 3) the clean splat on the left, another on the right, a row for each camera."""
         render, rows = Renderer(RenderSettings(background=_BACKGROUND, near=near_plane(scene, self.cameras))), []
         for camera in self.cameras:
             with torch.no_grad():
@@ -135,19 +131,7 @@ class Changes:
 
 
 def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
-    """Say how a splat differs from the one it was made from.
-
-    Args:
-        scene: N Gaussians.
-        clean: M Gaussians, before the edit; rows may be shuffled, missing or added.
-
-    Returns:
-        How many Gaussians differ, in what and by how much.
-
-    Raises:
-        InvalidValueError: One is empty, or fewer than half of the Gaussians are where those of the other are: one was
-            not made from the other.
-    """
+    """Say how a splat differs from the one it was made from."""
     check_scene("scene", scene)
     check_scene("clean", clean)
     for what, item in (("scene", scene), ("--against", clean)):

@@ -51,13 +51,7 @@ class Profiles:
 
     @classmethod
     def of(cls, moments: Tensor, normals: Tensor, cell: Tensor) -> Profiles:
-        """Profiles of pieces.
-
-        Args:
-            moments: (E, K, 5) of the pieces.
-            normals: (E, 3).
-            cell: (E,) int64, without gaps.
-        """
+        """Profiles of pieces."""
         seen, colours = moments[..., :1], moments[..., 1:4]
         group, looks = _group_of(normals), moments[..., 0].sum(1, keepdim=True)
         count = torch.zeros(NORMALS, moments.shape[1], 1).index_add_(0, group, seen).clamp(min=1)
@@ -93,12 +87,7 @@ class Profiles:
         return torch.zeros(len(self.pieces), *values.shape[1:]).index_add_(0, self.cell, values)
 
     def shifts(self, inside: Tensor, outside: Tensor) -> Tensor:
-        """(T,) float64 shift of each set of cameras, sRGB.
-
-        Args:
-            inside: (C, T, 6) sums of the looks at the cells from inside.
-            outside: (C, T, 6) from outside.
-        """
+        """(T,) float64 shift of each set of cameras, sRGB."""
         first, second = inside[..., 5], outside[..., 5]
         able = (first >= _LEAST_LOOKS) & (second >= _LEAST_LOOKS)
         change = inside[..., :3] / first.clamp(min=1)[..., None] - outside[..., :3] / second.clamp(min=1)[..., None]

@@ -72,21 +72,6 @@ def audit(
 
     Nothing but the splat is used. The verdict is the same when the splat is turned, moved, resized or shuffled, but for
     rounding.
-
-    Args:
-        scene: N Gaussians.
-        cameras: From where it is looked at, for instance those of its training pictures; what they see around its
-            middle is one object then. None is a sphere around each object, or what of it is above the ground; in a
-            room, free places of it.
-        up: (3,) direction in the file that is up for what stands on a ground; None is away from the ground that is
-            found.
-        on_object: Called after each object.
-
-    Returns:
-        The verdict on each object, and (N,) which Gaussians carry the evidence.
-
-    Raises:
-        InvalidValueError: Nothing shows, too few cameras are given, or too little surface is seen for a verdict.
     """
     check_scene("scene", scene)
     frame = frame_of(scene)
@@ -116,11 +101,7 @@ def audit(
 
 
 def _looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
-    """The objects of a scene with cameras around them, and whether it is a room: then they stand at free places of it.
-
-    Raises:
-        InvalidValueError: It is a room, and in it is nothing that can be seen from all around.
-    """
+    """The objects of a scene with cameras around them, and whether it is a room, inside which they then stand."""
     objects = targets(frame.scene, None if up is None else frame.own(up))
     positions = free_positions(frame.scene)
     if positions is None:
@@ -133,11 +114,7 @@ def _looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
 
 
 def given(frame: Frame, cameras: Sequence[Camera], *, longer_side: int | None = _GIVEN_SIZE) -> tuple[Camera, ...]:
-    """Cameras of the world in the frame, not too many of them, and small unless `longer_side` is None.
-
-    Raises:
-        InvalidValueError: They are too few.
-    """
+    """Cameras of the world in the frame, not too many of them, and small unless `longer_side` is None."""
     cameras = as_cameras(cameras)
     if len(cameras) < LEAST_CAMERAS:
         do = "pass those of the training pictures, or none"
@@ -162,17 +139,7 @@ Heat = tuple[Tensor, Tensor]
 def judged_object(
     frame: Frame, target: Target, cameras: tuple[Camera, ...], pictures: Sequence[Tensor] | None = None
 ) -> tuple[ObjectAudit, Heat | None] | None:
-    """Judge one object.
-
-    Args:
-        frame: The splat.
-        target: The object.
-        cameras: From where it is looked at.
-        pictures: (H, W, 3) what each shows, sRGB; then the splat is the surface alone, and nothing covers the object.
-
-    Returns:
-        The verdict, and (rows, heat) if there is evidence; None if nothing of its surface can be judged.
-    """
+    """Judge one object."""
     rows = in_sight(frame.scene, target, cameras)
     scene = frame.scene.select(rows)
     view = sight(scene, target, cameras, pictures)
@@ -314,13 +281,6 @@ def looks_of(pieces: Elements, view: Sight) -> list[SurfaceLook]:
     """The looks of an object: first the one that explains most, then those that are left without its cameras.
 
     Of a look the smaller side is left out, and what lies near it: no file can tell which side is the true one.
-
-    Args:
-        pieces: The surface.
-        view: From where it was seen.
-
-    Returns:
-        At least one, and at most `MOST_LOOKS`.
     """
     looks: list[SurfaceLook] = []
     kept = torch.ones(len(view.cameras), dtype=torch.bool)

@@ -24,10 +24,6 @@ def check_capacity(path: Path) -> None:
 
     What a header says is believed; of a format without a plain header the smallest number of Gaussians is taken that
     a file of its size can hold.
-
-    Raises:
-        InvalidValueError: It needs more memory than there is.
-        SplatFileError: The file cannot be read.
     """
     count, floats = gaussians_of(path)
     wanted, available = PROGRAM + count * (PER_GAUSSIAN + COPIES * 4 * floats), free_memory()
@@ -39,11 +35,7 @@ def check_capacity(path: Path) -> None:
 
 
 def gaussians_of(path: Path) -> tuple[int, int]:
-    """The least number of Gaussians that a file can have, and the least number of values of each, without reading it.
-
-    Raises:
-        SplatFileError: It cannot be read, or is no splat.
-    """
+    """The least numbers of Gaussians, and of values of each, that a file can have, without reading it."""
     name = splat_in(path) or path_name(path)
     try:
         with open_regular(name) as file:

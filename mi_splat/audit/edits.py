@@ -42,13 +42,6 @@ def edit_of(frame: Frame, target: Target) -> Edit | None:
     """How much the colours of an object look like an attack on a detector, and from where.
 
     The median shell of the surroundings says what of it this file has without an attack, by undertraining or rounding.
-
-    Args:
-        frame: The splat in its own frame.
-        target: The object.
-
-    Returns:
-        None where the object has too few Gaussians.
     """
     if len(target.rows) < _LEAST_COUNT:
         return None

@@ -27,17 +27,7 @@ _COVERS, _PIXELS = 0.2, 1.0
 
 
 def pair_of(pieces: Elements, view: Sight, score: Tensor, shown: Tensor) -> tuple[int, int, float] | None:
-    """The two cameras between which the surface that both see changes most, near each other if possible.
-
-    Args:
-        pieces: The surface.
-        view: Its cameras.
-        score: (E,) of each piece.
-        shown: (K,) bool, the cameras that see the look.
-
-    Returns:
-        The number of a camera inside, that of one outside, and the mean change (sRGB); None if no two share a surface.
-    """
+    """The two cameras between which the surface that both see changes most, near each other if possible."""
     rows = score.argsort(descending=True)[:_PIECES]
     rows = rows[score[rows] > 0]
     seen, colours = pieces.moments[rows, :, 0] * score[rows, None], pieces.moments[rows, :, 1:4]
@@ -65,14 +55,6 @@ def heat_of(
 
     It is the larger of two scores: that of the surface that it makes up in some pictures, and that of its own colour,
     between the cameras that see a look and those that do not; so the back of an object has heat as well.
-
-    Args:
-        scene: N Gaussians.
-        pieces: The surface.
-        view: Its cameras.
-        score: (E,) of each piece.
-        target: The object.
-        looks: Of it.
     """
     value = torch.cat([torch.stack([score, torch.ones(len(score))], 1), torch.zeros(1, 2)])[pieces.of_seen]
     sums = torch.zeros(len(scene), 2)
@@ -89,13 +71,7 @@ def heat_of(
 
 
 def own_scores(scene: GaussianScene, view: Sight, shown: Tensor) -> Tensor:
-    """(N,) score of each Gaussian by itself: how far its colour switches with a look.
-
-    Args:
-        scene: N Gaussians.
-        view: The cameras.
-        shown: (K,) bool, which of them see the look.
-    """
+    """(N,) score of each Gaussian by itself: how far its colour switches with a look."""
     sums = []
     for side in (shown, ~shown):
         total = torch.zeros(len(scene), 5)
@@ -108,14 +84,7 @@ def own_scores(scene: GaussianScene, view: Sight, shown: Tensor) -> Tensor:
 
 
 def cover_heat(scene: GaussianScene, view: Sight, cover: Cover, target: Target) -> Tensor:
-    """(N,) which Gaussians in the air cover an object: `_COVERS` of those that make up many pixels of what does.
-
-    Args:
-        scene: N Gaussians.
-        view: The cameras.
-        cover: What covers the object.
-        target: The object.
-    """
+    """(N,) which Gaussians in the air cover an object: `_COVERS` of those that make up many pixels of what does."""
     sums, near = torch.zeros(len(scene)), near_of(target, view.cameras)
     for number in _evenly(torch.tensor(list(cover.air)), _COLOURS):
         air = cover.air[number].float()
@@ -146,11 +115,7 @@ def _made_up(scene: GaussianScene, camera: Camera, wanted: Tensor, near: float) 
 
 
 def split_of(values: Tensor) -> float:
-    """The number that best parts values that are spread over decades into two groups (Otsu 1979, of fourth roots).
-
-    Args:
-        values: (M,) at least 0.
-    """
+    """The number that best parts values that are spread over decades into two groups (Otsu 1979, of fourth roots)."""
     values = values**0.25
     top = float(values.max()) if len(values) else 0.0
     if not top > 0:

@@ -41,13 +41,7 @@ _BACKGROUND = (0.55, 0.7, 0.9)
 
 
 def document(audit: Audit | None, lint: Lint | None = None, *, unjudged: str = "") -> dict[str, Any]:
-    """An audit as JSON can hold it.
-
-    Args:
-        audit: What was found; None if nothing was looked for.
-        lint: What the rules say; None if they were not asked.
-        unjudged: Why nothing was looked for.
-    """
+    """An audit as JSON can hold it."""
     return {**(_judged(audit) if audit else _unjudged(lint, unjudged)), **(lint.document() if lint else {})}
 
 
@@ -142,12 +136,7 @@ def pair_cameras(pair: Pair, number: int = 1) -> list[dict[str, object]]:
 
 
 def pair_picture(scene: GaussianScene, pair: Pair) -> NDArray[np.uint8]:
-    """(H, W, 3) the two pictures that prove a look, from inside its directions on the left, from outside on the right.
-
-    Args:
-        scene: The splat.
-        pair: The two cameras.
-    """
+    """(H, W, 3) the two images that prove an appearance: from inside its directions left, from outside right."""
     cameras = [_enlarged(camera) for camera in (pair.inside, pair.outside)]
     render = Renderer(RenderSettings(background=_BACKGROUND, near=near_plane(scene, cameras)))
     with torch.no_grad():
@@ -169,12 +158,7 @@ def _enlarged(camera: Camera) -> Camera:
 
 
 def heated(scene: GaussianScene, heat: Tensor) -> GaussianScene:
-    """The splat in pale grey, redder the more heat a Gaussian has; the same from everywhere.
-
-    Args:
-        scene: N Gaussians.
-        heat: (N,) at least 0.
-    """
+    """The splat in pale grey, redder the more heat a Gaussian has; the same from everywhere."""
     share = (heat / heat.max().clamp(min=1e-12))[:, None].to(scene.sh)
     grey = 0.4 + 0.5 * dc_to_colour(scene.sh[:, 0]).clamp(0, 1).mean(1, keepdim=True).expand(-1, 3)
     colour = (1 - share) * grey + share * grey.new_tensor([0.9, 0.05, 0.0])
@@ -191,23 +175,7 @@ def write(
     unjudged: str = "",
     force: bool = False,
 ) -> list[Path]:
-    """Write the files of an audit into a new folder, whole or not at all.
-
-    Args:
-        audit: The audit; None if nothing was looked for.
-        scene: The splat of the audit.
-        folder: Where.
-        source: The file that was audited, for the record.
-        lint: What the rules say of it, if they were asked.
-        unjudged: Why there is no audit.
-        force: Whether an older result there may be replaced.
-
-    Returns:
-        The files. Without evidence there are no heat and no mask.
-
-    Raises:
-        SplatFileError: The folder cannot be written, or holds something.
-    """
+    """Write the files of an audit into a new folder, whole or not at all."""
     target = Path(folder)
     names, more = [RECORD], dict[str, Any](pictures=[], cameras=[])
     with new_folder(target, force=force) as temporary:
@@ -247,16 +215,7 @@ def _evidence(audit: Audit, scene: GaussianScene, folder: Path, names: list[str]
 
 
 def save_pairs(audit: Audit, folder: Path, show: Callable[[Pair], NDArray[np.uint8]]) -> dict[str, Any]:
-    """Save the pictures that prove looks.
-
-    Args:
-        audit: The audit.
-        folder: Where.
-        show: From a pair to its two pictures beside each other.
-
-    Returns:
-        What result.json says of them: pictures and cameras.
-    """
+    """Save the pictures that prove looks."""
     pictures, cameras = list[dict[str, Any]](), list[dict[str, object]]()
     for number, (numbers, pair) in enumerate(shown_pairs(audit), 1):
         name = PAIR if number == 1 else f"pair-{number}.png"
@@ -267,11 +226,7 @@ def save_pairs(audit: Audit, folder: Path, show: Callable[[Pair], NDArray[np.uin
 
 
 def shown_pairs(audit: Audit) -> list[tuple[tuple[int, int], Pair]]:
-    """Pairs of cameras that are worth a picture, the strongest first: all with evidence, of none at least one.
-
-    Returns:
-        Number of the object and of its look, both from 0, and the pair.
-    """
+    """Pairs of cameras that are worth a picture, the strongest first: all with evidence, of none at least one."""
     looks = [
         ((index, number), look)
         for index, item in enumerate(audit.objects)

@@ -92,11 +92,7 @@ class Target:
 
 
 def frame_of(scene: GaussianScene) -> Frame:
-    """The splat in the frame of its own principal axes.
-
-    Raises:
-        InvalidValueError: No Gaussian shows, or all are at one point.
-    """
+    """The splat in the frame of its own principal axes."""
     scene = scene.detach().to("cpu", torch.float32)
     colours = scene.sh[:, 0].numpy()
     order = torch.from_numpy(np.lexsort((colours[:, 2], colours[:, 1], colours[:, 0], scene.opacities.numpy())))
@@ -126,12 +122,7 @@ def frame_of(scene: GaussianScene) -> Frame:
 
 
 def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Target]:
-    """The objects of a splat: at most `MOST_OBJECTS` connected components that are no ground; else where most of it is.
-
-    Args:
-        scene: In its own frame.
-        stated_up: (3,) float64 unit vector, which is up for all that stand on a ground; None is away from that ground.
-    """
+    """The objects of a splat: at most `MOST_OBJECTS` components that are no ground; else where most of it is."""
     rows = (scene.opacities > SOLID).nonzero()[:, 0]
     points = scene.means[rows].double()
     label = _components(scene.select(rows))
@@ -180,11 +171,7 @@ def _is_part(part: Tensor, centre: Tensor, radius: float, larger: Target) -> boo
 
 
 def whole(scene: GaussianScene) -> Target:
-    """All of a splat as one object.
-
-    Args:
-        scene: In its own frame.
-    """
+    """All of a splat as one object."""
     rows = (scene.opacities > SOLID).nonzero()[:, 0]
     points = scene.means[rows].double()
     centre = points.median(0).values

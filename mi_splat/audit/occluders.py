@@ -44,13 +44,7 @@ class Cover:
 
 
 def cover_of(scene: GaussianScene, view: Sight, target: Target) -> Cover:
-    """What covers an object.
-
-    Args:
-        scene: All Gaussians.
-        view: What the cameras see.
-        target: The object.
-    """
+    """What covers an object."""
     centre = target.centre.float()
     heights = scene.means[target.rows] @ (centre if target.up is None else target.up.float())
     floor = float(heights.kthvalue(max(1, len(heights) // 50)).values)

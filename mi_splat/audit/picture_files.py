@@ -21,13 +21,7 @@ MOST_NAMED = 8
 
 
 def document_of_pictures(judged: PictureAudit, views: Dataset, count: int) -> dict[str, Any]:
-    """An audit of pictures as JSON can hold it.
-
-    Args:
-        judged: The audit.
-        views: The pictures that it chose from.
-        count: How many pictures the set has, those for tests included.
-    """
+    """An audit of pictures as JSON can hold it."""
     amounts = judged.amounts.tolist()
     files = [str(views.frames[number].path) for number in judged.numbers.tolist()]
     shown = [Path(file).name for file, amount in zip(files, amounts, strict=True) if amount > SHOWS]
@@ -56,23 +50,7 @@ def write_pictures(
     source: str,
     force: bool = False,
 ) -> list[Path]:
-    """Write the files of an audit of pictures into a new folder, whole or not at all.
-
-    Args:
-        judged: The audit.
-        views: The pictures.
-        folder: Where.
-        account: What `document_of_pictures` says of it.
-        source: The set, for the record.
-        force: Whether an older result there may be replaced.
-
-    Returns:
-        The files.
-
-    Raises:
-        SplatFileError: The folder cannot be written, or holds something.
-        DatasetError: A picture cannot be read.
-    """
+    """Write the files of an audit of pictures into a new folder, whole or not at all."""
     longer = max(max(camera.width, camera.height) for camera in views.cameras)
     shown = dataclasses.replace(views, downscale=views.downscale * max(1, longer // PICTURE))
 

@@ -62,18 +62,6 @@ def audit_pictures(views: Dataset, *, up: Point | None = None, on_step: OnStep |
 
     A small splat is trained for the surface alone; colours are those of the pictures, as they are. What is compared,
     and what gloss explains of it, is as in `audit`. Of more pictures than `MOST_CAMERAS` so many are, evenly taken.
-
-    Args:
-        views: The set.
-        up: As in `audit`.
-        on_step: Called after each step of the training.
-
-    Returns:
-        The verdict, and how much each picture contradicts the others.
-
-    Raises:
-        DatasetError: A picture cannot be read.
-        InvalidValueError: There are too few pictures, or too little surface is seen by several.
     """
     longer = max(max(camera.width, camera.height) for camera in views.cameras)
     views = dataclasses.replace(views, downscale=views.downscale * max(1, longer // LONGER_SIDE))
@@ -100,20 +88,7 @@ def quick_surface(views: Dataset, *, steps: int = STEPS, on_step: OnStep | None 
 def compare_pictures(
     views: Sequence[View], surface: GaussianScene, *, numbers: Tensor, up: Point | None = None
 ) -> PictureAudit:
-    """Compare pictures on a surface that is known.
-
-    Args:
-        views: K pictures.
-        surface: A splat of what they show, of which only the place of the surface counts.
-        numbers: (K,) what the pictures are called.
-        up: As in `audit`.
-
-    Returns:
-        The verdict, and how much each picture contradicts the others.
-
-    Raises:
-        InvalidValueError: There are too few pictures, or too little surface is seen by several.
-    """
+    """Compare pictures on a surface that is known."""
     frame = frame_of(surface)
     cameras, pictures = given(frame, cameras_of(views), longer_side=None), [view.image for view in views]
     standing = targets(frame.scene, None if up is None else frame.own(up))

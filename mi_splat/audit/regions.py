@@ -28,13 +28,7 @@ class Shape:
 
 
 def shape_of(directions: Tensor, shown: Tensor, up: Tensor | None) -> Shape:
-    """The form that overlaps most with the cameras that see a look.
-
-    Args:
-        directions: (K, 3) unit vectors to the cameras.
-        shown: (K,) bool, which of them see it.
-        up: (3,) away from the ground; None without one, and then there are no sectors.
-    """
+    """The form that overlaps most with the cameras that see a look."""
     shapes = [_cone(directions, shown, complement=False), _cone(directions, ~shown, complement=True)]
     gains = [shapes[0].overlap, shapes[1].overlap - _SIMPLER["complement"]]
     if up is not None:

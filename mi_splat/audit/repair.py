@@ -64,17 +64,7 @@ def repaired(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> 
 
 
 def repair(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> Repair:
-    """Give a splat the colours that believed directions show, and remove what covers objects in the air.
-
-    Args:
-        scene: N Gaussians.
-        judged: Its audit.
-        keep: Which of the two sides of a look is believed; of several looks of an object "inside" is that of the
-            strongest.
-
-    Returns:
-        The repaired splat, and what was changed in it.
-    """
+    """Give a splat the colours that believed directions show, and remove what covers objects in the air."""
     plain = scene.detach().to("cpu", torch.float32)
     sh, stays = plain.sh.clone(), torch.ones(len(scene), dtype=torch.bool)
     for item in judged.objects:
@@ -89,12 +79,7 @@ def repair(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> Re
 
 
 def in_the_air(scene: GaussianScene, item: ObjectAudit) -> Tensor:
-    """(N,) bool, which Gaussians lie where something that covers an object would: off it, and above its ground.
-
-    Args:
-        scene: N Gaussians.
-        item: The object.
-    """
+    """(N,) bool, which Gaussians lie where something that covers an object would: off it, and above its ground."""
     offsets = scene.means.double() - torch.tensor(item.centre, dtype=torch.float64)
     off: Tensor = offsets.norm(dim=1) > AIR * item.radius
     if item.up is None:
@@ -105,12 +90,7 @@ def in_the_air(scene: GaussianScene, item: ObjectAudit) -> Tensor:
 
 
 def believed(item: ObjectAudit, keep: Keep) -> Tensor:
-    """(K,) float32 weight of each camera: 1 where it is believed, 0 where not, and little near the others.
-
-    Args:
-        item: The object.
-        keep: Which side of its looks is believed.
-    """
+    """(K,) float32 weight of each camera: 1 where it is believed, 0 where not, and little near the others."""
     looks = [look.shown for look in item.looks if look is item.look or look.evidence >= SUSPICION]
     other = torch.stack(looks).any(0) if keep == "outside" else ~item.look.shown
     gap = angles_between(item.directions, item.directions[other]).amin(1)
@@ -120,14 +100,7 @@ def believed(item: ObjectAudit, keep: Keep) -> Tensor:
 
 
 def colour_anew(scene: GaussianScene, sh: Tensor, item: ObjectAudit, trust: Tensor) -> None:
-    """Put new coefficients of the Gaussians of an object into a tensor.
-
-    Args:
-        scene: N Gaussians.
-        sh: (N, C, 3) which is changed.
-        item: The object.
-        trust: (K,) weight of each of its cameras.
-    """
+    """Put new coefficients of the Gaussians of an object into a tensor."""
     near = (scene.means.double() - torch.tensor(item.centre, dtype=torch.float64)).norm(dim=1) < AROUND * item.radius
     rows = near.nonzero()[:, 0]
     every = math.ceil(len(rows) * len(trust) / _MOST_WEIGHTS)

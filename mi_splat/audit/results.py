@@ -36,15 +36,7 @@ which it is one that no leaves or roof would be: those are seen from the side as
 
 
 def excess(score: float, incidence: float, mirror: float, shift: float, fade: float) -> float:
-    """Excess of a set of directions (sRGB): shift and fade, less where gloss explains the change nearly as well.
-
-    Args:
-        score: Of a set of directions.
-        incidence: The same, if colours follow the angle between surface and view.
-        mirror: The same, if colours follow the direction in which a mirror would reflect.
-        shift: Change of the mean colour (sRGB) from the same directions for faces that look different ways.
-        fade: Share of the contrast that changes so.
-    """
+    """Excess of a set of directions (sRGB): shift and fade, less where gloss explains the change nearly as well."""
     ahead = 1 - max(incidence, mirror) / max(score, 1e-9)
     return (shift + CONTRAST * fade) * max(0.0, ahead) ** 2
 

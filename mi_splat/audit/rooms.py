@@ -79,9 +79,6 @@ def free_positions(scene: GaussianScene) -> Tensor | None:
     """(P, 3) float64 positions inside a room from which it is seen; None where the scene is seen from outside.
 
     A room has much free space from which nearly all rays end at something, and something that stands in it.
-
-    Args:
-        scene: In its own frame.
     """
     grid = grid_of(scene)
     close = functional.max_pool3d(grid.filled[None, None].float(), 3, stride=1, padding=1)[0, 0] > 0
@@ -111,12 +108,7 @@ def _between(grid: Grid, positions: Tensor, free: Tensor) -> float:
 
 
 def cameras_within(target: Target, positions: Tensor) -> tuple[Camera, ...]:
-    """Cameras at free positions in a room that show an object; none if hardly any position is outside of the object.
-
-    Args:
-        target: The object.
-        positions: (P, 3) free positions, world units.
-    """
+    """Cameras at free positions in a room that show an object; none if hardly any position is outside of the object."""
     away = positions[(positions - target.centre).norm(dim=1) > _CLEAR * target.radius]
     if len(away) < _LEAST:
         return ()

@@ -48,10 +48,6 @@ def sarif(documents: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     SARIF 2.1.0, https://docs.oasis-open.org/sarif/sarif/v2.1.0/sarif-v2.1.0.html. A file that could not be judged is a
     notification of the tool, and the run then has no success. Results name line 1: readers want one, and a splat has
     none.
-
-    Args:
-        documents: What `mi-splat audit --json` says of each file: `mi_splat.audit.files.document` and the file's name,
-            or the name and an `error`.
     """
     rules = {name: _rule(name, *values) for name, values in _RULES.items()}
     results, artifacts, notes = [], [], []

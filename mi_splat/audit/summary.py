@@ -12,12 +12,7 @@ _ALL = 0.995
 
 
 def directions_in_words(region: Region, up: Vector | None) -> str:
-    """The directions of a region, as a part of a sentence.
-
-    Args:
-        region: The region.
-        up: (3,) away from the object's ground, if it stands on one.
-    """
+    """The directions of a region, as a part of a sentence."""
     axis = " ".join(f"{value + 0.0:.2f}" for value in region.axis)
     if region.elevation is not None:
         low, high = region.elevation

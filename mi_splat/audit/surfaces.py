@@ -127,13 +127,7 @@ def near_of(target: Target, cameras: Sequence[Camera]) -> float:
 
 
 def in_sight(scene: GaussianScene, target: Target, cameras: Sequence[Camera]) -> Tensor:
-    """(M,) rows of the Gaussians that can show before or on surface that is judged; what is behind it is left out.
-
-    Args:
-        scene: All Gaussians.
-        target: The object.
-        cameras: Those that look at it.
-    """
+    """(M,) rows of the Gaussians that can show before or on surface that is judged; what is behind it is left out."""
     eyes = torch.stack([camera.position for camera in cameras]) - target.centre
     reach = max(_REACH * target.radius, float(eyes.norm(dim=1).max()))
     far = (scene.means - target.centre.float()).norm(dim=1) - _EXTENT * scene.scales.amax(1)
@@ -144,17 +138,7 @@ def in_sight(scene: GaussianScene, target: Target, cameras: Sequence[Camera]) ->
 def sight(
     scene: GaussianScene, target: Target, cameras: Sequence[Camera], pictures: Sequence[Tensor] | None = None
 ) -> Sight:
-    """Look at an object from all cameras.
-
-    Args:
-        scene: The Gaussians in sight.
-        target: The object.
-        cameras: K cameras.
-        pictures: (H, W, 3) what each shows, sRGB, if that is known otherwise.
-
-    Returns:
-        What each camera sees of the surface, pixel by pixel.
-    """
+    """Look at an object from all cameras."""
     render = Renderer(RenderSettings(background=_BACKGROUND, near=near_of(target, cameras)))
     depths, parts, shown_by, first = [], [], {}, 0
     with torch.no_grad():
@@ -235,12 +219,7 @@ def _surface(depth: Tensor, alpha: Tensor, camera: Camera, target: Target) -> tu
 
 
 def elements(view: Sight, target: Target) -> Elements:
-    """The pieces of surface that at least `LEAST_VIEWS` cameras see.
-
-    Args:
-        view: What the cameras see.
-        target: The object.
-    """
+    """The pieces of surface that at least `LEAST_VIEWS` cameras see."""
     count = len(view.cameras)
     pieces, of_seen = torch.unique(view.keys, return_inverse=True)
     sums = _sums(view.sums, of_seen, len(pieces))

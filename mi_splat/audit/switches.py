@@ -144,13 +144,7 @@ def cells_of(pieces: Elements) -> Tensor:
 
 
 def set_scores(moments: Tensor, cell: Tensor, sides: Sides) -> Tensor:
-    """(T,) score of each set of cameras on an object.
-
-    Args:
-        moments: (E, K, 5) of its pieces.
-        cell: (E,) int64 cell of each.
-        sides: What parts the cameras.
-    """
+    """(T,) score of each set of cameras on an object."""
     sums, able = torch.zeros(0), 0
     for rows in torch.split(torch.arange(len(moments)), _CHUNK):
         split = Split.of(*sides(rows, moments[rows]))
@@ -169,15 +163,7 @@ def set_scores(moments: Tensor, cell: Tensor, sides: Sides) -> Tensor:
 
 
 def explain(pieces: Elements, view: Sight) -> Scores:
-    """Score how well sets of directions explain the colours of an object, and how well gloss would.
-
-    Args:
-        pieces: The surface, of which some can be judged.
-        view: From where it was seen.
-
-    Returns:
-        How well each explanation fits.
-    """
+    """Score how well sets of directions explain the colours of an object, and how well gloss would."""
     judged = pieces.judged.nonzero()[:, 0]
     judged = judged[torch.linspace(0, len(judged) - 1, min(len(judged), MOST_PIECES)).round().long()]
     cell = torch.unique(cells_of(pieces)[judged], return_inverse=True)[1]
@@ -225,22 +211,12 @@ def sums_by_side(moments: Tensor, shown: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def piece_scores(pieces: Elements, shown: Tensor) -> Tensor:
-    """(E,) score of each piece, 0 where it is not judged.
-
-    Args:
-        pieces: The surface.
-        shown: (K,) bool, the cameras that see the look.
-    """
+    """(E,) score of each piece, 0 where it is not judged."""
     return Split.of(*sums_by_side(pieces.moments, shown)).scores() * pieces.judged
 
 
 def look_amounts(pieces: Elements, shown: Tensor) -> Tensor:
-    """(K,) how much of a look each camera sees, by the mean of the pieces' scores: 0 none, 1 all; 0 if no piece tells.
-
-    Args:
-        pieces: The surface.
-        shown: (K,) bool, the cameras that see the look.
-    """
+    """(K,) how much of a look each camera sees, by the mean of the pieces' scores, from 0 (none) to 1."""
     inside, outside = sums_by_side(pieces.moments, shown)
     base = outside[:, 1:4] / outside[:, :1].clamp(min=1)
     change = inside[:, 1:4] / inside[:, :1].clamp(min=1) - base
@@ -264,11 +240,6 @@ def cameras_of_look(pieces: Elements, view: Sight, scores: Scores) -> Tensor:
     """(K,) bool, which cameras see the look: a set of any form, begun with the best cone.
 
     Each piece votes for the side whose mean colour is nearer to what the camera sees, by its score.
-
-    Args:
-        pieces: The surface.
-        view: Its cameras.
-        scores: With the cone.
     """
     shown = angles_between(scores.axis[None], view.directions)[0] < scores.half_width + (OUTSIDE - INSIDE) / 2
     for _ in range(_VOTES):

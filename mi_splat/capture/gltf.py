@@ -36,10 +36,6 @@ def gltf_notes(path: Path) -> MeshFileNotes:
     """Materials of a glTF file by their index, and the document as trimesh shall read it.
 
     There, names of materials are their indices, and the texture coordinates of a base colour are always the first.
-
-    Raises:
-        GltfError: It is no glTF 2.0, its parts do not fit, it needs an extension that is not read, or it has fans,
-            which trimesh leaves out.
     """
     document, rest = _read(path)
     try:
@@ -192,12 +188,7 @@ _LISTS = ("scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers", "m
 
 
 def document_fault(document: dict[str, Any], binary: int | None) -> str | None:
-    """What keeps a document from being read, in words; None if nothing is found.
-
-    Args:
-        document: The JSON of the file.
-        binary: Bytes of the binary part of a GLB, which is its first buffer; None if there is none.
-    """
+    """What keeps a document from being read, in words; None if nothing is found."""
     for name in _LISTS:
         entries = document.get(name, [])
         if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):

@@ -45,16 +45,7 @@ class Surface:
 def coloured(
     piece: Any, placed: NDArray[np.float64], path: Path, notes: MeshFileNotes, *, fault: Report, remark: Report
 ) -> Surface:
-    """One of trimesh's meshes in the file's frame, with its colours as a texture.
-
-    Args:
-        piece: The mesh.
-        placed: (4, 4) where it is in the file.
-        path: The file.
-        notes: What the file says of its materials.
-        fault: Told of a texture or of colours that the file has and that cannot be shown.
-        remark: Told of colours that the file has and that are left out for better ones.
-    """
+    """One of trimesh's meshes in the file's frame, with its colours as a texture."""
     vertices = np.asarray(piece.vertices, np.float64) @ placed[:3, :3].T + placed[:3, 3]
     faces = np.asarray(piece.faces, np.int64)
     if np.linalg.det(placed[:3, :3]) < 0:  # a mirror turns every face around

@@ -63,16 +63,7 @@ class LoadedMesh:
 
 @np.errstate(all="ignore")  # numbers that are not finite are refused where they end up
 def load_mesh(path: Path, settings: MeshSettings | None = None) -> LoadedMesh:
-    """All meshes of a file as one asset, with z up.
-
-    Args:
-        path: An OBJ, PLY, GLB or glTF file; textures are found from it.
-        settings: Its axes and unit, and what to do about missing textures; the defaults of the format if None.
-
-    Raises:
-        MeshFileError: The file is missing, broken, has no faces, or names textures that cannot be shown.
-        InvalidValueError: trimesh is not installed.
-    """
+    """All meshes of a file as one asset, with z up."""
     settings = settings or MeshSettings()
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:

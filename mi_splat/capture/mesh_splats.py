@@ -97,17 +97,7 @@ def _observe(samples: SurfaceSamples, view: View, depth: Tensor, tolerance: floa
 def fit_colours(
     samples: SurfaceSamples, views: Sequence[View], depths: Sequence[Tensor], config: DiscConfig
 ) -> tuple[Tensor, Tensor]:
-    """Least-squares SH of each sample over the views that see it, by ridge regression (Hoerl and Kennard 1970).
-
-    Args:
-        samples: N points.
-        views: Pictures.
-        depths: (H, W) distance from the camera in each picture, 0 for sky.
-        config: Degree, damping and tolerance are used.
-
-    Returns:
-        (N, K, 3) SH coefficients, and (N,) in how many views each sample is visible.
-    """
+    """Least-squares SH of each sample over the views that see it, by ridge regression (Hoerl and Kennard 1970)."""
     count, size = len(samples.points), (config.degree + 1) ** 2
     left = torch.zeros(count, size, size)
     right = torch.zeros(count, size, 3)
@@ -126,18 +116,7 @@ def fit_colours(
 def disc_splat(
     samples: SurfaceSamples, views: Sequence[View], depths: Sequence[Tensor], *, config: DiscConfig | None = None
 ) -> GaussianScene:
-    """A splat of flat discs on the samples that at least one view sees; the others are left out.
-
-    Args:
-        samples: Points on a surface.
-        views: Pictures of it.
-        depths: (H, W) distance from the camera in each picture, 0 for sky; see
-            `mi_splat.capture.path_tracer.depth_maps`.
-        config: How discs are laid and coloured.
-
-    Raises:
-        InvalidValueError: No sample is visible in any view.
-    """
+    """A splat of flat discs on the samples that at least one view sees; the others are left out."""
     config = config or DiscConfig()
     sh, seen = fit_colours(samples, views, depths, config)
     keep = seen > 0
@@ -167,17 +146,6 @@ def refine(
 
     Adam is that of Kingma and Ba (2015). The loss is the mean absolute difference plus half of the mean squared one;
     steps shrink along a cosine (Loshchilov and Hutter 2017) to a tenth.
-
-    Args:
-        scene: Where to start.
-        views: Pictures to match.
-        render: The renderer.
-        config: Steps and step sizes.
-        seed: Order of the views.
-        on_step: Called after each step.
-
-    Returns:
-        The splat with other values, in the same order.
     """
     config = config or RefineConfig()
     start = {name: value.detach().clone() for name, value in to_raw_parameters(scene).items()}

@@ -37,13 +37,6 @@ def tracing_variant(variant: str | None = None) -> Iterator[None]:
 
     Mitsuba loads its Python modules again for another variant, 0.2 s each time. Every function here switches by itself;
     around many calls, one more switch outside makes theirs free. A scene belongs to the variant that it was made in.
-
-    Args:
-        variant: `MANY_PICTURES` or `FEW_PICTURES`, for everything inside; None is that of the block around, and
-            `MANY_PICTURES` where there is none.
-
-    Raises:
-        LLVMError: No libLLVM can be found.
     """
     wanted = variant or _chosen.get() or MANY_PICTURES
     if wanted == MANY_PICTURES:
@@ -67,12 +60,7 @@ def made_in(scene: dict[str, Any] | Path) -> str | None:
 
 
 def load_scene(scene: dict[str, Any] | Path) -> mi.Scene:
-    """A scene dictionary or a Mitsuba XML file as a scene of the variant that is set.
-
-    Raises:
-        InvalidValueError: There is no such file, or it is no <scene>, or too large or too deep for one.
-        PictureFileError: A picture that it names has too many pixels.
-    """
+    """A scene dictionary or a Mitsuba XML file as a scene of the variant that is set."""
     if isinstance(scene, dict):
         return mi.load_dict(scene)
     if not Path(scene).is_file():
@@ -168,14 +156,7 @@ def scene_dict(
     backdrop: Asset | None = None,
     environment: Floats | None = None,
 ) -> dict[str, Any]:
-    """A Mitsuba scene, without a sensor, of `assets` in daylight; the scene belongs to the variant that traces.
-
-    Args:
-        assets: The objects; the shapes of object i have ids that begin with "object<i>_".
-        light: Sun and sky.
-        backdrop: What surrounds the objects and has no box: ground, houses.
-        environment: (h, w, 3) linear picture in the place of the sky, latitude and longitude, straight up first.
-    """
+    """A Mitsuba scene, without a sensor, of `assets` in daylight; the scene belongs to the variant that traces."""
     light = Light() if light is None else light
     azimuth, elevation = math.radians(light.sun_azimuth), math.radians(light.sun_elevation)
     to_sun = [
@@ -203,12 +184,7 @@ def scene_dict(
 
 
 def read_environment(path: Path) -> Floats:
-    """(h, w, 3) float32 linear RGB of an environment map.
-
-    Raises:
-        InvalidValueError: There is no such file, or it is no OpenEXR or Radiance HDR picture of finite values >= 0.
-        PictureFileError: It has too many pixels, or no header that says how many.
-    """
+    """(h, w, 3) float32 linear RGB of an environment map."""
     expected = "an OpenEXR (.exr) or Radiance (.hdr) picture"
     if path.suffix.lower() not in (".exr", ".hdr") or not path.is_file():
         got = f"no file {path}" if path.suffix.lower() in (".exr", ".hdr") else str(path)

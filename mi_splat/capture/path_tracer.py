@@ -120,11 +120,7 @@ def _picture(
 
 
 def check_camera(camera: Camera) -> None:
-    """Raise if no picture can be taken from a camera.
-
-    Raises:
-        InvalidValueError: Its pixels are not square.
-    """
+    """Raise if no picture can be taken from a camera."""
     with tracing_variant():
         sensor_dict(camera)
 
@@ -135,19 +131,7 @@ class PathTracer:
     def __init__(
         self, scene: dict[str, Any] | Path, *, samples: int = 32, alpha: bool = False, near: float = NEAR
     ) -> None:
-        """Load a scene.
-
-        Args:
-            scene: A Mitsuba scene dictionary (see `scene_dict`) or the path of a Mitsuba XML file
-                (sensors in it are not used).
-            samples: Samples per pixel.
-            alpha: Whether pictures have a fourth channel. Sky and lamps are then not to be seen, and a path tracer
-                takes the place of the integrator of an XML file.
-            near: Distance in world units up to which a camera sees nothing.
-
-        Raises:
-            InvalidValueError: samples is not positive, or there is no such file, or no integrator in it.
-        """
+        """Load a scene."""
         if samples < 1:
             raise InvalidValueError.of("samples", "a positive number of samples per pixel", samples, "use 16 or more")
         self.samples, self._near = samples, near
@@ -167,24 +151,13 @@ class PathTracer:
         return np.array([np.array(box.min).ravel(), np.array(box.max).ravel()], np.float32)
 
     def picture(self, camera: Camera, *, seed: int) -> Tensor:
-        """(H, W, 3 or 4) float32, sRGB in [0, 1] and alpha, whose colours are not multiplied with it.
-
-        Raises:
-            InvalidValueError: The camera's pixels are not square.
-        """
+        """(H, W, 3 or 4) float32, sRGB in [0, 1] and alpha, whose colours are not multiplied with it."""
         with tracing_variant(self._variant):
             shape = {"samples": self.samples, "seed": seed}
             return _picture(self._scene, camera, **shape, integrator=self._integrator, near=self._near)
 
     def surface(self, camera: Camera, *, seed: int) -> tuple[Tensor, Tensor]:
-        """What one ray per pixel meets first.
-
-        Returns:
-            (H, W, 3) points in world units, and (H, W) distances from the camera, 0 where a ray meets nothing.
-
-        Raises:
-            InvalidValueError: The camera's pixels are not square.
-        """
+        """What one ray per pixel meets first."""
         with tracing_variant(self._variant):
             sensor = _sensor(camera, samples=1, seed=seed, near=self._near)
             integrator = mi.load_dict({"type": "aov", "aovs": "point:position,distance:depth"})
@@ -200,22 +173,7 @@ def capture(
     seed: int = 0,
     on_step: OnStep | None = None,
 ) -> list[View]:
-    """Path-traced views of a mesh scene.
-
-    Args:
-        scene: A Mitsuba scene dictionary (see `scene_dict`) or the path of a Mitsuba XML file
-            (sensors in it are not used).
-        cameras: Cameras of the pictures; fx must equal fy.
-        samples: Samples per pixel.
-        seed: Seed of the sampler; picture i uses seed + i.
-        on_step: Called after each picture.
-
-    Returns:
-        One view a camera, sRGB in [0, 1].
-
-    Raises:
-        InvalidValueError: samples is not positive, a camera with pixels that are not square, or no such file.
-    """
+    """Path-traced views of a mesh scene."""
     views = []
     with tracing_variant(made_in(scene)):
         tracer = PathTracer(scene, samples=samples)
@@ -234,12 +192,7 @@ def first_hits(scene: mi.Scene, camera: Camera, *, seed: int = 0) -> Floats:
 
 
 def in_front(alone: _Depths, nearest: _Depths) -> _Depths:
-    """(H, W) bool, where something is the first that a ray meets.
-
-    Args:
-        alone: (H, W) distances to it, without anything else in the scene, 0 where it is not.
-        nearest: (H, W) distances to whatever is first in the whole scene, along the same rays.
-    """
+    """(H, W) bool, where something is the first that a ray meets."""
     return (alone > 0) & (alone <= nearest * (1 + 1e-5))
 
 

@@ -34,14 +34,7 @@ def capture_record(
     settings: CaptureSettings,
     inputs: Inputs | None = None,
 ) -> dict[str, Any]:
-    """Everything that the pictures depend on, as JSON can hold it.
-
-    Args:
-        source: What is photographed.
-        listing: Names and cameras of the pictures of each split.
-        settings: Samples and the like.
-        inputs: What the user asked for, in words, from which source and cameras come.
-    """
+    """Everything that the pictures depend on, as JSON can hold it."""
     poses = hashlib.sha256()
     for name, camera in (entry for part in listing.values() for entry in part):
         numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.to_world.flatten().tolist()]
@@ -65,14 +58,7 @@ def capture_record(
 
 
 def claim_folder(folder: Path, wanted: dict[str, Any]) -> str:
-    """Write the record of a new capture, or check that the folder's record is the same.
-
-    Returns:
-        The version of the project that began the capture.
-
-    Raises:
-        InvalidValueError: The folder holds something else, or a capture that differs in what the message says.
-    """
+    """Write the record of a new capture, or check that the folder's record is the same."""
     make_folder(folder)
     for subfolder in (folder, folder / "images"):
         sweep_temporary(subfolder)
@@ -95,12 +81,7 @@ def claim_folder(folder: Path, wanted: dict[str, Any]) -> str:
 
 
 def differences(stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
-    """What differs between the record of a folder and the one wanted, in words; empty if the pictures are the same.
-
-    Args:
-        stored: The folder's record.
-        wanted: As `capture_record` makes it.
-    """
+    """What differs between the record of a folder and the one wanted, in words; empty if the pictures are the same."""
     plain = ("train", "test", "samples", "seed", "alpha", "points", "near", "pictures", "mitsuba")
     changed = [f"{key} {stored.get(key)!r}, now {wanted[key]!r}" for key in plain if stored.get(key) != wanted[key]]
     same_scene = stored.get("scene") == wanted["scene"]

@@ -66,17 +66,7 @@ class CaptureSource:
 def open_source(
     name: str, *, mesh: MeshSettings | None = None, surroundings: SurroundingsSettings | None = None
 ) -> CaptureSource:
-    """The source called `name`.
-
-    Args:
-        name: A recipe of `mi_splat.assets.recipes`, an asset of the project by name and seed (`car:900004`), or the
-            path of a Mitsuba scene (.xml) or of a mesh file.
-        mesh: How a mesh file is read and turned.
-        surroundings: What is around a mesh file or an asset.
-
-    Raises:
-        MiSplatError: There is no such recipe or file, or the file is broken.
-    """
+    """The source called `name`."""
     path = Path(name)
     suffix = path.suffix.lower()
     is_asset = name not in RECIPES and name.partition(":")[0] in ASSETS
@@ -108,14 +98,7 @@ def _recipe(name: str) -> CaptureSource:
 
 
 def source_of(target: Asset, surroundings: Asset, light: Light, *, centre: tuple[float, float, float]) -> CaptureSource:
-    """An object in its surroundings.
-
-    Args:
-        target: The object, placed in the world.
-        surroundings: Everything else; it may have no meshes.
-        light: Sun and sky.
-        centre: Point that cameras look at, metres.
-    """
+    """An object in its surroundings."""
     return CaptureSource(
         scene=scene_dict([target], light=light, backdrop=surroundings),
         centre=centre,
@@ -213,11 +196,7 @@ def _middle(bounds: NDArray[np.float64]) -> tuple[tuple[float, float, float], fl
 
 
 def _far_away(path: Path, centre: tuple[float, float, float], radius: float) -> tuple[str, ...]:
-    """A warning if a Mitsuba scene lies so far from the origin that its pictures suffer.
-
-    Raises:
-        MiSplatError: They would be ruined.
-    """
+    """A warning if a Mitsuba scene lies so far from the origin that its pictures suffer."""
     away = max(map(abs, centre)) / radius
     if away <= FAR_XML:
         return ()

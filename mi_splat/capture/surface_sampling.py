@@ -30,12 +30,7 @@ class SurfaceSamples:
 
 
 def nearness(cameras: Sequence[Camera], *, closest: float = 1.5) -> Callable[[Floats], Floats]:
-    """A density for `surface_samples`: the mean over cameras of one over the squared distance.
-
-    Args:
-        cameras: Where pictures will be seen from.
-        closest: Distances are not taken below this, metres.
-    """
+    """A density for `surface_samples`: the mean over cameras of one over the squared distance."""
     eyes = np.stack([camera.position.numpy() for camera in cameras])
 
     def density(points: Floats) -> Floats:
@@ -70,15 +65,6 @@ def surface_samples(
     Triangles get points in proportion to area and density by systematic sampling (Madow and Madow 1944). Inside them,
     points follow the R2 sequence (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences"), whose
     steps are 1 / p and 1 / p^2 with p^3 = p + 1, folded from the square onto the triangle.
-
-    Args:
-        asset: The surface; hidden parts are sampled too.
-        count: Number of points.
-        density: Relative density per area at (N, 3) points in metres; uniform if None.
-        seed: Seed.
-
-    Raises:
-        InvalidValueError: count is not positive, or the asset has no area.
     """
     if count < 1:
         raise InvalidValueError.of("count", "a positive number of samples", count, "ask for more")

@@ -66,12 +66,7 @@ class WorkingFrame:
 
 
 def working_frame(centre: Point, radius: float) -> WorkingFrame:
-    """The frame for an object: the world's own where that is good enough.
-
-    Args:
-        centre: Middle of the object, world units.
-        radius: Its radius, world units, positive.
-    """
+    """The frame for an object: the world's own where that is good enough."""
     far = max(map(abs, centre)) > FARTHEST * radius
     usual = USUAL[0] <= radius <= USUAL[1]
     # A power of two changes no digit of a coordinate.

@@ -81,24 +81,6 @@ def write_capture(
     """Take pictures of a source and write them as a set that `mi_splat.datasets.load_dataset` reads.
 
     Pictures that are in the folder from an earlier call with the same arguments are kept. The layout may change.
-
-    Args:
-        source: What to take pictures of.
-        cameras: Cameras of the pictures for training; fx must equal fy.
-        folder: A new or empty folder, or that of an earlier call.
-        test: Cameras of the pictures held out.
-        settings: Samples per pixel, seed, number of points and the like; their defaults if None.
-        layout: Which files list the pictures: Blender/NeRF transforms, a COLMAP text model, or both.
-        inputs: What the user asked for, in words; the record keeps it, to say what differs in a later call.
-        on_step: Called after each picture.
-
-    Returns:
-        Numbers of pictures and points, the files that list them, and warnings.
-
-    Raises:
-        InvalidValueError: There are no cameras, the folder holds something else, or no picture shows a surface.
-        PictureFileError: Pictures would have too many pixels to be read again.
-        SplatFileError: A file cannot be written, or another process has the folder.
     """
     settings = settings or CaptureSettings()
     listing = _listing(cameras, test)
@@ -207,16 +189,6 @@ def surface_points(
 
     Without assets, the points are where rays through the pictures' pixels meet the scene. Of one asset, they lie evenly
     on it. Of more, half of them do so on the first, and the rest is spread over the others, denser near the cameras.
-
-    Args:
-        tracer: The scene.
-        assets: Its surfaces, where they are known.
-        views: Pictures of it; `COLOUR_VIEWS` of them are used.
-        count: Number of points wanted.
-        seed: Seed.
-
-    Raises:
-        InvalidValueError: No picture shows any surface.
     """
     rows = np.linspace(0, len(views) - 1, min(COLOUR_VIEWS, len(views)))
     chosen = [views[i] for i in sorted({round(row) for row in rows})]

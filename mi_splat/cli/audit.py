@@ -80,11 +80,7 @@ class AuditOptions(JsonOptions):
 
 
 def run(options: AuditOptions) -> int:
-    """Audit every file, also after one that could not be judged.
-
-    Returns:
-        Exit status: 3 if a file is suspicious, 1 if one could not be judged.
-    """
+    """Audit every file, also after one that could not be judged."""
     from mi_splat.audit.sarif import ENDINGS, sarif
     from mi_splat.io.documents import save_json
     from mi_splat.io.folders import check_new_file, check_new_folder, check_not_input

@@ -53,19 +53,7 @@ def find_cameras(
     shows: Shows | None = None,
     split: Split | None = None,
 ) -> dict[str, Camera]:
-    """The cameras by name, in the order in which they are asked for.
-
-    Args:
-        loaded: The scene.
-        options: Which cameras.
-        focus: What to look at; all of the scene if None.
-        shows: By it one of several orbit cameras is chosen where nothing says which is meant; the first if None.
-        split: Which part of a folder of pictures; None is all of it.
-
-    Raises:
-        InvalidValueError: A camera is not there, or a number is out of range.
-        DatasetError: A file with cameras cannot be read.
-    """
+    """The cameras by name, in the order in which they are asked for."""
     target = loaded.scene if focus is None else focus
     if options.up != UP:
         warn(f"up is {axis_name(options.up)}")
@@ -85,13 +73,7 @@ def find_cameras(
 
 
 def render_settings(loaded: SplatScene, options: CameraOptions, cameras: dict[str, Camera]) -> RenderSettings:
-    """How the pictures are made: the scene's settings, but for what the options say.
-
-    Args:
-        loaded: The scene.
-        options: Near plane and background, if they are given.
-        cameras: Where from. A bare splat says nothing of its near plane, so it is the one that suits them.
-    """
+    """How the pictures are made: the scene's settings, but for what the options say."""
     settings = loaded.settings
     if options.near is not None:
         settings = dataclasses.replace(settings, near=options.near)
@@ -122,13 +104,7 @@ def _is_set(text: str, loaded: SplatScene) -> bool:
 
 
 def renderer_of(loaded: SplatScene, options: CameraOptions, cameras: dict[str, Camera]) -> Renderer:
-    """The renderer of `render_settings`; says so where its near plane hides much that is in a picture.
-
-    Args:
-        loaded: As in `render_settings`.
-        options: As in `render_settings`.
-        cameras: As in `render_settings`.
-    """
+    """The renderer of `render_settings`; says so where its near plane hides much that is in a picture."""
     settings = render_settings(loaded, options, cameras)
     counts = {name: culled_in_view(loaded.scene, camera, settings.near) for name, camera in cameras.items()}
     worst = max(counts, key=lambda name: counts[name], default="")
@@ -268,17 +244,6 @@ def choose(loaded: SplatScene, selection: Selection, options: CameraOptions, *, 
 
     A click is on the picture that `mi-splat render` makes with the same flags, so with one the cameras come first.
     Otherwise the object does, and cameras that nothing else is said of look at it.
-
-    Args:
-        loaded: The scene.
-        selection: Which object.
-        options: Which cameras.
-        split: As in `find_cameras`.
-
-    Raises:
-        InvalidValueError: As in `select` and `find_cameras`.
-        DatasetError: As in `find_cameras`.
-        SplatFileError: A mask file cannot be read.
     """
     if selection.click:
         cameras = find_cameras(loaded, options, split=split)
@@ -291,14 +256,7 @@ def choose(loaded: SplatScene, selection: Selection, options: CameraOptions, *, 
 
 
 def look_at_object(loaded: SplatScene, mask: Tensor, options: CameraOptions, *, split: Split | None = None) -> Chosen:
-    """An object that is known, and the cameras.
-
-    Args:
-        loaded: The scene.
-        mask: (N,) bool, the object's Gaussians.
-        options: Which cameras; those that nothing else is said of look at the object, from where most of it shows.
-        split: As in `find_cameras`.
-    """
+    """An object that is known, and the cameras."""
 
     def shows(camera: Camera) -> float:
         small = Renderer(render_settings(loaded, options, {"": camera}))

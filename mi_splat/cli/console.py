@@ -37,9 +37,6 @@ def limit_threads(most: int | None = None) -> None:
     """Leave cores to Dr.Jit, unless OMP_NUM_THREADS is set: it and torch each bring a pool of threads, and two fight.
 
     On two busy cores an attack was measured to take 17 times as long with two full pools.
-
-    Args:
-        most: Threads of torch; None is half of the cores.
     """
     if "OMP_NUM_THREADS" not in os.environ:
         import torch
@@ -97,15 +94,7 @@ def show_table(rows: Iterable[tuple[str, str]]) -> None:
 
 @contextmanager
 def progress(text: str, total: int | None = None) -> Iterator[Advance]:
-    """A progress bar on stderr while the block runs; where stderr is no terminal, a line every ten seconds.
-
-    Args:
-        text: What is going on.
-        total: Units of work, or None where that is not known.
-
-    Yields:
-        A function to call after each unit of work.
-    """
+    """A progress bar on stderr while the block runs; where stderr is no terminal, a line every ten seconds."""
     if _LISTENERS:
         yield _Told(_LISTENERS[-1], text, total)
         return
@@ -171,14 +160,7 @@ class _Lines:
 
 
 def follow(advance: Advance) -> Callable[[str, int, int], None]:
-    """What shows work that has stages: a line for each new one, and how far it is.
-
-    Args:
-        advance: Of `progress`.
-
-    Returns:
-        A function of the stage, of how much of it is done, and of how much there is.
-    """
+    """What shows work that has stages: a line for each new one, and how far it is."""
     shown = set[str]()
 
     def told(text: str, done: int, total: int) -> None:

@@ -153,11 +153,7 @@ class Option:
         return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
     def value(self, words: Sequence[str], flag: str) -> Any:
-        """The value in the user's words.
-
-        Raises:
-            FieldError: They say nothing that the field takes.
-        """
+        """The value in the user's words."""
         kind, marks, optional = unwrapped(self.hint)
         if optional and [word.lower() for word in words] == [NONE]:
             return None
@@ -198,23 +194,12 @@ class Parser(argparse.ArgumentParser):
     """A parser whose errors are exceptions, so that they can be told as all others are."""
 
     def error(self, message: str) -> NoReturn:
-        """Raise what argparse would print.
-
-        Raises:
-            UsageError: Always.
-        """
+        """Raise what argparse would print."""
         raise UsageError(message.removeprefix("argument "))
 
 
 def parser_of(kind: type, *, program: str, description: str, defaults: Mapping[str, Any] | None = None) -> Parser:
-    """The parser of a command's options.
-
-    Args:
-        kind: The options.
-        program: How the command is called.
-        description: What `--help` says above the options.
-        defaults: Of some fields, in the place of their own.
-    """
+    """The parser of a command's options."""
     width = min(shutil.get_terminal_size().columns, 110)
     options = options_of(kind, defaults)
     positional = [option for option in options if option.how.positional]
@@ -241,18 +226,7 @@ def parse(
     description: str = "",
     defaults: Mapping[str, Any] | None = None,
 ) -> _Type:
-    """The options in the user's words; ends the process for --help.
-
-    Args:
-        kind: The options.
-        words: What the user typed after the command's name.
-        program: How the command is called.
-        description: What `--help` says above the options.
-        defaults: Of some fields, in the place of their own.
-
-    Raises:
-        UsageError: The words are no options of the command.
-    """
+    """The options in the user's words; ends the process for --help."""
     parser = parser_of(kind, program=program, description=description, defaults=defaults)
     # A space keeps argparse from taking a negative number for a flag.
     spaced = [f" {word}" if _NEGATIVE.fullmatch(word) else word for word in map(_dashed, words)]
@@ -275,12 +249,7 @@ def _dashed(word: str) -> str:
 
 
 def options_of(kind: type, defaults: Mapping[str, Any] | None = None) -> list[Option]:
-    """The options of a command: those of the class itself first, then those that it shares with other commands.
-
-    Args:
-        kind: The dataclass.
-        defaults: Of some fields, in the place of their own.
-    """
+    """The options of a command: those of the class itself first, then those that it shares with other commands."""
     bases = reversed([*enumerate(kind.__mro__)])
     ranks = {name: rank for rank, base in bases for name in inspect.get_annotations(base)}
     values = {

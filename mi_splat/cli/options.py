@@ -67,11 +67,7 @@ def _direction(word: str) -> tuple[float, float, float]:
 
 
 def check_no_input_in(folder: Path, *inputs: Path | None) -> None:
-    """Raise if replacing an older result would delete what is to be read.
-
-    Raises:
-        UsageError: An input lies in the folder that will be written.
-    """
+    """Raise if replacing an older result would delete what is to be read."""
     for path in inputs:
         if path is not None and path.exists() and path.resolve().is_relative_to(folder.resolve()):
             raise UsageError.of("--out", f"a folder without the input {path}", folder, "pass another folder")
@@ -105,11 +101,7 @@ Direction = Annotated[tuple[float, float, float], Word(_direction, _written), Ca
 
 
 def as_one_word(words: Sequence[str]) -> list[str]:
-    """Words of the user, in which the values of these options are one word each, behind an equals sign.
-
-    Raises:
-        UsageError: A size is two numbers.
-    """
+    """Words of the user, in which the values of these options are one word each, behind an equals sign."""
     joined, rest = [], list(words)
     while rest:
         word = rest.pop(0)

@@ -126,11 +126,7 @@ def run(options: RenderOptions) -> None:
 
 
 def _mixed_scene(options: RenderOptions) -> MixedScene | None:
-    """The scene, where it holds surfaces beside splats.
-
-    Raises:
-        InvalidValueError: A flag is given that such a scene cannot follow.
-    """
+    """The scene, where it holds surfaces beside splats."""
     from mi_splat.io.pictures import is_floats
     from mi_splat.mixed_scenes import MixedScene, holds_surfaces
 

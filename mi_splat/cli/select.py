@@ -120,17 +120,7 @@ def _save(path: Path, scene: GaussianScene, mask: Tensor, weight: Tensor, camera
 
 
 def tinted(scene: GaussianScene, weight: Tensor, camera: Camera, render: RenderFn) -> NDArray[np.uint8]:
-    """The picture of a scene in which an object has another colour, and all else is paler.
-
-    Args:
-        scene: The scene.
-        weight: (H, W) share of each pixel that the object makes up.
-        camera: Where from.
-        render: The renderer.
-
-    Returns:
-        (H, W, 3) uint8.
-    """
+    """The picture of a scene in which an object has another colour, and all else is paler."""
     import torch
 
     from mi_splat.io.images import to_bytes

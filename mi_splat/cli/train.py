@@ -112,14 +112,7 @@ class TrainOptions(JsonOptions):
 
 
 def defaults(words: Sequence[str]) -> dict[str, Any]:
-    """The strategy and its options, which say what further flags there are.
-
-    Args:
-        words: What the user typed after the command.
-
-    Raises:
-        UsageError: There is no such strategy.
-    """
+    """The strategy and its options, which say what further flags there are."""
     name = _STRATEGY
     for word, following in zip(words, [*words[1:], ""], strict=False):
         if word.partition("=")[0] == "--strategy":

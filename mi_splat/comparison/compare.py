@@ -100,22 +100,7 @@ def compare(
     lpips: Perceptual | None = None,
     on_step: Callable[[str], None] = lambda text: None,
 ) -> Comparison:
-    """Render every camera with every method, and measure how pictures, gradients and times differ.
-
-    Args:
-        scene: The splat.
-        cameras: From where, by name; at least one.
-        methods: Two or more, by name. Ratios of time are to the first that renders.
-        config: What is measured.
-        lpips: See `mi_splat.metrics.load_lpips`; None leaves it out.
-        on_step: Called with a few words before each call of a method.
-
-    Returns:
-        The differences by pair of methods, and the costs by method.
-
-    Raises:
-        InvalidValueError: There is no camera, there are fewer than two methods, or a method returns what is no picture.
-    """
+    """Render every camera with every method, and measure how pictures, gradients and times differ."""
     config = config or CompareConfig()
     for what, given, least in (("cameras", cameras, 1), ("methods", methods, 2)):
         if len(given) < least:

@@ -50,14 +50,6 @@ def costs_of(runs: Mapping[str, Run], *, rounds: int, on_step: Callable[[str], N
     """The cost of each method.
 
     In each round all take their turn, since a machine that others use changes its speed within minutes.
-
-    Args:
-        runs: A call of each method. It is made twice before it is timed, so that nothing is compiled any more.
-        rounds: How many; at least 1.
-        on_step: Called with a few words before each call.
-
-    Returns:
-        By the method's name.
     """
     memory, seconds = {}, {name: list[float]() for name in runs}
     for name, run in runs.items():
@@ -84,12 +76,6 @@ def peak_memory(run: Run) -> float | None:
 
     Linux keeps the most memory that a process ever had, and forgets it when asked. What was in use before the call is
     not counted, so the scene itself is not.
-
-    Args:
-        run: The call.
-
-    Returns:
-        None on systems that do not tell.
     """
     gc.collect()
     release_memory()

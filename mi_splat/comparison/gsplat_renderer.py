@@ -40,15 +40,7 @@ class GsplatRenderer:
         self._rasterization = package.rasterization
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        """Render one picture; the scene may be anywhere, the picture comes back to where it is.
-
-        Args:
-            scene: N Gaussians.
-            camera: The camera.
-
-        Returns:
-            (H, W, 3) float32 tensor. Values above 1 are not clipped.
-        """
+        """Render one picture; the scene may be anywhere, the picture comes back to where it is."""
         check_scene("scene", scene)
         options: Any = {"device": self.device, "dtype": torch.float32}
         means, scales, rotations, opacities, sh = (tensor.to(**options) for tensor in scene.tensors())

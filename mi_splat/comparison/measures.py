@@ -40,16 +40,7 @@ class PictureDistance:
 
 
 def picture_distance(first: Tensor, second: Tensor, *, lpips: Perceptual | None = None) -> PictureDistance:
-    """Compare two pictures.
-
-    Args:
-        first: (H, W, 3) sRGB; clipped to [0, 1], as a screen would.
-        second: The same shape.
-        lpips: See `mi_splat.metrics.load_lpips`.
-
-    Returns:
-        PSNR in dB, SSIM and LPIPS; None where it does not apply.
-    """
+    """Compare two pictures."""
     first, second = (picture.detach().clamp(0, 1) for picture in (first, second))
     side = min(first.shape[:2])
     return PictureDistance(
@@ -87,15 +78,6 @@ def gradients(render: RenderFn, scene: GaussianScene, camera: Camera, weights: T
 
     A quaternion's length means nothing, and renderers differ in whether they divide by it. So of the gradient of
     rotations the part along the quaternion is taken out.
-
-    Args:
-        render: Differentiable.
-        scene: N Gaussians.
-        camera: The camera.
-        weights: (H, W, 3), see `weighting`.
-
-    Returns:
-        By the attribute's name, in the shape of the attribute.
     """
     leaves = [tensor.detach().clone().requires_grad_(True) for tensor in scene.tensors()]
     picture = render(GaussianScene(*leaves), camera)

@@ -72,16 +72,7 @@ RENDERERS: Registry[RendererSpec] = Registry(
 
 
 def register_method(name: str, make: MakeRender, *, differentiable: bool = True) -> None:
-    """Let a renderer join comparisons under a name.
-
-    Args:
-        name: What `--methods` calls it: small letters, digits, dashes and underscores, a letter first.
-        make: See `RendererSpec`, as for `differentiable`.
-        differentiable: Whether it is.
-
-    Raises:
-        InvalidValueError: The name cannot be, or is taken.
-    """
+    """Let a renderer join comparisons under a name."""
     if not re.fullmatch(r"[a-z][a-z0-9_-]*", name):
         expected = "small letters, digits, - and _, a letter first"
         raise InvalidValueError.of("name of a method", expected, name, "choose another")
@@ -96,20 +87,7 @@ def method_names() -> tuple[str, ...]:
 def load_methods(
     arguments: Sequence[str], settings: RenderSettings, cameras: Mapping[str, Camera]
 ) -> dict[str, Method]:
-    """The methods that are asked for, by name, in their order.
-
-    Args:
-        arguments: Names of renderers, and folders of pictures as `folder:PATH`, which are called by the folder's name.
-            Several in one word stand between commas.
-        settings: Background and near plane.
-        cameras: From which the pictures of a folder were made, by name.
-
-    Raises:
-        InvalidValueError: There is no such method, one is named twice, there are fewer than two, or a method cannot
-            work with the settings.
-        DatasetError: A folder lacks a picture, or has one of another size.
-        MiSplatError: A renderer cannot run here.
-    """
+    """The methods that are asked for, by name, in their order."""
     methods: dict[str, Method] = {}
     for word in filter(None, (part.strip() for given in arguments for part in given.split(","))):
         name = Path(word.removeprefix(FOLDER)).resolve().name if word.startswith(FOLDER) else word
@@ -131,16 +109,7 @@ def load_methods(
 
 
 def load_method(name: str, settings: RenderSettings) -> Method:
-    """One renderer by its name.
-
-    Args:
-        name: One of `method_names()`.
-        settings: Background and near plane.
-
-    Raises:
-        InvalidValueError: There is none of this name, or it cannot work with the settings.
-        MiSplatError: It cannot run here.
-    """
+    """One renderer by its name."""
     spec = RENDERERS.chosen(name)
     return Method(render=spec.make(settings), differentiable=spec.differentiable)
 
@@ -225,19 +194,7 @@ class PictureFolder:
             picture_size(self._paths[name], (camera.width, camera.height))
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        """The picture of a camera.
-
-        Args:
-            scene: Not looked at.
-            camera: One of those that were given.
-
-        Returns:
-            (H, W, 3) float32 in [0, 1].
-
-        Raises:
-            InvalidValueError: It is another camera.
-            DatasetError: The picture cannot be read any more.
-        """
+        """The picture of a camera."""
         name = next((name for name, known in self._cameras.items() if known is camera), None)
         if name is None:
             do = "pass a camera that the folder was opened with"

@@ -9,12 +9,7 @@ from mi_splat.comparison.methods import Method
 
 
 def as_dict(comparison: Comparison, methods: Mapping[str, Method]) -> dict[str, Any]:
-    """What was measured, as JSON can hold it; a figure that was not measured is null.
-
-    Args:
-        comparison: What `compare` returned.
-        methods: What it was given.
-    """
+    """What was measured, as JSON can hold it; a figure that was not measured is null."""
     costs = {
         kind: {name: cost.as_dict() for name, cost in by_method.items()} for kind, by_method in comparison.costs.items()
     }

@@ -21,15 +21,7 @@ PICTURES = "pictures"
 
 
 def sheet(pictures: Mapping[str, Tensor], *, factor: float) -> NDArray[np.uint8]:
-    """The pictures of one camera: the methods, and after them the absolute differences of each two.
-
-    Args:
-        pictures: (H, W, 3) sRGB in [0, 1] by method.
-        factor: By which differences are multiplied; it is written onto them.
-
-    Returns:
-        (H', W', 3) uint8; small pictures are enlarged by a whole number, so that pixels stay to be seen.
-    """
+    """The pictures of one camera: the methods, and after them the absolute differences of each two."""
     tiles = [_labelled(to_bytes(picture), name) for name, picture in pictures.items()]
     for (first_name, first), (second_name, second) in combinations(pictures.items(), 2):
         gap = (first.clamp(0, 1) - second.clamp(0, 1)).abs()
@@ -54,19 +46,7 @@ def _labelled(pixels: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
 
 
 def save_sheets(pictures: Mapping[str, Mapping[str, Tensor]], folder: Path, *, factor: float) -> list[Path]:
-    """Write a sheet for each camera, and each picture on its own.
-
-    Args:
-        pictures: By camera and method, see `sheet`.
-        folder: Where: the sheets, and the pictures in pictures/METHOD.
-        factor: See `sheet`.
-
-    Returns:
-        The sheets.
-
-    Raises:
-        SplatFileError: A file cannot be written.
-    """
+    """Write a sheet for each camera, and each picture on its own."""
     sheets = []
     for view, seen in pictures.items():
         sheets.append(folder / f"{file_name(view)}.png")

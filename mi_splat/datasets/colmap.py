@@ -51,18 +51,7 @@ def find_model(path: Path) -> Path | None:
 def read_colmap(
     root: Path, cameras_file: Path, split: Split | None, every: int, downscale: int = 1
 ) -> tuple[list[Frame], PointCloud | None]:
-    """The frames of a split in the order of names, and the points.
-
-    Args:
-        root: The folder that was asked for; pictures are in its images/, or in that of a folder above the model.
-        cameras_file: Found by `find_model`.
-        split: Which part; None for all.
-        every: Every so manieth picture is for tests, unless the model has a list of them.
-        downscale: Pictures that are so many times smaller are taken if the set has them.
-
-    Raises:
-        DatasetError: A file is missing or broken, too many pictures are missing, or a lens is not known.
-    """
+    """The frames of a split in the order of names, and the points."""
     folder = cameras_file.parent
     model = _read_model(cameras_file)
     poses, source = _poses(model, cameras_file), _images_file(cameras_file)
@@ -82,15 +71,7 @@ def read_colmap(
 
 
 def read_model_cameras(cameras_file: Path, split: Split | None = None) -> dict[str, Camera]:
-    """The cameras of a model by the names of their pictures, which need not be there.
-
-    Args:
-        cameras_file: Found by `find_model`.
-        split: Which part, as `read_colmap` finds it: of the pictures that are there, unless none is; None for all.
-
-    Raises:
-        DatasetError: A file is missing or broken, or a lens is not known.
-    """
+    """The cameras of a model by the names of their pictures, which need not be there."""
     model = _read_model(cameras_file)
     lenses, source = _lenses(model, cameras_file), _images_file(cameras_file)
     poses, images = _poses(model, cameras_file), _images_folder(cameras_file.parent, cameras_file.parent)

@@ -25,12 +25,7 @@ Entry = TypeVar("Entry", Lens, Pose)
 
 
 def read_model(folder: Path) -> Model:
-    """The model in cameras.bin, images.bin and, if it is there, points3D.bin.
-
-    Raises:
-        DatasetError: A file is shorter or longer than its counts say, or holds what cannot be.
-        OSError: A file cannot be read.
-    """
+    """The model in cameras.bin, images.bin and, if it is there, points3D.bin."""
     points = folder / "points3D.bin"
     return Model(
         _lenses(folder / "cameras.bin"), _poses(folder / "images.bin"), _points(points) if points.is_file() else None

@@ -13,12 +13,7 @@ from mi_splat.io.points import PointCloud
 
 
 def read_model(folder: Path) -> Model:
-    """The model in cameras.txt, images.txt and, if it is there, points3D.txt.
-
-    Raises:
-        DatasetError: A line cannot be understood.
-        OSError: A file cannot be read.
-    """
+    """The model in cameras.txt, images.txt and, if it is there, points3D.txt."""
     points = folder / "points3D.txt"
     return Model(
         _lenses(folder / "cameras.txt"), _poses(folder / "images.txt"), _points(points) if points.is_file() else None

@@ -88,11 +88,7 @@ class Dataset(ViewSet):
 
     @property
     def fingerprint(self) -> str:
-        """What tells this set from others: the bytes of its pictures and of their masks, and how they are read.
-
-        Raises:
-            DatasetError: A file is not there any more, or cannot be read.
-        """
+        """What tells this set from others: the bytes of its pictures and of their masks, and how they are read."""
         files = [tuple(_digest(file) for file in (frame.path, frame.mask)) for frame in self.frames]
         bent = [(frame.lens, frame.upright) for frame in self.frames if frame.lens or frame.upright]
         return repr((files, self.downscale, self.background, *([bent] if bent else [])))
@@ -108,47 +104,22 @@ class Dataset(ViewSet):
     def __getitem__(self, index: slice) -> Dataset: ...
 
     def __getitem__(self, index: int | slice) -> View | Dataset:
-        """A view, or the set of some of them.
-
-        Raises:
-            DatasetError: The picture cannot be read, or has changed its size since the set was loaded.
-            IndexError: There is no such view.
-        """
+        """A view, or the set of some of them."""
         if isinstance(index, slice):
             return dataclasses.replace(self, frames=self.frames[index])
         return self._read(index).view
 
     def alpha(self, index: int) -> Tensor | None:
-        """(H, W) float32 in [0, 1], opacity of the picture; None if it has none.
-
-        Raises:
-            DatasetError: The picture or its mask cannot be read.
-            IndexError: There is no such view.
-        """
+        """(H, W) float32 in [0, 1], opacity of the picture; None if it has none."""
         return self._read(index).alpha
 
     def loss_mask(self, index: int, *, files: bool = True) -> Tensor | None:
-        """(H, W) float32 in [0, 1], 1 where the picture counts in a loss; None if all of it does.
-
-        Args:
-            index: Of the view.
-            files: Whether masks that came with the set count; else only what the photograph does not show, which an
-                undistorted picture may have at its border.
-
-        Raises:
-            DatasetError: The picture or its mask cannot be read.
-            IndexError: There is no such view.
-        """
+        """(H, W) float32 in [0, 1], 1 where the picture counts in a loss; None if all of it does."""
         entry = self._read(index)
         return _product(entry.mask if files else None, entry.shown)
 
     def mask(self, index: int) -> Tensor | None:
-        """(H, W) float32 in [0, 1], 1 where the picture counts: its alpha times its mask; None if it has neither.
-
-        Raises:
-            DatasetError: The picture or its mask cannot be read.
-            IndexError: There is no such view.
-        """
+        """(H, W) float32 in [0, 1], 1 where the picture counts: its alpha times its mask; None if it has neither."""
         entry = self._read(index)
         return _product(entry.alpha, _product(entry.mask, entry.shown))
 

@@ -76,12 +76,7 @@ class Intrinsics:
         return not (self.fisheye or any(self.radial) or any(self.divisor) or any(self.tangential))
 
     def resized(self, size: tuple[int, int], scale: tuple[float, float] | None = None) -> Intrinsics:
-        """The lens of the same photograph with other pixels.
-
-        Args:
-            size: Width and height.
-            scale: By how much pixels became smaller in x and y; None is the quotient of the sizes.
-        """
+        """The lens of the same photograph with other pixels."""
         sx, sy = scale or (size[0] / self.size[0], size[1] / self.size[1])
         (fx, fy), (cx, cy) = self.focal, self.principal
         return replace(self, focal=(fx * sx, fy * sy), principal=(cx * sx, cy * sy), size=size)
@@ -123,11 +118,7 @@ def _polynomial(coefficients: tuple[float, ...], square: Values) -> Values:
 
 @functools.lru_cache(maxsize=256)
 def pinhole(lens: Intrinsics) -> Intrinsics:
-    """Intrinsics without distortion whose picture lies inside the photograph, as COLMAP's undistorter chooses them.
-
-    Raises:
-        InvalidValueError: The photograph is too large, or a side of it is where the lens shows nothing.
-    """
+    """Intrinsics without distortion whose picture lies inside the photograph, as COLMAP's undistorter chooses them."""
     if lens.is_pinhole:
         return lens
     (width, height), (cx, cy) = lens.size, lens.principal
@@ -185,16 +176,7 @@ def _profile(lens: Intrinsics) -> _Table:
 
 
 def undistorted(photograph: Tensor, lens: Intrinsics, target: Intrinsics) -> tuple[Tensor, Tensor]:
-    """The picture of a pinhole camera out of a photograph, each pixel interpolated between four.
-
-    Args:
-        photograph: (H, W, C) float32.
-        lens: That of the photograph.
-        target: That of the picture, without distortion.
-
-    Returns:
-        (H', W', C) float32, zero where the photograph shows nothing, and (H', W') bool, where it shows something.
-    """
+    """The picture of a pinhole camera out of a photograph, each pixel interpolated between four."""
     width, height = target.size
     (fx, fy), (cx, cy) = target.focal, target.principal
     widest = float(np.tan(_profile(lens)[0][-1]))

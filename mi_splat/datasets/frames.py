@@ -63,17 +63,7 @@ class Photograph(NamedTuple):
     upright: bool = False
 
     def frame(self, pose: Tensor, intrinsics: Intrinsics, shrunk: int, where: str) -> Frame:
-        """The frame of a camera with this picture.
-
-        Args:
-            pose: (4, 4) camera to world.
-            intrinsics: At `size`.
-            shrunk: See `Frame`; 1 where `stored` is `size`.
-            where: What the camera is called in messages.
-
-        Raises:
-            DatasetError: They are no camera.
-        """
+        """The frame of a camera with this picture."""
         lens = intrinsics if self.stored == self.size else intrinsics.resized(self.stored)
         return Frame(
             camera=pinhole_camera(pose, lens, where),
@@ -86,16 +76,7 @@ class Photograph(NamedTuple):
 
 
 def pinhole_camera(pose: Tensor, lens: Intrinsics, where: str) -> Camera:
-    """The camera that sees what a photograph shows, without its distortion.
-
-    Args:
-        pose: (4, 4) camera to world.
-        lens: Of the photograph.
-        where: What it is called in messages.
-
-    Raises:
-        DatasetError: They are no camera.
-    """
+    """The camera that sees what a photograph shows, without its distortion."""
     try:
         lens = pinhole(lens)
         width, height = lens.size
@@ -105,18 +86,7 @@ def pinhole_camera(pose: Tensor, lens: Intrinsics, where: str) -> Camera:
 
 
 def photograph(picture: Path, mask: Path | None, claimed: tuple[int, int] | None, shrunk: int) -> Photograph | None:
-    """A picture with its mask, both from folders of smaller ones if there are such; None if there is no picture.
-
-    Args:
-        picture: Its file, found or not.
-        mask: That of its mask.
-        claimed: Width and height of which the set speaks. A picture whose EXIF orientation gives it that size is
-            turned; else its pixels count as they are in the file, which is how COLMAP and others see them.
-        shrunk: Pictures that are so many times smaller lie in images_2 beside images, and so on.
-
-    Raises:
-        DatasetError: A file cannot be read, or has another size.
-    """
+    """A picture with its mask, both from folders of smaller ones if there are such; None if there is no picture."""
     small, small_mask = (_smaller(file, shrunk) if file and shrunk > 1 else None for file in (picture, mask))
     if small is not None and (mask is None or small_mask is not None):
         return _small_photograph(
@@ -155,17 +125,7 @@ def _smaller(file: Path, factor: int) -> Path | None:
 
 
 def within(folder: Path, name: str, source: str, *, above: int = 0) -> Path:
-    """A file that a set names, which has to lie in the set.
-
-    Args:
-        folder: From where the name counts.
-        name: What the set says.
-        source: Where it says it, for messages.
-        above: How many folders up a name may lead.
-
-    Raises:
-        DatasetError: It leads elsewhere.
-    """
+    """A file that a set names, which has to lie in the set."""
     relative = os.path.relpath(name, os.path.abspath(folder)) if os.path.isabs(name) else os.path.normpath(name)
     parts = Path(relative).parts
     if parts[: above + 1] == ("..",) * (above + 1):
@@ -178,11 +138,7 @@ def within(folder: Path, name: str, source: str, *, above: int = 0) -> Path:
 
 
 def report_missing(missing: Sequence[Path], listed: int, source: Path) -> None:
-    """Warn of pictures that are not there.
-
-    Raises:
-        DatasetError: They are too many.
-    """
+    """Warn of pictures that are not there."""
     if not missing:
         return
     got = f"{len(missing)} of {listed} pictures missing ({missing[0].name}{', ...' if len(missing) > 1 else ''})"
@@ -193,11 +149,7 @@ def report_missing(missing: Sequence[Path], listed: int, source: Path) -> None:
 
 
 def downscaled(camera: Camera, factor: int) -> Camera:
-    """The camera of a picture that was made smaller by an integer factor; a rest of the size is cut off.
-
-    Raises:
-        InvalidValueError: Nothing is left of the picture.
-    """
+    """The camera of a picture that was made smaller by an integer factor; a rest of the size is cut off."""
     if factor == 1:
         return camera
     return Camera(
@@ -233,11 +185,7 @@ def held_out(items: Sequence[Item], split: Split | None, every: int) -> list[Ite
 
 
 def refuse_doubles(names: Iterable[str], source: Path) -> None:
-    """Raise if a name comes twice.
-
-    Raises:
-        DatasetError: It does.
-    """
+    """Raise if a name comes twice."""
     seen: set[str] = set()
     for name in names:
         if name in seen:

@@ -21,15 +21,7 @@ Pixels = NDArray[np.float32]
 
 
 def picture_size(path: Path, claimed: tuple[int, int] | None = None) -> tuple[int, int]:
-    """Width and height of a picture, read off its header.
-
-    Args:
-        path: The picture.
-        claimed: The width and height that it has to have, if they are known.
-
-    Raises:
-        DatasetError: There is no such picture, it cannot be read, has more than 8 bits a channel or another size.
-    """
+    """Width and height of a picture, read off its header."""
     try:
         size, mode = picture_header(path)
     except PictureFileError as error:
@@ -43,11 +35,7 @@ def picture_size(path: Path, claimed: tuple[int, int] | None = None) -> tuple[in
 
 
 def lies_on_its_side(path: Path) -> bool:
-    """Whether a picture's EXIF orientation swaps its width and height.
-
-    Raises:
-        DatasetError: It cannot be read.
-    """
+    """Whether a picture's EXIF orientation swaps its width and height."""
     try:
         return _lies_on_its_side(path)
     except PictureFileError as error:
@@ -57,20 +45,7 @@ def lies_on_its_side(path: Path) -> bool:
 def read_picture(
     path: Path, *, downscale: int, background: tuple[float, float, float], upright: bool = False
 ) -> tuple[Tensor, Tensor | None]:
-    """A picture over a background, and its alpha.
-
-    Args:
-        path: The picture.
-        downscale: Factor by which it shrinks; each pixel is the mean of those it covers.
-        background: sRGB colour behind transparent pixels; blended in sRGB, as NeRF's sets are meant.
-        upright: Whether it is turned as its EXIF orientation says.
-
-    Returns:
-        (H, W, 3) float32 in [0, 1], and (H, W) float32 alpha in [0, 1] if the picture has any.
-
-    Raises:
-        DatasetError: The picture cannot be read.
-    """
+    """A picture over a background, and its alpha."""
     picture = _decoded(path, upright)
     has_alpha = "A" in picture.mode or "a" in picture.mode or "transparency" in picture.info
     values = np.asarray(picture.convert("RGBA" if has_alpha else "RGB"), np.float32) / np.float32(255)
@@ -82,11 +57,7 @@ def read_picture(
 
 
 def read_mask(path: Path, *, downscale: int) -> Tensor:
-    """(H, W) float32 mask in [0, 1] from a picture in its grey values.
-
-    Raises:
-        DatasetError: The picture cannot be read.
-    """
+    """(H, W) float32 mask in [0, 1] from a picture in its grey values."""
     values = np.asarray(_decoded(path).convert("L"), np.float32)[..., None] / np.float32(255)
     return torch.from_numpy(area_mean(values, downscale)[..., 0])
 

@@ -62,17 +62,7 @@ def find_transforms(path: Path) -> Path | None:
 
 
 def read_transforms(path: Path, split: Split | None, every: int, downscale: int = 1) -> tuple[list[Frame], Path | None]:
-    """The frames of a split, and the file of the point cloud.
-
-    Args:
-        path: A file found by `find_transforms`.
-        split: Which part; None for all. A file named for a split belongs to that alone.
-        every: In a file for all pictures, those whose index in the order of names is a multiple are for tests.
-        downscale: Pictures that are so many times smaller are taken if the set has them.
-
-    Raises:
-        DatasetError: A file is missing or broken, too many pictures are missing, or a lens is not known.
-    """
+    """The frames of a split, and the file of the point cloud."""
     its_part = next((part for part, name in PARTS.items() if name == path.name), None)
     if its_part is None:
         document = _document(path)
@@ -89,15 +79,7 @@ def read_transforms(path: Path, split: Split | None, every: int, downscale: int 
 
 
 def read_cameras(path: Path, size: tuple[int, int]) -> list[Camera]:
-    """The cameras of a transforms file in its order, whose pictures need not be there.
-
-    Args:
-        path: The JSON file.
-        size: Width and height in pixels of the cameras for which the file gives none.
-
-    Raises:
-        DatasetError: The file is missing or broken.
-    """
+    """The cameras of a transforms file in its order, whose pictures need not be there."""
     document = _document(path)
     cameras = []
     for number, entry in enumerate(document["frames"]):
@@ -112,11 +94,7 @@ def read_cameras(path: Path, size: tuple[int, int]) -> list[Camera]:
 
 
 def read_world_offset(path: Path) -> tuple[float, float, float]:
-    """What a transforms file says has to be added to its coordinates; zero if it says nothing.
-
-    Raises:
-        DatasetError: The file is missing or broken.
-    """
+    """What a transforms file says has to be added to its coordinates; zero if it says nothing."""
     values = _document(path).get(WORLD_OFFSET, [0.0, 0.0, 0.0])
     if not isinstance(values, list) or len(values) != 3:
         raise DatasetError.of(f"{path}: {WORLD_OFFSET}", "three numbers", repr(values)[:60], "repair it")

@@ -40,22 +40,7 @@ def write_transforms(
     masks: Iterable[Tensor | None] = (),
     points: PointCloud | None = None,
 ) -> None:
-    """Write a set as Blender and NeRF have it: PNG files, transforms_train.json, transforms_test.json, points3D.ply.
-
-    Args:
-        folder: Where to; made if it is not there.
-        views: Pictures for training.
-        test: Pictures held out.
-        alphas: (H, W) alpha in [0, 1] of each picture, first of `views`, then of `test`, whose colours are then not
-            multiplied with it; None writes opaque pictures.
-        masks: (H, W) in [0, 1], 1 where the picture counts, of each picture in the same order; None where all of it
-            does, and of those for which there is none.
-        points: Points from which a training may start.
-
-    Raises:
-        SplatFileError: A file cannot be written.
-        InvalidValueError: There are no views, or not as many alphas as views, or one has another size.
-    """
+    """Write a set as Blender and NeRF have it: PNG files, transforms_train.json, transforms_test.json, points3D.ply."""
     root = make_folder(folder)
     listing = _write_pictures(root, views, test, alphas)
     for (name, _), mask in zip((entry for part in listing.values() for entry in part), masks, strict=False):
@@ -75,17 +60,6 @@ def write_colmap(
     """Write a set as COLMAP has it: PNG files in images/ and a text model of PINHOLE cameras in sparse/0.
 
     A list of the pictures held out goes beside the model as test.txt.
-
-    Args:
-        folder: Where to; made if it is not there.
-        views: Pictures for training.
-        test: Pictures held out.
-        alphas: As in `write_transforms`.
-        points: Points from which a training may start; they get no tracks.
-
-    Raises:
-        SplatFileError: A file cannot be written.
-        InvalidValueError: There are no views, or not as many alphas as views, or one has another size.
     """
     root = make_folder(folder)
     listing = _write_pictures(root, views, test, alphas)
@@ -98,18 +72,6 @@ def list_transforms(
     """Write the transforms files of pictures that are in images/, and the points.
 
     The file for tests is left out if there are none.
-
-    Args:
-        folder: Of the set.
-        listing: Names and cameras of the pictures of each split.
-        points: Points from which a training may start.
-        more: Keys and values for the head of each file.
-
-    Returns:
-        Paths of the files.
-
-    Raises:
-        SplatFileError: A file cannot be written.
     """
     written = []
     if points is not None:
@@ -124,14 +86,7 @@ def list_transforms(
 
 
 def list_colmap(folder: Path, listing: Listing, points: PointCloud | None) -> list[Path]:
-    """Write the text model of pictures that are in images/.
-
-    Returns:
-        Paths of the files.
-
-    Raises:
-        SplatFileError: A file cannot be written.
-    """
+    """Write the text model of pictures that are in images/."""
     model = make_folder(folder / "sparse" / "0")
     entries = sorted((entry for part in listing.values() for entry in part), key=lambda entry: entry[0])
     lenses: dict[str, int] = {}
@@ -151,11 +106,7 @@ def list_colmap(folder: Path, listing: Listing, points: PointCloud | None) -> li
 
 
 def make_folder(folder: str | os.PathLike[str]) -> Path:
-    """The folder, which is made with those above it if it is not there.
-
-    Raises:
-        SplatFileError: It cannot be made.
-    """
+    """The folder, which is made with those above it if it is not there."""
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:

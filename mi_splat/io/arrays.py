@@ -24,12 +24,7 @@ _BROKEN = (
 
 
 def load_array(path: Path) -> NDArray[np.generic]:
-    """The array in a .npy file, of numbers or other plain values, never of objects.
-
-    Raises:
-        SplatFileError: The file cannot be read, holds something else (an archive, pickled objects), or does not have
-            the size that its header says.
-    """
+    """The array in a .npy file, of numbers or other plain values, never of objects."""
     expected, do = "an array of NumPy (.npy)", "save it with numpy.save"
     try:
         with open_regular(str(path)) as file:

@@ -34,11 +34,7 @@ _STALE_SECONDS = 24 * 3600.0
 
 
 def temporary_name(ending: Literal["tmp", "old"] = "tmp") -> str:
-    """A name for a temporary file or folder, which says what process of what machine it belongs to.
-
-    Args:
-        ending: "old" for a folder that holds an older result under its own name while a new one takes its place.
-    """
+    """A name for a temporary file or folder, which says what process of what machine it belongs to."""
     return f".{HOST}.{os.getpid()}.{secrets.token_hex(8)}.{ending}"
 
 
@@ -52,12 +48,6 @@ def sweep_temporary(folder: str | os.PathLike[str]) -> int:
 
     Left behind are those whose process has ended. Of another machine's it cannot be known; they go after a day. An
     older result that had given up its name, and whose name nothing has taken, gets it back.
-
-    Args:
-        folder: Where; one that is not there holds none.
-
-    Returns:
-        How many were removed.
     """
     removed = 0
     with contextlib.suppress(OSError):
@@ -105,15 +95,6 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
     The bytes go to a temporary file in the same folder, reach the disk, and take the name `path` in one step. The mode
     of a file that was there is kept; a symbolic link is followed. When the body raises, the temporary file is removed.
-
-    Args:
-        path: The file to write.
-
-    Yields:
-        The temporary file, open for unbuffered binary writing.
-
-    Raises:
-        SplatFileError: The folder is missing or cannot be written, `path` is no regular file, or the disk is full.
     """
     target = os.path.realpath(path)
     temporary = os.path.join(os.path.dirname(target), temporary_name())
@@ -151,9 +132,6 @@ def replace_folder(new: str | os.PathLike[str], target: str | os.PathLike[str]) 
 
     Linux and macOS exchange the two names in one step on most disks. Elsewhere the older folder first gives up its
     name; after a kill at that point `sweep_temporary` gives it back.
-
-    Raises:
-        OSError: The names cannot be changed; the older folder then has its own.
     """
     if _exchange(os.fspath(new), os.fspath(target)):
         shutil.rmtree(new, ignore_errors=True)
@@ -197,11 +175,7 @@ def _exchange(first: str, second: str) -> bool:
 
 
 def sync_folder(folder: str | os.PathLike[str]) -> None:
-    """Bring everything in a folder to the disk, so that it outlasts a power cut, where the system can.
-
-    Raises:
-        OSError: The disk reports that it could not.
-    """
+    """Bring everything in a folder to the disk, so that it outlasts a power cut, where the system can."""
     for parent, _, files in os.walk(folder):
         for path in (os.path.join(parent, name) for name in files):
             if os.name != "nt" and not os.path.islink(path):  # there, a file has to be open for writing

@@ -41,16 +41,6 @@ def recorded_cameras(path: Path, *, reference: bool = True) -> dict[str, Camera]
     """The cameras, by name, of a file that one of the commands or the trainer of 3DGS has written.
 
     Of an attack on a distribution of views it is the reference camera alone, with which the attack can be repeated.
-
-    Args:
-        path: cameras.json or result.json.
-        reference: Whether such a reference camera counts, from which the object need not have been looked at.
-
-    Returns:
-        None if it is no such file; it may be one of another program.
-
-    Raises:
-        InvalidValueError: It is such a file, but a camera in it is broken.
     """
     try:
         document = _RECORD.read_json_value(path)
@@ -99,15 +89,7 @@ def unique_names(names: Iterable[str]) -> list[str]:
 
 
 def camera_of(entry: Mapping[str, object], where: str = "camera") -> Camera:
-    """A camera as `describe`, or the trainer of 3DGS, writes it.
-
-    Args:
-        entry: What is written.
-        where: What it is part of, for messages.
-
-    Raises:
-        InvalidValueError: It lacks something, or something in it is no camera's.
-    """
+    """A camera as `describe`, or the trainer of 3DGS, writes it."""
     if not isinstance(entry, Mapping):
         raise InvalidValueError.of(where, "an object", kind_of(entry), _AGAIN)
     return _camera(Fields(entry, where, InvalidValueError, _AGAIN))

@@ -20,51 +20,30 @@ def file_name(text: str) -> str:
 
 
 def save_bytes(data: bytes, path: Path) -> None:
-    """Write a file.
-
-    Raises:
-        SplatFileError: The file cannot be written.
-    """
+    """Write a file."""
     with atomic_write(path) as file:
         write_all(file, memoryview(data))
 
 
 def save_text(text: str, path: Path) -> None:
-    """Write a text file.
-
-    Raises:
-        SplatFileError: The file cannot be written.
-    """
+    """Write a text file."""
     save_bytes(text.encode(), path)
 
 
 def save_json(values: Any, path: Path, *, indent: int | None = 2) -> None:
-    """Write a JSON file; without an indent on one line.
-
-    Raises:
-        SplatFileError: The file cannot be written.
-        ValueError: A number is not finite.
-    """
+    """Write a JSON file; without an indent on one line."""
     save_text(json.dumps(values, indent=indent, allow_nan=False) + "\n", path)
 
 
 def save_png(pixels: NDArray[np.uint8], path: Path) -> None:
-    """Write (H, W, 3) or (H, W, 4) pixels as PNG.
-
-    Raises:
-        SplatFileError: The file cannot be written.
-    """
+    """Write (H, W, 3) or (H, W, 4) pixels as PNG."""
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, format="PNG")
     save_bytes(buffer.getvalue(), path)
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes, hexadecimal.
-
-    Raises:
-        OSError: It cannot be read.
-    """
+    """SHA-256 of a file's bytes, hexadecimal."""
     total = hashlib.sha256()
     with path.open("rb") as file:
         while part := file.read(1 << 20):

@@ -32,11 +32,7 @@ _ADVICE = {
 
 
 def path_name(value: object) -> str:
-    """A path, as text or as `pathlib` has it, as text.
-
-    Raises:
-        InvalidValueError: It is something else.
-    """
+    """A path, as text or as `pathlib` has it, as text."""
     name = os.fspath(value) if isinstance(value, str | os.PathLike) else None
     if not isinstance(name, str):
         raise InvalidValueError.of("path", "the name of a file", type(value).__name__, "pass a str or a Path")

@@ -30,27 +30,13 @@ class Fields:
     do: str = _AGAIN
 
     def bad(self, name: str, expected: str, got: object, do: str | None = None) -> MiSplatError:
-        """The error for a field.
-
-        Args:
-            name: Name of the field.
-            expected: What would have been right.
-            got: What is there.
-            do: What to do about it; None for what is done about all of this object.
-        """
+        """The error for a field."""
         shown = repr(got)
         shown = shown if len(shown) <= 60 else f"{shown[:57]}..."
         return self.error(message(f"{self.where}: {name}", expected, shown, self.do if do is None else do))
 
     def whole(self, name: str, low: int, high: int, default: int | None = None) -> int:
-        """A whole number in a range.
-
-        Args:
-            name: Name of the field.
-            low: Smallest number allowed.
-            high: Largest one.
-            default: What a missing field means; None if it may not be missing.
-        """
+        """A whole number in a range."""
         value = self.values.get(name, default)
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
             raise self.bad(name, f"a whole number from {low} to {high}", value)
@@ -71,14 +57,7 @@ class Fields:
         return _number(value)
 
     def numbers(self, name: str, low: int, high: int, default: Sequence[float] | None = None) -> list[float]:
-        """A list of finite numbers.
-
-        Args:
-            name: Name of the field.
-            low: Least length.
-            high: Largest length.
-            default: What a missing field means; None if it may not be missing.
-        """
+        """A list of finite numbers."""
         values = self.values.get(name, default)
         if isinstance(values, Sequence) and not isinstance(values, str) and low <= len(values) <= high:
             kept = [_number(item) for item in values]
@@ -119,14 +98,7 @@ class Fields:
         return [parts.numbers(part, width, width) for part in parts.values]
 
     def wholes(self, name: str, low: int, high: int, count: int | None = None) -> list[int]:
-        """A list of `count` whole numbers in a range; of any number if no count is given.
-
-        Args:
-            name: Name of the field.
-            low: Smallest number allowed.
-            high: Largest one.
-            count: Length of the list.
-        """
+        """A list of `count` whole numbers in a range; of any number if no count is given."""
         values = self.values.get(name)
         parts = values if isinstance(values, list) and count in (None, len(values)) else [None]
         kept = [item for item in parts if isinstance(item, int) and not isinstance(item, bool) and low <= item <= high]
@@ -144,16 +116,7 @@ class Fields:
 
 
 def parse(data: bytes, path: str, *, limit: int) -> Fields:
-    """The object in the JSON of a splat file.
-
-    Args:
-        data: The document.
-        path: For messages.
-        limit: Most bytes that it may have.
-
-    Raises:
-        SplatFileError: It is longer, no JSON, or no object.
-    """
+    """The object in the JSON of a splat file."""
     return Fields(DocumentReader(do=_AGAIN, error=SplatFileError, most=limit).json_object(data, path), path)
 
 

@@ -30,9 +30,6 @@ def check_writable(out: str | os.PathLike[str]) -> None:
     """Raise, before any work is done, unless files can be written into a folder at `out`, which need not be there.
 
     Temporary files that killed programs left there are swept.
-
-    Raises:
-        SplatFileError: `out` or something above it is a file, or cannot be written.
     """
     around = _existing_parent(Path(out))
     if not around.is_dir():
@@ -44,17 +41,7 @@ def check_writable(out: str | os.PathLike[str]) -> None:
 
 
 def check_new_file(path: Path, endings: Sequence[str], *, force: bool | None = False) -> None:
-    """Raise, before any work is done, unless a file can be written at `path`.
-
-    Args:
-        path: The file; its folder has to be there.
-        endings: That its name may have.
-        force: Whether a file that is there may be replaced; None where nobody can ask for that.
-
-    Raises:
-        InvalidValueError: The name has another ending, the file is there, or its folder is not.
-        SplatFileError: The folder cannot be written.
-    """
+    """Raise, before any work is done, unless a file can be written at `path`."""
     if path.suffix.lower() not in endings:
         expected, got = f"a name that ends in {' or '.join(endings)}", path.suffix or "no ending"
         raise InvalidValueError.of(str(path), expected, got, "change the ending")
@@ -69,15 +56,7 @@ def check_new_file(path: Path, endings: Sequence[str], *, force: bool | None = F
 
 
 def check_not_input(out: str | os.PathLike[str], *inputs: str | os.PathLike[str] | None) -> None:
-    """Raise, before any work is done, if a file that will be written is one of those that are read.
-
-    Args:
-        out: The file to write.
-        inputs: Files that are read, or folders that stand for the splat in them; None is none.
-
-    Raises:
-        SplatFileError: They are the same file, by whatever names.
-    """
+    """Raise, before any work is done, if a file that will be written is one of those that are read."""
     for given in inputs:
         source = given if given is None else splat_in(given) or given
         if source is not None and os.path.exists(out) and os.path.exists(source) and os.path.samefile(out, source):
@@ -86,15 +65,7 @@ def check_not_input(out: str | os.PathLike[str], *inputs: str | os.PathLike[str]
 
 @contextlib.contextmanager
 def own_folder(out: str | os.PathLike[str], *records: str) -> Iterator[None]:
-    """The folder of a job that goes on where it stopped, for this process alone; see `locked_folder`.
-
-    Args:
-        out: The folder: a new one, an empty one, or that of the same kind of job.
-        records: Names of files or folders by which one of the same kind is known.
-
-    Raises:
-        SplatFileError: `out` is a file, holds something else, cannot be written, or another process has it.
-    """
+    """The folder of a job that goes on where it stopped, for this process alone; see `locked_folder`."""
     check_own_folder(out, *records)
     with locked_folder(out):
         check_own_folder(out, *records)  # as whoever had it before us left it
@@ -102,11 +73,7 @@ def own_folder(out: str | os.PathLike[str], *records: str) -> Iterator[None]:
 
 
 def check_own_folder(out: str | os.PathLike[str], *records: str) -> None:
-    """Raise, before any work is done, unless a folder is new, empty, or known by one of `records`; see `own_folder`.
-
-    Raises:
-        SplatFileError: It is not.
-    """
+    """Raise, before any work is done, unless a folder is new, empty, or known by one of `records`; see `own_folder`."""
     check_writable(out)
     names = _names_in(Path(out))
     if names and not set(records) & set(names):
@@ -118,14 +85,6 @@ def check_new_folder(out: str | os.PathLike[str], *, force: bool = False, record
     """Raise, before any work is done, unless a folder of results can be written at `out`.
 
     An older result that a kill left without its name gets it back first.
-
-    Args:
-        out: The folder that will be written.
-        force: Whether an older result at `out` may be replaced. Only a folder that holds `record` counts as one.
-        record: Name of the file by which a result is known.
-
-    Raises:
-        SplatFileError: `out` is a file, is in use, or the folder around it cannot be written.
     """
     check_writable(out)
     sweep_temporary(os.path.dirname(os.path.realpath(out)))
@@ -159,18 +118,6 @@ def new_folder(
     What another process has put at `out` meanwhile stays there unless `force` replaces it. A finished result that
     cannot have the name `out` is kept beside it, under the first free name of `out`-2, `out`-3 and so on, which the
     error tells.
-
-    Args:
-        out: The folder to write; the folders above it are made.
-        force: As in `check_new_folder`.
-        record: As in `check_new_folder`.
-        manifest: Whether to write a manifest; not if the body copies one.
-
-    Yields:
-        The folder to write into.
-
-    Raises:
-        SplatFileError: As in `check_new_folder`, before the body or after it, or the disk is full.
     """
     check_new_folder(out, force=force, record=record)
     target = Path(os.path.realpath(out))

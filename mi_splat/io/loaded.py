@@ -57,16 +57,7 @@ class Loaded:
         return as_scene(self.arrays)
 
     def settle(self, path: str, on_invalid: Literal["raise", "drop"], *, stacklevel: int) -> Arrays:
-        """The arrays, after the Gaussians that are not valid were refused or dropped.
-
-        Args:
-            path: For messages.
-            on_invalid: Raise for them, or drop them with a `SplatFileWarning`.
-            stacklevel: As `warnings.warn` takes it, from the caller of this function.
-
-        Raises:
-            SplatFileError: There are some and `on_invalid` is "raise".
-        """
+        """The arrays, after the Gaussians that are not valid were refused or dropped."""
         bad, count = self.invalid, len(self.arrays["means"])
         if not len(bad):
             return self.arrays
@@ -106,15 +97,7 @@ def judged(
     opacities: NDArray[np.floating],
     sh: NDArray[np.floating],
 ) -> Loaded:
-    """Decoded Gaussians in float32, with normalised quaternions, and which of them are valid.
-
-    Args:
-        means: (N, 3) world units.
-        scales: (N, 3) standard deviations, world units.
-        rotations: (N, 4) quaternions (w, x, y, z) of any length.
-        opacities: (N,).
-        sh: (N, K, 3).
-    """
+    """Decoded Gaussians in float32, with normalised quaternions, and which of them are valid."""
     arrays = [np.require(value, np.float32, ("C", "W", "O")) for value in (means, scales, rotations, opacities, sh)]
     arrays[2] = unit(arrays[2])
     good = [
@@ -145,12 +128,7 @@ def _reason(arrays: list[NDArray[np.float32]], good: list[NDArray[np.bool_]], ro
 
 
 def open_regular(path: str) -> io.FileIO:
-    """The file, if it is a regular one; not blocking, so that a pipe does not wait for its writer.
-
-    Raises:
-        SplatFileError: It is a pipe, a socket or a device.
-        OSError: It cannot be opened.
-    """
+    """The file, if it is a regular one; not blocking, so that a pipe does not wait for its writer."""
     file = io.FileIO(path, opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0)))
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
@@ -169,14 +147,6 @@ def check_count(count: int, size: int, path: str) -> None:
     """Raise unless `count` Gaussians may come out of a compressed file.
 
     The smallest real ones take some five bytes a Gaussian. A file that claims far more was made to fill the memory.
-
-    Args:
-        count: Gaussians that the file claims to hold.
-        size: Bytes of the file.
-        path: For messages.
-
-    Raises:
-        SplatFileError: It claims more than `FREE_GAUSSIANS` and one a byte.
     """
     most = FREE_GAUSSIANS + size
     if count > most:

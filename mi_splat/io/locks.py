@@ -28,12 +28,6 @@ def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
     The lock is on a file in the folder, which says who has it. The system gives it up when the process ends, however
     it ends; the file is removed at the end of the body, and one that a kill left behind locks nothing. Windows, and
     disks that know no locks, give none: the body then runs without.
-
-    Args:
-        folder: Where; it is made if need be, and removed again if nothing was written into it.
-
-    Raises:
-        SplatFileError: Another process has it, or it cannot be made.
     """
     key = os.path.realpath(folder)
     if _HELD.get(key) == threading.get_ident():
@@ -59,11 +53,7 @@ def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def check_unlocked(folder: str | os.PathLike[str]) -> None:
-    """Raise if another process has a folder for itself; see `locked_folder`.
-
-    Raises:
-        SplatFileError: One has.
-    """
+    """Raise if another process has a folder for itself; see `locked_folder`."""
     if os.path.lexists(os.path.join(folder, LOCK)):
         with locked_folder(folder):
             pass
@@ -88,11 +78,7 @@ def _lock(file: str, folder: str) -> int:
 
 
 def _take(descriptor: int, folder: str) -> None:
-    """Take the lock on an open file, where the system has locks.
-
-    Raises:
-        SplatFileError: Another process has it.
-    """
+    """Take the lock on an open file, where the system has locks."""
     try:
         import fcntl
     except ImportError:

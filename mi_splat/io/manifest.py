@@ -37,30 +37,14 @@ class Manifest:
 
 
 def write_manifest(folder: Path, *, without: Collection[str] = ()) -> str:
-    """Write manifest.json of all files in a folder of results.
-
-    Args:
-        folder: The folder.
-        without: Names of folders in it that are no part of the result.
-
-    Returns:
-        SHA-256 of manifest.json, hexadecimal.
-
-    Raises:
-        SplatFileError: The folder cannot be written.
-    """
+    """Write manifest.json of all files in a folder of results."""
     files = {name: {"sha256": sha256(path), "bytes": path.stat().st_size} for name, path in files_in(folder, without)}
     save_json({"without": sorted(without), "files": files}, folder / MANIFEST)
     return sha256(folder / MANIFEST)
 
 
 def files_in(folder: Path, without: Collection[str] = ()) -> Iterator[tuple[str, Path]]:
-    """Name and path of every file in a folder of results but manifest.json, in the order of the names.
-
-    Args:
-        folder: The folder.
-        without: Names of folders in it that are no part of the result.
-    """
+    """Name and path of every file in a folder of results but manifest.json, in the order of the names."""
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         left_out = name == MANIFEST or is_temporary(path.name) or name.split("/")[0] in without
@@ -69,11 +53,7 @@ def files_in(folder: Path, without: Collection[str] = ()) -> Iterator[tuple[str,
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """What manifest.json in a folder says.
-
-    Raises:
-        InvalidValueError: There is none, or something in it is not what it has to be.
-    """
+    """What manifest.json in a folder says."""
     path = folder / MANIFEST
     values = DocumentReader(do=_DO).read_json(path)
     files, without = values.get("files"), values.get("without")

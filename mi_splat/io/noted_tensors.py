@@ -24,15 +24,7 @@ _Line = TypeVar("_Line")
 
 
 def read_noted_tensors(path: Path, reader: DocumentReader) -> tuple[Fields, dict[str, Tensor]]:
-    """The notes and the tensors of a checkpoint, all of them of finite numbers.
-
-    Args:
-        path: The file.
-        reader: What is said, and raised, of a broken one.
-
-    Raises:
-        MiSplatError: It is of the reader's class; the file is no checkpoint, or a number in it is not finite.
-    """
+    """The notes and the tensors of a checkpoint, all of them of finite numbers."""
     what = f"checkpoint {path}"
     try:
         with safe_open(path, framework="pt") as file:
@@ -57,17 +49,7 @@ def not_finite(tensors: Mapping[str, Tensor]) -> str | None:
 
 
 def check_like(tensors: Mapping[str, Tensor], wanted: Mapping[str, Tensor], what: str, reader: DocumentReader) -> None:
-    """Raise unless some tensors have the names, shapes and kinds of numbers of others.
-
-    Args:
-        tensors: Those of a file.
-        wanted: What they have to be like.
-        what: What they are, for messages.
-        reader: What is said, and raised.
-
-    Raises:
-        MiSplatError: It is of the reader's class.
-    """
+    """Raise unless some tensors have the names, shapes and kinds of numbers of others."""
     for name, value in wanted.items():
         stored = tensors.get(name)
         if stored is None or stored.shape != value.shape or stored.dtype != value.dtype:
@@ -82,15 +64,7 @@ def described(value: Tensor | None) -> str:
 
 
 def read_line(kind: type[_Line], fields: Fields) -> _Line:
-    """A dataclass of numbers, texts, truth values, numbers by name and other such dataclasses from its fields.
-
-    Args:
-        kind: The dataclass; a field that may be None stands as `... | None`.
-        fields: As `dataclasses.asdict` writes it.
-
-    Raises:
-        MiSplatError: It is of the class of the fields; one is missing, unknown, or of another kind.
-    """
+    """A dataclass of numbers, texts, truth values, numbers by name and other such dataclasses from its fields."""
     hints = _hints(typing.cast(Hashable, kind))
     if more := sorted(fields.values.keys() - hints.keys()):
         raise fields.bad(more[0], "no such field", fields.values[more[0]])

@@ -22,15 +22,7 @@ _LOG_LIMITS = {torch.float32: 88.72283, torch.float64: 709.78271}
 
 
 def to_raw_parameters(scene: GaussianScene) -> dict[str, Tensor]:
-    """The scene's tensors as a splat file holds them.
-
-    Args:
-        scene: The scene; tensors that require gradients keep the graph.
-
-    Returns:
-        The five names of `ATTRIBUTES` with means (N, 3), natural logarithms of scales (N, 3), unit quaternions (N, 4),
-        logits of opacities (N,) and sh (N, K, 3), in the scene's dtype. Logits are finite, also for opacity 0 and 1.
-    """
+    """The scene's tensors as a splat file holds them."""
     return {
         "means": scene.means,
         "scales": scene.scales.double().log().clamp(max=_LOG_LIMITS[scene.scales.dtype]).to(scene.scales.dtype),
@@ -41,15 +33,7 @@ def to_raw_parameters(scene: GaussianScene) -> dict[str, Tensor]:
 
 
 def from_raw_parameters(values: Mapping[str, Tensor]) -> GaussianScene:
-    """The scene whose raw parameters are `values`, the inverse of `to_raw_parameters`.
-
-    Args:
-        values: The five names of `ATTRIBUTES`; quaternions may have any length but zero.
-
-    Raises:
-        InvalidValueError: A name is missing or unknown, or the values make no valid scene (for instance log-scales
-            whose exponential overflows).
-    """
+    """The scene whose raw parameters are `values`, the inverse of `to_raw_parameters`."""
     if set(values) != set(ATTRIBUTES):
         raise InvalidValueError.of("values", f"the names {ATTRIBUTES}", tuple(values), "pass exactly these")
     return GaussianScene(*activate(values))

@@ -49,15 +49,7 @@ class DocumentReader:
     most: int = MOST_BYTES
 
     def json_value(self, data: bytes, where: str) -> Any:
-        """What a JSON document holds, of any kind.
-
-        Args:
-            data: The document.
-            where: What it is, for messages; starts with the path of the file.
-
-        Raises:
-            MiSplatError: It is of the class `error`; the document is broken or beyond its bounds.
-        """
+        """What a JSON document holds, of any kind."""
         return self._parsed(partial(json.loads, object_pairs_hook=_object, parse_int=_whole), data, where)
 
     def json_object(self, data: bytes, where: str) -> dict[str, Any]:
@@ -81,11 +73,7 @@ class DocumentReader:
         return document
 
     def read_bytes(self, path: Path) -> bytes:
-        """The bytes of a file that is not too long.
-
-        Raises:
-            MiSplatError: It is of the class `error`; the file cannot be read, or is longer than `most`.
-        """
+        """The bytes of a file that is not too long."""
         try:
             with path.open("rb") as file:
                 data = file.read(self.most + 1)
@@ -118,11 +106,7 @@ class DocumentReader:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """The object in the JSON file of a result.
-
-    Raises:
-        InvalidValueError: There is none, or it is broken or beyond the bounds of `DocumentReader`.
-    """
+    """The object in the JSON file of a result."""
     return DocumentReader().read_json(path)
 
 

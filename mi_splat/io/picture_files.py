@@ -42,11 +42,7 @@ class PictureFileError(MiSplatError):
 
 @contextmanager
 def pixel_limit(most: int) -> Iterator[None]:
-    """Another number of pixels that a picture may have while the block runs, in all threads.
-
-    Raises:
-        InvalidValueError: It is not positive.
-    """
+    """Another number of pixels that a picture may have while the block runs, in all threads."""
     global _most
     if most < 1:
         raise InvalidValueError.of("max-pixels", "a number of pixels, 1 or more", most, "50000000 is usual")
@@ -80,39 +76,19 @@ def _pillow_limit(most: int | None) -> Iterator[None]:
 
 
 def picture_header(path: Path, what: str = "", *, formats: Sequence[str] = FORMATS) -> tuple[tuple[int, int], str]:
-    """Width and height of a picture and Pillow's name of its mode, from its header.
-
-    Args:
-        path: The file.
-        what: Its name, for messages; that of the file if empty.
-        formats: Pillow's names of the kinds of files that it may be.
-
-    Raises:
-        PictureFileError: There is no such picture, or it cannot be read or has too many pixels.
-    """
+    """Width and height of a picture and Pillow's name of its mode, from its header."""
     with _opened(path, what or str(path), formats) as picture:
         return picture.size, picture.mode
 
 
 def lies_on_its_side(path: Path) -> bool:
-    """Whether a picture's EXIF orientation swaps its width and height.
-
-    Raises:
-        PictureFileError: There is no such picture, or it cannot be read.
-    """
+    """Whether a picture's EXIF orientation swaps its width and height."""
     with _opened(path, str(path), FORMATS) as picture:
         return picture.getexif().get(ExifTags.Base.Orientation) in (5, 6, 7, 8)
 
 
 def focal_length_35mm(picture: Image.Image) -> float | None:
-    """The focal length that a camera has written into a picture, in millimetres for the diagonal of 35 mm film.
-
-    Args:
-        picture: Of `load_picture`.
-
-    Returns:
-        From 1 to 2000; None if there is none.
-    """
+    """The focal length that a camera has written into a picture, in millimetres for the diagonal of 35 mm film."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -126,17 +102,7 @@ def focal_length_35mm(picture: Image.Image) -> float | None:
 def load_picture(
     source: Path | bytes, what: str = "", *, formats: Sequence[str] = FORMATS, upright: bool = False
 ) -> Image.Image:
-    """A whole picture, decoded.
-
-    Args:
-        source: The file, or its bytes.
-        what: Its name, for messages; that of the file if empty.
-        formats: Pillow's names of the kinds of files that it may be.
-        upright: Turn it as its EXIF orientation says.
-
-    Raises:
-        PictureFileError: There is no such picture, or it is broken, has too many pixels, or is an animation.
-    """
+    """A whole picture, decoded."""
     with _opened(source, what or str(source), formats) as picture:
         if picture.format in _ANIMATED and getattr(picture, "is_animated", False):
             raise PictureFileError.of(what or str(source), "one picture", "an animation", "save one picture of it")
@@ -180,16 +146,7 @@ def _of_phones(source: Path | bytes) -> str | None:
 
 
 def check_pixels(what: str, width: int, height: int) -> None:
-    """Raise if a picture that another library decodes has too many pixels, or none.
-
-    Args:
-        what: Its name, for messages.
-        width: Pixels.
-        height: Pixels.
-
-    Raises:
-        PictureFileError: It has.
-    """
+    """Raise if a picture that another library decodes has too many pixels, or none."""
     if width < 1 or height < 1:
         raise PictureFileError.of(what, "a picture with pixels", f"{width} x {height}", "write it again")
     if width * height > _most:

@@ -42,12 +42,7 @@ def is_floats(path: Path) -> bool:
 
 
 def save_picture(pixels: NDArray[np.uint8], path: Path) -> None:
-    """Write (H, W, 3) pixels as PNG or JPEG, as the name says.
-
-    Raises:
-        InvalidValueError: The name ends in something else.
-        SplatFileError: The file cannot be written.
-    """
+    """Write (H, W, 3) pixels as PNG or JPEG, as the name says."""
     if not is_picture(path):
         do = "end it in .png or .jpg"
         raise InvalidValueError.of(str(path), "the name of a picture", path.suffix or "no ending", do)
@@ -58,30 +53,14 @@ def save_picture(pixels: NDArray[np.uint8], path: Path) -> None:
 
 
 def check_animation(path: Path) -> None:
-    """Raise, before any work is done, if an animation of that name cannot be written here.
-
-    Raises:
-        VideoError: The package that a video needs is not installed.
-    """
+    """Raise, before any work is done, if an animation of that name cannot be written here."""
     if path.suffix.lower() == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
         do = f"{install('video')}, or end the name in .gif or .webp"
         raise VideoError.of(str(path), "imageio-ffmpeg, which writes videos", "no such package", do)
 
 
 def save_animation(frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: float) -> None:
-    """Write (H, W, 3) pictures one after the other, as GIF or WebP (in a loop) or as MP4 (H.264).
-
-    Args:
-        frames: Pictures of one size.
-        path: The file; its ending says which of the three.
-        fps: Pictures a second.
-
-    Raises:
-        InvalidValueError: There are none, their sizes differ, the rate is not positive, or the name ends in something
-            else.
-        VideoError: What a video needs is not installed, or does not work.
-        SplatFileError: The file cannot be written.
-    """
+    """Write (H, W, 3) pictures one after the other, as GIF or WebP (in a loop) or as MP4 (H.264)."""
     sizes = {frame.shape for frame in frames}
     if len(sizes) != 1:
         got = f"{len(sizes)} sizes" if sizes else "none"

@@ -63,11 +63,7 @@ def to_bytes(colours: Tensor) -> NDArray[np.uint8]:
 
 
 def save_points(cloud: PointCloud, path: str | os.PathLike[str]) -> None:
-    """Save points as binary PLY with zero normals and 8-bit colours; the file appears whole or not at all.
-
-    Raises:
-        SplatFileError: The file cannot be written.
-    """
+    """Save points as binary PLY with zero normals and 8-bit colours; the file appears whole or not at all."""
     rows = np.zeros(len(cloud), _RECORD)
     for i, name in enumerate(_AXES):
         rows[name] = cloud.points[:, i].numpy()
@@ -84,13 +80,6 @@ def load_points(path: str | os.PathLike[str]) -> PointCloud:
     """Load the vertices of a PLY file in any encoding; they are grey if the file has no colours.
 
     Text, and vertices that carry lists, need the package plyfile.
-
-    Returns:
-        Positions and colours.
-
-    Raises:
-        SplatFileError: The file cannot be read, does not have the size that its header says, has no coordinates, or
-            holds values that are not finite.
     """
     name = os.fspath(path)
     try:

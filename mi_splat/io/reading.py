@@ -31,32 +31,14 @@ _READERS = {
 def load_arrays(
     path: str | os.PathLike[str], *, on_invalid: Literal["raise", "drop"] = "raise", stacklevel: int = 1
 ) -> Arrays:
-    """As `load_splat`, without making a scene of the arrays.
-
-    Args:
-        path: As there.
-        on_invalid: As there.
-        stacklevel: As `warnings.warn` takes it, from the caller of this function.
-
-    Raises:
-        SplatFileError: As there.
-        InvalidValueError: As there.
-    """
+    """As `load_splat`, without making a scene of the arrays."""
     if on_invalid not in ("raise", "drop"):
         raise InvalidValueError.of("on_invalid", "'raise' or 'drop'", repr(on_invalid), "pass one of the two")
     return load_stored(path).settle(path_name(path), on_invalid, stacklevel=stacklevel + 1)
 
 
 def load_stored(path: str | os.PathLike[str]) -> Loaded:
-    """All Gaussians of a file, valid or not, in its order, and which are not.
-
-    Args:
-        path: As `load_splat` takes it.
-
-    Raises:
-        SplatFileError: The file cannot be read, is no splat, or is damaged.
-        InvalidValueError: path is no path.
-    """
+    """All Gaussians of a file, valid or not, in its order, and which are not."""
     name = splat_in(path_name(path)) or path_name(path)
     try:
         # Values that are not finite make NumPy warn where they are cast; each reader judges them at its end.

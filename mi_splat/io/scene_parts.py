@@ -21,12 +21,7 @@ _ENCODING = re.compile(r"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)")
 
 
 def scene_elements(path: Path) -> list[ElementTree.Element]:
-    """All elements of a scene file in their order, of those that it includes none.
-
-    Raises:
-        InvalidValueError: The file cannot be read, is no XML in UTF-8, defines entities, or has too many elements or
-            too many in each other.
-    """
+    """All elements of a scene file in their order, of those that it includes none."""
     try:
         if (size := path.stat().st_size) > MOST_BYTES:
             raise ValueError(f"{size:,} bytes, more than {MOST_BYTES:,}")
@@ -99,17 +94,6 @@ def scene_parts(path: Path, parameters: Mapping[str, object] | None = None) -> S
     A file is looked for where Mitsuba does: in the folders that <path> elements name, beside the scene file, then in
     the working folder; one that is included, before that beside the file that includes it. What meshes name is left
     out, since Mitsuba reads no material of them.
-
-    Args:
-        path: The scene file.
-        parameters: Values that take the place of its defaults.
-
-    Returns:
-        All elements and files, those of included files too.
-
-    Raises:
-        InvalidValueError: The scene file, or one that it includes, cannot be read, is no XML in UTF-8, defines
-            entities, is too large or too deep, or includes itself; or parameters make the texts too long.
     """
     reader = _Reader(path, parameters or {})
     reader.read(path, [path.resolve()])
@@ -117,16 +101,7 @@ def scene_parts(path: Path, parameters: Mapping[str, object] | None = None) -> S
 
 
 def check_scene_file(path: Path, parameters: Mapping[str, object] | None = None) -> None:
-    """Raise unless Mitsuba may read a scene file, the files that it includes and the pictures that they name.
-
-    Args:
-        path: The scene file.
-        parameters: Values that take the place of its defaults.
-
-    Raises:
-        InvalidValueError: As `scene_parts`.
-        PictureFileError: A picture has too many pixels.
-    """
+    """Raise unless Mitsuba may read a scene file, the files that it includes and the pictures that they name."""
     for file in dict.fromkeys(scene_parts(path, parameters).files):
         if file.suffix.lower() in _PICTURES or is_texture(file):
             check_texture(file)

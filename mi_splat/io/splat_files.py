@@ -80,16 +80,7 @@ def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
 def write_splat_file(
     scene: GaussianScene, path: str | os.PathLike[str], *, spz_version: Literal[2, 3, 4] = 3
 ) -> Encoded:
-    """Like `save_splat`, but what is lost is returned and not warned of.
-
-    Args:
-        scene: The scene, on any device.
-        path: The file to write.
-        spz_version: Version of an SPZ file.
-
-    Returns:
-        What is lost, and the order of the rows; no data for a PLY, which is written in blocks.
-    """
+    """Like `save_splat`, but what is lost is returned and not warned of."""
     check_scene("scene", scene)
     name = path_name(path)
     suffix = format_to_write(name)

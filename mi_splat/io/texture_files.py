@@ -25,11 +25,7 @@ _BEGINNINGS = (
 
 
 def is_texture(path: Path) -> bool:
-    """Whether a file begins as a picture does.
-
-    Raises:
-        SplatFileError: The file cannot be read.
-    """
+    """Whether a file begins as a picture does."""
     try:
         with path.open("rb") as file:
             return file.read(16).startswith(_BEGINNINGS)
@@ -41,14 +37,6 @@ def check_texture(path: Path, what: str = "") -> None:
     """Raise if a picture has more pixels than it may have, or no header that says how many.
 
     Of an OpenEXR picture with more than four channels, each further four count as a picture.
-
-    Args:
-        path: The file.
-        what: Its name, for messages; that of the file if empty.
-
-    Raises:
-        PictureFileError: It has, or is no picture.
-        SplatFileError: The file cannot be read.
     """
     what = what or str(path)
     try:
@@ -82,11 +70,7 @@ def _check_exr(head: bytes, what: str) -> None:
 
 
 def _exr_part(head: bytes, offset: int) -> tuple[int, tuple[int, int]]:
-    """Where a header that begins at a place ends, and the width and height of its picture.
-
-    Raises:
-        ValueError, IndexError, struct.error: It is broken.
-    """
+    """Where a header that begins at a place ends, and the width and height of its picture."""
     window, channels = None, 0
     while head[offset]:
         name_end = head.index(b"\0", offset)

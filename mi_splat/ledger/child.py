@@ -73,19 +73,7 @@ class Child:
         self._stopped = False
 
     def run(self, task: Task, on_event: OnEvent = nobody, *, cores: Sequence[int] = ()) -> Outcome:
-        """Run a task, and write down what it could not write down itself: by what signal or limit it was ended.
-
-        Args:
-            task: The task.
-            on_event: Told what happens.
-            cores: Numbers of the processor's cores that it uses, see `keep_to`.
-
-        Returns:
-            Whether it is done, or how it failed.
-
-        Raises:
-            EngineError: No child process can be started.
-        """
+        """Run a task, and write down what it could not write down itself: by what signal or limit it was ended."""
         process, failures = self._started(), list[str]()
         if self._stopped:
             return Outcome(state="stopped", text="the engine was closed")
@@ -213,9 +201,6 @@ def keep_to(cores: Sequence[int]) -> None:
     """Keep every thread of this process to some cores, and Dr.Jit to as many threads.
 
     Two threads of Dr.Jit on one core take twice the time of one: they wait for each other without sleeping.
-
-    Args:
-        cores: Their numbers; empty changes nothing.
     """
     if not cores:
         return

@@ -63,11 +63,7 @@ class Cluster:
         self._on_event = on_event
 
     def submit(self, task: Task) -> Future[Outcome]:
-        """Run a task on a worker of Dask's choice.
-
-        Returns:
-            What becomes the outcome of the task.
-        """
+        """Run a task on a worker of Dask's choice."""
         name = f"{task.key}-{next(self._numbers)}"  # a task that is tried again is another one to Dask
         options: dict[str, Any] = {"key": name, "pure": False}
         outcome: Future[Outcome] = Future()
@@ -111,11 +107,7 @@ _CHILDREN = threading.local()
 
 
 def run_in_child(folder: str, task: Task, limits: Limits) -> Outcome:
-    """Run a task in the child process of this thread.
-
-    Returns:
-        Whether it is done, or how it failed.
-    """
+    """Run a task in the child process of this thread."""
     kept = _CHILDREN.__dict__
     if (child := kept.get(f"{folder} {limits}")) is None:
         held = kept.setdefault("held", contextlib.ExitStack())

@@ -54,11 +54,7 @@ class InProcess:
         self._store, self._on_event = Store(folder), on_event
 
     def submit(self, task: Task) -> Future[Outcome]:
-        """Run a task now.
-
-        Returns:
-            A future that has its outcome already.
-        """
+        """Run a task now."""
         outcome: Future[Outcome] = Future()
         try:
             run_job(self._store, task, self._on_event)
@@ -100,11 +96,7 @@ class Processes:
         self._counted, self._given, self._shares = threading.Lock(), 0, set[int]()
 
     def submit(self, task: Task) -> Future[Outcome]:
-        """Run a task as soon as a child process is free.
-
-        Returns:
-            What becomes the outcome of the task.
-        """
+        """Run a task as soon as a child process is free."""
         with self._counted:
             self._given += 1
         return self._threads.submit(self._run, task)
@@ -141,11 +133,7 @@ class Processes:
 
 
 def environment(kernels: Path) -> dict[str, str]:
-    """Variables of a child process.
-
-    Args:
-        kernels: Folder for what Dr.Jit compiles.
-    """
+    """Variables of a child process."""
     return {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "DRJIT_CACHE_DIR": str(kernels.absolute())}
 
 

@@ -102,14 +102,7 @@ def _keys(plans: Iterable[Path]) -> dict[str, tuple[str, str]]:
 
 
 def plan(store: Store, name: str, jobs: Mapping[str, Job]) -> list[Entry]:
-    """Write down the jobs of a plan by their labels, and all before them, and look how far each is.
-
-    Returns:
-        The jobs with their states, each after those it needs.
-
-    Raises:
-        InvalidValueError: An input is not there, or a finished job was changed.
-    """
+    """Write down the jobs of a plan by their labels, and all before them, and look how far each is."""
     index = Index(store.folder, name)
     for job, task, _ in looked_up(jobs.values(), store):
         index.add(job)
@@ -144,11 +137,7 @@ def forecast(store: Store, entries: Iterable[Entry]) -> tuple[float, int]:
 
 
 def status(store: Store, name: str) -> list[Entry]:
-    """The jobs of a plan and their states, as of its last planning.
-
-    Raises:
-        InvalidValueError: There is no such plan.
-    """
+    """The jobs of a plan and their states, as of its last planning."""
     path = store.folder / "plans" / f"{name}.json"
     if not path.is_file():
         raise InvalidValueError.of(str(path), "a plan", "none", "plan or run the study first")

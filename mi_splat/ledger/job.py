@@ -59,11 +59,7 @@ class Job:
         return {name: s.part(ALL) if isinstance(s, Job) else s for name, s in self.inputs.items()}
 
     def part(self, pattern: str) -> Part:
-        """Some of the files that the job leaves, as an input: only their names and bytes count.
-
-        Args:
-            pattern: A name below `files`, as `splat.ply`; or with signs, as `set/*` for all below that folder.
-        """
+        """Some of the files that the job leaves, as an input: only their names and bytes count."""
         return Part(job=self, pattern=pattern)
 
     @property
@@ -148,11 +144,7 @@ class Done:
         return self.content_of(ALL)
 
     def content_of(self, pattern: str) -> str:
-        """What stands for the files that fit a pattern, see `Job.part`; with the rows if it is `*`.
-
-        Raises:
-            InvalidValueError: No file fits.
-        """
+        """What stands for the files that fit a pattern, see `Job.part`; with the rows if it is `*`."""
         varies = self.record["varies"]
         files = {n: s for n, s in self.record["files"].items() if fits(n, pattern) and not fits_any(n, varies)}
         if pattern == ALL:

@@ -59,11 +59,7 @@ class Leases:
 
     @contextlib.contextmanager
     def held(self, key: str) -> Iterator[None]:
-        """Have a job for this process alone while the body runs.
-
-        Raises:
-            HeldError: Another one has it.
-        """
+        """Have a job for this process alone while the body runs."""
         self.folder.mkdir(parents=True, exist_ok=True)
         path, token = self.folder / key, secrets.token_hex(8)
         with self._alone():

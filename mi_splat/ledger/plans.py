@@ -49,12 +49,7 @@ class Driver:
         self._free = asyncio.Semaphore(engine.window)
 
     def run(self, plans: Iterable[Plan]) -> dict[str, Result]:
-        """Results by labels.
-
-        Raises:
-            EngineError: The engine does not work.
-            MiSplatError: A disk is full, or a finished job was changed.
-        """
+        """Results by labels."""
         self._store.sweep()
         loop = asyncio.new_event_loop()  # not `asyncio.run`, which keeps Ctrl-C from a job in this process
         try:
@@ -161,20 +156,7 @@ class Driver:
 def do_beside(
     folder: Path, jobs: Mapping[str, Job], *, workers: int, on_event: Callable[[str, Event], None]
 ) -> dict[str, Done]:
-    """Do jobs, and all before them, in child processes beside each other; earlier failures do not count.
-
-    Args:
-        folder: The store.
-        jobs: By their labels.
-        workers: Number of processes.
-        on_event: Told what happens, with the label of the job.
-
-    Returns:
-        Results by labels.
-
-    Raises:
-        EngineError: A job has failed three times; all that could be done without it is.
-    """
+    """Do jobs, and all before them, in child processes beside each other; earlier failures do not count."""
 
     def told(event: Event) -> None:
         on_event(driver.label_of(event), event)

@@ -29,21 +29,7 @@ class Reuse:
 
 
 def reuse(store: Store, kind: str, engine: Engine, *, verify: int, reason: str) -> Reuse:
-    """Take over the results of a kind that older code made, of the code that made most of them.
-
-    Args:
-        store: The store.
-        kind: Of the jobs.
-        engine: What makes some of them again; it is closed.
-        verify: How many are made again under today's code; they are spread over all.
-        reason: Why the change of the code changes no result; it stands in the records.
-
-    Returns:
-        Which jobs were made again, and which results were taken over as they are.
-
-    Raises:
-        InvalidValueError: One that was made again has other bytes or has failed.
-    """
+    """Take over the results of a kind that older code made, of the code that made most of them."""
     older = _older(store, kind)
     if not older:
         engine.close()

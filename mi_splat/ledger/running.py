@@ -34,17 +34,7 @@ _POLL = 0.2
 
 
 def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Done:
-    """Do a job whose inputs are done, unless it is done already.
-
-    Returns:
-        The folder and rows of its result.
-
-    Raises:
-        HeldError: Another process does it now.
-        InvalidValueError: Its code here is another one, or an input is not what it was.
-        DiskFullError: It is; that is no fault of the job's.
-        Exception: Whatever the kind raises; it is written down as one try.
-    """
+    """Do a job whose inputs are done, unless it is done already."""
     if (done := store.done(task.key)) is not None:
         on_event(Event(state="kept", key=task.key, kind=task.kind))
         return done
@@ -75,10 +65,6 @@ class Ledger:
         """The result of a job, and before it those of all that it reads; only what is not there is done.
 
         What another process does now is waited for. Earlier failures do not count.
-
-        Raises:
-            InvalidValueError: A file of a job or an input was changed.
-            Exception: Whatever a kind raises.
         """
         for needed in (needed for level in by_depth([job]) for needed in level):
             self._done[needed.identity] = self._do(task_for(needed, self.store, self._done))
@@ -99,13 +85,7 @@ class Ledger:
 
 
 def task_for(job: Job, store: Store, finished: Mapping[str, Done]) -> Task:
-    """A job as a task.
-
-    Args:
-        job: The job.
-        store: Where the jobs that it reads are.
-        finished: Those jobs, by their identity.
-    """
+    """A job as a task."""
     inputs: dict[str, dict[str, str]] = {}
     for name, source in job.sources.items():
         if isinstance(source, Part):
@@ -129,11 +109,7 @@ def looked_up(jobs: Iterable[Job], store: Store) -> Iterator[tuple[Job, Task | N
 
 
 def input_paths(store: Store, task: Task) -> dict[str, Path]:
-    """Where the inputs of a task are, each of which is still what it was.
-
-    Raises:
-        InvalidValueError: One is not.
-    """
+    """Where the inputs of a task are, each of which is still what it was."""
     paths = {}
     for name, source in task.inputs.items():
         if "job" in source:
@@ -200,11 +176,7 @@ def _run(store: Store, task: Task, on_event: OnEvent) -> None:
 
 
 def _checked(rows: Sequence[Row], kind: str) -> list[dict[str, Any]]:
-    """Rows as JSON keeps them.
-
-    Raises:
-        InvalidValueError: They hold something else.
-    """
+    """Rows as JSON keeps them."""
     for row in rows:
         for name, value in row.items():
             if not (

@@ -26,17 +26,7 @@ _READER = DocumentReader(expected="exported jobs", do="export the study again", 
 
 
 def export(jobs: Iterable[Job], folder: Path, store: Path, *, options: Sequence[str] = ()) -> list[int]:
-    """Write the jobs, a script for each level of their graph, and `submit.sh`, which hands them to SLURM in order.
-
-    Args:
-        jobs: They, and all before them.
-        folder: Where to write.
-        store: The store, as all machines see it.
-        options: Lines for sbatch, as `--time=02:00:00`.
-
-    Returns:
-        How many jobs each level has.
-    """
+    """Write the jobs, a script for each level of their graph, and `submit.sh`, which hands them to SLURM in order."""
     levels = by_depth(jobs)
     ordered = [job for level in levels for job in level]
     numbers = {job.identity: number for number, job in enumerate(ordered)}
@@ -67,11 +57,7 @@ def export(jobs: Iterable[Job], folder: Path, store: Path, *, options: Sequence[
 
 
 def read_jobs(path: Path) -> list[Job]:
-    """The jobs of an exported file, each after those that it reads.
-
-    Raises:
-        InvalidValueError: It is broken.
-    """
+    """The jobs of an exported file, each after those that it reads."""
     jobs: list[Job] = []
     for kind, config, inputs in _READER.read_json_value(path):
         sources: dict[str, Job | Part | Path] = {}
@@ -87,17 +73,7 @@ def read_jobs(path: Path) -> list[Job]:
 
 
 def run(store: Path, jobs: Path, first: int, last: int) -> int:
-    """Do a part of the jobs of an exported file.
-
-    Args:
-        store: The store.
-        jobs: The file.
-        first: Number of the first of them.
-        last: Number after that of the last.
-
-    Returns:
-        How many have failed.
-    """
+    """Do a part of the jobs of an exported file."""
     chosen = {str(number): job for number, job in enumerate(read_jobs(jobs)) if first <= number < last}
     results = Driver(store, Processes(store, workers=1)).run([grid(chosen)])
     failed = {number: result for number, result in results.items() if isinstance(result, str)}

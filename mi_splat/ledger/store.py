@@ -63,11 +63,7 @@ class Store:
         return {name for shelf in _names(jobs) for name in _names(jobs / shelf) if len(name) == _KEY_DIGITS}
 
     def record(self, key: str) -> dict[str, Any]:
-        """What job.json of a finished job says, without a look at its files.
-
-        Raises:
-            InvalidValueError: There is none, or it is broken, or another job's.
-        """
+        """What job.json of a finished job says, without a look at its files."""
         path = self.folder_of(key) / RECORD
         record = _RECORDS.read_json(path)
         try:
@@ -80,11 +76,7 @@ class Store:
         return record
 
     def done(self, key: str) -> Done | None:
-        """A finished job, whose files are what it wrote; None if there is none.
-
-        Raises:
-            InvalidValueError: A file was changed, or is gone, or is another job's.
-        """
+        """A finished job, whose files are what it wrote; None if there is none."""
         if not self.has(key):
             return None
         record, folder = self.record(key), self.folder_of(key) / FILES
@@ -94,22 +86,14 @@ class Store:
         return Done(key=key, folder=folder, record=record)
 
     def existing(self, key: str) -> Done:
-        """A finished job that has to be there; see `done`.
-
-        Raises:
-            InvalidValueError: It is not, or was changed.
-        """
+        """A finished job that has to be there; see `done`."""
         if (done := self.done(key)) is None:
             do = "leave the folder alone while it is used"
             raise InvalidValueError.of(str(self.folder_of(key)), "a finished job", "none", do)
         return done
 
     def rows(self, keys: Iterable[str]) -> Iterator[tuple[str, Sequence[Mapping[str, Any]]]]:
-        """Key and rows of finished jobs; of a record of any size, nothing else is parsed.
-
-        Raises:
-            InvalidValueError: A record is not there, or its rows were changed.
-        """
+        """Key and rows of finished jobs; of a record of any size, nothing else is parsed."""
         for key in keys:
             path = f"{self.folder}/jobs/{key[:2]}/{key}/{RECORD}"
             try:
@@ -142,15 +126,7 @@ class Store:
                 partial.rmdir()  # nothing was written into it
 
     def publish(self, temporary: Path, record: Mapping[str, Any], key: str) -> list[str]:
-        """Give a finished folder its name; the record gets what stands for its files.
-
-        Returns:
-            Names of files that another process has left with other bytes meanwhile; this result is then kept in
-            `different`, and the other one counts.
-
-        Raises:
-            SplatFileError: The disk is full or cannot be written.
-        """
+        """Give a finished folder its name; the record gets what stands for its files."""
         files = {name: sha256(path) for name, path in _files(temporary / FILES).items()}
         target = self.folder_of(key)
         try:
@@ -192,11 +168,7 @@ class Store:
         return {key for key in keys if len(self.failures(key)) >= TRIES}
 
     def note_failure(self, task: Task, error: str, seconds: float) -> int:
-        """Write down that a job failed.
-
-        Returns:
-            How often it has failed.
-        """
+        """Write down that a job failed."""
         path = self.folder / "failed" / f"{task.key}.json"
         path.parent.mkdir(parents=True, exist_ok=True)
         tries = [*self.failures(task.key), {"error": error, "seconds": seconds, "versions": _versions()}]
@@ -204,11 +176,7 @@ class Store:
         return len(tries)
 
     def forgive(self, key: str) -> bool:
-        """Forget the failures of a job, so that it is tried again.
-
-        Returns:
-            Whether there were any.
-        """
+        """Forget the failures of a job, so that it is tried again."""
         path = self.folder / "failed" / f"{key}.json"
         with contextlib.suppress(FileNotFoundError):
             path.unlink()
@@ -260,12 +228,7 @@ def origin() -> dict[str, Any]:
 
 
 def content_of_path(path: Path) -> str:
-    """SHA-256 of a file, or what stands for the names and bytes of all files in a folder.
-
-    Raises:
-        InvalidValueError: There is nothing.
-        SplatFileError: It cannot be read.
-    """
+    """SHA-256 of a file, or what stands for the names and bytes of all files in a folder."""
     if not path.exists():
         raise InvalidValueError.of(str(path), "a file or a folder to read", "nothing", "check the path")
     try:
@@ -282,9 +245,6 @@ def hashes(path: Path) -> dict[str, str]:
     """SHA-256 of every file below a folder by its name there, or of one file; none if there is nothing.
 
     What was read once is not read again in this process as long as names, sizes and times are the same.
-
-    Raises:
-        OSError: A file cannot be read.
     """
     files = {"": path} if path.is_file() else _files(path)
     status = [(name, file.stat()) for name, file in files.items()]

@@ -27,11 +27,7 @@ def digest(value: Any) -> str:
 
 
 def encoded(value: Any, where: str = "config") -> Any:
-    """A configuration as JSON: every field of every frozen dataclass, members of enumerations, tuples as lists.
-
-    Raises:
-        InvalidValueError: Some value has no exact text, such as a tensor, a path or a dataclass that can change.
-    """
+    """A configuration as JSON: every field of every frozen dataclass, members of enumerations, tuples as lists."""
     kind = type(value)
     if value is None or kind is str or kind is int or kind is bool:
         return value
@@ -59,15 +55,7 @@ def is_frozen(value: Any) -> bool:
 
 
 def decoded(value: Any, modules: Collection[str]) -> Any:
-    """The configuration that `encoded` made JSON of; lists come back as tuples, missing fields have their defaults.
-
-    Args:
-        value: The JSON.
-        modules: Those whose classes it may hold, so that a file names no other code.
-
-    Raises:
-        InvalidValueError: A class is not there, or takes other fields or values.
-    """
+    """The configuration that `encoded` made JSON of; lists come back as tuples, missing fields have their defaults."""
     if isinstance(value, list):
         return tuple(decoded(item, modules) for item in value)
     if not isinstance(value, dict):

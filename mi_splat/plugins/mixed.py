@@ -37,11 +37,7 @@ class MixedCache:
         self._surfaces: tuple[Any, Any, Any] | None = None
 
     def mixed(self, scene: Any, shapes: GaussianShapes) -> Mixed:
-        """The scene, prepared.
-
-        Raises:
-            InvalidValueError: A number of a splat is not finite.
-        """
+        """The scene, prepared."""
         return Mixed(scene, self._surfaces_of(shapes), self._splats_of(shapes))
 
     def _splats_of(self, shapes: GaussianShapes) -> Splats | None:

@@ -31,11 +31,7 @@ def _collector(variant: str) -> Any:
 
 
 def own_values(node: Any) -> dict[str, Any]:
-    """What `mi.traverse(node)` has without a dot in its name: the values of the object, not of those in it.
-
-    Args:
-        node: A Mitsuba object.
-    """
+    """What `mi.traverse(node)` has without a dot in its name: the values of the object, not of those in it."""
     callback = _collector(mi.variant())()
     node.traverse(callback)
     return {

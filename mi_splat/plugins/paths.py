@@ -42,19 +42,7 @@ def radiance(
     total: tuple[Any, Any, Any] | None = None,
     gradient: Adjoint | None = None,
 ) -> tuple[Any, Any, tuple[Any, Any, Any]]:
-    """Radiance along camera rays, or with `gradient` a replay that adds to the sums of the splats.
-
-    Args:
-        mixed: The scene.
-        sampler: Seeded; a replay needs one in the same state.
-        ray: Camera rays.
-        settings: What else counts.
-        total: For a replay, the last of what the first call returned.
-        gradient: For a replay.
-
-    Returns:
-        Radiance, alpha of the camera rays (1 where a surface is), and what a replay needs.
-    """
+    """Radiance along camera rays, or with `gradient` a replay that adds to the sums of the splats."""
     ray = mi.Ray3f(dr.detach(ray))
     if mixed.surfaces is None:
         hit = None

@@ -109,19 +109,7 @@ def integrator_class(variant: str) -> Any:
             state_in: Any = None,
             active: Any = True,
         ) -> Any:
-            """Radiance along rays, or its gradient; see Mitsuba's `ADIntegrator.sample`.
-
-            Args:
-                mode: Primal or backward.
-                scene: The scene.
-                sampler: Seeded.
-                ray: Camera rays.
-                depth: Without influence.
-                δL: dL/dradiance.
-                δaovs: dL/dalpha, in a list.
-                state_in: What the primal call returned.
-                active: Without influence.
-            """
+            """Radiance along rays, or its gradient; see Mitsuba's `ADIntegrator.sample`."""
             gradient = None
             if mode == dr.ADMode.Backward:
                 gradient = Adjoint(mi.Color3f(δL), mi.Float(δaovs[0]) if self.alpha else mi.Float(0.0), self._sums)
@@ -149,19 +137,7 @@ def integrator_class(variant: str) -> Any:
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
         ) -> None:
-            """Carry the gradient of a picture to the shapes' arrays, for the settings that are in force now.
-
-            Args:
-                scene: A Mitsuba scene.
-                params: Its parameters; of those that ask for a gradient, splats get one.
-                grad_in: TensorXf like the picture, dL/d(picture).
-                sensor: A sensor, or its number in the scene.
-                seed: Of the sampler.
-                spp: Samples a pixel.
-
-            Raises:
-                InvalidValueError: A parameter of a surface or an emitter asks for a gradient.
-            """
+            """Carry the gradient of a picture to the shapes' arrays, for the settings that are in force now."""
             shapes = GaussianShapes(scene, among="surfaces")
             _check_differentiable(params, shapes)
             with dr.suspend_grad():

@@ -66,16 +66,7 @@ def _flat(arrays: list[Any]) -> list[Any]:
 
 
 def pinhole(sensor: Any, *, near: float, antialiased: bool = False) -> Pinhole:
-    """The kernels' camera for a perspective sensor; a crop window shows the same pixels as the whole film would.
-
-    Args:
-        sensor: A perspective sensor.
-        near: As in `Pinhole`.
-        antialiased: As in `Pinhole`.
-
-    Raises:
-        InvalidValueError: The sensor is not a perspective one.
-    """
+    """The kernels' camera for a perspective sensor; a crop window shows the same pixels as the whole film would."""
     pose, focal, principal, offset, crop = _intrinsics(sensor)
     width, height = (int(v) for v in sensor.film().size())
     return Pinhole(
@@ -105,11 +96,7 @@ def camera(sensor: Any) -> Camera:
 
 
 def sensor_dict(camera: Camera) -> dict[str, Any]:
-    """A perspective sensor for `mi.load_dict` that takes our camera's picture through a box filter.
-
-    Raises:
-        InvalidValueError: The pixels are not square, which Mitsuba's perspective sensor cannot express.
-    """
+    """A perspective sensor for `mi.load_dict` that takes our camera's picture through a box filter."""
     if not math.isclose(camera.fx, camera.fy, rel_tol=1e-6):
         raise InvalidValueError.of(
             "camera.focal", "fx equal to fy", (camera.fx, camera.fy), "resample to square pixels first"

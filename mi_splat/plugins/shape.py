@@ -33,12 +33,7 @@ _PASSED_ON = ("extent", "extent_adaptive_clamping")
 
 
 def gaussians(props: Any) -> Any:
-    """Factory that Mitsuba calls for `<shape type="gaussians">`.
-
-    Raises:
-        InvalidValueError: Neither or both of a file and tensors are given, or `to_world` is no similarity.
-        SplatFileError: The file is not a splat.
-    """
+    """Factory that Mitsuba calls for `<shape type="gaussians">`."""
     given = [name for name in ATTRIBUTES if name in props]
     if "filename" in props and not given:
         scene = load_splat(Path(str(mi.file_resolver().resolve(props["filename"]))))

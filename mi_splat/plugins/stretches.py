@@ -45,13 +45,7 @@ class Adjoint:
 
 
 def layer(colour: Any, transmittance: Any, *, linear: bool) -> Any:
-    """Radiance of a stretch of splats: its colour is that of a layer with alpha = 1 - transmittance, made linear.
-
-    Args:
-        colour: Color3f, sRGB, multiplied by alpha.
-        transmittance: Float.
-        linear: See `PathSettings`.
-    """
+    """Radiance of a stretch of splats: its colour is that of a layer with alpha = 1 - transmittance, made linear."""
     if not linear:
         return mi.Color3f(colour)
     alpha = 1.0 - transmittance
@@ -59,14 +53,7 @@ def layer(colour: Any, transmittance: Any, *, linear: bool) -> Any:
 
 
 def layer_backward(colour: Any, transmittance: Any, gradient: Any, *, linear: bool) -> tuple[Any, Any]:
-    """dL/dcolour (Color3f) and dL/dtransmittance (Float) from dL/dradiance.
-
-    Args:
-        colour: As `layer` was given it.
-        transmittance: As `layer` was given it.
-        gradient: Color3f.
-        linear: See `PathSettings`.
-    """
+    """dL/dcolour (Color3f) and dL/dtransmittance (Float) from dL/dradiance."""
     if not linear:
         return mi.Color3f(gradient), mi.Float(0.0)
     alpha = 1.0 - transmittance
@@ -83,15 +70,7 @@ def stretch_of(ray: Any, far: Any) -> Stretch:
 
 
 def seen_on(mixed: Mixed, ray: Any, far: Any, active: Any, settings: PathSettings) -> tuple[Any, Any]:
-    """Colour (Color3f, sRGB, multiplied by alpha) and transmittance (Float) of the splats on a ray up to a distance.
-
-    Args:
-        mixed: The scene.
-        ray: One a lane.
-        far: Float, distance, world units.
-        active: Bool; 0 and 1 on idle lanes.
-        settings: Which colour direction.
-    """
+    """Colour (Color3f, sRGB, multiplied by alpha) and transmittance (Float) of the splats on a ray up to a distance."""
     if mixed.splats is None:
         return mi.Color3f(0.0), mi.Float(1.0)
     return segments.blend(mixed.splats, stretch_of(ray, far), active, to_mean=settings.to_mean)
@@ -114,18 +93,7 @@ def replay_stretch(
     settings: PathSettings,
     gradient: Any,
 ) -> None:
-    """Add what the splats on a stretch of a path get.
-
-    Args:
-        mixed: The scene.
-        ray: The stretch.
-        si: The surface that it ends at.
-        seen: Colour and transmittance of the splats on it.
-        path: Throughput before them, all radiance that comes from behind them, and the vertex's number.
-        active: Bool.
-        settings: What else counts.
-        gradient: Of the radiance.
-    """
+    """Add what the splats on a stretch of a path get."""
     if mixed.splats is None:
         return
     throughput, behind, depth = path
@@ -145,16 +113,7 @@ def replay_stretch(
 
 
 def replay_shadow(mixed: Mixed, shadow: Any, shade: Any, product: Any, active: Any, gradient: Any) -> None:
-    """Add what the splats on a shadow ray get.
-
-    Args:
-        mixed: The scene.
-        shadow: The ray.
-        shade: Its transmittance.
-        product: dL/dtransmittance times it.
-        active: Bool.
-        gradient: Of the radiance.
-    """
+    """Add what the splats on a shadow ray get."""
     if mixed.splats is not None:
         unshaded = dr.select(shade > 0.0, product / shade, 0.0)
         adjoint.transmittance_backward(

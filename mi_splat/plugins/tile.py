@@ -124,19 +124,7 @@ def integrator_class(variant: str) -> Any:
             develop: bool = True,
             evaluate: bool = True,
         ) -> Any:
-            """The picture as a TensorXf.
-
-            Args:
-                scene: A Mitsuba scene whose shapes are `gaussians`.
-                sensor: A perspective sensor, or its number in the scene.
-                seed: Without influence.
-                spp: Without influence.
-                develop: Must be True: there is no film to take a picture from afterwards.
-                evaluate: Without influence.
-
-            Raises:
-                InvalidValueError: The scene holds other shapes, the sensor is another one, or `develop` is False.
-            """
+            """The picture as a TensorXf."""
             if not develop:
                 raise InvalidValueError.of("develop", "True", develop, "take the picture that render() returns")
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
@@ -149,19 +137,7 @@ def integrator_class(variant: str) -> Any:
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
         ) -> None:
-            """Carry the gradient of a picture to the shapes' arrays, for the settings that are in force now.
-
-            Args:
-                scene: A Mitsuba scene whose shapes are `gaussians`.
-                params: Not needed: the shapes hold their arrays.
-                grad_in: TensorXf like the picture, dL/d(picture).
-                sensor: A perspective sensor, or its number in the scene.
-                seed: Without influence.
-                spp: Without influence.
-
-            Raises:
-                InvalidValueError: `grad_in` is not of the shape of the picture.
-            """
+            """Carry the gradient of a picture to the shapes' arrays, for the settings that are in force now."""
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             shapes = GaussianShapes(scene)
             self._follow(scene, shapes)

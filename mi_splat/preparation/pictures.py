@@ -45,11 +45,7 @@ class Picture:
 
 
 def pictures_in(folder: Path, most: int) -> list[Path]:
-    """The pictures of a folder in the order of their names; those of phones that cannot be read are among them.
-
-    Raises:
-        PreparationError: There are too few or too many.
-    """
+    """The pictures of a folder in the order of their names; those of phones that cannot be read are among them."""
     kinds = _KINDS.union(_OF_PHONES)
     pictures = sorted(path for path in folder.iterdir() if path.suffix.lower() in kinds and path.is_file())
     if len(pictures) > most:
@@ -61,11 +57,7 @@ def pictures_in(folder: Path, most: int) -> list[Path]:
 
 
 def check_count(source: str, pictures: Sequence[object]) -> None:
-    """Raise if there are too few pictures to find cameras by.
-
-    Raises:
-        PreparationError: There are.
-    """
+    """Raise if there are too few pictures to find cameras by."""
     if len(pictures) < FEWEST_PICTURES:
         expected = f"at least {FEWEST_PICTURES} pictures ({', '.join(sorted(_KINDS))})"
         do = "20 to 200 that overlap by two thirds are usual"
@@ -75,21 +67,7 @@ def check_count(source: str, pictures: Sequence[object]) -> None:
 def take_photographs(
     folder: Path, images: Path, config: PrepareConfig, told: Told
 ) -> tuple[list[Picture], dict[str, str]]:
-    """Write the pictures of a folder into images/, turned as EXIF says and without what else it says.
-
-    Args:
-        folder: Of the pictures.
-        images: Where to.
-        config: How large, and how many.
-        told: See `Told`.
-
-    Returns:
-        The pictures, and why others could not be read, by their names.
-
-    Raises:
-        PreparationError: There are too few or too many.
-        SplatFileError: A file cannot be written.
-    """
+    """Write the pictures of a folder into images/, turned as EXIF says and without what else it says."""
     paths = pictures_in(folder, config.max_pictures)
     taken: list[Picture] = []
     broken: dict[str, str] = {}
@@ -118,21 +96,7 @@ def take_photographs(
 
 
 def take_frames(video: Path, images: Path, config: PrepareConfig, told: Told) -> list[Picture]:
-    """Write the sharpest pictures of a video into images/.
-
-    Args:
-        video: The file.
-        images: Where to.
-        config: How large, how many, and how far apart.
-        told: See `Told`.
-
-    Returns:
-        The pictures, in the order of the video.
-
-    Raises:
-        PreparationError: It is no video, is broken, too short or too long.
-        SplatFileError: A file cannot be written.
-    """
+    """Write the sharpest pictures of a video into images/."""
     taken: list[Picture] = []
     frames = sharpest_frames(
         video,

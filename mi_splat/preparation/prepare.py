@@ -45,22 +45,6 @@ def prepare(
 
     Lenses keep their distortion in the model; it is undone as the set is loaded. Pictures that could not be placed are
     on the sheet and in the record, and not in images/.
-
-    Args:
-        source: A folder of pictures, or a video.
-        out: The folder to write.
-        config: How large, how many.
-        force: Whether an older set that was prepared may be replaced.
-        told: Told what is going on, how much of it is done, and of how much.
-        reconstruct: What finds the cameras; None is COLMAP.
-
-    Returns:
-        The record.
-
-    Raises:
-        PreparationError: There are no pictures, too few or too many, or they could not be placed; what it needs is not
-            installed.
-        SplatFileError: The folder cannot be written.
     """
     check_new_folder(out, force=force, record=RECORD)
     if reconstruct is None:
@@ -183,17 +167,7 @@ class Tile:
 
 
 def contact_sheet(tiles: Sequence[Tile]) -> NDArray[np.uint8]:
-    """All pictures in rows, below a line that says what the colours of their labels mean.
-
-    Args:
-        tiles: At least one.
-
-    Returns:
-        (H, W, 3) sRGB bytes.
-
-    Raises:
-        PictureFileError: A picture cannot be read.
-    """
+    """All pictures in rows, below a line that says what the colours of their labels mean."""
     columns = min(_COLUMNS, max(4, len(tiles)))
     rows = -(-len(tiles) // columns)
     step = (TILE[0] + _GAP, TILE[1] + _GAP)

@@ -57,23 +57,14 @@ Reconstruct = Callable[[Path, Sequence[Picture], bool, int, Told], Reconstructio
 
 
 def check_colmap() -> None:
-    """Raise, before any work is done, if COLMAP's library is not installed.
-
-    Raises:
-        PreparationError: It is not.
-    """
+    """Raise, before any work is done, if COLMAP's library is not installed."""
     if find_spec("pycolmap") is None:
         expected = "pycolmap, which finds out where pictures were taken from"
         raise PreparationError.of("prepare", expected, "no such package", install("colmap"))
 
 
 def pairs_of(count: int, *, in_order: bool) -> list[tuple[int, int]]:
-    """Which pictures are compared with which, by their numbers.
-
-    Args:
-        count: Of pictures.
-        in_order: Whether they follow each other, as in a video.
-    """
+    """Which pictures are compared with which, by their numbers."""
     if count <= ALL_PAIRS and not in_order:
         return list(itertools.combinations(range(count), 2))
     near = {(i, j) for i in range(count) for j in range(i + 1, min(i + NEIGHBOURS + 1, count))}
@@ -81,18 +72,7 @@ def pairs_of(count: int, *, in_order: bool) -> list[tuple[int, int]]:
 
 
 def by_colmap(root: Path, pictures: Sequence[Picture], in_order: bool, features: int, told: Told) -> Reconstruction:
-    """Find the cameras of pictures, and write the largest model, turned so that z is up, into sparse/0.
-
-    Args:
-        root: The set, whose pictures are in images/; COLMAP's own files go into colmap/.
-        pictures: Of the set.
-        in_order: Whether they follow each other, as in a video.
-        features: Points of a picture by which it is found in others, at most.
-        told: See `Told`.
-
-    Returns:
-        Sizes of the models, the reprojection error in pixels, and what each picture shares with others.
-    """
+    """Find the cameras of pictures, and write the largest model, turned so that z is up, into sparse/0."""
     import pycolmap
 
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value

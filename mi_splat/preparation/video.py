@@ -29,11 +29,7 @@ Pixels = NDArray[np.uint8]
 
 
 def check_video(path: Path) -> None:
-    """Raise, before any work is done, if a video cannot be read here.
-
-    Raises:
-        PreparationError: Its name ends as that of something else, or the package that reads it is not installed.
-    """
+    """Raise, before any work is done, if a video cannot be read here."""
     if path.suffix.lower() not in VIDEOS:
         expected, do = f"a folder of pictures, or a video ({', '.join(VIDEOS)})", "pass one of these"
         raise PreparationError.of(str(path), expected, path.suffix or "a file without an ending", do)
@@ -42,11 +38,7 @@ def check_video(path: Path) -> None:
 
 
 def sharpness(pixels: Pixels) -> float:
-    """Variance of the Laplacian of the grey values, which blur makes small (Pech-Pacheco et al., ICPR 2000).
-
-    Args:
-        pixels: (H, W, 3), at least 3 x 3.
-    """
+    """Variance of the Laplacian of the grey values, which blur makes small (Pech-Pacheco et al., ICPR 2000)."""
     grey = pixels.mean(-1, dtype=np.float32)
     laplacian = grey[:-2, 1:-1] + grey[2:, 1:-1] + grey[1:-1, :-2] + grey[1:-1, 2:] - 4 * grey[1:-1, 1:-1]
     return float(laplacian.var())
@@ -55,21 +47,7 @@ def sharpness(pixels: Pixels) -> float:
 def sharpest_frames(
     path: Path, *, longest_side: int, interval: float, most: int, on_second: Callable[[int, int], None]
 ) -> Iterator[tuple[float, Pixels]]:
-    """The sharpest picture of each interval of a video, upright, and its time.
-
-    Args:
-        path: The video.
-        longest_side: Pixels; larger pictures are made smaller.
-        interval: Seconds; it grows where there would be more than `most` pictures.
-        most: Pictures, at most.
-        on_second: Called with how many seconds were read, and of how many (0 if the file does not say).
-
-    Yields:
-        Seconds from the start, and (H, W, 3) sRGB bytes.
-
-    Raises:
-        PreparationError: The file is no video, is broken, too long, or longer than it says.
-    """
+    """The sharpest picture of each interval of a video, upright, and its time."""
     length = _length(path)
     if length > MOST_SECONDS:
         raise _too_long(path, length)

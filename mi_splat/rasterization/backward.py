@@ -22,16 +22,7 @@ _LN2 = math.log(2.0)
 
 
 def gradient_to_tiles(buffers: PictureBuffers, grad_picture: tuple[Any, ...], grad_tiles: tuple[Any, ...]) -> None:
-    """Stage 6: the gradient of the picture, tile after tile.
-
-    Args:
-        buffers: The finished picture.
-        grad_picture: Row-major dL/dcolour (3 a pixel) and, if these outputs are used, dL/dopacity and dL/d(expected
-            depth) (1 a pixel).
-        grad_tiles: Buffers for the same in tile order. The first has 4 floats a pixel: dL/dcolour, and the sum over
-            everything that reached the pixel, background included, of its weight times dL/dweight. The third has 2:
-            dL/d(expected depth) over the sum of weights, and the expected depth.
-    """
+    """Stage 6: the gradient of the picture, tile after tile."""
     pixel, where = buffers.pixels, buffers.tiled_indices
     grad_colour = dr.gather(mi.ArrayXf, grad_picture[0], pixel, shape=(3, dr.width(pixel)))
     value = dr.gather(mi.ArrayXf, buffers.colour, pixel, shape=(3, dr.width(pixel)))
@@ -56,16 +47,7 @@ def blend_backward(
     grad_tiles: tuple[Any, ...],
     moments: tuple[Any, ...],
 ) -> None:
-    """Stage 8: each pair's moments of the gradient, in the pair's own row.
-
-    Args:
-        records: The Gaussians' records.
-        lists: Gaussian and row of each pair in tile order, and first and one-past-last pair of each tile.
-        order: UInt32, places in `buffers.tiles`: in which order tiles are worked on.
-        buffers: The picture; only its size and tiles are read.
-        grad_tiles: What stage 6 wrote.
-        moments: Two buffers, of 8 floats a row and of 1, and with gradients of depth a third, of 1; filled.
-    """
+    """Stage 8: each pair's moments of the gradient, in the pair's own row."""
     width, _ = width_and_height(buffers.size)
     tile = dr.gather(mi.UInt32, buffers.tiles, order)
     first, last = (dr.gather(mi.UInt32, edge, tile) for edge in lists[2:])
@@ -96,15 +78,6 @@ def rows_by_gaussian(
     """Stage 7: rows for the moments, in the order of the Gaussians and not of their depths.
 
     So that stage 9, whose lanes are the Gaussians in their order, reads all of its memory from one end to the other.
-
-    Args:
-        depth_order: UInt32, Gaussians from near to far.
-        row_ranges: First and one-past-last row of each of them.
-        pairs: In tile order: Gaussian, and row. Rows of those that stayed unused mean nothing; no list has them.
-        scratch: Two buffers of one UInt32 a Gaussian.
-
-    Returns:
-        UInt32 row of each pair in tile order; and first and one-past-last row of each Gaussian.
     """
     first, last = row_ranges
     count, shift = scratch
@@ -127,19 +100,7 @@ def project_backward(
     gradients: tuple[Any, ...],
     screen: Any | None,
 ) -> None:
-    """Stage 9: sum every Gaussian's moments and take them back through the projection.
-
-    Args:
-        layout: What lies where in `arrays` and `gradients`.
-        terms: SH coefficients a Gaussian and channel.
-        arrays: The Gaussians.
-        stage_camera: The camera.
-        rows: The Gaussians, 0, 1, 2, ..., and their first and one-past-last rows.
-        moments: What stage 8 wrote.
-        gradients: Buffers like `arrays`; filled.
-        screen: Buffer of three floats a Gaussian, or None; filled with dL/d(centre on the screen) in pixels, and 1
-            where the Gaussian touches a tile.
-    """
+    """Stage 9: sum every Gaussian's moments and take them back through the projection."""
     index, first, last = rows
     visible = last > first
     camera = pinhole.unpack(stage_camera.numbers, antialiased=stage_camera.antialiased)

@@ -21,14 +21,7 @@ _SLACK = 4e-3  # px; keeps rounding from dropping a pixel whose alpha is just ab
 
 
 def pixel_span(centre: Any, low: Any, high: Any, size: Any) -> tuple[Any, Any]:
-    """First and last pixel (Int32, inside the picture) whose centre lies in [centre + low, centre + high].
-
-    Args:
-        centre: Float, pixels from the picture's edge.
-        low: Float, pixels.
-        high: Float, pixels.
-        size: Int32, the picture's width or height.
-    """
+    """First and last pixel (Int32, inside the picture) whose centre lies in [centre + low, centre + high]."""
     first = dr.ceil(centre + low - (0.5 + _SLACK))
     last = dr.floor(centre + high - (0.5 - _SLACK))
     # Clip before the conversion: a float outside of Int32's range has no defined integer.
@@ -42,12 +35,6 @@ def tiles_of_row(splat: Splat, row: Any, height: Any, width: Any) -> tuple[Any, 
     The ellipse is (u0 dx + u1 dy)^2 + (v1 dy)^2 <= tau. Its right edge over dy is concave with its top at
     -(u1 / v1) sqrt(tau / (u1^2 + v1^2)), its left edge the mirror image, so clamping that dy to the row's band of
     pixel centres gives the exact extent of the band.
-
-    Args:
-        splat: One Gaussian a lane.
-        row: Int32, tile row.
-        height: Int32, of the picture in pixels.
-        width: Int32, of the picture in pixels.
     """
     tau = splat.level - CUTOFF
     first_y = mi.Float(row * TILE)
@@ -76,15 +63,7 @@ def tile_rows(splat: Splat, extent: Any, height: Any) -> tuple[Any, Any]:
 
 
 def count_tiles(splat: Splat, extent: Any, visible: Any, width: Any, height: Any) -> Any:
-    """UInt32 number of tiles that each Gaussian touches.
-
-    Args:
-        splat: One Gaussian a lane.
-        extent: Vector2f, pixels: half the box around its ellipse, negative where there is none (see `project`).
-        visible: Bool; Gaussians without it touch no tile.
-        width: Int32, of the picture in pixels.
-        height: Int32, of the picture in pixels.
-    """
+    """UInt32 number of tiles that each Gaussian touches."""
     first, last = tile_rows(splat, extent, height)
 
     def body(row: Any, total: Any) -> tuple[Any, Any]:
@@ -101,19 +80,7 @@ def count_tiles(splat: Splat, extent: Any, visible: Any, width: Any, height: Any
 
 
 def emit_pairs(splat: Splat, gaussian: Any, slots: tuple[Any, Any], size: tuple[Any, Any], pairs: Any) -> Any:
-    """Write the pairs of every Gaussian into its slots.
-
-    Args:
-        splat: One Gaussian a lane.
-        gaussian: UInt32 number of the lane's Gaussian.
-        slots: First and one-past-last slot of the lane, as `count_tiles` counted them.
-        size: Width and height of the picture in pixels, Int32.
-        pairs: Buffer of two UInt32 a slot, tile and Gaussian; slots that stay unused (rounding differed from the
-            count's) keep what they hold.
-
-    Returns:
-        UInt32 one-past-last slot of each lane that is used.
-    """
+    """Write the pairs of every Gaussian into its slots."""
     width, height = size
     columns = (width + (TILE - 1)) // TILE
     reach = dr.sqrt(splat.level - CUTOFF) / splat.v1
@@ -162,14 +129,7 @@ def lower_bound(sorted_keys: Any, count: Any, key: Any) -> Any:
 
 
 def bounds_of_tiles(tile: Any, index: Any, total: Any, ranges: tuple[Any, Any]) -> None:
-    """Write where each tile's pairs begin and end; tiles without pairs keep what the buffers hold.
-
-    Args:
-        tile: UInt32, tile of the lane's pair; pairs are in tile order, those that stayed unused last (`NO_TILE`).
-        index: UInt32, number of the lane's pair.
-        total: UInt32, number of pairs.
-        ranges: Two buffers of one UInt32 a tile.
-    """
+    """Write where each tile's pairs begin and end; tiles without pairs keep what the buffers hold."""
     before = dr.gather(mi.UInt32, tile, index - 1, index > 0)
     fresh = (index > 0) & (before != tile)
     dr.scatter(ranges[0], index, tile, fresh & (tile != NO_TILE))

@@ -108,19 +108,7 @@ def next_of_list(gaussians: Any, pair_range: tuple[Any, Any], pair: Any) -> tupl
 def blend_tile(
     records: tuple[Any, ...], gaussians: Any, pair_range: tuple[Any, Any], corner: tuple[Any, Any]
 ) -> tuple[Any, Any, Any, Any]:
-    """Blend every tile.
-
-    Args:
-        records: The Gaussians' records.
-        gaussians: UInt32, Gaussian of each pair in tile order.
-        pair_range: First and one-past-last pair of the lane's tile.
-        corner: `first_pixel` of the lane's tile.
-
-    Returns:
-        A list of 3 x 16 colours (channel-major) without background, a list of 16 transmittances, where the records have
-        depths a list of 16 median depths (0 where there is none), 16 sums of weights, 16 of weight times depth, and the
-        UInt32 pair before which all pixels had stopped.
-    """
+    """Blend every tile."""
     # What a step blends was read in the step before it, so that arithmetic hides the wait for memory.
     first, gaussian = first_of_list(gaussians, pair_range)
     start = (
@@ -178,19 +166,6 @@ def blend_tile_backward(
     h, h dx, h dy, h dx^2, h dx dy, h dy^2 and of weight times dL/dcolour (and, with depths, of dL/d(expected depth)
     times weight over the sum of weights); no two lanes write to one row, so the result does not depend on the order of
     execution. An expected depth D moves with weight w_i by (z_i - D) over that sum; the sum of w_i (z_i - D) is 0.
-
-    Args:
-        records: The Gaussians' records.
-        pairs: For each pair in tile order: its Gaussian, and its row (its place before the sort by tile).
-        pair_range: First and one-past-last pair of the lane's tile.
-        corner: `first_pixel` of the lane's tile.
-        pixels: dL/dcolour (3 x 16, channel-major), dL/dopacity (16, or empty), dL/d(expected depth) over the sum of
-            weights with the expected depth (16 pairs, or empty), and the sum over everything that reaches the pixel of
-            weight times dL/dweight, background included (16).
-        moments: Two buffers, of 8 floats a row and of 1; with gradients of depth a third, of 1.
-
-    Returns:
-        UInt32, the pair before which all pixels had stopped. Rows from there on are left as they are.
     """
     grad_colour, grad_opacity, grad_depth, weighted = pixels
     first, gaussian = first_of_list(pairs[0], pair_range)
@@ -250,13 +225,7 @@ def blend_tile_backward(
 
 
 def clear_rows(rows: Any, pair_range: tuple[Any, Any], moments: tuple[Any, ...]) -> None:
-    """Set the rows of pairs behind the last one that was walked to 0. A loop beside the other one slows that down.
-
-    Args:
-        rows: UInt32, row of each pair in tile order.
-        pair_range: First pair that was not walked, and one-past-last pair of the lane's tile.
-        moments: What `blend_tile_backward` filled.
-    """
+    """Set the rows of pairs behind the last one that was walked to 0. A loop beside the other one slows that down."""
 
     def clear(pair: Any) -> tuple[Any]:
         index = dr.gather(mi.UInt32, rows, pair)

@@ -34,14 +34,7 @@ def linear_derivative(value: Any) -> Any:
 
 
 def develop(picture: FlatPicture, size: tuple[int, int], *, alpha: bool, linear: bool) -> Any:
-    """The picture as an image: TensorXf (H, W, 3), or (H, W, 4) with `alpha`.
-
-    Args:
-        picture: A picture.
-        size: Its width and height in pixels.
-        alpha: Append opacity as a fourth channel.
-        linear: Linear instead of sRGB values.
-    """
+    """The picture as an image: TensorXf (H, W, 3), or (H, W, 4) with `alpha`."""
     width, height = size
     colour = linear_value(picture.colour) if linear else picture.colour
     if not alpha:
@@ -54,14 +47,7 @@ def develop(picture: FlatPicture, size: tuple[int, int], *, alpha: bool, linear:
 
 
 def develop_backward(picture: FlatPicture, grad_image: Any, *, alpha: bool, linear: bool) -> tuple[Any, ...]:
-    """dL/d(picture.colour), and with `alpha` dL/d(picture.opacity), from dL/d(image).
-
-    Args:
-        picture: What `develop` was given.
-        grad_image: TensorXf like the image that `develop` returned.
-        alpha: As `develop` was called.
-        linear: As `develop` was called.
-    """
+    """dL/d(picture.colour), and with `alpha` dL/d(picture.opacity), from dL/d(image)."""
     flat = mi.Float(dr.detach(grad_image.array))
     grad_opacity: tuple[Any, ...] = ()
     if alpha:

@@ -20,31 +20,14 @@ def picture_of(frozen: FrozenPairs, terms: int, sh: Any) -> tuple[Any, Any]:
 
 
 def gradient_of(frozen: FrozenPairs, terms: int, colours: Any, grad_picture: Any) -> Any:
-    """dL/d(SH), Float, 3 `terms` a free Gaussian.
-
-    Args:
-        frozen: The weights.
-        terms: SH coefficients a Gaussian and channel.
-        colours: What `picture_of` returned with the picture.
-        grad_picture: Float, dL/d(picture), 3 a pixel, row-major.
-    """
+    """dL/d(SH), Float, 3 `terms` a free Gaussian."""
     grad_sh = buffer(3 * terms * len(frozen.columns))
     run(colour_backward, terms, aligned(grad_picture), frozen, colours, grad_sh)
     return grad_sh
 
 
 def colour_forward(terms: int, sh: Any, frozen: FrozenPairs, colours: Any) -> Any:
-    """Blend the free Gaussians' colours over the constant part of the picture.
-
-    Args:
-        terms: SH coefficients a Gaussian and channel.
-        sh: Float, 3 `terms` a free Gaussian.
-        frozen: The weights.
-        colours: Buffer of 4 floats a free Gaussian; filled.
-
-    Returns:
-        Float, the picture, 3 a pixel, row-major.
-    """
+    """Blend the free Gaussians' colours over the constant part of the picture."""
     column = frozen.columns
     row, basis = _rows(sh, column, 3 * terms), _basis(frozen, terms)
     values = []
@@ -81,15 +64,7 @@ def colour_backward(
     colours: Any,
     grad_sh: Any,
 ) -> None:
-    """Gradient of SH from that of the picture. Each pair stores its sums in its own row: no atomics, always one order.
-
-    Args:
-        terms: SH coefficients a Gaussian and channel.
-        grad_picture: Float, 3 a pixel, row-major.
-        frozen: The weights.
-        colours: What `colour_forward` left there.
-        grad_sh: Buffer of 3 `terms` floats a free Gaussian; filled.
-    """
+    """Gradient of SH from that of the picture. Each pair sums into its own row: no atomics, one order."""
     dr.scatter(frozen.gradients, grad_picture, frozen.where)
     dr.eval(frozen.gradients)
     gradient = _rows(frozen.gradients, frozen.slots, 4 * PIXELS)

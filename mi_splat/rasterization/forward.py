@@ -42,22 +42,7 @@ def project_gaussians(
     stage_camera: StageCamera,
     records: tuple[Any, ...],
 ) -> tuple[Any, Any]:
-    """Stage 1: project every Gaussian and count the tiles that it touches.
-
-    Args:
-        layout: What lies where in `arrays`.
-        terms: SH coefficients a Gaussian and channel.
-        arrays: The Gaussians.
-        index: UInt32, number of the lane's Gaussian: 0, 1, 2, ...
-        buffers: The picture; only its size is read.
-        stage_camera: The camera.
-        records: Two buffers, of 8 floats a Gaussian and of 1, to be filled with its record; a third of 1 takes its
-            camera-space depth.
-
-    Returns:
-        UInt32 keys that sort the Gaussians by depth, those without a tile last, and the UInt32 number of tiles of each,
-        or `BROKEN` in its place where a number of the Gaussian is not finite.
-    """
+    """Stage 1: project every Gaussian and count the tiles that it touches."""
     camera = pinhole.unpack(stage_camera.numbers, antialiased=stage_camera.antialiased)
     gaussians = layout.read(arrays, index, terms)
     splat, extent, depth, visible = projected(gaussians, camera)
@@ -74,16 +59,7 @@ def project_gaussians(
 
 
 def allot_rows(count: Any, depth_order: Any) -> tuple[Any, Any, Any]:
-    """Stage 2: which rows each Gaussian gets.
-
-    Args:
-        count: What stage 1 returned.
-        depth_order: UInt32, Gaussians from near to far.
-
-    Returns:
-        UInt32 first and one-past-last row of the Gaussians in depth order, and one UInt64: the number of rows in all,
-        plus `BROKEN_ROWS` for each Gaussian that is `BROKEN`.
-    """
+    """Stage 2: which rows each Gaussian gets."""
     counts = dr.gather(mi.UInt32, count, depth_order)
     broken = counts == BROKEN
     counts = dr.select(broken, 0, counts)
@@ -92,19 +68,7 @@ def allot_rows(count: Any, depth_order: Any) -> tuple[Any, Any, Any]:
 
 
 def write_pairs(records: Any, depth_order: Any, first: Any, last: Any, size: Any, pairs: Any) -> Any:
-    """Stage 3: write the pairs' tiles and Gaussians, Gaussian by Gaussian from near to far.
-
-    Args:
-        records: The first of the two arrays of records.
-        depth_order: UInt32, Gaussians from near to far.
-        first: UInt32, first row of each of them.
-        last: UInt32, one-past-last row of each of them.
-        size: `PictureBuffers.size`.
-        pairs: Buffer of two UInt32 a row, tile and Gaussian.
-
-    Returns:
-        UInt32 one-past-last row of each Gaussian that holds a pair, in depth order.
-    """
+    """Stage 3: write the pairs' tiles and Gaussians, Gaussian by Gaussian from near to far."""
     v = dr.gather(mi.ArrayXf, records, depth_order, shape=(RECORD, dr.width(depth_order)))
     splat = Splat(mi.Point2f(v[0], v[1]), v[2], v[3], v[4], v[5], mi.Color3f(0))
     return binning.emit_pairs(splat, depth_order, (first, last), width_and_height(size), pairs)
@@ -113,19 +77,7 @@ def write_pairs(records: Any, depth_order: Any, first: Any, last: Any, size: Any
 def find_lists(
     pairs: Any, rows: Any, index: Any, total: Any, buffers: PictureBuffers, ranges: tuple[Any, Any]
 ) -> tuple[Any, Any]:
-    """Stage 4: where the list of each tile lies.
-
-    Args:
-        pairs: What `write_pairs` left.
-        rows: UInt32, row of each pair in tile order.
-        index: UInt32, number of the lane's pair in tile order: 0, 1, 2, ...
-        total: UInt64, number of pairs.
-        buffers: The picture; only its tiles are read.
-        ranges: Two buffers of one UInt32 a tile, all 0, to be filled with the first and one-past-last of its pairs.
-
-    Returns:
-        UInt32 Gaussian of each pair in tile order, and keys for `sorting.by_length`.
-    """
+    """Stage 4: where the list of each tile lies."""
     tile, gaussians = dr.gather(mi.ArrayXu, pairs, rows, shape=(2, dr.width(rows)))
     gaussians = dr.select(tile == NO_TILE, 0, gaussians)
     dr.eval(gaussians, tile)
@@ -143,18 +95,7 @@ def blend_tiles(
     canvas: tuple[Any, ...],
     walked: Any,
 ) -> None:
-    """Stage 5: blend every tile, then lay the tiles out as a row-major picture over the background.
-
-    Args:
-        records: The Gaussians' records.
-        lists: Gaussian of each pair in tile order, and first and one-past-last pair of each tile.
-        order: UInt32, places in `buffers.tiles`: in which order tiles are worked on.
-        buffers: The picture; filled.
-        canvas: Buffers that hold tile after tile: colour and transmittance, 4 floats a pixel; and, if depths are
-            wanted, what `blend_tile` returns of them, 3 floats a pixel.
-        walked: Buffer of one UInt32 a tile, to be filled with keys for `sorting.by_length`: the length of each list up
-            to where all pixels have stopped.
-    """
+    """Stage 5: blend every tile, then lay the tiles out as a row-major picture over the background."""
     tile = dr.gather(mi.UInt32, buffers.tiles, order)
     first, last = (dr.gather(mi.UInt32, edge, tile) for edge in lists[1:])
     width, _ = width_and_height(buffers.size)

@@ -23,9 +23,6 @@ def run(stage: Callable[..., Any], *arguments: Any) -> Any:
 
     A garbage collection in the middle of a recording may free arrays of torch or Mitsuba, which Dr.Jit cannot record:
     it stops the process. So there is none while this runs.
-
-    Returns:
-        What the stage returns.
     """
     collecting = gc.isenabled()
     gc.disable()

@@ -21,13 +21,7 @@ from mi_splat.rasterization.pinhole import Pinhole, StageCamera
 
 
 def layers_of_tiles(layout: Layout, arrays: tuple[Any, ...], camera: Pinhole) -> NDArray[np.int64]:
-    """(rows, columns) lengths of the lists of all tiles of `TILE` x `TILE` pixels that `rasterize` would make.
-
-    Args:
-        layout: What lies where in `arrays`.
-        arrays: As `rasterize` takes them, all numbers finite.
-        camera: The camera.
-    """
+    """(rows, columns) lengths of the lists of all tiles of `TILE` x `TILE` pixels that `rasterize` would make."""
     width, height = camera.size
     columns, rows = -(-width // TILE), -(-height // TILE)
     edges = buffer((columns + 1) * rows, mi.Int32, 0)
@@ -48,17 +42,7 @@ def count_edges(
     stage_camera: StageCamera,
     edges: Any,
 ) -> None:
-    """Add 1 where the tiles of a Gaussian begin in a row, and -1 after they end.
-
-    Args:
-        layout: What lies where in `arrays`.
-        terms: SH coefficients a Gaussian and channel.
-        arrays: The Gaussians.
-        index: UInt32, number of the lane's Gaussian: 0, 1, 2, ...
-        size: Int32, width and height of the picture in pixels.
-        stage_camera: The camera.
-        edges: Buffer of Int32, one more a row than it has tiles; filled.
-    """
+    """Add 1 where the tiles of a Gaussian begin in a row, and -1 after they end."""
     camera = pinhole.unpack(stage_camera.numbers, antialiased=stage_camera.antialiased)
     splat, extent, _, visible = projected(layout.read(arrays, index, terms), camera)
     width, height = width_and_height(size)

@@ -87,11 +87,7 @@ ELLIPSOIDS = Layout(("data (means, scales, rotations)", "opacities", "sh_coeffs"
 
 
 def check_finite(layout: Layout, arrays: tuple[Any, ...]) -> None:
-    """Refuse Gaussians with a number that is not finite.
-
-    Raises:
-        InvalidValueError: There is one.
-    """
+    """Refuse Gaussians with a number that is not finite."""
     for name, array in zip(layout.names, arrays, strict=True):
         bad = dr.count(~dr.isfinite(array))[0] if len(array) else 0
         if bad:

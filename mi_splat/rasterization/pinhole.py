@@ -89,11 +89,7 @@ class KernelCamera:
 
 
 def unpack(numbers: Any, *, antialiased: bool = False) -> KernelCamera:
-    """Read a `KernelCamera` out of the array that `Pinhole.numbers` made.
-
-    Returns:
-        The camera, as kernels use it.
-    """
+    """Read a `KernelCamera` out of the array that `Pinhole.numbers` made."""
     v = [dr.gather(mi.Float, numbers, mi.UInt32(i)) for i in range(22)]
     return KernelCamera(
         rotation=mi.Matrix3f(*v[0:9]),

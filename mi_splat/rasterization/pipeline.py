@@ -30,23 +30,7 @@ def rasterize(
     *,
     depths: bool = False,
 ) -> Picture:
-    """Render Gaussians to a picture.
-
-    Args:
-        layout: What lies where in `arrays`.
-        arrays: Flat Float arrays, detached and `aligned`; the last holds SH, the one before it has one opacity a
-            Gaussian.
-        camera: The camera.
-        background: sRGB colour behind everything.
-        depths: Fill `Picture.depths`, too.
-
-    Returns:
-        The picture, with what its backward pass needs.
-
-    Raises:
-        InvalidValueError: A number of a Gaussian is not finite.
-        MiSplatError: The picture needs more than MAX_PAIRS (tile, Gaussian) pairs.
-    """
+    """Render Gaussians to a picture."""
     buffers = new_buffers(camera.size, background, depths=depths)
     count = len(arrays[-2])
     if count == 0:
@@ -103,19 +87,7 @@ def rasterize_backward(
     *,
     screen: Any | None = None,
 ) -> tuple[Any, ...]:
-    """Gradient of a scalar L with respect to the Gaussians, from its gradient with respect to the picture.
-
-    Args:
-        picture: What the forward call returned.
-        grad_colour: Float, dL/d(picture.colour).
-        grad_opacity: Float, dL/d(picture.opacity), if that output is used.
-        grad_depth: Float, dL/d(picture.depths[0]), if that output is used; `grad_opacity` has to be given, too.
-        screen: Float of three zeros a Gaussian (see `buffer`), to be filled with dL/d(centre on the screen) in pixels
-            and 1 where the Gaussian touches a tile.
-
-    Returns:
-        One Float array for each of `picture.arrays`. The same bits every time, on any number of threads.
-    """
+    """Gradient of a scalar L with respect to the Gaussians, from its gradient with respect to the picture."""
     arrays, state = picture.arrays, picture.state
     if state is None:
         return tuple(buffer(len(array), value=0.0) for array in arrays)

@@ -105,10 +105,6 @@ def project(gaussians: Gaussians, camera: KernelCamera) -> tuple[Splat, Any, Any
     divided by that, so that the blur is a low-pass filter that keeps the sum: the 2D filter of Mip-Splatting (Yu et al.
     2024, eq. 10), in the form that gsplat calls "antialiased", with the blur of 0.3 and no floor under the factor (the
     3DGS reference has one of 0.005; the code of Mip-Splatting blurs by 0.1). alpha is clamped at 0.99 after that.
-
-    Returns:
-        The splats, the half-widths (Vector2f, px) of the box outside of which alpha < 1/255 (negative where there is no
-        such box), and the camera-space depths. Lanes with depth < near carry no meaning.
     """
     local = camera.rotation @ mi.Vector3f(gaussians.mean) + camera.translation
     inverse = 1.0 / local.z

@@ -8,22 +8,14 @@ from mi_splat.errors import InvalidValueError
 
 
 def checked_near(value: float) -> float:
-    """The distance, if it can be a near plane.
-
-    Raises:
-        InvalidValueError: It is not a positive finite number.
-    """
+    """The distance, if it can be a near plane."""
     if not (isinstance(value, numbers.Real) and math.isfinite(value) and value > 0):
         raise InvalidValueError.of("near", "a positive distance", value, "pass world units, such as 0.2")
     return value
 
 
 def checked_background(value: Sequence[float]) -> tuple[float, float, float]:
-    """The colour, if it can be a background.
-
-    Raises:
-        InvalidValueError: It does not have three finite channels.
-    """
+    """The colour, if it can be a background."""
     if len(value) != 3 or not all(math.isfinite(v) for v in value):
         raise InvalidValueError.of("background", "three finite numbers", value, "pass an sRGB colour")
     return value[0], value[1], value[2]

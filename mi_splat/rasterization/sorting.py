@@ -39,14 +39,7 @@ def order_below(keys: Any, values: int) -> Any:
 
 @functools.lru_cache(maxsize=32)
 def by_block(variant: str, columns: int, rows: int, side: int = BLOCK) -> Any:
-    """UInt32, the numbers of the tiles or pixels of a picture, block after block of side x side of them.
-
-    Args:
-        variant: Variant that the array is for, the current one.
-        columns: How many lie beside each other in the picture.
-        rows: How many lie above each other.
-        side: Side of a block.
-    """
+    """UInt32, the numbers of the tiles or pixels of a picture, block after block of side x side of them."""
     row, column = np.divmod(np.arange(columns * rows), columns)
     order = np.lexsort((column // side, row // side))
     numbers = mi.UInt32(order.astype(np.uint32).tolist())

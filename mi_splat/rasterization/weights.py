@@ -68,22 +68,7 @@ def needed_bytes(slots_needed: int, pixels: int, gaussians: int) -> int:
 def freeze_pairs(
     picture: Picture, free: Any, directions: Any, *, max_bytes: int, held: int = 0
 ) -> tuple[FrozenPairs | None, int]:
-    """Keep the weights of a picture.
-
-    Args:
-        picture: Rendered with the free Gaussians' colours at 0.
-        free: UInt32, the numbers of the free Gaussians, each once.
-        directions: Float, 3 a free Gaussian: from the camera's centre to its mean, length 1.
-        max_bytes: How much memory may be taken.
-        held: How much of it was taken before.
-
-    Returns:
-        The weights, or None if no free Gaussian is visible; and the number of bytes that they and a step take, with
-        those in `held`.
-
-    Raises:
-        MiSplatError: It would be more than `max_bytes`; nothing of it was taken yet.
-    """
+    """Keep the weights of a picture."""
     pixels = len(picture.opacity)
     if picture.state is None or len(free) == 0:
         return None, _within(held + needed_bytes(0, pixels, len(free)), 0, max_bytes)

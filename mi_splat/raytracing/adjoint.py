@@ -61,17 +61,7 @@ def blend_backward(
     *,
     to_mean: bool,
 ) -> None:
-    """Add a stretch's share of the gradient.
-
-    Args:
-        splats: Gaussians.
-        stretch: One a lane.
-        active: Bool.
-        total: Colour and transmittance as `segments.blend` gave them.
-        gradient: dL/dcolour and dL/dtransmittance.
-        sums: Buffers that are added to.
-        to_mean: As `segments.blend` was called.
-    """
+    """Add a stretch's share of the gradient."""
     grad_colour, grad_transmittance = gradient
     rest = dr.dot(grad_colour, total[0]) + grad_transmittance * total[1]
 
@@ -93,16 +83,7 @@ def blend_backward(
 def transmittance_backward(
     splats: Splats, stretch: Stretch, active: Any, total: Any, gradient: Any, sums: Sums
 ) -> None:
-    """Add the share of a stretch of which only the transmittance counts.
-
-    Args:
-        splats: Gaussians.
-        stretch: One a lane.
-        active: Bool.
-        total: What `segments.transmittance` gave.
-        gradient: dL/dtransmittance.
-        sums: Buffers that are added to.
-    """
+    """Add the share of a stretch of which only the transmittance counts."""
     product = gradient * total
 
     def visit(state: list[Any], peak: Peak, counts: Any) -> list[Any]:

@@ -80,19 +80,7 @@ def walk(
     visit: Callable[[list[Any], Peak, Any], list[Any]],
     limit: Callable[[list[Any]], Any],
 ) -> list[Any]:
-    """Visit every Gaussian whose box a stretch of a ray meets, roughly from near to far.
-
-    Args:
-        splats: Gaussians.
-        stretch: One a lane.
-        active: Bool, lanes that walk at all.
-        state: What is known so far.
-        visit: (state, peak, Bool that it counts) -> state.
-        limit: (state) -> Float, a distance beyond which nothing is of interest any more; -1 ends the walk.
-
-    Returns:
-        The state after the last Gaussian.
-    """
+    """Visit every Gaussian whose box a stretch of a ray meets, roughly from near to far."""
     leaves = splats.tree.leaves
     d = stretch.direction
     inverse = dr.rcp(dr.select(dr.abs(d) < _LEAST, dr.copysign(mi.Vector3f(_LEAST), d), d))
@@ -142,12 +130,6 @@ def nearest(splats: Splats, stretch: Stretch, after: tuple[Any, Any], active: An
     """Distances and slots of the next `AT_ONCE` peaks, nearest first; infinity where there are fewer.
 
     Peaks at one distance are in the order of their slots, so that none is lost and none comes twice.
-
-    Args:
-        splats: Gaussians.
-        stretch: One a lane.
-        after: Distance and slot of the last peak that was seen.
-        active: Bool.
     """
     last, last_slot = after
 

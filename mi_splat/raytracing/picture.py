@@ -69,17 +69,7 @@ def _rays(camera: Pinhole) -> tuple[Stretch, Any, Any]:
 def raytrace(
     splats: Splats | None, camera: Pinhole, background: tuple[float, float, float], *, to_mean: bool
 ) -> RayPicture:
-    """Render Gaussians to a picture.
-
-    Args:
-        splats: What `splats.prepare` made.
-        camera: The camera.
-        background: sRGB colour behind everything.
-        to_mean: See `segments.view_direction`.
-
-    Returns:
-        The picture, with what its backward pass needs.
-    """
+    """Render Gaussians to a picture."""
     pixels = camera.size[0] * camera.size[1]
     colour, opacity = buffer(3 * pixels), buffer(pixels, value=0.0)
     if splats is None:
@@ -93,13 +83,7 @@ def raytrace(
 
 
 def raytrace_backward(picture: RayPicture, grad_colour: Any, grad_opacity: Any | None = None) -> tuple[Any, ...] | None:
-    """Gradient with respect to each array of the Gaussians; None where there are none.
-
-    Args:
-        picture: What `raytrace` returned.
-        grad_colour: Float, dL/d(picture.colour).
-        grad_opacity: Float, dL/d(picture.opacity), if that output is used.
-    """
+    """Gradient with respect to each array of the Gaussians; None where there are none."""
     if picture.splats is None or picture.seen is None:
         return None
     stretch, pixel, active = _rays(picture.camera)

@@ -59,18 +59,7 @@ def for_each_peak(
     state: list[Any],
     step: Callable[[list[Any], Peak], list[Any]],
 ) -> list[Any]:
-    """Go through the peaks on a stretch, nearest first, for as long as light comes through; any number of them.
-
-    Args:
-        splats: Gaussians.
-        stretch: One a lane.
-        active: Bool.
-        state: Its first entry is the transmittance.
-        step: (state, peak) -> state.
-
-    Returns:
-        The state after the last peak.
-    """
+    """Go through the peaks on a stretch, nearest first, for as long as light comes through; any number of them."""
 
     def body(last: Any, slot: Any, more: Any, state: list[Any]) -> tuple[Any, Any, Any, list[Any]]:
         distances, slots = nearest(splats, stretch, (last, slot), more)
@@ -94,14 +83,7 @@ def for_each_peak(
 
 
 def blend(splats: Splats, stretch: Stretch, active: Any, *, to_mean: bool) -> tuple[Any, Any]:
-    """Colour (Color3f, sRGB, multiplied by alpha) and transmittance (Float) of a stretch; 0 and 1 on idle lanes.
-
-    Args:
-        splats: Gaussians.
-        stretch: One a lane.
-        active: Bool.
-        to_mean: See `view_direction`.
-    """
+    """Colour (Color3f, sRGB, multiplied by alpha) and transmittance (Float) of a stretch; 0 and 1 on idle lanes."""
 
     def step(state: list[Any], peak: Peak) -> list[Any]:
         transmittance, colour = state

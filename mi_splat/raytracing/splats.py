@@ -53,12 +53,7 @@ class Splats:
 
 
 def prepare(layout: Layout, arrays: tuple[Any, ...]) -> Splats | None:
-    """Gaussians ready to be traced; None where there are none.
-
-    Args:
-        layout: What lies where in `arrays`.
-        arrays: Flat Float arrays, detached.
-    """
+    """Gaussians ready to be traced; None where there are none."""
     arrays = tuple(aligned(array) for array in arrays)
     count = len(arrays[-2])
     if count == 0:

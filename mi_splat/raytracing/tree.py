@@ -40,12 +40,7 @@ class Tree:
 
 
 def build(means: Any, half: Any) -> Tree:
-    """The tree of some Gaussians.
-
-    Args:
-        means: Point3f, at least one, world units.
-        half: Vector3f, half the box of each along the axes of the world; where it is negative, no ray meets it.
-    """
+    """The tree of some Gaussians."""
     count = dr.width(means)
     leaves = 1
     while leaves * LEAF < count:

@@ -24,15 +24,6 @@ def clusters(
     Two Gaussians are linked if each lies within `link_distance` times the distance at which the other has its eighth
     neighbour: so the measure is that of the place, fine on a small object and coarse on a wide ground. Objects stand on
     something that would link them all: the Gaussians of the largest planes are linked among themselves only.
-
-    Args:
-        scene: The scene.
-        link_distance: Multiple of the distance to the eighth neighbour.
-        link_colour: Largest difference in a channel of sRGB between linked Gaussians; None if colour does not count.
-        planes: Planes that are taken out, the largest first; 0 if nothing stands on one.
-
-    Returns:
-        (N,) int64, 0 for Gaussians of the largest component; those of the same size come in the order of the scene.
     """
     points = scene.means.detach().cpu().double()
     distances, rows = nearest_neighbours(points, NEIGHBOURS)
@@ -66,14 +57,6 @@ def components(count: int, first: Tensor, second: Tensor) -> Tensor:
 
     Every node points at one of its component with a smaller or equal number; edges join the trees that this makes, and
     paths are shortened, until all of a component point at its first node (Shiloach and Vishkin 1982).
-
-    Args:
-        count: Number of nodes.
-        first: (E,) one node of each edge.
-        second: (E,) the other.
-
-    Returns:
-        (count,) int64, the first node of each node's component.
     """
     root = torch.arange(count)
     while len(first):

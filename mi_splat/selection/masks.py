@@ -22,13 +22,7 @@ def box_mask(
     box: tuple[float, float, float, float, float, float],
     rotation: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Tensor:
-    """(N,) bool, which Gaussians have their means in a box; those on its faces count.
-
-    Args:
-        scene: The scene.
-        box: x0, y0, z0, x1, y1, z1 before the box is turned, world units.
-        rotation: Yaw, pitch and roll in degrees, as in `Selection.box_rotation`.
-    """
+    """(N,) bool, which Gaussians have their means in a box; those on its faces count."""
     low, high = torch.tensor([box[:3], box[3:]], dtype=torch.float64)
     yaw, pitch, roll = rotation
     turn = to_matrix(multiply(_about(2, yaw), multiply(_about(1, pitch), _about(0, roll))))
@@ -46,17 +40,7 @@ def _about(axis: int, degrees: float) -> Tensor:
 
 
 def load_mask(path: Path, scene: GaussianScene) -> Tensor:
-    """(N,) bool, which Gaussians of a scene a file names.
-
-    Args:
-        path: .npy with one bool (or 0 and 1) a Gaussian or with row numbers; or a PLY, splat or points, with the
-            positions of some of them, equal to the bit.
-        scene: The scene.
-
-    Raises:
-        InvalidValueError: The file does not fit the scene, or is of another kind.
-        SplatFileError: The file cannot be read.
-    """
+    """(N,) bool, which Gaussians of a scene a file names."""
     if path.suffix.lower() == ".npy":
         return _from_array(load_array(path), len(scene), str(path))
     if path.suffix.lower() == ".ply":
@@ -66,15 +50,7 @@ def load_mask(path: Path, scene: GaussianScene) -> Tensor:
 
 
 def mask_of(values: object, count: int) -> Tensor:
-    """(N,) bool mask from one bool (or 0 and 1) a Gaussian, or from row numbers.
-
-    Args:
-        values: One-dimensional.
-        count: Gaussians of the scene.
-
-    Raises:
-        InvalidValueError: They do not fit the scene.
-    """
+    """(N,) bool mask from one bool (or 0 and 1) a Gaussian, or from row numbers."""
     try:
         array = np.asarray(values)
     except ValueError:  # rows of different lengths
@@ -83,11 +59,7 @@ def mask_of(values: object, count: int) -> Tensor:
 
 
 def save_mask(mask: Tensor, path: Path) -> None:
-    """Save a (N,) bool mask as .npy; the file appears whole or not at all.
-
-    Raises:
-        SplatFileError: The file cannot be written.
-    """
+    """Save a (N,) bool mask as .npy; the file appears whole or not at all."""
     buffer = io.BytesIO()
     np.save(buffer, mask.detach().cpu().numpy().astype(bool))
     save_bytes(buffer.getvalue(), path)

@@ -20,13 +20,6 @@ def nearest_neighbours(points: Tensor, count: int) -> tuple[Tensor, Tensor]:
     The points are cut in halves, and these again, until at most `LEAF` are in each (the leaves of a balanced k-d tree),
     and neighbours are looked for in the leaf. That is done `TREES` times, each time turned at random, and the best of
     all is kept. Some neighbours are missed where space is full of points; on surfaces, as splats are, hardly any.
-
-    Args:
-        points: (N, 3) world units.
-        count: Neighbours wanted; fewer where there are not as many points.
-
-    Returns:
-        (N, K) float64 distances, ascending, and (N, K) int64 rows.
     """
     size = len(points)
     count = min(count, size - 1, LEAF // 2 - 1)
@@ -43,15 +36,7 @@ def nearest_neighbours(points: Tensor, count: int) -> tuple[Tensor, Tensor]:
 
 
 def nearest_of(points: Tensor, every: int) -> Tensor:
-    """The nearest of a few points to each of many, as far as both lie in the same leaf of a k-d tree.
-
-    Args:
-        points: (N, 3) world units.
-        every: The few are each so manieth point, which should lie anywhere among the others.
-
-    Returns:
-        (N,) int64 rows, multiples of `every`; -1 where no such point lies in the leaf.
-    """
+    """The nearest of a few points to each of many, as far as both lie in the same leaf of a k-d tree."""
     result = torch.full((len(points),), -1)
     for members in torch.split(_leaves(points.double(), LEAF * every), max(1, _GROUPS // every)):
         few = members % every == 0

@@ -15,14 +15,6 @@ def find_plane(points: Tensor, spacing: Tensor, *, least: int) -> Tensor | None:
 
     RANSAC (Fischler and Bolles 1981), made better by least squares. How far a point may lie off depends on how densely
     points lie around it, so that nothing need be known about the size of the scene.
-
-    Args:
-        points: (N, 3) world units.
-        spacing: (N,) distance of each to its neighbours, world units.
-        least: Points that a plane has to hold.
-
-    Returns:
-        (N,) bool; None if no plane holds as many.
     """
     if len(points) < 3:
         return None

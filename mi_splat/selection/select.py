@@ -78,12 +78,7 @@ _FLAGS = "--object, --box, --click, --cluster or --mask"
 
 
 def doubts(mask: Tensor, weights: Mapping[str, Tensor]) -> list[str]:
-    """Reasons to look twice at a selection, in words.
-
-    Args:
-        mask: (N,) bool, the selection.
-        weights: (H, W) share of the pixels that it makes up, by the name of the camera.
-    """
+    """Reasons to look twice at a selection, in words."""
     count, total = int(mask.sum()), len(mask)
     texts = []
     if count < FEWEST:
@@ -96,14 +91,7 @@ def doubts(mask: Tensor, weights: Mapping[str, Tensor]) -> list[str]:
 
 
 def require_visible(weights: Mapping[str, Tensor]) -> None:
-    """Raise unless an object shows from every camera.
-
-    Args:
-        weights: (H, W) share of the pixels that it makes up, by the name of the camera.
-
-    Raises:
-        InvalidValueError: It does not; the message names the cameras.
-    """
+    """Raise unless an object shows from every camera."""
     if hidden := _hidden(weights):
         do = "leave these cameras out, or choose others"
         raise InvalidValueError.of("cameras", "views that show the selection", f"none {hidden}", do)

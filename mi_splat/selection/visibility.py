@@ -38,19 +38,6 @@ def contributions(
     Exact: the derivative of a picture's sum by a Gaussian's colour, taken at grey, where no colour is clamped. What is
     hidden by others counts nothing, and over all Gaussians the sum is that of the pictures' opacity. It takes a picture
     of SH degree 0 and its gradient for each camera.
-
-    Args:
-        scene: N Gaussians.
-        cameras: One, or D of them.
-        render: A renderer that is differentiable in the SH coefficients and gives sRGB.
-        rows: (M,) indices or (N,) bool, those that are asked for; None is all.
-        boxes: For each camera the pixels that count; None is all of them. A pixel x, y is the box x, y, x + 1, y + 1.
-
-    Returns:
-        Without a gradient.
-
-    Raises:
-        InvalidValueError: There is not one box a camera, or a box is empty or not inside its picture.
     """
     cameras = as_cameras(cameras)
     if boxes is not None and len(boxes) != len(cameras):
@@ -99,18 +86,7 @@ class ObjectMaps:
 def object_maps(
     scene: GaussianScene, objects: Iterable[Tensor | slice], camera: Camera, *, render: RenderFn
 ) -> ObjectMaps:
-    """Which object each pixel shows, and how much of it: K / 3 + 1 pictures of SH degree 0.
-
-    Args:
-        scene: N Gaussians.
-        objects: The Gaussians of each object: (N,) bool, row numbers, or a slice. `SplatScene.objects.values()` are
-            those of a scene file; one mask alone is an object before everything else.
-        camera: Where from.
-        render: The renderer; gives sRGB.
-
-    Raises:
-        InvalidValueError: There is no object, or a Gaussian belongs to two.
-    """
+    """Which object each pixel shows, and how much of it: K / 3 + 1 pictures of SH degree 0."""
     objects = list(objects)
     owners, count = _owners(len(scene), objects).to(scene.means.device), len(objects)
     groups = count + int((owners < 0).any())
@@ -148,12 +124,6 @@ def object_weight(scene: GaussianScene, rows: Tensor | slice, camera: Camera, re
 
     The scene is rendered with the object white and all else black, and again all black, which takes any background
     away.
-
-    Args:
-        scene: The scene.
-        rows: The object's Gaussians: (N,) bool, row numbers, or a slice.
-        camera: Where from.
-        render: The renderer.
     """
     white = torch.zeros_like(scene.means)
     white[rows] = 1
@@ -163,17 +133,7 @@ def object_weight(scene: GaussianScene, rows: Tensor | slice, camera: Camera, re
 
 
 def pixel_weights(scene: GaussianScene, camera: Camera, pixel: tuple[int, int], render: RenderFn) -> Tensor:
-    """(N,) how much of a pixel each Gaussian makes up; their sum is what the background leaves.
-
-    Args:
-        scene: The scene.
-        camera: Where from.
-        pixel: x and y from the upper left corner.
-        render: A renderer that is differentiable in the SH coefficients and gives sRGB.
-
-    Raises:
-        InvalidValueError: The pixel is outside the picture, or Gaussians make up less than a twentieth of it.
-    """
+    """(N,) how much of a pixel each Gaussian makes up; their sum is what the background leaves."""
     x, y = pixel
     if not (0 <= x < camera.width and 0 <= y < camera.height):
         expected = f"a pixel of {camera.width} x {camera.height}"

@@ -43,22 +43,14 @@ _READER = DocumentReader(
 
 
 def to_json(config: FitConfig) -> dict[str, Any]:
-    """The configuration as plain values; the `kind` of a strategy is the name that it is registered under.
-
-    Raises:
-        InvalidValueError: The strategy is not registered.
-    """
+    """The configuration as plain values; the `kind` of a strategy is the name that it is registered under."""
     plain = asdict(config)
     strategy = {"kind": strategy_name(config.strategy), **plain["strategy"]}
     return {**plain, "strategy": strategy, "trainable": list(config.trainable)}
 
 
 def from_json(plain: dict[str, Any]) -> FitConfig:
-    """The inverse of `to_json`; settings that are not there have their defaults, as in a file of an older version.
-
-    Raises:
-        InvalidValueError: It holds settings that this version does not know.
-    """
+    """The inverse of `to_json`; settings that are not there have their defaults, as in a file of an older version."""
     unknown = plain.keys() - {field.name for field in fields(FitConfig)}
     if unknown:
         do = "end the run with the version that began it, or train anew in another folder"
@@ -69,11 +61,7 @@ def from_json(plain: dict[str, Any]) -> FitConfig:
 
 
 def save_state(state: TrainState, path: Path) -> None:
-    """Write a run between two steps; the old checkpoint stays until the new one is on the disk.
-
-    Raises:
-        SplatFileError: the file cannot be written.
-    """
+    """Write a run between two steps; the old checkpoint stays until the new one is on the disk."""
     tensors = {f"parameters/{name}": value.detach() for name, value in state.parameters.items()}
     for name in state.trained:
         adam = state.optimiser.state.get(state.parameters[name], {})
@@ -100,14 +88,7 @@ def save_state(state: TrainState, path: Path) -> None:
 
 
 def load_state(path: Path) -> tuple[TrainState, int]:
-    """Read a run.
-
-    Returns:
-        The run's state, and the number of torch threads that it was made with.
-
-    Raises:
-        CheckpointError: the file is missing or is no checkpoint.
-    """
+    """Read a run."""
     if not path.is_file():
         raise CheckpointError.of(f"checkpoint {path}", "a file", "nothing there", "train without resuming")
     notes, tensors = read_noted_tensors(path, _READER)

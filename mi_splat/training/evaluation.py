@@ -53,18 +53,7 @@ def score(
     lpips: Perceptual | None = None,
     corrected: bool = False,
 ) -> Scores | None:
-    """Compare a splat with views. What a photograph does not show at its border is no error.
-
-    Args:
-        scene: The splat.
-        views: Cameras and true pictures.
-        render: The renderer.
-        lpips: See `mi_splat.metrics.load_lpips`.
-        corrected: Whether to compare with the exposure and white balance of each view, too.
-
-    Returns:
-        Means over the views; None if there are none.
-    """
+    """Compare a splat with views. What a photograph does not show at its border is no error."""
     rows: list[dict[str, float]] = []
     with torch.no_grad():
         for index, view in enumerate(views):

@@ -35,11 +35,7 @@ class Exposures:
         return image[..., :3] @ self.maps[index][:, :3].T + self.maps[index][:, 3]
 
     def step(self, progress: float) -> None:
-        """A step of Adam on the map that has a gradient, which is taken away from it; then all are moved to their mean.
-
-        Args:
-            progress: Share of the training that is done.
-        """
+        """A step of Adam on the map that has a gradient, which is cleared; then all are moved to their mean."""
         for group in self.optimiser.param_groups:
             group["lr"] = math.exp((1 - progress) * math.log(_FIRST) + progress * math.log(_LAST))
         self.optimiser.step()

@@ -70,15 +70,6 @@ def with_outliers(cloud: PointCloud, views: Sequence[View], count: int, *, seed:
 
     Each lies on the line of sight from a camera to a point of the cloud, whose colour it has, between a tenth and nine
     tenths of the way, and in the picture of three cameras or more, as a point matched over several pictures is.
-
-    Args:
-        cloud: Points on surfaces.
-        views: Where the cameras are; pictures are not read.
-        count: Number of points to add; fewer are where cameras have little in common.
-        seed: Seed of their places.
-
-    Raises:
-        InvalidValueError: The number is negative, or there are no points or no views.
     """
     if count < 0 or not len(views) or not len(cloud.points):
         got = (count, len(views), len(cloud.points))
@@ -116,16 +107,7 @@ def _in_picture(points: Tensor, camera: Camera) -> Tensor:
 
 
 def random_points(views: Sequence[View], count: int, *, seed: int = 0) -> GaussianScene:
-    """Gaussians of random colour in a box around where the cameras look: the point nearest to all optical axes.
-
-    Args:
-        views: Where the cameras are; pictures are not read.
-        count: Number of Gaussians.
-        seed: Seed of places and colours.
-
-    Raises:
-        InvalidValueError: The number is not positive, or there are no views.
-    """
+    """Gaussians of random colour in a box around where the cameras look: the point nearest to all optical axes."""
     if count < 1 or not len(views):
         raise InvalidValueError.of("count and views", "at least one of each", (count, len(views)), "ask for more")
     cameras = cameras_of(views)

@@ -113,23 +113,7 @@ def advance(
     lpips: Perceptual | None = None,
     on_step: OnStep | None = None,
 ) -> Fit:
-    """Take a run to its end; `on_step` may stop it between two steps by raising.
-
-    Args:
-        state: The run, which is changed.
-        views: Pictures to match, the same as before.
-        render: The renderer, see `fit`.
-        held_out: Views to score on.
-        lpips: A further score.
-        on_step: Called after every step.
-
-    Returns:
-        The trained splat, and every evaluation on the way.
-
-    Raises:
-        InvalidValueError: The strategy needs screen gradients, and the renderer keeps none.
-        TrainingError: A value is not finite, or every Gaussian was pruned.
-    """
+    """Take a run to its end; `on_step` may stop it between two steps by raising."""
     _keep_freed_memory()
     config = state.config
     screen_gradients = render.screen_gradients if isinstance(render, _KeepsScreenGradients) else None
@@ -187,19 +171,7 @@ def _step(state: TrainState, views: Sequence[View], index: int, render: RenderFn
 
 
 def differentiate(state: TrainState, loss: Tensor, scene: GaussianScene) -> float:
-    """Add the gradient of a loss of a splat, and of what the strategy adds to it, to that of the trained tensors.
-
-    Args:
-        state: The run.
-        loss: The photometric loss, a scalar.
-        scene: The splat of this step, `state.scene()`.
-
-    Returns:
-        The whole loss.
-
-    Raises:
-        TrainingError: It is not finite.
-    """
+    """Add the gradient of a loss of a splat, and of what the strategy adds to it, to that of the trained tensors."""
     loss = state.strategy.before_backward(loss, scene)
     loss.backward()  # type: ignore[no-untyped-call]
     value = float(loss.detach())
@@ -209,12 +181,7 @@ def differentiate(state: TrainState, loss: Tensor, scene: GaussianScene) -> floa
 
 
 def densify(state: TrainState, screen_gradients: ScreenGradients | None) -> None:
-    """Ask the strategy, and do what it says.
-
-    Args:
-        state: The run, after a step.
-        screen_gradients: What the renderer kept of its backward pass, if it does.
-    """
+    """Ask the strategy, and do what it says."""
     step = Step(
         parameters=state.parameters,
         iteration=state.iteration,

@@ -103,14 +103,6 @@ def photometric_loss(image: Tensor, reference: Tensor, *, lambda_dssim: float = 
 
     SSIM is that of Wang et al. 2004 as 3DGS trains with it: window of 11, sigma 1.5, zeros outside of the picture.
     `mi_splat.metrics.ssim` is the figure to report; the two differ at the picture's rim.
-
-    Args:
-        image: (H, W, 3) sRGB, differentiable, once.
-        reference: (H, W, 3) sRGB in [0, 1], constant.
-        lambda_dssim: Weight of the structural term; 0 leaves it out.
-
-    Raises:
-        InvalidValueError: The shapes differ or are not those of pictures.
     """
     if image.ndim != 3 or image.shape != reference.shape:
         raise InvalidValueError.of(
@@ -121,18 +113,7 @@ def photometric_loss(image: Tensor, reference: Tensor, *, lambda_dssim: float = 
 
 
 def over_background(image: Tensor, colour: Tensor) -> Tensor:
-    """A picture with alpha, over black, put over another colour.
-
-    Args:
-        image: (H, W, 4) sRGB over black, and alpha.
-        colour: (3,) sRGB.
-
-    Returns:
-        (H, W, 3).
-
-    Raises:
-        InvalidValueError: The picture has no alpha.
-    """
+    """A picture with alpha, over black, put over another colour."""
     if image.shape[-1] != 4:
         do = "use Renderer(RenderSettings(alpha=True))"
         raise InvalidValueError.of("picture", "four channels, the last one alpha", image.shape[-1], do)
@@ -140,11 +121,5 @@ def over_background(image: Tensor, colour: Tensor) -> Tensor:
 
 
 def masked(image: Tensor, reference: Tensor, mask: Tensor | None) -> Tensor:
-    """The picture with the reference where a mask is 0, so that no error is left there.
-
-    Args:
-        image: (H, W, 3) sRGB, differentiable.
-        reference: (H, W, 3) sRGB.
-        mask: (H, W) in [0, 1]; None keeps the picture.
-    """
+    """The picture with the reference where a mask is 0, so that no error is left there."""
     return image if mask is None else reference + mask.to(image.device)[..., None] * (image - reference)

@@ -55,35 +55,8 @@ def train(
     Writes config.json, checkpoint.safetensors every so many steps and when interrupted, and at the end splat.ply and
     metrics.json.
 
-    Args:
-        views: Pictures to match.
-        start: Gaussians to begin with; the same again when a run goes on.
-        folder: Where; made if need be.
-        render: The renderer, see `mi_splat.training.loop.fit`.
-        config: How.
-        seed: Seed of everything random.
-        held_out: Views to score on; the same when a run goes on, as its history holds their scores.
-        every: Steps between two checkpoints.
-        lpips: A further score, see `mi_splat.metrics.load_lpips`.
-        settings: What else the pictures depend on, the near plane for instance; plain values, the same when a run goes
-            on.
-        dataset: Where the views come from, which config.json keeps, with what tells their poses from others.
-        on_resume: Called with the run when one goes on, before its first step.
-        on_start: Called with the run before its first step, whether it goes on or not.
-        on_step: Called after every step.
-        hold: Called after that, and again for as long as it says that the run is to wait.
-
     Warns:
         UserWarning: A run goes on with another number of torch's threads, which may change its last bits.
-
-    Returns:
-        The trained splat, its history and its scores.
-
-    Raises:
-        CheckpointError: The folder holds a run with other settings, on other views or from another start.
-        SplatFileError: The folder holds something else, cannot be written, or another process has it.
-        InvalidValueError: `every` is not positive.
-        KeyboardInterrupt: The run was interrupted; its checkpoint is written.
     """
     if every < 1:
         raise InvalidValueError.of("every", "a positive number of steps", every, "1000 is usual")
@@ -128,11 +101,7 @@ def train(
 
 
 def _resumed(folder: Path, config: FitConfig, *, seed: int, digest: str, settings: Mapping[str, object]) -> TrainState:
-    """The run that was stopped in a folder; it may go on to more iterations than it began with.
-
-    Raises:
-        CheckpointError: It is another run.
-    """
+    """The run that was stopped in a folder; it may go on to more iterations than it began with."""
     state, threads = load_state(folder / CHECKPOINT)
     _check_same(state, config, seed, digest, folder)
     _check_settings(state, settings, folder)

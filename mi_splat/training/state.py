@@ -24,11 +24,7 @@ class TrainingError(MiSplatError):
 
 
 def check_start(start: GaussianScene, config: FitConfig) -> None:
-    """Raise unless a training may begin with these Gaussians.
-
-    Raises:
-        InvalidValueError: It is no scene, or there are none, or more than the strategy allows.
-    """
+    """Raise unless a training may begin with these Gaussians."""
     check_scene("start", start)
     if not len(start):
         raise InvalidValueError.of("start", "at least one Gaussian", "none", "capture views first")

@@ -74,25 +74,12 @@ class Bench:
     """What the page is called, the name of the tab with the controls, and whether that is the first."""
 
     def panel(self, gui: Any, visit: Visit, wake: Callable[[], None]) -> Controls:
-        """Add the controls for a visitor.
-
-        Args:
-            gui: viser's interface for this visitor.
-            visit: The visitor.
-            wake: Called when something was asked for.
-
-        Returns:
-            The controls, as the page shows them.
-        """
+        """Add the controls for a visitor."""
         return BenchPanel(gui, self, visit, wake)
 
     @property
     def painter(self) -> Painter:
-        """What makes the pictures of the present exhibit.
-
-        Returns:
-            The painter.
-        """
+        """What makes the pictures of the present exhibit."""
         return self.painters[-1]
 
     @property
@@ -119,11 +106,7 @@ class Bench:
         self._tasks.append(task)
 
     def turn(self) -> bool:
-        """Do what waits, and show what running work has printed. What is asked for meanwhile waits.
-
-        Returns:
-            Whether anything changed.
-        """
+        """Do what waits, and show what running work has printed. What is asked for meanwhile waits."""
         waiting = len(self._tasks)
         for _ in range(waiting):
             task = self._tasks.popleft()
@@ -134,11 +117,7 @@ class Bench:
         return self._listen() or waiting > 0
 
     def pick(self, click: Click) -> None:
-        """Pick what is at a pixel.
-
-        Raises:
-            InvalidValueError: Nothing is there.
-        """
+        """Pick what is at a pixel."""
         if all(click.splat != splat.name for splat in self.exhibit.splats):  # shown no longer
             return
         self._picks.append(pick(click, self.exhibit, self.painter.render, self.picked))
@@ -146,11 +125,7 @@ class Bench:
         self.tint(True)
 
     def trim(self, axis: int, part: object) -> None:
-        """Keep of the object a part of its box along an axis (0, 1, 2); what is no part of [0, 1] changes nothing.
-
-        Raises:
-            InvalidValueError: Nothing of it is there.
-        """
+        """Keep of the object a part of its box along an axis (0, 1, 2); what is no part of [0, 1] changes nothing."""
         picked = self.picked
         match part:
             case (int() | float() as low, int() | float() as high) if picked and 0 <= low <= high <= 1:
@@ -196,11 +171,7 @@ class Bench:
         return shlex.join(["mi-splat", *words])
 
     def start(self, kind: str, orbit: Orbit) -> None:
-        """Begin work.
-
-        Raises:
-            InvalidValueError: Other work is being done, or it cannot be done so.
-        """
+        """Begin work."""
         if self.laboratory is None or kind not in self.laboratory.kinds:
             return
         if self._job is not None:

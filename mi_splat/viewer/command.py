@@ -23,18 +23,7 @@ def render_command(
     file_settings: RenderSettings,
     up: Point = UP,
 ) -> str:
-    """The `mi-splat render` that makes a picture, to the bit where up is z or the camera is one of a file.
-
-    Args:
-        path: Splat file or scene XML.
-        orbit: The camera.
-        size: Width and height in pixels.
-        middle: (3,) where `mi-splat render` looks unless told otherwise: the middle of the file's Gaussians; None if
-            that is not known.
-        settings: How the picture is rendered.
-        file_settings: How the file itself is rendered.
-        up: (3,) direction in the file that is z on the page.
-    """
+    """The `mi-splat render` that makes a picture, to the bit where up is z or the camera is one of a file."""
     camera = camera_words(
         orbit, size, settings=settings, background=file_settings.background, centre=middle, up=up, path=path
     )
@@ -51,17 +40,7 @@ def camera_words(
     up: Point = UP,
     path: Path | None = None,
 ) -> list[str]:
-    """The flags by which a command looks from a camera.
-
-    Args:
-        orbit: The camera.
-        size: Width and height in pixels.
-        settings: How pictures are rendered.
-        background: sRGB colour behind the splat unless the command is told otherwise; None tells it always.
-        centre: (3,) where the command looks unless told otherwise; None tells it always.
-        up: As in `render_command`.
-        path: File that the command is about, whose own cameras it knows by their names.
-    """
+    """The flags by which a command looks from a camera."""
     if orbit.exact is not None and orbit.source:
         command = ["--cameras", orbit.source.removeprefix(f"{path}{OF}")]
     else:

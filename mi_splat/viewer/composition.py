@@ -62,12 +62,6 @@ def lay_out(canvas: tuple[int, int], aspect: float, count: int, *, gap: int = GA
 
     In a place that is higher than wide they stand in its upper part, since a narrow page has its controls at the
     bottom.
-
-    Args:
-        canvas: Width and height of the place, in pixels.
-        aspect: Width of a picture in heights.
-        count: Number of pictures.
-        gap: Pixels between two.
     """
     width, height = max(canvas[0], count), max(canvas[1], count)
     free = height if height <= width else max(count, round(UPPER_PART * height))
@@ -96,13 +90,7 @@ def compose(pictures: Sequence[Pixels], layout: Layout) -> Pixels:
 
 
 def pane_pixels(pane: str, pictures: Mapping[str, Pixels], *, split: float = 0.5) -> Pixels:
-    """The pixels of a pane.
-
-    Args:
-        pane: Name of a splat, SPLIT or DIFFERENCE.
-        pictures: (H, W, 3) of each splat that is needed; the clean one first.
-        split: Part of the width that shows the first splat in a split picture.
-    """
+    """The pixels of a pane."""
     if pane == DIFFERENCE:
         before, after = pictures.values()
         return heat_map(before, after)
@@ -113,13 +101,7 @@ def pane_pixels(pane: str, pictures: Mapping[str, Pixels], *, split: float = 0.5
 
 
 def split_pictures(left: Pixels, right: Pixels, at: float) -> Pixels:
-    """The left part of one picture and the right part of another, with a white line between them.
-
-    Args:
-        left: (H, W, 3).
-        right: (H, W, 3).
-        at: Part of the width that comes from `left`, in [0, 1].
-    """
+    """The left part of one picture and the right part of another, with a white line between them."""
     column = round(min(max(at, 0.0), 1.0) * left.shape[1])
     both = np.concatenate([left[:, :column], right[:, column:]], axis=1)
     both[:, max(column - 1, 0) : column + 1] = 255
@@ -127,15 +109,7 @@ def split_pictures(left: Pixels, right: Pixels, at: float) -> Pixels:
 
 
 def heat_map(before: Pixels, after: Pixels) -> Pixels:
-    """How much each pixel changed: its largest change of a channel, black for none, over red to white.
-
-    Args:
-        before: (H, W, 3).
-        after: The same view of the other splat.
-
-    Returns:
-        (H, W, 3); a change of `FULL_SCALE` and more is white.
-    """
+    """How much each pixel changed: its largest change of a channel, black for none, over red to white."""
     change = np.abs(after.astype(np.int16) - before.astype(np.int16)).max(axis=-1)
     colours: Pixels = _heat_table()[change]
     return colours

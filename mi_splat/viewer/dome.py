@@ -25,9 +25,6 @@ def draw_domes(domes: Mapping[str, Iterable[Seen]]) -> Pixels:
 
     Distances from the middle are as the angles. Azimuth 0 is on the right, 90 at the top. Success is a disc, failure a
     ring, a camera that cannot say a cross.
-
-    Args:
-        domes: What was seen, by title.
     """
     image = Image.new("RGB", (SIDE, SIDE * len(domes)), "#ffffff")
     draw = ImageDraw.Draw(image)

@@ -76,19 +76,11 @@ class Photographs:
     name: str = "photograph"
 
     def from_camera(self, camera: str | None) -> Tensor | None:
-        """(H, W, 3) the picture from a camera of this name; None if there is none.
-
-        Raises:
-            DatasetError: Its file cannot be read.
-        """
+        """(H, W, 3) the picture from a camera of this name; None if there is none."""
         return None if camera is None or camera not in self.numbers else self.views[self.numbers[camera]].image
 
     def shown_from(self, camera: str | None) -> Tensor | None:
-        """(H, W) 0 where the picture from a camera shows nothing, as at a border that a lens has left; None if nowhere.
-
-        Raises:
-            DatasetError: Its file cannot be read.
-        """
+        """(H, W) 0 where the image of a camera is masked, as at a border that a lens left; None if nowhere."""
         if camera is None or camera not in self.numbers or not isinstance(self.views, HasMasks):
             return None
         return self.views.loss_mask(self.numbers[camera], files=False)
@@ -162,12 +154,6 @@ class Exhibit:
         """The same with another direction up: all is turned about the origin, so that it is z.
 
         Cameras of files keep their pictures. Others stay level, as far above the new ground as they were above the old.
-
-        Args:
-            up: (3,) direction in the files.
-
-        Raises:
-            InvalidValueError: It is no direction.
         """
         if tuple(up) == tuple(self.up):
             return self
@@ -249,17 +235,7 @@ def _of_size(exhibit: Exhibit, size: tuple[int, int]) -> Exhibit:
 
 
 def exhibit_of_file(path: Path, *, name: str | None = None, clean: Path | None = None) -> Exhibit:
-    """A splat file or a scene XML, alone or beside the clean one that it was made from.
-
-    Args:
-        path: Splat file or scene XML.
-        name: What its splat is called; None is the name of the file, or "attacked" beside a clean one. That of the file
-            is without its ending, unless it is then a way of showing two splats.
-        clean: Splat file or scene XML; with one, cameras and settings are its own.
-
-    Raises:
-        MiSplatError: A file cannot be read, is of another kind, or holds no Gaussians.
-    """
+    """A splat file or a scene XML, alone or beside the clean one that it was made from."""
     loaded = open_scene(path)
     first = loaded if clean is None else open_scene(clean)
     middle = focus_of(list(first.cameras.values()), bounds(first.scene)[0])

@@ -35,17 +35,7 @@ MOST_CAMERAS = 100
 
 
 def check_export(path: Path, views: tuple[int, int], *, force: bool) -> None:
-    """Raise unless a page can be written.
-
-    Args:
-        path: The file.
-        views: Number of azimuths and of elevations.
-        force: Whether a file that is there may be replaced.
-
-    Raises:
-        InvalidValueError: The name has another ending than .html, the file is there, its folder is not, or there are
-            too few or too many views.
-    """
+    """Raise unless a page can be written."""
     if not (min(views) >= 1 and views[0] * views[1] <= MOST_PICTURES):
         expected = f"azimuths x elevations of 1 to {MOST_PICTURES} in all"
         raise InvalidValueError(message("views", expected, views, "for instance 24 4"))
@@ -87,19 +77,7 @@ def write_export(
     force: bool = False,
     on_view: Callable[[], None] = lambda: None,
 ) -> None:
-    """Write the page; the file appears whole or not at all.
-
-    Args:
-        painter: Makes the pictures, and has them inspected if it has an inspector.
-        path: The file.
-        views: Number of azimuths and of elevations. Of photographs there are none but those from listed cameras.
-        force: Whether a file that is there may be replaced.
-        on_view: Called after each camera, first of those that the exhibit lists.
-
-    Raises:
-        InvalidValueError: As `check_export`.
-        SplatFileError: The file cannot be written.
-    """
+    """Write the page; the file appears whole or not at all."""
     check_export(path, views, force=force)
     exhibit = painter.exhibit
     cameras = [{"name": name, **_view(painter, orbit, on_view)} for name, orbit in export_cameras(exhibit).items()]
@@ -112,14 +90,7 @@ def write_export(
 def page_text(
     painter: Painter, cameras: list[dict[str, Any]], around: list[dict[str, Any]], views: tuple[int, int]
 ) -> str:
-    """The page as HTML.
-
-    Args:
-        painter: What made the pictures.
-        cameras: The view from each listed camera.
-        around: Each view from all around, row by row.
-        views: Number of azimuths and of elevations.
-    """
+    """The page as HTML."""
     exhibit = painter.exhibit
     template = resources.files("mi_splat.viewer").joinpath("export.html").read_text("utf-8")
     (script,) = re.findall(r"<script>(.*?)</script>", template, re.DOTALL)

@@ -38,11 +38,7 @@ def is_loopback(host: str) -> bool:
 
 
 def checked_host(host: str, *, allow_remote: bool) -> str:
-    """The host, if the page may be served on it.
-
-    Raises:
-        InvalidValueError: It can be reached from other machines, and nobody has allowed that.
-    """
+    """The host, if the page may be served on it."""
     if not is_loopback(host) and not allow_remote:
         do = (
             "leave it out and open an SSH tunnel (ssh -L 8080:127.0.0.1:8080 HOST), or add --allow-remote, which sends "
@@ -71,12 +67,7 @@ class Guard:
     cookie: str = field(default_factory=lambda: secrets.token_urlsafe(24))
 
     def objection(self, path: str, headers: Mapping[str, str]) -> str | None:
-        """Why a request is refused; None if it is not.
-
-        Args:
-            path: With its query, as the request has it.
-            headers: Of the request.
-        """
+        """Why a request is refused; None if it is not."""
         host = headers.get("Host", "")
         name, port = _name_and_port(host)
         if name is None or (self.names is not None and name not in self.names):
@@ -98,9 +89,6 @@ class Guard:
 
         A redirect would fail behind a link of another site: the browser counts what it asks for then as asked by that
         site, and leaves the cookie out.
-
-        Args:
-            path: With its query, as the request has it.
         """
         rest = parse_qsl(urlsplit(path).query, keep_blank_values=True)
         kept = [(key, value) for key, value in rest if key != "token"]
@@ -117,11 +105,7 @@ class Guard:
         return path.removeprefix(f"/{self.secret_path}") or "/"
 
     def headers(self, host: str) -> dict[str, str]:
-        """Headers of every answer: the cookie, and that the page shall ask nothing of anybody else.
-
-        Args:
-            host: Name and port under which the request came.
-        """
+        """Headers of every answer: the cookie, and that the page shall ask nothing of anybody else."""
         # Paths keep the pages of one browser apart; the port tells who looks at the cookies which page each is of.
         name = f"{COOKIE}-{_name_and_port(host)[1]}"
         return {
@@ -157,13 +141,6 @@ def guarding(guard: Guard, websockets_server: Any) -> Iterator[None]:
     """Servers that `websockets` begins to serve in this block answer only requests that the guard lets pass.
 
     viser has no hook for it, so its call of `serve` is led through here.
-
-    Args:
-        guard: Who may pass.
-        websockets_server: The module `websockets.asyncio.server`.
-
-    Raises:
-        MiSplatError: No server was begun, or in a way that this code does not know: nothing would guard it.
     """
     plain, guarded = websockets_server.serve, []
 

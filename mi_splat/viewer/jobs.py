@@ -160,13 +160,7 @@ class Laboratory(Protocol):
         ...
 
     def form(self, kind: str, exhibit: Exhibit, values: Values) -> tuple[Field, ...]:
-        """What a kind of work asks for.
-
-        Args:
-            kind: Of work.
-            exhibit: What is shown.
-            values: What was chosen so far, in this form or in others: what can be chosen may depend on it.
-        """
+        """What a kind of work asks for."""
         ...
 
     def folder(self, kind: str) -> Path:
@@ -174,24 +168,11 @@ class Laboratory(Protocol):
         ...
 
     def words(self, request: Request, *, mask: Path, out: Path) -> list[str]:
-        """The words of the command that does the work, after the program's name.
-
-        Args:
-            request: What was asked for.
-            mask: File with the picked Gaussians.
-            out: Folder for the result.
-
-        Raises:
-            MiSplatError: It cannot be done so.
-        """
+        """The words of the command that does the work, after the program's name."""
         ...
 
     def opened(self, request: Request, out: Path) -> Outcome:
-        """The result in a folder.
-
-        Raises:
-            MiSplatError: It cannot be read.
-        """
+        """The result in a folder."""
         ...
 
 

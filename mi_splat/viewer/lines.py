@@ -45,14 +45,7 @@ def frustums(cameras: Sequence[Camera], length: float) -> Tensor:
 
 
 def arc(centre: Point, radius: float, start: tuple[float, float], end: tuple[float, float]) -> Tensor:
-    """(S, 2, 3) segments of at most 3 degrees on a sphere, along a parallel or a meridian.
-
-    Args:
-        centre: (3,) of the sphere, world units.
-        radius: Of the sphere, world units.
-        start: Azimuth and elevation in degrees.
-        end: The same; one of the two numbers is that of `start`.
-    """
+    """(S, 2, 3) segments of at most 3 degrees on a sphere, along a parallel or a meridian."""
     count = max(1, math.ceil(max(abs(b - a) for a, b in zip(start, end, strict=True)) / 3))
     azimuth, elevation = (
         torch.linspace(math.radians(a), math.radians(b), count + 1, dtype=torch.float64)
@@ -65,12 +58,7 @@ def arc(centre: Point, radius: float, start: tuple[float, float], end: tuple[flo
 
 
 def projected(segments: Tensor, camera: Camera) -> NDArray[np.float64]:
-    """(S', 2, 2) pixels of the segments that lie before the camera, cut off where they come too near.
-
-    Args:
-        segments: (S, 2, 3) world units.
-        camera: The camera.
-    """
+    """(S', 2, 2) pixels of the segments that lie before the camera, cut off where they come too near."""
     pose = camera.to_camera
     local = segments.double() @ pose[:3, :3].T + pose[:3, 3]
     depth = local[..., 2]

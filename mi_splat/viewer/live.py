@@ -70,11 +70,7 @@ def _mean(points: Sequence[tuple[float, float]]) -> tuple[float, float]:
 
 
 def draw_curves(curves: Sequence[Curve]) -> Pixels:
-    """(H, W, 3) curves below one another, from step 0 to now, each with its largest and its least number.
-
-    Args:
-        curves: Those without a point are left out.
-    """
+    """(H, W, 3) curves below one another, from step 0 to now, each with its largest and its least number."""
     shown = [curve for curve in curves if curve.points]
     width, height = _CHART
     image = Image.new("RGB", (width, max(height * len(shown), 1)), "#ffffff")
@@ -222,15 +218,7 @@ _LABELS = {False: "Stop", True: "Go on"}
 def training_exhibit(
     sets: Sequence[Dataset], start: GaussianScene, *, dataset: Path, out: Path, settings: RenderSettings
 ) -> Exhibit:
-    """A splat that is being trained beside the photographs, from the first held-out camera if there is one.
-
-    Args:
-        sets: The views for training, and the held-out ones if there are any.
-        start: The splat at first.
-        dataset: Where the views come from.
-        out: The splat's file when it is finished.
-        settings: How it is rendered.
-    """
+    """A splat that is being trained beside the photographs, from the first held-out camera if there is one."""
     orbits, photographs = photographs_in(sets, dataset)
     first = next(iter(orbits.values()))
     splat = ShownSplat(name=SPLAT, scene=start, path=out, file_settings=replace(settings, near=RenderSettings().near))
@@ -258,10 +246,6 @@ class Follower:
         self.begin, self.note = live.begin, live.note
 
     def hold(self) -> bool:
-        """Do what the page asks for between two steps.
-
-        Returns:
-            Whether the training is to wait.
-        """
+        """Do what the page asks for between two steps."""
         self._page.turn(wait=0.05 if self._live.waiting else 0.0)
         return self._live.waiting

@@ -92,11 +92,7 @@ class Orbit:
         return apart <= _SAME_POSE * self.distance
 
     def changed(self, **numbers: Any) -> Orbit:
-        """The camera with other numbers, which is none of a file any more.
-
-        Raises:
-            InvalidValueError: A number is out of range or not finite.
-        """
+        """The camera with other numbers, which is none of a file any more."""
         return replace(self, exact=None, source="", **numbers)
 
     def moved(self, position: Sequence[float], look_at: Sequence[float]) -> Orbit:
@@ -130,11 +126,6 @@ def orbit_of(camera: Camera, middle: Point, *, source: str = "") -> Orbit:
     """A camera of a file as an orbit: around the point of its axis that is nearest to `middle` (3,), world units.
 
     Where `middle` is behind it, that point is as far before it.
-
-    Args:
-        camera: The camera; the orbit keeps it, until it is moved.
-        middle: What it is to be turned about.
-        source: See `Orbit`.
     """
     pose, centre = camera.to_world, torch.tensor(list(middle), dtype=torch.float64)
     forward = pose[:3, 2]
@@ -165,12 +156,7 @@ def orbit_of(camera: Camera, middle: Point, *, source: str = "") -> Orbit:
 
 
 def focus_of(cameras: Sequence[Camera], otherwise: Point) -> Point:
-    """(3,) the point nearest to the axes of all cameras, in the sense of least squares; world units.
-
-    Args:
-        cameras: Any number.
-        otherwise: What to take where the axes have no such point: of one camera, or of parallel ones.
-    """
+    """(3,) the point nearest to the axes of all cameras, in the sense of least squares; world units."""
     if not cameras:
         return otherwise
     forward = torch.stack([camera.to_world[:3, 2] for camera in cameras])

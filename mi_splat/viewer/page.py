@@ -21,22 +21,14 @@ from mi_splat.viewer.visitor import Visitor
 
 
 def need_viser() -> None:
-    """Raise if pages cannot be served.
-
-    Raises:
-        InvalidValueError: viser is not installed.
-    """
+    """Raise if pages cannot be served."""
     if importlib.util.find_spec("viser") is None:
         do = f"{install('view')}, or write a page with --export"
         raise InvalidValueError(message("viser", "the package, for pages", "not installed", do))
 
 
 def check_port(host: str, port: int) -> None:
-    """Raise unless the page can be served there.
-
-    Raises:
-        InvalidValueError: The port is taken or out of range, or the host is not of this machine.
-    """
+    """Raise unless the page can be served there."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -92,12 +84,7 @@ class Page:
             self.turn(stop)
 
     def turn(self, stop: threading.Event | None = None, *, wait: float = 0.05) -> None:
-        """Do what is to be done, and make one picture for each visitor who is to have one.
-
-        Args:
-            stop: Where it is set, no picture is begun any more.
-            wait: Seconds to wait for something to do where there is nothing.
-        """
+        """Do what is to be done, and make one picture for each visitor who is to have one."""
         changed = self._bench.turn()
         with self._news:
             visitors = list(self._visitors.values())

@@ -94,13 +94,7 @@ class Painter:
         return self._tinted
 
     def paint(self, state: ViewState, step: Step, pace: Pace) -> Painting:
-        """The picture that a step of a session asks for.
-
-        Args:
-            state: What is to be seen.
-            step: Which picture of it.
-            pace: How coarse a coarse picture is.
-        """
+        """The picture that a step of a session asks for."""
         full = within(state.canvas, MOST_PIXELS)
         names = panes(state.show, self.exhibit.names)
         layout = self.layout(state, pace.size(full) if step is Step.COARSE else full)
@@ -194,14 +188,7 @@ class Painter:
     def sized_picture(
         self, name: str, orbit: Orbit, size: tuple[int, int], scene: GaussianScene | None = None
     ) -> Tensor:
-        """(H, W, 3) a splat, or what was photographed; of a photograph that there is not, grey.
-
-        Args:
-            name: Of the exhibit's names.
-            orbit: The camera.
-            size: Width and height in pixels.
-            scene: What is rendered in place of the splat.
-        """
+        """(H, W, 3) a splat, or what was photographed; of a photograph that there is not, grey."""
         if name in self._thinned:
             with torch.no_grad():
                 return self.render(scene or self._thinned[name](1), orbit.camera(size))

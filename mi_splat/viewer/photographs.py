@@ -23,16 +23,7 @@ _CONE = 0.05
 def photographs_of(
     path: Path, *, background: tuple[float, float, float], middle: Point | None = None
 ) -> tuple[dict[str, Orbit], Photographs]:
-    """The cameras of a set by name, and its pictures; those that are held out say so.
-
-    Args:
-        path: As in `load_dataset`.
-        background: sRGB colour behind transparent pixels.
-        middle: (3,) what cameras are turned about, world units; None is what they all look at.
-
-    Raises:
-        DatasetError: As in `load_dataset`.
-    """
+    """The cameras of a set by name, and its pictures; those that are held out say so."""
     views = load_dataset(path, split=None, background=background)
     longest = max(max(camera.width, camera.height) for camera in views.cameras)
     factor = -(-longest // LONGEST_SIDE)
@@ -43,12 +34,7 @@ def photographs_of(
 
 
 def photographs_in(sets: Sequence[Dataset], path: Path) -> tuple[dict[str, Orbit], Photographs]:
-    """As `photographs_of`, of views that are loaded, the held-out ones first.
-
-    Args:
-        sets: The views for training, and the held-out ones if there are any; read alike.
-        path: Where they come from.
-    """
+    """As `photographs_of`, of views that are loaded, the held-out ones first."""
     views, *held_out = sets
     frames = tuple(frame for part in (*held_out, views) for frame in part.frames)
     return _listed(replace(views, frames=frames), path, {file for part in held_out for file in part.paths})
@@ -69,15 +55,7 @@ def _listed(
 
 
 def exhibit_of_dataset(path: Path, *, background: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Exhibit:
-    """A set of pictures alone.
-
-    Args:
-        path: As in `load_dataset`.
-        background: sRGB colour behind transparent pixels.
-
-    Raises:
-        DatasetError: As in `load_dataset`.
-    """
+    """A set of pictures alone."""
     orbits, photographs = photographs_of(path, background=background)
     first = next(iter(orbits.values()))
     return Exhibit(
@@ -93,16 +71,7 @@ def exhibit_of_dataset(path: Path, *, background: tuple[float, float, float] = (
 
 
 def with_cameras(exhibit: Exhibit, path: Path) -> Exhibit:
-    """An exhibit with the cameras of a data set or of a list before its own; one splat also gets the set's photographs.
-
-    Args:
-        exhibit: In the world of the cameras, with z up.
-        path: A set as in `load_dataset`, or a JSON file with cameras as in `recorded_cameras`.
-
-    Raises:
-        DatasetError: The set is broken.
-        InvalidValueError: It is neither, or a camera in it is broken, or the exhibit is a set already.
-    """
+    """An exhibit with the cameras of a data set or of a list before its own; one splat also gets the photographs."""
     if exhibit.photographs is not None:
         got, do = f"those of {path}", "leave one of the two sets out"
         raise InvalidValueError(message("cameras", "none beside a set, which has its own", got, do))

@@ -70,11 +70,7 @@ class Picked:
         return x0, y0, z0, x1, y1, z1
 
     def within(self, scene: GaussianScene, axis: int, part: tuple[float, float]) -> Picked:
-        """What of it lies in another part of the largest box along an axis (0, 1, 2), in the scene that it is of.
-
-        Raises:
-            InvalidValueError: Nothing does.
-        """
+        """What of it lies in another part of the largest box along an axis (0, 1, 2), in the scene that it is of."""
         parts = (*self.parts[:axis], part, *self.parts[axis + 1 :])
         smaller = replace(self, parts=parts)
         mask = self.clicked if parts == WHOLE else self.clicked & box_mask(scene, smaller.box)
@@ -130,14 +126,6 @@ def clicked(
     """The splat and the pixel of its picture that a point of the page shows; None beside the pictures.
 
     A point of a photograph is one of the picture of the splat beside it.
-
-    Args:
-        at: Column and row of the point, each in parts of the page, from the upper left corner.
-        layout: Where pictures stand.
-        show: The way of showing.
-        exhibit: What is shown.
-        orbit: From where; the pixel is one of the picture that is inspected.
-        split: Part of the width left of the dividing line.
     """
     x, y = (part * side for part, side in zip(at, layout.canvas, strict=True))
     (width, height), size = layout.size, exhibit.size_at(orbit)
@@ -154,17 +142,7 @@ def clicked(
 
 
 def pick(click: Click, exhibit: Exhibit, render: RenderFn, before: Picked | None) -> Picked:
-    """The object at a pixel, as `mi-splat select --click` takes it.
-
-    Args:
-        click: Where.
-        exhibit: What is shown.
-        render: Makes its pictures.
-        before: What was picked before, which the object may join.
-
-    Raises:
-        InvalidValueError: Nothing is there.
-    """
+    """The object at a pixel, as `mi-splat select --click` takes it."""
     splat = exhibit.splat(click.splat)
     selection = Selection(click=(click.pixel,))
     mask = select(splat.scene, selection, camera=click.orbit.camera(exhibit.size_at(click.orbit)), render=render)

@@ -32,15 +32,7 @@ def script_hash(script: str) -> str:
 
 
 def viser_scripts(page: str) -> tuple[str, ...]:
-    """Hashes of the scripts of viser's page: the one that stands in it, and the one that it unpacks and starts.
-
-    Args:
-        page: Its HTML.
-
-    Raises:
-        MiSplatError: It is another page than this code knows; with a policy that allows none of its scripts, it would
-            stay empty.
-    """
+    """Hashes of the scripts of viser's page: the one that stands in it, and the one that it unpacks and starts."""
     scripts = _SCRIPT.findall(page)
     packed = _PACKED.search(scripts[0][0]) if len(scripts) == 1 else None
     try:
@@ -58,12 +50,7 @@ def viser_scripts(page: str) -> tuple[str, ...]:
 
 
 def viser_policy(scripts: Sequence[str], host: str) -> str:
-    """What viser's page may do.
-
-    Args:
-        scripts: Hashes of its scripts.
-        host: Name and port under which it was asked for.
-    """
+    """What viser's page may do."""
     return "; ".join(
         (
             "default-src 'none'",

@@ -69,10 +69,6 @@ class Pace:
         Time is taken to grow with the number of pixels, the square of the scale, and so does the number of Gaussians.
         Within a quarter of the wanted time nothing changes, and the width changes by at most 1.5 times at once, so that
         pictures do not pulse.
-
-        Args:
-            seconds: What the picture took.
-            every: Of how many Gaussians it shows one.
         """
         ratio = self.seconds / max(seconds, 1e-6)
         if self.richness > 1 and ratio < 0.8:
@@ -113,12 +109,7 @@ class Session:
         return replace(self, state=state, changed=now, painted=None)
 
     def due(self, now: float, *, inspector: bool) -> Step | None:
-        """The picture to make now, None if there is none (yet).
-
-        Args:
-            now: Seconds of the clock of `changed`.
-            inspector: Whether somebody looks at pictures of a resting camera.
-        """
+        """The picture to make now, None if there is none (yet)."""
         if self.painted is None:
             return Step.COARSE
         if self.painted is Step.COARSE:
@@ -128,13 +119,6 @@ class Session:
         return None
 
     def done(self, step: Step, of: ViewState, seconds: float, *, every: int = 1) -> Session:
-        """The session after a picture was made and sent.
-
-        Args:
-            step: Which.
-            of: What it shows; a picture of what has changed meanwhile counts for the pace only.
-            seconds: What it took.
-            every: Of how many Gaussians it shows one.
-        """
+        """The session after a picture was made and sent."""
         pace = self.pace.after(seconds, every=every) if step is Step.COARSE else self.pace
         return replace(self, pace=pace, painted=step if of is self.state else self.painted)

@@ -9,14 +9,7 @@ import pytest
 
 
 def install(folder: Path, entries: Mapping[str, str], *, name: str = "plugged", **modules: str) -> None:
-    """Write a distribution that has these entry points.
-
-    Args:
-        folder: On sys.path.
-        entries: By group and name, as "mi_splat.detectors/bright", what it brings: "module:NAME".
-        name: Of the distribution.
-        modules: Its modules by name, as text.
-    """
+    """Write a distribution that has these entry points."""
     information = folder / f"{name}-1.0.dist-info"
     information.mkdir(parents=True)
     (information / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")

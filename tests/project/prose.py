@@ -120,13 +120,7 @@ def anchors(text: str) -> set[str]:
 
 
 def dead_links(path: Path, text: str, *, written: Sequence[str]) -> list[str]:
-    """Links of a page that lead nowhere: no such file, no such heading, an address without https.
-
-    Args:
-        path: The page.
-        text: What it holds.
-        written: Files that are written when the site is built, as paths in the repository.
-    """
+    """Links of a page that lead nowhere: no such file, no such heading, an address without https."""
     dead = []
     for *_, address in _LINK.findall(_CODE.sub("`code`", _HIDDEN.sub("", text))):
         target, _, anchor = address.partition("#")
@@ -146,15 +140,7 @@ def dead_links(path: Path, text: str, *, written: Sequence[str]) -> list[str]:
 def complaints(
     name: str, text: str, style: Style, allowed: tuple[int, int] = (0, 0), *, examples: int = 3
 ) -> list[str]:
-    """What is wrong with the style of a page, a line each.
-
-    Args:
-        name: Of the page.
-        text: What it holds.
-        style: What is asked.
-        allowed: Sentences that may have too many words, and too many figures.
-        examples: Sentences that are shown of each kind.
-    """
+    """What is wrong with the style of a page, a line each."""
     page, lines = measured(text), list[str]()
     kinds = (("words", 1, style.words), ("figures", 2, style.figures))
     for (kind, column, most), have, may in zip(kinds, page.too_much(style), allowed, strict=True):

@@ -208,11 +208,7 @@ class CommandError(Exception):
 
 
 def execute(line: Line) -> None:
-    """Run a line in the current folder.
-
-    Raises:
-        CommandError: Its exit status is not 0.
-    """
+    """Run a line in the current folder."""
     if line.program == "make":
         for recipe in re.findall(rf"^{line.words[1]}:.*\n((?:\t.*\n)*)", (ROOT / "Makefile").read_text(), re.MULTILINE):
             for command in re.findall(r"\$\(BIN\)/(mi-splat .*)", recipe):
@@ -234,11 +230,7 @@ def execute(line: Line) -> None:
 
 
 def _wait(command: Sequence[str], folder: Path, until: str | None = None) -> None:
-    """Run a program to its end; once it has said `until`, it is interrupted as a user would do it.
-
-    Raises:
-        CommandError: It failed, or never said `until`.
-    """
+    """Run a program to its end; once it has said `until`, it is interrupted as a user would do it."""
     process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     alarm = threading.Timer(SECONDS, process.kill)
     alarm.start()

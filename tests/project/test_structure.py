@@ -123,51 +123,6 @@ def test_modules_are_short(folder: str) -> None:
         assert lines <= LONGEST_MODULE, f"{path.relative_to(ROOT)} has {lines} lines; split it"
 
 
-def public_functions(tree: ast.AST) -> Iterator[ast.FunctionDef]:
-    """Functions and methods whose names, and those of their classes, are public; overloads say types alone."""
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.FunctionDef) and "overload" in map(ast.unparse, node.decorator_list):
-            continue
-        if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_"):
-            if isinstance(node, ast.FunctionDef):
-                yield node
-            else:
-                yield from public_functions(node)
-
-
-@pytest.mark.parametrize("package", PACKAGES)
-def test_functions_of_more_than_three_arguments_explain_them(package: str) -> None:
-    for name, path in modules(package).items():
-        for function in public_functions(ast.parse(path.read_text())):
-            every = function.args.posonlyargs + function.args.args + function.args.kwonlyargs
-            given = [argument.arg for argument in every if argument.arg not in ("self", "cls")]
-            text = ast.get_docstring(function) or ""
-            if len(given) > 3 and not text.startswith("As in `"):  # what it implements explains them
-                missing = [argument for argument in given if not re.search(rf"^\s+{argument}: \S", text, re.MULTILINE)]
-                assert not missing, f"{name}.{function.name} does not explain {', '.join(missing)}"
-
-
-IMPERATIVE = re.compile(
-    "(Add|Apply|Ask|Attack|Audit|Begin|Blend|Build|Call|Capture|Change|Check|Close|Compare|Continue|Convert|Copy|Count|"
-    "Decode|Detach|Do|Draw|Drop|Encode|Examine|Fill|Find|Fit|Follow|Forget|Get|Give|Go|Have|Judge|Keep|Launch|Let|List|"
-    "Load|Look|Make|Measure|Merge|Move|Paint|Parse|Plan|Poison|Prepare|Print|Put|Read|Relocate|Remove|Render|Repair|"
-    "Replace|Resume|Return|Run|Save|Say|Scale|Search|Select|Send|Set|Show|Solve|Sort|Split|Start|Stop|Store|Take|Train|"
-    "Try|Turn|Unpack|Update|Use|Visit|Wait|Walk|Write) "
-)
-"""How a docstring begins that says what a function does, not what it returns."""
-
-
-@pytest.mark.parametrize("package", PACKAGES)
-def test_functions_that_do_something_say_what_they_return(package: str) -> None:
-    """Others begin with what they return, as in "(N,) bool, whether each camera is inside"."""
-    for name, path in modules(package).items():
-        for function in public_functions(ast.parse(path.read_text())):
-            returned = "None" if function.returns is None else ast.unparse(function.returns)
-            text = ast.get_docstring(function) or ""
-            if returned not in ("None", "NoReturn", "Iterator[None]") and IMPERATIVE.match(text):
-                assert re.search(r"^(Returns|Yields):$", text, re.MULTILINE), f"{name}.{function.name} -> {returned}"
-
-
 def given_names(tree: ast.AST) -> Iterator[str]:
     """Names of functions, classes, parameters, variables and attributes. Tests have sentences for names."""
     for node in ast.walk(tree):

@@ -17,11 +17,7 @@ if TYPE_CHECKING:
 
 
 def run(config: CleaningConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Clean the splat of a job.
-
-    Raises:
-        InvalidValueError: Nothing would be left of the splat, or it cannot be audited.
-    """
+    """Clean the splat of a job."""
     scene = load_splat(inputs["splat"])
     if config.repair:
         scene = repaired(scene, audit(scene))

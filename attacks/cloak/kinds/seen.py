@@ -82,9 +82,6 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Write a row for each camera and one for each detection; inputs are a `splat`, or `pictures` in its place.
 
     Under a condition that is no street a row has the PSNR to what the victim sees from there.
-
-    Raises:
-        InvalidValueError: The detector has other weights than those that were asked for, or a street has no camera.
     """
     setup = Setup(config.study(inputs))
     cameras = setup.held_out_cameras[:: config.every]
@@ -146,13 +143,7 @@ def _condition(config: SeenConfig, setup: Setup, errors: dict[Camera, float | No
 
 
 def observation_cells(study: StudyConfig, seen: ViewDetections, classes: Sequence[str]) -> dict[str, Cell]:
-    """Where a camera is to the triggers, and what is reported on the object: the cells that rates count.
-
-    Args:
-        study: The study.
-        seen: What a detector reports.
-        classes: Those of the detector.
-    """
+    """Where a camera is to the triggers, and what is reported on the object: the cells that rates count."""
     attacks = () if study.attack == NO_ATTACK else study.attack
     centre, wanted = study.centre, {attack.name: attack.target_class for attack in attacks if attack.target_class}
     report = report_cells(seen.detections, seen.box, original=study.scene.class_name)
@@ -167,12 +158,7 @@ def observation_cells(study: StudyConfig, seen: ViewDetections, classes: Sequenc
 
 
 def checked_detector(config: SeenConfig, inputs: Mapping[str, Path]) -> Detector:
-    """The detector that a job asks for.
-
-    Raises:
-        DetectorError: It cannot be loaded.
-        InvalidValueError: It has other weights than those that were asked for.
-    """
+    """The detector that a job asks for."""
     detector = loaded(config.detector, inputs.get(WEIGHTS))
     if detector.fingerprint != config.fingerprint:
         do = "give the same weights to every process"
@@ -182,9 +168,5 @@ def checked_detector(config: SeenConfig, inputs: Mapping[str, Path]) -> Detector
 
 @cache
 def loaded(name: str, weights: Path | None = None) -> Detector:
-    """A detector, loaded once in a process.
-
-    Raises:
-        DetectorError: It cannot be loaded.
-    """
+    """A detector, loaded once in a process."""
     return load_detector(name, weights=weights)

@@ -38,16 +38,7 @@ def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
 def train_into(
     out: Out, views: Sequence[View], start: GaussianScene, render: RenderFn, fit: FitConfig, *, seed: int
 ) -> None:
-    """Train a splat, or go on, and leave its file and its metrics.
-
-    Args:
-        out: Of the job.
-        views: The pictures.
-        start: What the training begins with.
-        render: The renderer.
-        fit: The trainer's settings.
-        seed: Of the training.
-    """
+    """Train a splat, or go on, and leave its file and its metrics."""
     train(
         views,
         start,
@@ -62,13 +53,7 @@ def train_into(
 
 
 def starting_cloud(study: StudyConfig, surfaces: PointCloud, views: Sequence[View]) -> PointCloud:
-    """The points that a training starts from, after the cleaning that the victim does before it.
-
-    Args:
-        study: How many outliers there are, and which points the victim removes.
-        surfaces: The points of the set.
-        views: Where the cameras are; pictures are not read.
-    """
+    """The points that a training starts from, after the cleaning that the victim does before it."""
     training = study.training
     cloud = with_outliers(surfaces, views, training.outliers, seed=study.seeds[0])
     if training.point_deviations is None:

@@ -37,9 +37,6 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     cameras are, or all where there is no attack. With `look of NAME` for each attack, rows have the PSNR on the object
     against that look, which is what a camera could take of what the attack wants to be seen; None where the two are the
     same.
-
-    Raises:
-        InvalidValueError: The detector has other weights than those that were asked for.
     """
     setup = Setup(config.study(inputs))
     detector, cameras = checked_detector(config, inputs), setup.training_cameras

@@ -366,14 +366,7 @@ def _list(values: Sequence[float]) -> str:
 
 
 def write_findings(findings: Sequence[Finding], runs: Runs, folder: Path, **more: Any) -> None:
-    """Write sanity.md and result.json into a folder that is there.
-
-    Args:
-        findings: What the checks have measured.
-        runs: The attacks.
-        folder: Where to.
-        more: What else the JSON shall hold, for instance names of files.
-    """
+    """Write sanity.md and result.json into a folder that is there."""
     case, config = runs.case, runs.case.config
     surrogate = None if case.surrogate is None else case.surrogate.name
     conditions = (

@@ -37,11 +37,6 @@ def random_directions(gradients: Parameters, count: int, generator: Generator) -
     A Gaussian moves as far as the size of its gradient, every one of its components at random: Gaussians out of sight
     stay, and a component that lacks its gradient moves like the others. Directions without any order would change the
     loss so little that the differences drown in what is not smooth.
-
-    Args:
-        gradients: One for each parameter; the first dimension is the Gaussian.
-        count: Number of directions.
-        generator: Draws them.
     """
     directions = []
     for _ in range(count):
@@ -60,10 +55,6 @@ def agreement(runs: Runs, differentiate: Differentiated) -> tuple[list[float], l
     """Directional derivatives by automatic differentiation, and the same by central differences of two widths.
 
     Over the seeds, at random points a tenth of the radius from the clean object, in pictures of less contrast.
-
-    Args:
-        runs: The case.
-        differentiate: What is compared: `whole_chain` or `renderer_alone`.
     """
     automatic, measured, config = list[float](), list[float](), runs.case.config
 

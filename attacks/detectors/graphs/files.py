@@ -117,15 +117,7 @@ class GraphModel:
 
 
 def read_graph_model(model_json: bytes, weights: bytes) -> GraphModel:
-    """A graph model from the two files of TensorFlow.js' converter.
-
-    Args:
-        model_json: What the `.json` file holds: topology, signature and manifest of the weights.
-        weights: What the `.bin` file holds, or all of them one after the other.
-
-    Raises:
-        DetectorError: It is no graph model, or the weights are not those of the manifest.
-    """
+    """A graph model from the two files of TensorFlow.js' converter."""
     document = _with_nodes(_READER.json_object(model_json, "graph model"))
     return _graph(document, _constants(document, weights))
 
@@ -141,11 +133,7 @@ def _topology(document: Mapping[str, Any]) -> bytes:
 
 
 def load_graph_model(graph: Path, weights: Path) -> GraphModel:
-    """A graph model from the two files that this project keeps: `topology` and the constants as safetensors.
-
-    Raises:
-        DetectorError: A file is missing, or not what it should be.
-    """
+    """A graph model from the two files that this project keeps: `topology` and the constants as safetensors."""
     constants = read_weights(weights)
     return _graph(_with_nodes(_READER.read_json(graph)), constants)
 

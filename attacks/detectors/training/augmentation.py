@@ -15,11 +15,7 @@ _MIN_SIDE, _MIN_VISIBLE = 5.0, 0.3
 
 
 def augment(sample: LabelledPicture, generator: Generator) -> tuple[Tensor, Tensor, Tensor]:
-    """A training example from a labelled picture.
-
-    Returns:
-        (3, H, W) float32 picture of 8-bit values in [0, 1], (B, 4) boxes in pixels, (B,) labels.
-    """
+    """A training example from a labelled picture."""
     image = sample.image.permute(2, 0, 1).float() / 255
     boxes, labels = sample.boxes, sample.labels
     if _chance(0.5, generator):
@@ -39,17 +35,7 @@ def augment(sample: LabelledPicture, generator: Generator) -> tuple[Tensor, Tens
 
 
 def reframe(image: Tensor, boxes: Tensor, labels: Tensor, generator: Generator) -> tuple[Tensor, Tensor, Tensor]:
-    """Zoom by 0.8 to 1.4 and shift; boxes that lose most of their area are dropped.
-
-    Args:
-        image: (3, H, W) float32 in [0, 1].
-        boxes: (B, 4) x0, y0, x1, y1 in pixels.
-        labels: (B,) class numbers.
-        generator: What is drawn.
-
-    Returns:
-        The picture, and the boxes and labels that are left.
-    """
+    """Zoom by 0.8 to 1.4 and shift; boxes that lose most of their area are dropped."""
     height, width = image.shape[1:]
     zoom = math.exp(_uniform(math.log(0.8), math.log(1.4), generator))
     slack = abs(1 - 1 / zoom) + 0.1

@@ -54,11 +54,7 @@ def _jobs(scene: SceneConfig, numbers: Iterable[int]) -> list[Job]:
 
 
 def training_sets(counts: TrainingSetConfig) -> tuple[list[Job], list[Job]]:
-    """Pictures to train on, in their order, and those by which the best epoch is chosen.
-
-    Args:
-        counts: How many of each kind.
-    """
+    """Pictures to train on, in their order, and those by which the best epoch is chosen."""
     train, empty = PictureSetConfig(split="train"), BackgroundConfig(split="train", samples=6, shots=6)
     overhead_focus = ("car", "train", *SMALL_CLASSES)
     overhead = replace(train, seed=3, elevation=(50, 90), focus=overhead_focus, street=0.7)
@@ -86,14 +82,7 @@ def _all_kinds(config: BackgroundConfig) -> list[Job]:
 def held_out_sets(
     scenes: PictureSetConfig, *, splats: int, splat: SplatConfig, backgrounds: BackgroundConfig
 ) -> dict[str, list[Job]]:
-    """Held-out pictures by set, empty ones left out: path traced, renders of splats, and each kind of background.
-
-    Args:
-        scenes: Scenes with objects, and how many pictures of them.
-        splats: Number of further such scenes that are made into splats.
-        splat: How splats are made.
-        backgrounds: Pictures without objects.
-    """
+    """Held-out pictures by set, empty ones left out: path traced, renders of splats, and each kind of background."""
     sets = {
         PATH_TRACED: with_objects(scenes),
         SPLAT_RENDERS: of_splats(scenes, range(_FIRST_SPLAT, _FIRST_SPLAT + splats), splat),
@@ -105,18 +94,7 @@ def held_out_sets(
 def made(
     folder: Path, sets: Mapping[str, Sequence[Job]], *, processes: int, on_work: OnWork
 ) -> dict[str, list[LabelledPicture]]:
-    """The pictures of some sets; what is missing of them is made.
-
-    Args:
-        folder: The store of the ledger.
-        sets: Jobs by the name of their set.
-        processes: How many processes make pictures; 0 makes them in this one.
-        on_work: Told of the progress.
-
-    Raises:
-        InvalidValueError: A picture in the folder is not the one that was made.
-        DetectorError: Pictures could not be made.
-    """
+    """The pictures of some sets; what is missing of them is made."""
     jobs = {f"{name} {number}": job for name, part in sets.items() for number, job in enumerate(part)}
     ended = itertools.count(1)
 
@@ -145,15 +123,7 @@ def training_job(
     start: Path | None = None,
     validate_every: int = 2,
 ) -> Job:
-    """The training of a small detector.
-
-    Args:
-        detector: Key of `attacks.detectors.training.train.TRAINERS`.
-        config: The training.
-        sets: Jobs of the pictures for `training` and for `validation`.
-        start: Weights to begin from instead of pretraining.
-        validate_every: Epochs between two validations.
-    """
+    """The training of a small detector."""
     inputs: dict[str, Job | Part | Path] = {} if start is None else {START: start}
     for prefix, name in ((PICTURES, "training"), (VALIDATION, "validation")):
         inputs |= {f"{prefix} {number:06d}": job for number, job in enumerate(sets[name])}

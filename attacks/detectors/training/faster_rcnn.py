@@ -63,11 +63,7 @@ class FasterRCNNTrainer(DetectorTrainer):
         config: TrainConfig,
         on_step: Callable[[int, int, float], None] | None,
     ) -> float | None:
-        """As in `DetectorTrainer`: the stem and the stages classify cut-outs; the learning rate rises and falls once.
-
-        Returns:
-            Fraction classified right over the last tenth of the steps.
-        """
+        """As in `DetectorTrainer`: stem and stages classify cut-outs; the learning rate rises and falls once."""
         backbone, steps = model.backbone, config.pretraining
         assert isinstance(backbone, fasterrcnn_small.Backbone)
         torch.manual_seed(config.seed)

@@ -122,33 +122,21 @@ class Training:
     def pretrain(
         self, samples: Sequence[LabelledPicture], *, on_step: Callable[[int, int, float], None] | None = None
     ) -> float | None:
-        """Give the network its head start.
-
-        Returns:
-            Fraction of the cut-outs that it names right; None without a head start.
-        """
+        """Give the network its head start."""
         right = self.trainer.pretrain(self.model, samples, self.config, on_step)
         self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
         self.history.append({"epoch": 0, "pictures": len(samples), "named": right})
         return right
 
     def begin_from(self, weights: Path) -> None:
-        """Start from the weights of an earlier run.
-
-        Raises:
-            DetectorError: the file is missing or does not fit.
-        """
+        """Start from the weights of an earlier run."""
         apply_weights(self.model, read_weights(weights), weights)
         self.averaged = {k: v.detach().clone() for k, v in self.model.state_dict().items()}
         digest = hashlib.sha256(weights.read_bytes()).hexdigest()
         self.history.append({"epoch": 0, "start": weights.name, "sha256": digest})
 
     def run_epoch(self, samples: Sequence[LabelledPicture], *, on_step: OnStep | None = None) -> dict[str, float]:
-        """Train on every sample once.
-
-        Returns:
-            Mean of each loss by its name.
-        """
+        """Train on every sample once."""
         config = self.config
         torch.manual_seed(_seed(config.seed, self.epoch))
         self.model.train()
@@ -222,14 +210,7 @@ class Training:
 
     @classmethod
     def resume(cls, folder: Path, config: TrainConfig, trainer: DetectorTrainer) -> Training:
-        """Continue from the checkpoint in `folder`, or begin where there is none.
-
-        Returns:
-            The training, at the step where the checkpoint was written.
-
-        Raises:
-            DetectorError: The checkpoint is broken.
-        """
+        """Continue from the checkpoint in `folder`, or begin where there is none."""
         path = folder / "checkpoint.safetensors"
         training = cls(config, trainer)
         if not path.is_file():

@@ -79,13 +79,7 @@ class ViewingConditions:
 
 
 def viewing_conditions(points: Floats, camera: Camera, light: Light | None = None) -> ViewingConditions:
-    """How an object is seen from a camera, rounded to six digits after the point.
-
-    Args:
-        points: (N, 3) of the object, world units.
-        camera: Takes the picture.
-        light: What it stands in; None where that is not known.
-    """
+    """How an object is seen from a camera, rounded to six digits after the point."""
     low, high = points.min(0).astype(np.float64), points.max(0).astype(np.float64)
     centre: list[float] = ((low + high) / 2).tolist()
     return ViewingConditions(
@@ -173,14 +167,7 @@ def _radius(asset: Asset) -> float:
 
 
 def framing_camera(points: Floats, rng: Generator, config: PictureSetConfig, *, smallest: float = 0.2) -> Camera:
-    """A camera in which the longer side of the box around some points is a fraction of the picture's side, up to all.
-
-    Args:
-        points: (N, 3), world units.
-        rng: What is drawn.
-        config: Size of the picture, elevation and distance of the camera.
-        smallest: Of these fractions.
-    """
+    """A camera in which the longer side of the box around some points is a fraction of the image's side."""
     size = config.size
     low, high = points.min(0), points.max(0)
     centre, half = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
@@ -241,11 +228,7 @@ class SceneRenderer:
 
     @tracing_variant(FEW_PICTURES)
     def label(self, camera: Camera, image: Tensor) -> LabelledPicture:
-        """Round an (H, W, 3) picture in [0, 1] from this camera to 8 bits and say what is in it.
-
-        Returns:
-            The picture, its boxes and their classes.
-        """
+        """Round an (H, W, 3) picture in [0, 1] from this camera to 8 bits and say what is in it."""
         boxes, labels, conditions = [], [], []
         outlines, visible = self._outlines(camera), self._visible(camera)
         for asset, (seen, _), (fraction, _) in zip(self.contents.assets, outlines, visible, strict=True):
@@ -318,14 +301,6 @@ def background_pictures(kind: str, number: int, config: BackgroundConfig) -> lis
 
     Cameras look at a point near the origin from 4 to 7 metres, from elevations of 0 to 90 degrees and all azimuths,
     with a field of view of 22 to 60 degrees, as in the pictures with objects.
-
-    Args:
-        kind: One of `BACKGROUNDS`.
-        number: Which of the kind.
-        config: Size and seeds of the set.
-
-    Raises:
-        InvalidValueError: There is no such kind.
     """
     check_choice("kind", kind, BACKGROUNDS)
     low, high = SPLITS[config.split]
@@ -355,14 +330,7 @@ def background_camera(rng: Generator, size: int) -> Camera:
 def splat_pictures(
     scenes: PictureSetConfig, number: int, config: SplatConfig, *, render: RenderFn
 ) -> list[LabelledPicture]:
-    """Labelled renders of a splat of one scene; the labels are those of the meshes it was made from.
-
-    Args:
-        scenes: What the scenes are made of.
-        number: Which of these scenes.
-        config: How the splat is made, and how many renders of it.
-        render: Renders the splat.
-    """
+    """Labelled renders of a splat of one scene; the labels are those of the meshes it was made from."""
     renderer = SceneRenderer(replace(scenes, samples=config.samples), number)
     with tracing_variant(FEW_PICTURES):
         tests = [renderer.choose_camera() for _ in range(config.pictures)]
@@ -377,15 +345,7 @@ def splat_pictures(
 def splat_of(
     scene: dict[str, Any], contents: PictureScene, views: Sequence[View], config: SplatConfig, render: RenderFn
 ) -> GaussianScene:
-    """A splat of a path-traced scene: objects, surroundings and sky.
-
-    Args:
-        scene: For Mitsuba.
-        contents: What is in it.
-        views: Path-traced pictures of it, from which the colours come.
-        config: How many Gaussians and steps of refinement.
-        render: What the refinement differentiates.
-    """
+    """A splat of a path-traced scene: objects, surroundings and sky."""
     cameras = [view.camera for view in views]
     depths = depth_maps(scene, cameras)
     dome = Asset("sky", (ellipsoid((440.0, 440.0, 440.0), (0.6, 0.7, 0.8), segments=48),))

@@ -81,14 +81,7 @@ def save(pictures: Sequence[LabelledPicture], folder: Path) -> None:
 
 
 def load(folder: Path) -> list[LabelledPicture]:
-    """Read pictures and labels into memory.
-
-    Returns:
-        Pictures in the order of their files.
-
-    Raises:
-        InvalidValueError: The labels, or a picture, are missing or broken.
-    """
+    """Read pictures and labels into memory."""
     path, pictures = folder / LABELS, []
     records = Fields(_READER.read_json(path), str(path), InvalidValueError, _READER.do)
     for name in records.values:

@@ -18,13 +18,6 @@ def noise(rng: Generator, size: int = 128, *, cells: int = 3, octaves: int = 5, 
     """(size, size) smooth random values in [0, 1] that tile, coarse ones mixed with ever finer ones.
 
     Sums of value noise at doubling frequencies, as in Ebert et al., "Texturing and Modeling", 1994.
-
-    Args:
-        rng: What is drawn.
-        size: Pixels a side.
-        cells: Random values a side of the coarsest layer.
-        octaves: Number of layers.
-        gain: Weight of a layer in units of the one before.
     """
     total = np.zeros((size, size))
     for octave in range(octaves):
@@ -147,14 +140,7 @@ def backdrop(rng: Generator, radius: float) -> Asset:
 
 
 def of_kind(kind: str, seed: int, rng: Generator, radius: float) -> Asset:
-    """Surroundings of one kind that leave their middle free.
-
-    Args:
-        kind: One of `attacks.detectors.training.config.BACKGROUNDS`.
-        seed: Which street, park, room or ground.
-        rng: Draws the random ones, and how far a street is shifted along itself.
-        radius: How far the objects reach from the origin, metres; random surroundings are made to fit them.
-    """
+    """Surroundings of one kind that leave their middle free."""
     if kind == "street":
         shift = rng.uniform(-15, 15)
         return street.build(seed, clearance=CLEARANCE, centre=-shift).transformed(translation(shift, 0, 0))

@@ -75,11 +75,7 @@ def run(config: DetectorTraining, inputs: Mapping[str, Path], out: Out) -> None:
 
 
 def trainer_of(name: str) -> DetectorTrainer:
-    """The trainer of a small detector.
-
-    Raises:
-        DetectorError: It needs a package that is not there.
-    """
+    """The trainer of a small detector."""
     module, trainer = TRAINERS[name]
     made: DetectorTrainer = getattr(import_module(module), trainer)()
     return made
@@ -96,21 +92,7 @@ def train(
     on_work: OnWork,
     on_epoch: Callable[[Mapping[str, Any]], None] = lambda record: None,
 ) -> None:
-    """Do what is left of a training; write checkpoint, curves.json and the best weights so far after each epoch.
-
-    Args:
-        training: A new one, or one that was resumed.
-        pictures: To train on.
-        validation: To choose the best epoch by.
-        folder: Where the files go.
-        validate_every: Epochs between two validations.
-        start: Weights that a new training begins from instead of pretraining.
-        on_work: Hears of the progress.
-        on_epoch: Hears of the figures of each finished epoch, and of those of the pretraining.
-
-    Raises:
-        DetectorError: The weights to start from are missing or do not fit.
-    """
+    """Do what is left of a training; write checkpoint, curves.json and the best weights so far after each epoch."""
     config = training.config
     while training.epoch < config.epochs:
         if not training.history and start is not None:
@@ -153,14 +135,6 @@ def validated(training: Training, validation: Sequence[LabelledPicture], folder:
     """Score the averaged weights, and export them if none were better.
 
     What counts is the mAP less the number of false positives per picture without objects.
-
-    Args:
-        training: What to score.
-        validation: Pictures with objects and without.
-        folder: Where the weights go.
-
-    Returns:
-        The score, the mAP and the false positives per picture without objects.
     """
     detector = training.snapshot()
     seen, empty = look_at(detector, {"": validation}), [picture for picture in validation if not len(picture.labels)]

@@ -67,14 +67,7 @@ class YOLOTrainer(DetectorTrainer):
 def with_mosaics(
     pictures: list[Tensor], targets: Targets, fraction: float, generator: Generator
 ) -> tuple[list[Tensor], Targets]:
-    """A batch of which a fraction is replaced by mosaics of its pictures.
-
-    Args:
-        pictures: (3, H, W) each, all of one size.
-        targets: Their boxes and labels.
-        fraction: Part of the batch, rounded down.
-        generator: Which pictures go where.
-    """
+    """A batch of which a fraction is replaced by mosaics of its pictures."""
     count = len(pictures)
     made, inside = list(pictures), list(targets)
     for i in range(int(fraction * count)):

@@ -48,12 +48,7 @@ FEW_DRAWS = 5
 
 
 def read(folder: Path, record: Record) -> Section:
-    """The section of an attack, from chosen cameras or from all of a region.
-
-    Args:
-        folder: Where it lies.
-        record: Its result.json.
-    """
+    """The section of an attack, from chosen cameras or from all of a region."""
     rate, noise, draws = Rate.of(record["rate"]), Rate.of(record["noise_rate"]), record["noise"]["draws"]
     needed, budget = record["config"]["required_views"], record["config"].get("image_psnr")
     drawn, names = "by_azimuth" in record, list(record["rates"])
@@ -239,11 +234,7 @@ def _by_angle(record: Record, angle: str, needed: float) -> Chart:
 
 
 def objective_of(record: Record) -> Objective:
-    """The aim of an attack.
-
-    Raises:
-        InvalidValueError: It is none of this version's.
-    """
+    """The aim of an attack."""
     try:
         kind = _AIMS.get(str(record["objective"]), (PluggedObjective,))[0]
         aim: Objective = kind(**record["config"]["objective"])

@@ -32,12 +32,7 @@ _PLAIN = {
 
 
 def read(folder: Path, record: Mapping[str, Any]) -> Section:
-    """The section of an audit.
-
-    Args:
-        folder: Where it lies.
-        record: Its result.json.
-    """
+    """The section of an audit."""
     objects, first = record["objects"], record["summary"][0]
     if not objects:
         return _only_numbers(folder, record)
@@ -281,12 +276,7 @@ def _domes(
 
 
 def angles(direction: Vector, up: Vector) -> tuple[float, float]:
-    """Azimuth from the file's x axis and elevation above the ground of an object, degrees.
-
-    Args:
-        direction: (3,) unit vector.
-        up: (3,) unit vector, away from the ground; where x points up, azimuths are from y.
-    """
+    """Azimuth from the file's x axis and elevation above the ground of an object, degrees."""
     start = (1.0, 0.0, 0.0) if abs(up[0]) < 0.9 else (0.0, 1.0, 0.0)
     height = _dot(direction, up)
     east = [a - _dot(start, up) * b for a, b in zip(start, up, strict=True)]

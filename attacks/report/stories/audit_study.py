@@ -14,12 +14,7 @@ _MOST_PICTURES = 8
 
 
 def read(folder: Path, record: Mapping[str, Any]) -> Section:
-    """The section of a study of the audit.
-
-    Args:
-        folder: Where it lies.
-        record: Its result.json.
-    """
+    """The section of a study of the audit."""
     told, chosen = record["figures"], record["chosen_on"]
     parts = told["parts"]
     honest = [row for row in negatives(record["files"]) if row["content"] not in chosen]

@@ -11,12 +11,7 @@ from attacks.report.wording import pooled
 
 
 def read(folder: Path, record: Mapping[str, Any]) -> Section:
-    """The section of a row.
-
-    Args:
-        folder: Where it lies.
-        record: Its result.json.
-    """
+    """The section of a row."""
     columns, score, name = record["columns"], record["score"], record["detector"]["name"]
     filled = {head: columns[column] for column, head in HEADS.items() if columns[column]["robust"] is not None}
     figures = [Figure(label=f"still named, {head}", rate=Rate.of(told["robust"])) for head, told in filled.items()]

@@ -65,12 +65,7 @@ _CURVES: dict[str, tuple[str, Role]] = {
 
 
 def read(folder: Path, summary: Mapping[str, Any]) -> Section:
-    """The section of a study.
-
-    Args:
-        folder: Where it lies.
-        summary: Its result.json.
-    """
+    """The section of a study."""
     study = summary["study"]
     headline, control = headline_of(summary)
 
@@ -115,11 +110,7 @@ def read(folder: Path, summary: Mapping[str, Any]) -> Section:
 
 
 def headline_of(summary: Mapping[str, Any]) -> tuple[Figure, Figure | None]:
-    """The figure of a study that matters, and the same of the clean splat.
-
-    Args:
-        summary: Of a study: of one that hides something the rate of misses, else that of the target class.
-    """
+    """The figure of a study that matters, and the same of the clean splat."""
     missed, recalled = rate_of(summary["trigger_miss_rate"]), rate_of(summary["control_recall"])
     if missed is not None:
         headline = Figure(
@@ -141,15 +132,7 @@ def headline_of(summary: Mapping[str, Any]) -> tuple[Figure, Figure | None]:
 
 
 def figures(record: Mapping[str, Any], tables: Tables) -> Mapping[str, Any]:
-    """Every figure of a study, of its rows.
-
-    Args:
-        record: Its result.json, of which the settings and the splats count.
-        tables: Its rows.
-
-    Raises:
-        InvalidValueError: The rows are not those of the study.
-    """
+    """Every figure of a study, of its rows."""
     study = study_of(record["study"])
     _check_rows(study, record["splats"], tables)
     derived = study_figures(study, tables, record["splats"])
@@ -196,11 +179,7 @@ RESCORING = Rescoring(splats=_splats, cells=_cells, rates=_rescored, batch=BATCH
 
 
 def study_of(configuration: Mapping[str, Any]) -> StudyConfig:
-    """The study of a result. Rates need no mesh: one of a mesh file stands there as if it had an asset's.
-
-    Raises:
-        InvalidValueError: It is none of this version.
-    """
+    """The study of a result. Rates need no mesh: one of a mesh file stands there as if it had an asset's."""
     values, scene = dict(configuration), configuration.get("scene")
     if isinstance(scene, dict) and isinstance(scene.get("object"), str) and scene["object"] not in ASSETS:
         values["scene"] = {**scene, "object": next(iter(ASSETS))}

@@ -36,12 +36,7 @@ _CURVES: dict[str, tuple[str, Role]] = {
 
 
 def read(folder: Path, record: Mapping[str, Any]) -> Section:
-    """The section of an evaluation.
-
-    Args:
-        folder: Where it lies.
-        record: Its result.json.
-    """
+    """The section of an evaluation."""
     detectors = record["detectors"]
     name, first = next(iter(detectors.items()))
     headline, control = _headline(name, first)

@@ -26,12 +26,7 @@ Value = Mapping[str, Any]
 
 
 def read(folder: Path, record: Mapping[str, Any]) -> Section:
-    """The section of a study of poisoned training pictures.
-
-    Args:
-        folder: Where it lies.
-        record: Its result.json.
-    """
+    """The section of a study of poisoned training pictures."""
     attacked = [value for value in record["values"] if ATTACKED in value["splats"]]
     named, detected = (
         [line for line in record.get(key, ()) if line["condition"] == HELD_OUT] for key in ("classified", "detected")

@@ -40,12 +40,7 @@ _WAYS = {
 
 
 def read(folder: Path, record: Mapping[str, Any]) -> Section:
-    """The section of a poisoned set.
-
-    Args:
-        folder: Where it lies.
-        record: Its poison.json.
-    """
+    """The section of a poisoned set."""
     changes = [change for change in record["changes"] if change["pixels_changed"]]
     shares = [_share(change) for change in changes] or [0.0]
     is_cloak = record["kind"] == "cloak"

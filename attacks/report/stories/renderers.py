@@ -21,12 +21,7 @@ _KINDS = {"picture": "picture", "picture and gradient": "picture_and_gradient"}
 
 
 def read(folder: Path, record: Record) -> Section:
-    """The section of a comparison.
-
-    Args:
-        folder: Where it lies.
-        record: Its result.json.
-    """
+    """The section of a comparison."""
     pairs, cameras = record["pairs"], [camera["name"] for camera in record["cameras"]]
     names, psnr = listed(list(record["methods"])), _psnr(pairs[0])
     beyond = f" Below are the first {MOST_PICTURES} cameras; the folder has the pictures of all."

@@ -13,12 +13,7 @@ _WORDS = {True: "holds", False: "does not hold", None: "not checked"}
 
 
 def read(folder: Path, record: Mapping[str, Any]) -> Section:
-    """The section of a suite.
-
-    Args:
-        folder: Where it lies.
-        record: Its result.json.
-    """
+    """The section of a suite."""
     checks = record["checks"]
     passed, red, skipped = ([check for check in checks if check["passed"] is state] for state in _WORDS)
     return Section(

@@ -18,12 +18,7 @@ _JUDGES = {True: "attacked detectors", False: "detectors that were not attacked"
 
 
 def read(folder: Path, record: Record) -> Section:
-    """The section of a study.
-
-    Args:
-        folder: Where it lies.
-        record: Its result.json.
-    """
+    """The section of a study."""
     attacks = list(attacks_of(record).values())
     label, counting, lines, key = _headline(record)
     rate, noise = pooled(line[key] for line in lines), pooled(_noise(line, key) for line in lines)

@@ -31,18 +31,7 @@ def threshold_charts(
     part: Callable[[pl.DataFrame], pl.DataFrame] = lambda rows: rows,
     what: str = "",
 ) -> tuple[tuple[Chart, ...], tuple[Table, ...]]:
-    """A chart for each detector with some rates over the confidence, and a table of them at two confidences.
-
-    Args:
-        folder: Of the result.
-        measures: Of a confidence.
-        names: Measures that are drawn: what their line is called, and what it stands for.
-        part: Takes the rows that count.
-        what: They are of, if not of splats.
-
-    Returns:
-        Nothing where the result has no rows, or none of these measures.
-    """
+    """A chart for each detector with some rates over the confidence, and a table of them at two confidences."""
     path = folder / f"{ROWS}{SUFFIX}"
     drawn = {name: names[name] for name in measures(REPORTED) if name in names}
     if not path.is_file() or not drawn:

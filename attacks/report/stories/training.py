@@ -12,12 +12,7 @@ from mi_splat.training.resume import CONFIG
 
 
 def read(folder: Path, record: Mapping[str, Any]) -> Section:
-    """The section of a training.
-
-    Args:
-        folder: Where it lies.
-        record: Its metrics.json.
-    """
+    """The section of a training."""
     run, history = read_json(folder / CONFIG), record["history"]
     scored = [line for line in history if line["held_out"] is not None]
     pictures, steps = int(record["held_out_views"]), history[-1]["iteration"]

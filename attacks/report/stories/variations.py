@@ -28,12 +28,7 @@ _SEEN: dict[str, tuple[str, Role]] = {
 
 
 def read(folder: Path, record: Mapping[str, Any]) -> Section:
-    """The section of a study with one thing varied at a time.
-
-    Args:
-        folder: Where it lies.
-        record: Its result.json.
-    """
+    """The section of a study with one thing varied at a time."""
     groups, points = by_part(record), list(record["points"].values())
     headlines, controls = zip(*map(headline_of, points), strict=True)
     rates = [figure.rate for figure in headlines if figure.rate is not None and figure.rate.total]
@@ -93,12 +88,7 @@ def _done(record: Mapping[str, Any], groups: Mapping[str, Mapping[str, Any]]) ->
 
 
 def figures(record: Mapping[str, Any], tables: Tables) -> Mapping[str, Any]:
-    """Every figure of each point, of its rows.
-
-    Args:
-        record: result.json.
-        tables: Its rows.
-    """
+    """Every figure of each point, of its rows."""
     points = {}
     for title, point in record["points"].items():
         of_point = {name: table.filter(attack=title).drop("attack") for name, table in tables.items()}

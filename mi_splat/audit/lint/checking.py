@@ -63,17 +63,7 @@ class Lint:
 
 
 def lint_file(path: Path) -> Lint:
-    """Check a splat file, also one that `load_splat` refuses because Gaussians in it are not valid.
-
-    Args:
-        path: A splat file of any format.
-
-    Returns:
-        The findings in the order of the rules, and how many Gaussians there are.
-
-    Raises:
-        SplatFileError: It cannot be read, for a reason that no rule explains.
-    """
+    """Check a splat file, also one that `load_splat` refuses because Gaussians in it are not valid."""
     findings: list[Finding] = []
     data = path.read_bytes() if path.suffix.lower() == ".glb" else b""
     if data.startswith(b"glTF"):
@@ -88,14 +78,7 @@ def lint_file(path: Path) -> Lint:
 
 
 def lint_scene(scene: GaussianScene) -> Lint:
-    """Check a scene.
-
-    Args:
-        scene: On the CPU.
-
-    Returns:
-        The findings in the order of the rules, and how many Gaussians there are.
-    """
+    """Check a scene."""
     return _lint(Loaded.of(scene.detach().to("cpu"), np.empty(0, np.int64), ""), [])
 
 
@@ -128,11 +111,7 @@ BINS = 1024
 
 
 def fill_ratio(arrays: Arrays) -> float:
-    """Roughly the number of Gaussians on a ray through the splat.
-
-    Args:
-        arrays: N valid Gaussians in the order of the file; 0 of none.
-    """
+    """Roughly the number of Gaussians on a ray through the splat."""
     scales = np.sort(arrays["scales"].astype(np.float64), axis=1)
     areas = np.pi * scales[:, 1] * scales[:, 2]
     if not len(areas):
@@ -146,12 +125,7 @@ def fill_ratio(arrays: Arrays) -> float:
 
 
 def binned_quantile(values: NDArray[np.float64], share: float) -> float:
-    """A quantile out of a histogram over the range that the order of the values leads to.
-
-    Args:
-        values: (N,) finite, at least one.
-        share: Of the values that lie below, in (0, 1).
-    """
+    """A quantile out of a histogram over the range that the order of the values leads to."""
     low, high = _range(values)
     if low == high:
         return low

@@ -76,12 +76,6 @@ def worst_overdraw(scene: GaussianScene) -> Overdraw | None:
     """Count Gaussians over each pixel from all around the splat and its core, as near as shows all of it.
 
     It ends at the first camera from which the splat stops a renderer.
-
-    Args:
-        scene: N valid Gaussians; None of none.
-
-    Returns:
-        The counts of the worst camera; None if there is no Gaussian.
     """
     if not len(scene):
         return None

@@ -35,14 +35,7 @@ class Finding:
 
     @classmethod
     def of(cls, rule: str, severity: Severity, reason: str, mask: NDArray[np.bool_]) -> Finding:
-        """A finding about some rows.
-
-        Args:
-            rule: As above.
-            severity: As above.
-            reason: As above.
-            mask: (N,) the rows.
-        """
+        """A finding about some rows."""
         rows = np.flatnonzero(mask)
         return cls(rule=rule, severity=severity, reason=reason, rows=tuple(rows[:SHOWN].tolist()), count=len(rows))
 

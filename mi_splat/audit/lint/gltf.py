@@ -51,9 +51,6 @@ def validate(document: Glb) -> list[Finding]:
     """What is wrong with the splats of a binary glTF.
 
     Rows count from the first Gaussian of the primitive that a finding names.
-
-    Args:
-        document: A glTF whose container could be read.
     """
     findings: list[Finding] = []
     splats = 0

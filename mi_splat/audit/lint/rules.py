@@ -146,11 +146,7 @@ def _colour(stored: Stored, by: float) -> Mask:
 
 
 def colour_overshoot(sh: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(N,) how far a Gaussian's colour leaves [0, 1] (sRGB) in the direction and channel where it does so most.
-
-    Args:
-        sh: (N, K, 3) coefficients.
-    """
+    """(N,) how far a Gaussian's colour leaves [0, 1] (sRGB) in the direction and channel where it does so most."""
     x, y, z = _DIRECTIONS.T
     values = [value for degree in range(degree_of(sh.shape[1]) + 1) for value in band((x, y, z), degree)]
     basis = np.stack(values, axis=1).astype(np.float32)
@@ -266,12 +262,6 @@ def findings_of(stored: Stored) -> Iterator[Finding]:
     """What all rules find, those of other packages last.
 
     A rule of another package that fails is a warning in its place: an audit that leaves a rule out says so.
-
-    Args:
-        stored: At least one Gaussian.
-
-    Yields:
-        The findings, in the order of the rules.
     """
     for rule in RULES:
         if (finding := rule(stored)) is not None:

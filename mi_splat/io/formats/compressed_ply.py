@@ -32,19 +32,7 @@ _SH_LIMIT = 4.0
 
 
 def read_compressed_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
-    """Read a compressed PLY, with or without ranges of colours and SH.
-
-    Args:
-        file: The file, open for unbuffered reading.
-        header: Its header.
-        path: For messages.
-
-    Returns:
-        The Gaussians, and which of them are valid.
-
-    Raises:
-        SplatFileError: Elements, properties or counts are not those of a compressed splat, or sizes are wrong.
-    """
+    """Read a compressed PLY, with or without ranges of colours and SH."""
     elements = {element.name: element for element in header.elements}
     vertex, chunk, rest = elements["vertex"], elements.get("chunk"), elements.get("sh")
     if chunk is None:
@@ -76,11 +64,7 @@ def read_compressed_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
 
 
 def write_compressed_ply(scene: GaussianScene) -> Encoded:
-    """A scene as a compressed PLY; the Gaussians are sorted along a Morton curve, so that chunks are small in space.
-
-    Raises:
-        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
-    """
+    """A scene as a compressed PLY; the Gaussians are sorted along a Morton curve, so that chunks are small in space."""
     order = morton_order(Values.of(scene).means)
     values = Values.of(scene, order)
     parts = [(values.means, 3), (values.log_scales, 3), (values.colours, 3)]

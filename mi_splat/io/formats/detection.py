@@ -50,13 +50,6 @@ def format_to_read(path: str, head: bytes) -> str:
     """The suffix of the format of a file, ".ply" also for compressed ones, `META` for an unbundled SOG.
 
     A name that promises nothing is overruled by the file's mark; one that promises something else is an error.
-
-    Args:
-        path: Name of the file.
-        head: Its first `HEAD` bytes.
-
-    Raises:
-        SplatFileError: No format fits, or name and mark disagree.
     """
     if os.path.basename(path).lower().endswith(_PROGRAMS):
         raise _unknown(path)
@@ -72,11 +65,7 @@ def format_to_read(path: str, head: bytes) -> str:
 
 
 def format_to_write(path: str) -> str:
-    """The suffix of the format in which a file is to be written.
-
-    Raises:
-        SplatFileError: No format fits, mi-splat only reads it, or it needs a package that is not installed.
-    """
+    """The suffix of the format in which a file is to be written."""
     named = suffix_of(path)
     if named is None:
         raise _unknown(path)
@@ -91,11 +80,7 @@ def format_to_write(path: str) -> str:
 
 
 def require_usd(path: str) -> None:
-    """Raise unless the package that reads and writes OpenUSD is installed.
-
-    Raises:
-        SplatFileError: It is not.
-    """
+    """Raise unless the package that reads and writes OpenUSD is installed."""
     if importlib.util.find_spec("pxr") is None:
         expected = "the package usd-core, for files of OpenUSD"
         raise SplatFileError.of(path, expected, "none", f"{install('usd')}, or use .glb")

@@ -80,11 +80,7 @@ class Values:
 
     @classmethod
     def of(cls, scene: GaussianScene, order: NDArray[np.int64] | None = None) -> Values:
-        """The values of a scene, in another order of rows if one is given.
-
-        Raises:
-            InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
-        """
+        """The values of a scene, in another order of rows if one is given."""
         kept = [value.detach().to("cpu", torch.float32).double() for value in scene.tensors()]
         if not all(bool((value.abs() <= LARGEST).all()) for value in kept):
             expected = f"values that are finite in float32, up to {LARGEST:g}"
@@ -99,15 +95,7 @@ class Values:
 
 
 def outside(what: str, values: Array, low: ArrayLike, high: ArrayLike, unit: str) -> list[Loss]:
-    """The loss of clamping values to a range, as a list of one or none.
-
-    Args:
-        what: Name of the loss.
-        values: (N, ...) values, one row a Gaussian.
-        low: Smallest value that is kept.
-        high: Largest one.
-        unit: Unit of the values.
-    """
+    """The loss of clamping values to a range, as a list of one or none."""
     rows = values.reshape(len(values), math.prod(values.shape[1:]))
     excess = np.maximum(np.asarray(low) - rows, rows - np.asarray(high)).max(axis=1, initial=0.0)
     count = int((excess > 0).sum())

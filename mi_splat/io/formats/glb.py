@@ -35,18 +35,7 @@ class Glb:
         return self._accessor(attributes, name).whole("count", 1, 1 << 31)
 
     def values(self, attributes: Fields, name: str, width: int, count: int, kinds: tuple[str, ...]) -> Array:
-        """(count, width) values of an attribute, as float64; integers that say so are scaled to -1..1 or 0..1.
-
-        Args:
-            attributes: Attributes of a primitive.
-            name: Name of one of them.
-            width: Components of an element.
-            count: Elements that it has to have.
-            kinds: NumPy kinds that its components may have.
-
-        Raises:
-            SplatFileError: It is missing, of another form, or not inside of the buffer.
-        """
+        """(count, width) values of an attribute, as float64; integers that say so are scaled to -1..1 or 0..1."""
         accessor = self._accessor(attributes, name)
         kind = COMPONENTS.get(accessor.whole("componentType", 0, 1 << 16), "")
         elements, form = accessor.whole("count", 1, 1 << 31), accessor.text("type")
@@ -81,15 +70,7 @@ def _plain(values: NDArray[np.generic], normalised: str) -> Array:
 
 
 def open_glb(data: bytes, path: str) -> Glb:
-    """The document and the buffer of a binary glTF.
-
-    Args:
-        data: All bytes of the file.
-        path: For messages.
-
-    Raises:
-        SplatFileError: It is damaged, of another version, or its buffer is another file.
-    """
+    """The document and the buffer of a binary glTF."""
     if len(data) < _HEADER.size + _CHUNK.size or not data.startswith(b"glTF"):
         raise SplatFileError.of(path, "a binary glTF", f"{len(data)} bytes, {data[:4]!r}", _AGAIN)
     _, version, length = _HEADER.unpack_from(data)
@@ -119,13 +100,7 @@ def open_glb(data: bytes, path: str) -> Glb:
 
 
 def glb_bytes(columns: Mapping[str, NDArray[np.generic]], extension: str, properties: Mapping[str, str]) -> bytes:
-    """A binary glTF with one mesh of points.
-
-    Args:
-        columns: (N, 1 to 4) values of each attribute, float32, or bytes that stand for 0..1.
-        extension: Name of the extension of the primitive.
-        properties: What the extension says.
-    """
+    """A binary glTF with one mesh of points."""
     views, accessors, parts = list[dict[str, object]](), list[dict[str, object]](), list[bytes]()
     offset = 0
     for name, values in columns.items():

@@ -39,15 +39,7 @@ _KINDS = {
 
 
 def read_glb(file: io.FileIO, path: str) -> Loaded:
-    """Read the splats of a binary glTF, each placed by its node.
-
-    Returns:
-        The Gaussians, and which of them are valid.
-
-    Raises:
-        SplatFileError: It is damaged, has no splats, or needs what is not read: another kernel or colour space, another
-            extension, compression, a node that shears or mirrors.
-    """
+    """Read the splats of a binary glTF, each placed by its node."""
     data = read_whole(file)
     document = open_glb(data, path)
     needed = [name for name in document.root.texts("extensionsRequired") if name not in _KNOWN]
@@ -138,10 +130,6 @@ def write_glb(scene: GaussianScene) -> Encoded:
     """A scene as a binary glTF; nothing is rounded.
 
     COLOR_0 is there for programs that draw points: linear light of the first SH coefficient, and the opacity.
-
-    Raises:
-        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
-        SplatFileError: The scene is empty, which glTF has no accessors for.
     """
     if not len(scene):
         raise SplatFileError.of("scene", "Gaussians for a .glb file", "none", "save it as a PLY")
@@ -174,15 +162,7 @@ def _linear(colours: Array) -> Array:
 
 
 def placements(root: Fields, meshes: int) -> Iterator[tuple[int, Array]]:
-    """Index of a mesh and its (4, 4) matrix to the world, for each node of the first scene that has one.
-
-    Args:
-        root: The document.
-        meshes: How many meshes it has.
-
-    Raises:
-        SplatFileError: Nodes are in a circle or have two parents, or a number is out of range.
-    """
+    """Index of a mesh and its (4, 4) matrix to the world, for each node of the first scene that has one."""
     nodes, scenes = root.objects("nodes"), root.objects("scenes")
     if not nodes or not scenes:
         return

@@ -21,10 +21,6 @@ def turned(scene: GaussianScene, signs: tuple[float, float, float]) -> GaussianS
     With D = diag(signs), a covariance R S^2 R^T becomes (D R D) S^2 (D R D)^T, whose quaternion is the old one with the
     signs on its vector part. Every basis function of SH is even or odd in each pair of coordinates, so that its
     coefficient keeps its size too.
-
-    Args:
-        scene: The scene.
-        signs: One of `X`, `Y`, `Z`.
     """
     if signs == NONE:
         return scene

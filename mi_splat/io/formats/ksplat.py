@@ -45,14 +45,7 @@ class _Section:
 
 
 def read_ksplat(file: io.FileIO, path: str) -> Loaded:
-    """Read a `.ksplat` file.
-
-    Returns:
-        The Gaussians, and which of them are valid.
-
-    Raises:
-        SplatFileError: It is damaged, of another version, or its sizes contradict each other.
-    """
+    """Read a `.ksplat` file."""
     data = read_whole(file)
     if len(data) < _HEADER_SIZE:
         raise _bad(path, f"a header of {_HEADER_SIZE} bytes", f"{len(data)} bytes")

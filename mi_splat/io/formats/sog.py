@@ -47,27 +47,13 @@ class _Picture(Protocol):
 
 
 def read_sog(file: io.FileIO, path: str) -> Loaded:
-    """Read a bundled SOG.
-
-    Returns:
-        The Gaussians, and which of them are valid.
-
-    Raises:
-        SplatFileError: It is damaged, of another version, or claims more than its size allows.
-    """
+    """Read a bundled SOG."""
     data = read_whole(file)
     return _read(archive_files(data, path), len(data), path)
 
 
 def read_sog_folder(file: io.FileIO, path: str) -> Loaded:
-    """Read an unbundled SOG: its meta.json, and the pictures beside it.
-
-    Returns:
-        The Gaussians, and which of them are valid.
-
-    Raises:
-        SplatFileError: As for `read_sog`, or a picture is missing.
-    """
+    """Read an unbundled SOG: its meta.json, and the pictures beside it."""
     folder = os.path.dirname(path) or "."
     with os.scandir(folder) as entries:
         size = sum(entry.stat().st_size for entry in entries if entry.is_file())
@@ -132,10 +118,6 @@ def write_sog(scene: GaussianScene) -> Encoded:
 
     Up to 65,536 Gaussians each have SH of their own. Of more, similar ones share theirs: then the SH that changed most
     are among the losses.
-
-    Raises:
-        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
-        SplatFileError: The scene is empty, for which there are no pictures.
     """
     if not len(scene):
         raise SplatFileError.of("scene", "Gaussians for a .sog file", "none", "save it as a PLY")

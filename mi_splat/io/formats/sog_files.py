@@ -29,15 +29,7 @@ _AGAIN = "write or download it again"
 
 
 def archive_files(data: bytes, path: str) -> Files:
-    """The members of a zip archive.
-
-    Args:
-        data: All bytes of the archive.
-        path: For messages.
-
-    Raises:
-        SplatFileError: It is no zip archive, or one with too many members.
-    """
+    """The members of a zip archive."""
     _check_directory(data, path)
     try:
         archive = zipfile.ZipFile(io.BytesIO(data))
@@ -97,17 +89,7 @@ def _check_directory(data: bytes, path: str) -> None:
 
 
 def read_picture(data: bytes, where: str, *, least: int, width: int | None = None) -> NDArray[np.uint8]:
-    """(H * W, 4) bytes of the pixels of a lossless WebP picture.
-
-    Args:
-        data: The file.
-        where: For messages.
-        least: Pixels that are needed; the picture may have no more than four times as many and 65,536.
-        width: Width that it has to have; None for any.
-
-    Raises:
-        SplatFileError: It is no such picture.
-    """
+    """(H * W, 4) bytes of the pixels of a lossless WebP picture."""
     size = webp_size(data)
     if size is None:
         raise SplatFileError.of(where, "a lossless WebP picture (VP8L)", repr(data[:16]), "export the SOG again")

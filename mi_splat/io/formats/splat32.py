@@ -23,14 +23,7 @@ _LONGEST = 5 / 256
 
 
 def read_splat(file: io.FileIO, path: str) -> Loaded:
-    """Read a `.splat` file.
-
-    Returns:
-        The Gaussians, and which of them are valid.
-
-    Raises:
-        SplatFileError: Its size is no positive multiple of 32 bytes.
-    """
+    """Read a `.splat` file."""
     data = read_whole(file)
     if not data or len(data) % RECORD.itemsize:
         expected = f"whole records of {RECORD.itemsize} bytes"
@@ -46,12 +39,7 @@ def read_splat(file: io.FileIO, path: str) -> Loaded:
 
 
 def write_splat(scene: GaussianScene) -> Encoded:
-    """A scene as a `.splat` file, in the scene's order.
-
-    Raises:
-        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
-        SplatFileError: The scene is empty, which the format cannot say.
-    """
+    """A scene as a `.splat` file, in the scene's order."""
     if not len(scene):
         raise SplatFileError.of("scene", "Gaussians for a .splat file", "none", "save it as a PLY")
     values = Values.of(scene)

@@ -32,14 +32,7 @@ _AXES = {0: half_turns.X, 4: half_turns.X, 6: half_turns.NONE, 7: half_turns.Z, 
 
 
 def read_spz(file: io.FileIO, path: str) -> Loaded:
-    """Read an SPZ file of version 2, 3 or 4.
-
-    Returns:
-        The Gaussians, and which of them are valid.
-
-    Raises:
-        SplatFileError: It is damaged, of another version, or in axes that half turns do not lead to.
-    """
+    """Read an SPZ file of version 2, 3 or 4."""
     content = unpack_container(read_whole(file), path)
     head, parts = content.header, content.sections
     if content.axes not in _AXES:
@@ -74,13 +67,6 @@ def write_spz(scene: GaussianScene, version: Literal[2, 3, 4] = 3) -> Encoded:
     """A scene as an SPZ file, in the scene's order.
 
     The point of the means is put as far to the left as they allow, and SH keep all 8 bits of their bytes.
-
-    Args:
-        scene: The scene.
-        version: 3 is read by most programs; 4 is compressed with Zstandard; 2 has coarser rotations.
-
-    Raises:
-        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
     """
     values = Values.of(half_turns.turned(scene, half_turns.X))
     bits = _fraction_bits(values.means)

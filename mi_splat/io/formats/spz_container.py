@@ -53,18 +53,7 @@ class SpzContent:
 
 
 def unpack_container(data: bytes, path: str) -> SpzContent:
-    """Decompress a file, never beyond the size that its number of Gaussians asks for.
-
-    Args:
-        data: All bytes of the file.
-        path: For messages.
-
-    Returns:
-        The header, and the bytes of each section by its name.
-
-    Raises:
-        SplatFileError: It is damaged, claims more than its size allows, or has another version.
-    """
+    """Decompress a file, never beyond the size that its number of Gaussians asks for."""
     return _unpack_zstandard(data, path) if data.startswith(_MAGIC) else _unpack_gzip(data, path)
 
 

@@ -46,13 +46,6 @@ def read_usd(file: io.FileIO, path: str) -> Loaded:
 
     The file is read by a process of its own, which has limits (`usd_child`). No other file is opened: whatever asks for
     one is refused, and so are references, variants and inherited prims inside of the file.
-
-    Returns:
-        The Gaussians, and which of them are valid.
-
-    Raises:
-        SplatFileError: It is damaged, has no splats, needs what is not read (another file, motion, shear), or usd-core
-            is not installed.
     """
     require_usd(path)
     file.seek(0)
@@ -117,16 +110,7 @@ def _gaussians(part: Fields, values: Array) -> tuple[Loaded, Array]:
 
 
 def write_usd(scene: GaussianScene, ending: str) -> Encoded:
-    """A scene as an OpenUSD file with one prim, y up, one metre a unit; nothing is rounded.
-
-    Args:
-        scene: The scene.
-        ending: `.usdc` (binary), `.usda` (text) or `.usdz` (a package of one binary layer).
-
-    Raises:
-        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
-        SplatFileError: usd-core is not installed.
-    """
+    """A scene as an OpenUSD file with one prim, y up, one metre a unit; nothing is rounded."""
     require_usd(ending)
     from pxr import Sdf, Usd, UsdGeom, UsdVol, Vt
 

@@ -48,19 +48,7 @@ def _limit(size: int) -> None:
 
 
 def read(path: str, out: BinaryIO, most: int) -> dict[str, Any]:
-    """Write the Gaussians of a file as float32, and say how they lie.
-
-    Args:
-        path: The file.
-        out: Takes positions, scales, orientations (x, y, z, w), opacities and SH of one prim after the other.
-        most: Most Gaussians that are read.
-
-    Returns:
-        What the stage says: its up axis, metres per unit, and the pose, count and SH degree of each part.
-
-    Raises:
-        RefusedError: The file is not read.
-    """
+    """Write the Gaussians of a file as float32, and say how they lie."""
     from pxr import Sdf, Usd, UsdGeom
 
     if not Usd.SchemaRegistry().FindConcretePrimDefinition(SPLAT):

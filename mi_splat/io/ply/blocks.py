@@ -20,12 +20,6 @@ def for_each_block(count: int, record: np.dtype[np.void], work: Callable[[int, R
     """Call `work(first, rows)` for consecutive blocks of `count` records, in no fixed order.
 
     NumPy and torch let go of the interpreter inside their loops, so that two threads take about two thirds of the time.
-
-    Args:
-        count: Number of records.
-        record: Their structured dtype.
-        work: Gets the index of the block's first record, and a buffer with one row a record; the buffer belongs to the
-            thread and is used again for the next block. What `work` raises comes out here, and no more blocks start.
     """
     at_once = max(1, BLOCK_BYTES // record.itemsize)
     starts = range(0, count, at_once)

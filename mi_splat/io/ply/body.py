@@ -26,15 +26,6 @@ def locate(file: io.FileIO, header: Header, name: str, path: str) -> int:
     """Where the rows of the element `name` begin, after the sizes of all elements were held against the file's.
 
     Text has no fixed size: there, only the least that the rows need is checked, and the rest by `read_rows`.
-
-    Args:
-        file: The file, open for unbuffered reading.
-        header: Its header.
-        name: Name of one of its elements.
-        path: For messages.
-
-    Raises:
-        SplatFileError: The file is larger or smaller than its header says.
     """
     size = os.fstat(file.fileno()).st_size
     if not header.order:
@@ -58,21 +49,7 @@ def locate(file: io.FileIO, header: Header, name: str, path: str) -> int:
 
 
 def read_rows(file: io.FileIO, header: Header, element: Element, path: str, work: Callable[[int, Rows], None]) -> None:
-    """Call `work(first, rows)` for blocks of rows of an element.
-
-    Args:
-        file: The file, open for unbuffered reading.
-        header: Its header.
-        element: One of its elements.
-        path: For messages.
-        work: Gets the index of the first row and a structured array with those of the element's properties that are
-            single numbers, in file order, in the file's kinds and byte order (text: the machine's, and float64 for
-            integers); the array is used again. Blocks come in any order, and from several threads.
-
-    Raises:
-        SplatFileError: The file is larger or smaller than its header says, text does not parse, or plyfile is needed
-            and not installed.
-    """
+    """Call `work(first, rows)` for blocks of rows of an element."""
     offset = locate(file, header, element.name, path)
     if not header.order:
         with _buffered(file, header.size) as reader:
@@ -124,11 +101,7 @@ def _read_with_lists(
 
 
 def _row_ends(file: io.FileIO, element: Element, order: str, position: int, size: int, path: str) -> Iterator[int]:
-    """Where each row of an element with lists ends: rows have to be visited one by one.
-
-    Raises:
-        SplatFileError: A list length is negative, or the rows end after the file, which has `size` bytes.
-    """
+    """Where each row of an element with lists ends: rows have to be visited one by one."""
     if element.count > size - position:
         _mismatch(path, element, f"at least {element.count} bytes", f"{size - position} bytes", "it is truncated")
     steps = [(column.length_kind, int(column.kind[1:])) for column in element.properties]

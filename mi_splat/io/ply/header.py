@@ -57,14 +57,7 @@ class Header:
 
 
 def read_header(file: BinaryIO, path: str) -> Header:
-    """Read the header at the start of `file`.
-
-    Returns:
-        The elements and their properties, in their order.
-
-    Raises:
-        SplatFileError: The file is empty, no PLY, or its header is malformed or longer than `HEADER_LIMIT`.
-    """
+    """Read the header at the start of `file`."""
     start = file.read(HEADER_LIMIT)
     if not start:
         raise SplatFileError.of(path, "a PLY file", "an empty file", "write or download it again")

@@ -51,11 +51,7 @@ def file_record(rest: int) -> np.dtype[np.void]:
 
 
 def pack(part: GaussianScene, rows: Rows) -> bool:
-    """Fill rows of `file_record` with the Gaussians of `part`, which is float32 on the CPU.
-
-    Returns:
-        Whether all values may be read again.
-    """
+    """Fill rows of `file_record` with the Gaussians of `part`, which is float32 on the CPU."""
     from mi_splat.io.parameters import to_raw_parameters  # brings torch, which reading does without
 
     values = {name: value.numpy() for name, value in to_raw_parameters(part).items()}
@@ -68,11 +64,7 @@ def pack(part: GaussianScene, rows: Rows) -> bool:
 
 
 def unpack(rows: Rows, rest: int, part: Sequence[NDArray[np.float32]]) -> NDArray[np.bool_]:
-    """Fill the five float32 arrays `part` from rows of a file, in any kinds and byte order.
-
-    Returns:
-        (rows,) which Gaussians are valid.
-    """
+    """Fill the five float32 arrays `part` from rows of a file, in any kinds and byte order."""
     table, numbers = _table(rows, rest)
     means, scales, rotations, opacities, colours = part
     values = {name: _columns(table, numbers, columns) for name, columns in COLUMNS.items()}

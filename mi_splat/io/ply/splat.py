@@ -26,19 +26,7 @@ if TYPE_CHECKING:
 
 
 def read_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
-    """Read a 3DGS splat: text and both byte orders, float and double, any order of properties, SH degree 0 to 3.
-
-    Args:
-        file: The file, open for unbuffered reading.
-        header: Its header.
-        path: For messages.
-
-    Returns:
-        The Gaussians, and which of them are valid.
-
-    Raises:
-        SplatFileError: It is no 3DGS splat, or does not have the size that its header says.
-    """
+    """Read a 3DGS splat: text and both byte orders, float and double, any order of properties, SH degree 0 to 3."""
     return _read(file, header, _vertices(header, path), path)
 
 
@@ -47,14 +35,6 @@ def write_ply(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
 
     The file appears whole or not at all. Means and SH of a float32 scene are kept bit for bit; saving what was loaded
     from a saved file writes the same bytes again.
-
-    Args:
-        scene: The scene, on any device.
-        path: The file to write; a file that is there is replaced.
-
-    Raises:
-        SplatFileError: The file cannot be written; what was there before is unchanged.
-        InvalidValueError: A value is not finite in float32, or too large (`LARGEST`).
     """
     import torch  # reading does without
 

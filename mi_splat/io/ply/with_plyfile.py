@@ -24,11 +24,7 @@ _NAMES = {"i": "int", "u": "uint", "f": "float"}
 
 
 def require_plyfile(path: str, needed_for: str) -> ModuleType:
-    """The package plyfile.
-
-    Raises:
-        SplatFileError: It is not installed.
-    """
+    """The package plyfile."""
     try:
         import plyfile
     except ImportError as error:
@@ -45,21 +41,7 @@ def scalar_record(element: Element, order: str) -> np.dtype[np.void]:
 
 
 def read_binary(data: bytes, count: int, element: Element, order: str, path: str) -> Rows:
-    """Rows with lists.
-
-    Args:
-        data: Exactly `count` rows, whose list lengths were checked.
-        count: How many rows of `element` they are.
-        element: Names and kinds.
-        order: Byte order, "<" or ">".
-        path: For messages.
-
-    Returns:
-        (count,) structured array of the properties that are single numbers.
-
-    Raises:
-        SplatFileError: plyfile is not installed.
-    """
+    """Rows with lists."""
     return _parse(require_plyfile(path, f"rows of {element.name} with lists"), data, count, element, order)
 
 
@@ -70,19 +52,7 @@ def read_text(
     path: str,
     work: Callable[[int, Rows], None],
 ) -> None:
-    """Call `work(first, rows)` for blocks of the rows of one element of a text file, in their order.
-
-    Args:
-        reader: The file, at the end of its header.
-        elements: All tables of the file in order; lines of those that are not wanted are only counted.
-        wanted: The table to read.
-        path: For messages.
-        work: As in `_ply_body.read_rows`.
-
-    Raises:
-        SplatFileError: There are more or fewer rows than the header says, a row does not parse, or plyfile is not
-            installed.
-    """
+    """Call `work(first, rows)` for blocks of the rows of one element of a text file, in their order."""
     plyfile = require_plyfile(path, "text")
     lines = _lines(reader, path)
     for element in elements:

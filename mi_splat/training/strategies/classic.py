@@ -79,16 +79,7 @@ def densify_and_prune(
     prune_large: bool,
     generator: Generator,
 ) -> Edit:
-    """One round of clone, split and prune.
-
-    Args:
-        parameters: The trained tensors, N rows each.
-        grad2d: (N,) mean length of the centre's gradient on the screen since the last round, in half pictures.
-        scene_extent: Size of the scene, world units.
-        config: Thresholds.
-        prune_large: Whether large Gaussians are removed, as once opacities have been reset.
-        generator: Where the children of a split are drawn from.
-    """
+    """One round of clone, split and prune."""
     count = len(grad2d)
     largest = parameters["scales"].detach().amax(1).exp()
     room = count if config.max_gaussians is None else max(config.max_gaussians - count, 0)

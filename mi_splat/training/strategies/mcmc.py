@@ -25,19 +25,11 @@ class MCMCStrategy(Strategy):
         self.config = config
 
     def before_backward(self, loss: Tensor, scene: GaussianScene) -> Tensor:
-        """Add the regularisers of opacity and scale.
-
-        Returns:
-            The loss with the regularisers, a scalar.
-        """
+        """Add the regularisers of opacity and scale."""
         return loss + self.config.opacity_reg * scene.opacities.mean() + self.config.scale_reg * scene.scales.mean()
 
     def after_step(self, step: Step, state: State) -> Edit:
-        """Relocate where it is time, and add the noise.
-
-        Returns:
-            Which rows were moved or added.
-        """
+        """Relocate where it is time, and add the noise."""
         config, at = self.config, step.iteration
         edit = Edit(parameters={})
         if config.densify_from < at <= config.densify_until and at % config.densify_interval == 0:
@@ -48,16 +40,7 @@ class MCMCStrategy(Strategy):
 
 
 def relocate(parameters: Parameters, *, config: MCMCConfig, generator: Generator) -> Edit:
-    """Move dead Gaussians onto living ones, and add some up to the limit; the picture stays nearly as it is.
-
-    Args:
-        parameters: The trained tensors, N rows each.
-        config: Thresholds.
-        generator: What is drawn: living Gaussians by their opacity.
-
-    Returns:
-        Which rows were moved or added.
-    """
+    """Move dead Gaussians onto living ones, and add some up to the limit; the picture stays nearly as it is."""
     opacity = parameters["opacities"].detach().sigmoid()
     count = len(opacity)
     dead = (opacity <= config.dead_opacity).nonzero().flatten()
@@ -100,14 +83,7 @@ def _shared(logits: Tensor, scales: Tensor, shares: Tensor) -> tuple[Tensor, Ten
 
 
 def explore(parameters: Parameters, *, lr_means: float, config: MCMCConfig, generator: Generator) -> Tensor:
-    """The means after the noise of MCMC: as each Gaussian is shaped, and only for those of little opacity.
-
-    Args:
-        parameters: The trained tensors.
-        lr_means: Learning rate of the means, world units.
-        config: Size of the noise.
-        generator: Source of the noise.
-    """
+    """The means after the noise of MCMC: as each Gaussian is shaped, and only for those of little opacity."""
     opacity = parameters["opacities"].detach().sigmoid()
     gate = torch.sigmoid(-100 * (opacity - config.dead_opacity))[:, None]
     scales = parameters["scales"].detach().exp()

@@ -41,14 +41,6 @@ def register_strategy(name: str, config: type[_Config], build: Callable[[_Config
 
     To use it from a shell, call the command line where it is registered, with `main` of `attacks.cli`:
     `python -c "import mine; main()" train out/car --strategy mine --out out/splat`.
-
-    Args:
-        name: One word.
-        config: Its options, a frozen dataclass whose fields all have defaults.
-        build: Makes the strategy from its options; the class itself will do.
-
-    Raises:
-        InvalidValueError: The name is taken by another strategy.
     """
     if name in _REGISTRY and _REGISTRY[name].config is not config:
         raise InvalidValueError.of("strategy", "a name of its own", repr(name), "choose another name")
@@ -56,11 +48,7 @@ def register_strategy(name: str, config: type[_Config], build: Callable[[_Config
 
 
 def build_strategy(config: StrategyConfig) -> Strategy:
-    """The strategy with these options.
-
-    Raises:
-        InvalidValueError: They are not those of a registered strategy.
-    """
+    """The strategy with these options."""
     return _REGISTRY[strategy_name(config)].build(config)
 
 
@@ -70,11 +58,7 @@ def strategy_names() -> tuple[str, ...]:
 
 
 def strategy_config(name: str, **options: Any) -> StrategyConfig:
-    """The options of the strategy with a name; those that are not given have their defaults.
-
-    Raises:
-        InvalidValueError: There is no such strategy, or it has no such option.
-    """
+    """The options of the strategy with a name; those that are not given have their defaults."""
     if name not in _REGISTRY:
         do = nearest(name, _REGISTRY, "choose one of them, or call register_strategy first")
         raise InvalidValueError.of("strategy", " or ".join(_REGISTRY), repr(name), do)
@@ -86,11 +70,7 @@ def strategy_config(name: str, **options: Any) -> StrategyConfig:
 
 
 def strategy_name(config: StrategyConfig) -> str:
-    """The name under which a strategy's options are registered.
-
-    Raises:
-        InvalidValueError: They are not.
-    """
+    """The name under which a strategy's options are registered."""
     for name, entry in _REGISTRY.items():
         if type(config) is entry.config:
             return name

@@ -31,12 +31,7 @@ def documents(record: Mapping[str, Any]) -> list[Document]:
 
 
 def read(folder: Path, record: Mapping[str, Any]) -> Section:
-    """The section of an evaluation.
-
-    Args:
-        folder: Where it lies.
-        record: Its result.json.
-    """
+    """The section of an evaluation."""
     several = documents(record)
     names, confidence = listed([figures["detector"] for figures in several]), f"{record['confidence']:g}"
     first, *others = [name for name, part in several[0]["sets"].items() if "map" in part] or [""]
@@ -109,12 +104,7 @@ def compared(several: Sequence[Document]) -> Iterator[Table]:
 
 
 def detailed(figures: Document, of: str = "") -> Iterator[Table]:
-    """The tables of one detector: by class, false positives, recall by how objects are seen, and other classes.
-
-    Args:
-        figures: Of the detector.
-        of: What captions begin with.
-    """
+    """The tables of one detector: by class, false positives, recall by how objects are seen, and other classes."""
     sets = figures["sets"]
     by_class = [
         (name, label, number(part["ap"][label], ".3f"), cell(rate), _often(part["reported_as"].get(label, {})))

@@ -17,12 +17,7 @@ Look = Mapping[str, Any]
 
 
 def read(folder: Path, record: Mapping[str, Any]) -> Section:
-    """The section of a folder of pictures with boxes.
-
-    Args:
-        folder: Where it lies.
-        record: Its result.json.
-    """
+    """The section of a folder of pictures with boxes."""
     looks: Sequence[Look] = record["pictures"]
     by_detector: dict[str, list[Look]] = {}
     for look in looks:
