@@ -64,7 +64,6 @@ nightly: $(STAMP)
 
 docs: $(STAMP)
 	NOTEBOOKS=$(NOTEBOOKS) $(BIN)/python -m sphinx -b html -W --keep-going -q -E -d out/docs-trees docs out/docs
-	@$(BIN)/python -m tests.project.prose --figures
 	@echo "open out/docs/index.html"
 
 wheel: $(STAMP)
