@@ -1,8 +1,9 @@
-"""Where a scene's Gaussians are, how near a camera they may be to be drawn, and how many are nearer."""
+"""Where a scene's Gaussians are, which cameras see them, and how near a camera they may be to be drawn."""
 
 from collections.abc import Sequence
 
 import torch
+from torch import Tensor
 
 from mi_splat.cameras import Camera, project_points
 from mi_splat.errors import InvalidValueError
@@ -13,6 +14,9 @@ REFERENCE_NEAR = 0.2
 _LOOSE = 3.0
 """How much larger than the ball that holds half of the means a scene may be."""
 _NEAR_SHARE, _LEAST_SHARE = 0.1, 0.001
+_SIGMAS = 3.0
+"""Standard deviations to which a Gaussian is visible."""
+_SAMPLE = 1000
 
 
 def bounds(scene: GaussianScene) -> tuple[tuple[float, float, float], float]:
@@ -65,3 +69,43 @@ def culled_in_view(scene: GaussianScene, camera: Camera, near: float) -> int:
     pixels, _ = project_points(means[near_by], camera)
     inside = (pixels >= 0) & (pixels <= pixels.new_tensor([camera.width, camera.height]))
     return int(inside.all(1).sum())
+
+
+def nothing_in_view(scene: GaussianScene, cameras: Sequence[Camera]) -> str | None:
+    """The warning that no Gaussian reaches the images of some cameras; None if all see one."""
+    middle, radius = bounds(scene)
+    means, reach = scene.means.detach().double().cpu(), _SIGMAS * scene.scales.detach().double().cpu().amax(1)
+    step = max(1, len(means) // _SAMPLE)  # a few of a large splat are enough for most cameras
+    blind = [
+        camera for camera in cameras if not (_sees(camera, means[::step], reach[::step]) or _sees(camera, means, reach))
+    ]
+    return _warning("Gaussian", blind, len(cameras), means.new_tensor(middle), radius)
+
+
+def no_surface_in_view(centre: Sequence[float], radius: float, cameras: Sequence[Camera]) -> str | None:
+    """The warning that a mesh scene within a sphere is outside the images of some cameras; None if all see it."""
+    middle = torch.tensor([list(centre)], dtype=torch.float64)
+    blind = [camera for camera in cameras if not _sees(camera, middle, middle.new_tensor([radius]))]
+    return _warning("surface", blind, len(cameras), middle[0], radius)
+
+
+def _sees(camera: Camera, centres: Tensor, radii: Tensor) -> bool:
+    """Whether one of some spheres reaches into the viewing frustum of a camera."""
+    width, height, (cx, cy) = camera.width, camera.height, (camera.cx, camera.cy)
+    planes = [[0, 0, 1], [camera.fx, 0, cx], [-camera.fx, 0, width - cx]]
+    planes += [[0, camera.fy, cy], [0, -camera.fy, height - cy]]
+    normals = torch.nn.functional.normalize(centres.new_tensor(planes))
+    pose = camera.to_camera.to(centres)
+    distances = (centres @ pose[:3, :3].T + pose[:3, 3]) @ normals.T
+    return bool((distances > -radii[:, None]).all(1).any())
+
+
+def _warning(what: str, blind: Sequence[Camera], count: int, middle: Tensor, radius: float) -> str | None:
+    if not blind:
+        return None
+    away = sorted(float((camera.position - middle).norm()) for camera in blind)[len(blind) // 2]
+    return (
+        f"no {what} is in view of {len(blind)} of {count} cameras, which are {away:.3g} world units away from the "
+        f"middle of a scene of radius {radius:.3g}; their coordinate frame may be another one: try --up, check "
+        "--centre, or check whether their axes follow another convention"
+    )

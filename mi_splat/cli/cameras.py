@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from mi_splat.bounds import bounds, culled_in_view, near_plane
+from mi_splat.bounds import bounds, culled_in_view, near_plane, nothing_in_view
 from mi_splat.camera_sets import FORMS, camera_set, framing
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.cli.console import warn
@@ -104,8 +104,10 @@ def _is_set(text: str, loaded: SplatScene) -> bool:
 
 
 def renderer_of(loaded: SplatScene, options: CameraOptions, cameras: dict[str, Camera]) -> Renderer:
-    """The renderer of `render_settings`; says so where its near plane hides much that is in a picture."""
+    """The renderer of `render_settings`; warns of cameras that see no Gaussian, or whose near plane hides many."""
     settings = render_settings(loaded, options, cameras)
+    if unseen := nothing_in_view(loaded.scene, list(cameras.values())):
+        warn(unseen)
     counts = {name: culled_in_view(loaded.scene, camera, settings.near) for name, camera in cameras.items()}
     worst = max(counts, key=lambda name: counts[name], default="")
     if counts and counts[worst] > _WORTH_A_WORD * len(loaded.scene):

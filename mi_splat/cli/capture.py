@@ -80,6 +80,7 @@ def run(options: CaptureOptions) -> None:
 
 def _capture(options: CaptureOptions) -> None:
     """As `run`, in a folder that is this process's own."""
+    from mi_splat.bounds import no_surface_in_view
     from mi_splat.camera_sets import camera_set, framing, held_out_set
     from mi_splat.capture.sources import open_source
     from mi_splat.capture.writer import write_capture
@@ -105,6 +106,8 @@ def _capture(options: CaptureOptions) -> None:
     cameras = camera_set(options.cameras, **placed)
     if is_file:
         cameras = _in_coordinates_of(source, cameras, Path(options.cameras))
+    if unseen := no_surface_in_view(source.centre, source.radius, cameras):
+        warn(unseen)
     width, height = cameras[0].width, cameras[0].height
     if options.size is not None and any((camera.width, camera.height) != size for camera in cameras):
         got = f"--cameras {options.cameras} of {width} x {height} and --size"

@@ -58,6 +58,12 @@ def test_the_command_takes_cameras_of_a_file_and_sizes(tmp_path: Path, capsys: p
     assert all(torch.equal(a.to_world, b.to_world) for a, b in zip(ours.cameras, theirs.cameras, strict=True))
 
 
+def test_cameras_that_look_past_the_scene_are_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = command_line(tmp_path, "--cameras", "orbit:2@30", "--centre", "0", "0", "1e5", "--distance", "2")
+    assert cli.main(command) == 1
+    assert "no surface is in view of 2 of 2 cameras, which are 1e+05 world units away" in capsys.readouterr().err
+
+
 def test_pictures_that_are_all_black_are_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["capture", "car:3", "--cameras", "orbit:2@10", "--size", "8", "--samples", "1", "--points", "9"]
     boxed = tmp_path / "boxed.xml"

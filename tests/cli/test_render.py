@@ -113,6 +113,20 @@ def test_gaussians_nearer_than_the_near_plane_are_told(toy: Path, capsys: pytest
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.parametrize("words", [["render"], ["select", "--box", "-9", "-9", "-9", "9", "9", "9"]])
+def test_cameras_that_see_no_gaussian_are_warned_of(
+    toy: Path, capsys: pytest.CaptureFixture[str], words: list[str]
+) -> None:
+    command, *more = words
+    call = [command, "toy.ply", *more, *SMALL, "--out", "a.gif" if command == "render" else "a.png"]
+    assert cli.main([*call, "--cameras", "orbit:3@20", "--centre", "0", "0", "1e5", "--distance", "2"]) == 0
+    told = capsys.readouterr().err
+    assert "no Gaussian is in view of 3 of 3 cameras, which are 1e+05 world units away" in told
+    assert "--up" in told
+    assert cli.main([*call, "--cameras", "orbit:3@20"]) == 0
+    assert "in view" not in capsys.readouterr().err
+
+
 def test_the_centre_is_in_the_middle(toy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["render", "toy.ply", "--centre", "1", "2", "3", "--distance", "2", "--elevation", "90", *SMALL, "--json"]
     assert cli.main(words) == 0
