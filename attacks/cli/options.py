@@ -25,13 +25,11 @@ _WORKER = 2e9
 
 
 def chosen_workers(asked: int | None) -> int:
-    """Number of processes that do jobs side by side: one for each core if None and the free memory allows."""
+    """Number of processes that do jobs side by side: one for each core if None and the memory allows."""
     if asked is not None:
         return asked
-    from mi_splat.audit.capacity import free_memory
-
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(cores, int(free_memory() / _WORKER)))
+    return max(1, min(cores, int(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / _WORKER)))
 
 
 @dataclass(frozen=True, kw_only=True)

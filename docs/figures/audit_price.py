@@ -1,6 +1,6 @@
 """Draws what hiding from the audit costs: `python docs/figures/audit_price.py [FILE.csv [PICTURE]]`.
 
-FILE is written by `python -m tests.audit.measure_price`. A panel for each object: the excess of the audit against the
+FILE is written by `python -m scenes.recipes.audit_price`. A panel for each object: the excess of the audit against the
 share of the trigger's cameras at which the detector misses the object.
 """
 

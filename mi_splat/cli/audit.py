@@ -197,15 +197,12 @@ def _repair(
 
 def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str, Any]:
     """Audit one file and write its result, if that is wanted."""
-    from mi_splat.audit.capacity import check_capacity
     from mi_splat.audit.files import document, write
     from mi_splat.datasets import is_dataset
 
     if is_dataset(path):
         return _audited_pictures(path, folder, options)
     with progress(f"auditing {path.name}"):
-        if path.suffix.lower() != ".xml":
-            check_capacity(path)
         lint = _linted(path) if options.only != "looks" else None
         scene, judged, cameras, unjudged = None, None, None, "only lint was asked for"
         if lint is not None and any(item.rule == "overdraw" and item.severity == "error" for item in lint.findings):
@@ -253,7 +250,6 @@ def _looked_at(path: Path, options: AuditOptions) -> tuple[GaussianScene, Audit,
     """A scene, its hidden looks, and the cameras that were given."""
     from mi_splat.audit.against import changes
     from mi_splat.audit.auditing import audit
-    from mi_splat.audit.capacity import check_capacity
     from mi_splat.cli.cameras import find_cameras
     from mi_splat.scene_files import open_scene
 
@@ -264,8 +260,6 @@ def _looked_at(path: Path, options: AuditOptions) -> tuple[GaussianScene, Audit,
         cameras = tuple(find_cameras(loaded, wanted).values())
     against = None
     if options.against:
-        if options.against.suffix.lower() != ".xml":
-            check_capacity(options.against)
         against = changes(loaded.scene, open_scene(options.against).scene)
     judged = audit(loaded.scene, cameras=cameras, up=options.up)
     return loaded.scene, replace(judged, against=against), cameras

@@ -1,8 +1,7 @@
 """Other ways to find a hidden look: each ranks what it is made for above what it is not."""
 
-import dataclasses
 from pathlib import Path
-from types import SimpleNamespace
+from typing import Literal
 
 import pytest
 import torch
@@ -10,7 +9,6 @@ from torch import Tensor
 
 from attacks import cli
 from attacks.audits.disagreement import AROUND, OVER, Seen, seen_along_paths
-from attacks.audits.hiding import Around, Hiding, Victim, hide, lattice
 from attacks.audits.learnt import attributes, fit_attributes
 from attacks.audits.rivals import BASELINES, band_share, measured
 from attacks.detectors.base import Candidates, Detections
@@ -19,11 +17,9 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, Similarity, merge
-from mi_splat.sh import sh_to_colour
-from tests.audit import measure_price
-from tests.audit.measure_price import TRICKS, Judge, Row, cheapest, hiding_of, search
+from scenes.recipes.audit_hiding import Hiding, Victim, hide
 from tests.audit.scenes import Made, cone, direction, glossy, hidden, standing
-from tests.fakes import ColourDetector, register
+from tests.fakes import register
 
 
 @pytest.fixture(scope="module")
@@ -150,101 +146,18 @@ def test_the_page_of_an_audit_shows_it(
     assert "whose splat is there" in capsys.readouterr().err
 
 
-# An attacker who knows the audit: what each of its settings does to a splat, and what that costs
-
-
-@pytest.fixture(scope="module")
-def victim() -> Victim:
-    made = standing("suitcase", count=250)
-    return Victim(scene=made.scene, rows=made.rows, label="suitcase", render=Renderer())
-
-
-def picture(victim: Victim, scene: GaussianScene, elevation: float) -> Tensor:
-    with torch.no_grad():
-        return victim.render(scene, victim.camera(direction(elevation, 30), size=48))
-
-
-def change(victim: Victim, hiding: Hiding, elevation: float) -> float:
-    pair = (picture(victim, scene, elevation) for scene in (victim.scene, hide(victim, hiding)))
-    first, second = pair
-    return float((first - second).abs().mean())
+# The recipe of an attacker who knows the audit
 
 
 @pytest.mark.parametrize("by", ["coefficients", "layers", "roof"])
-def test_a_look_shows_from_inside_of_its_trigger(victim: Victim, by: str) -> None:
-    hiding = Hiding(by=by, half_width=40.0)  # type: ignore[arg-type]
-    assert change(victim, hiding, 88) > (0.5 if by == "roof" else 2) * change(victim, hiding, 8)
-
-
-def test_half_of_a_look_and_of_the_surface_change_less(victim: Victim) -> None:
-    whole, half = change(victim, Hiding(), 88), change(victim, Hiding(amount=0.5), 88)
-    assert half == pytest.approx(whole / 2, rel=0.15)
-    assert 0 < change(victim, Hiding(share=0.3), 88) < whole
-
-
-def test_what_follows_the_normals_shows_from_all_sides(victim: Victim) -> None:
-    assert change(victim, Hiding(follow=1.0), 20) > 3 * change(victim, Hiding(), 20)
-
-
-def test_gloss_and_sheen_change_colours_outside_of_the_trigger(victim: Victim) -> None:
-    least = 2 * change(victim, Hiding(), 20)
-    assert change(victim, Hiding(gloss=0.6), 20) > least
-    assert change(victim, Hiding(sheen=0.6), 20) > least
-
-
-def test_all_else_stays_as_it_was(victim: Victim) -> None:
-    made = hide(victim, Hiding(gloss=0.5, share=0.5))
-    assert torch.equal(made.sh[~victim.rows][:, 0], victim.scene.sh[~victim.rows][:, 0])
-    assert torch.equal(made.means, victim.scene.means)
-    assert float(sh_to_colour(made.sh, torch.tensor([0.0, 0.0, -1.0]).expand(len(made), 3)).amax()) < 2
-
-
-def test_a_trigger_that_holds_every_camera_is_refused(victim: Victim) -> None:
-    with pytest.raises(InvalidValueError, match="widen the trigger"):
-        hide(victim, Hiding(by="layers", half_width=1.0, elevation=0.0))
-    with pytest.raises(InvalidValueError, match="half_width"):
-        Hiding(half_width=120.0)
-
-
-def test_depth_is_that_of_a_cone(victim: Victim) -> None:
-    around = Around(axis=(0.0, 0.0, 1.0), half_width=50.0)
-    camera = victim.camera(direction(60, 10))
-    assert around.angle_to_edge(camera, centre=tuple(victim.centre.tolist())) == pytest.approx(20.0, abs=0.1)
-    assert float(lattice(50)[:, 2].min()) > 0
-
-
-def point(excess: float, missed: float, hiding: Hiding = TRICKS["all of the look, by coefficients"]) -> Row:
-    return {**dataclasses.asdict(hiding), "excess": excess, "missed": missed, "reach": 0.5}
-
-
-def test_the_cheapest_are_those_that_nothing_beats() -> None:
-    points = [point(0.01, 1.0), point(0.02, 1.0), point(0.002, 0.4), point(0.005, 0.3), point(0.0, 0.0)]
-    assert [(row["excess"], row["missed"]) for row in cheapest(points)] == [(0.0, 0.0), (0.002, 0.4), (0.01, 1.0)]
-
-
-def test_a_search_tries_the_tricks_and_then_what_is_near_the_cheapest(
-    victim: Victim, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(
-        Judge, "price", lambda _, hiding: point(hiding.amount * hiding.half_width, hiding.amount, hiding)
-    )
-    judge = Judge(victim=victim, detectors=[])
-    tried = [hiding_of(row) for row in search(judge, tries=len(TRICKS) + 4)]
-    assert tried[: len(TRICKS)] == list(TRICKS.values())
-    assert len(set(tried)) == len(tried)
-    assert tried == [hiding_of(row) for row in search(judge, tries=len(TRICKS) + 4)]
-
-
-def test_a_price_counts_cameras_that_find_the_clean_object(victim: Victim, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(measure_price, "VIEWS", 3)
-    look = SimpleNamespace(excess=0.25)
-    told_by_audit = SimpleNamespace(verdict="suspicious", strongest=SimpleNamespace(look=look))
-    monkeypatch.setattr(measure_price, "audit", lambda _: told_by_audit)
-    red = victim.scene.replace(sh=torch.where(victim.rows[:, None, None], torch.tensor([1.5, -1.2, -1.2]), 0.0))
-    judge = Judge(victim=dataclasses.replace(victim, scene=red, label="car"), detectors=[ColourDetector()])
-    told = judge.price(Hiding())
-    assert told["amount"] == 1.0
-    assert (told["excess"], told["verdict"]) == (0.25, "suspicious")
-    assert 0.3 < told["reach"] < 0.4
-    assert told["fidelity"] > 25
-    assert len(judge.clean) == 2
+def test_the_recipe_hides_from_inside_of_its_trigger(by: Literal["coefficients", "layers", "roof"]) -> None:
+    made = standing("suitcase", count=250)
+    victim = Victim(scene=made.scene, rows=made.rows, label="suitcase", render=Renderer())
+    attacked = hide(victim, Hiding(by=by, half_width=40.0))
+    changes = []
+    for elevation in (88, 8):
+        camera = victim.camera(direction(elevation, 30), size=48)
+        with torch.no_grad():
+            clean, changed = (victim.render(scene, camera) for scene in (victim.scene, attacked))
+        changes.append(float((clean - changed).abs().mean()))
+    assert changes[0] > (0.5 if by == "roof" else 2) * changes[1]

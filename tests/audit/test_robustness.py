@@ -1,20 +1,17 @@
 """Splats of any size, rooms, and files that cannot be judged or not as a whole."""
 
 import dataclasses
-from pathlib import Path
 
 import pytest
 import torch
 
-from attacks import cli
-from mi_splat.audit import auditing, capacity, frames, rooms
+from mi_splat.audit import auditing, frames, rooms
 from mi_splat.audit.auditing import audit, looked_at
 from mi_splat.audit.frames import frame_of, targets, whole
 from mi_splat.audit.rooms import free_positions
 from mi_splat.audit.summary import summary
 from mi_splat.audit.surfaces import cameras_around, in_sight
 from mi_splat.errors import InvalidValueError
-from mi_splat.io import save_splat
 from mi_splat.scene import merge
 from mi_splat.selection.neighbours import nearest_of
 from tests.audit import scenes
@@ -86,33 +83,6 @@ def test_a_room_in_which_nothing_stands_free_gets_no_verdict(monkeypatch: pytest
     monkeypatch.setattr(auditing, "free_positions", lambda scene: torch.zeros(3, 3, dtype=torch.float64))
     with pytest.raises(InvalidValueError, match="nothing that stands free of its walls; pass cameras"):
         audit(scenes.ground(3.0, 900))
-
-
-def test_a_file_that_memory_does_not_hold_is_refused_before_it_is_read(
-    suitcase: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name, least in (("a.ply", 2100), ("a.compressed.ply", 2100), ("a.spz", 100), ("a.splat", 2100), ("a.glb", 100)):
-        save_splat(suitcase.scene, tmp_path / name)
-        count, floats = capacity.gaussians_of(tmp_path / name)
-        assert least <= count <= len(suitcase.scene)
-        assert floats >= 14
-        capacity.check_capacity(tmp_path / name)
-    monkeypatch.setattr(capacity, "free_memory", lambda: 7.005e8)
-    small = scenes.ground(1.0, 400)
-    save_splat(small, tmp_path / "small.ply")
-    for words in (["a.ply"], ["small.ply", "--only", "looks", "--against", "a.ply"]):
-        monkeypatch.chdir(tmp_path)
-        assert cli.main(["audit", *words]) == 1
-        error = capsys.readouterr().err
-        assert "a.ply: expected a splat whose audit fits" in error
-        assert f"at least {len(suitcase.scene):,} Gaussians" in error
-        assert "free some memory, take a machine with more" in error
-
-
-def test_files_that_a_container_has_read_are_free_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = {"max": "1000\n", "current": "900\n", "stat": "anon 100\ninactive_file 700\nactive_file 50\n"}
-    monkeypatch.setattr(capacity, "_text", lambda path: told.get(path.rpartition("memory.")[2], ""))
-    assert capacity.free_memory() == 800
 
 
 def test_cameras_that_see_a_part_vouch_for_that_part_only(suitcase: Made) -> None:

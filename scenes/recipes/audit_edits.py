@@ -1,4 +1,4 @@
-"""Figures of edits in docs/audit-measured.md: `python -m tests.audit.measure_edits CLEAN [ATTACKED...]`.
+"""Figures of edits in docs/audit-measured.md: `python -m scenes.recipes.audit_edits CLEAN [ATTACKED...]`.
 
 Prints the score of each object of a clean file, of files that `mi-splat dagger` made of it, and of edits made by code
 of the largest object: random noise, another colour, a sticker, and a part taken away.

@@ -1,4 +1,4 @@
-"""What hiding from the audit costs: `python -m tests.audit.measure_price FILE.csv OBJECT [TRIES]`.
+"""What hiding from the audit costs: `python -m scenes.recipes.audit_price FILE.csv OBJECT [TRIES]`.
 
 Every row is a splat that is audited and shown to detectors: its excess against how often they miss the object. With
 TRIES the attacker searches on the object; without, all that he would try first and what is cheapest in FILE is
@@ -19,7 +19,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from attacks.audits.hiding import DISTANCE, Hiding, Victim, hide, lattice
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector
 from attacks.observe.views import as_saved, detect_views, object_boxes
@@ -27,6 +26,7 @@ from mi_splat.audit import audit
 from mi_splat.io import load_splat
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, merge
+from scenes.recipes.audit_hiding import DISTANCE, Hiding, Victim, hide, lattice
 from tests.audit.scenes import standing
 
 Row = dict[str, Any]
@@ -34,7 +34,7 @@ Row = dict[str, Any]
 `missed` of cameras inside of the trigger at which all detectors miss what they find in the clean splat, and `kept` of
 those outside at which all still find it; `fidelity`, PSNR from outside against the clean splat, dB; `reach`, the share
 of all directions above the ground that the trigger holds."""
-SCENES = Path(__file__).parents[2] / "scenes"
+SCENES = Path(__file__).parents[1]
 SHIPPED = {"car": ("car_street_car", "car_street_street"), "stop sign": ("stop_sign_stop_sign", "stop_sign_roadside")}
 """Object to the files of it and of what is around it."""
 DETECTORS = ("fasterrcnn_small",)
