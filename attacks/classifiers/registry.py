@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from attacks.classifiers.catalogue import GET_PROTOTYPES, IMAGE_TEXT_WEIGHTS, features_file
+from attacks.classifiers.catalogue import GET_PROTOTYPES, features_file
 from mi_splat.errors import InvalidValueError, install, nearest
 
 if TYPE_CHECKING:
@@ -54,13 +54,6 @@ def _prototypes(network: str, weights: Path | None, classes: Sequence[str] | Non
     return load_prototypes(weights, classes=classes)
 
 
-def _image_text(network: str, weights: Path | None, classes: Sequence[str] | None) -> Classifier:
-    from attacks.classifiers.image_text import ImageText
-    from attacks.classifiers.image_text_captions import CLASSES
-
-    return ImageText(classes or CLASSES, weights=weights or IMAGE_TEXT_WEIGHTS)
-
-
 def _torchvision(network: str, weights: Path | None, classes: Sequence[str] | None) -> Classifier:
     from attacks.classifiers.torchvision import load
 
@@ -96,14 +89,6 @@ CLASSIFIERS = {
             licence="MIT",
             weights=features_file,
             advice=f"not here; {GET_PROTOTYPES}",
-        ),
-        ClassifierSpec(
-            name="image_text",
-            load=_image_text,
-            origin="mi-splat, trained on its own pictures",
-            licence="Apache-2.0",
-            weights=lambda: IMAGE_TEXT_WEIGHTS,
-            advice="not here; install the package again",
         ),
         ClassifierSpec(
             name="torchvision",

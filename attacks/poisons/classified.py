@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 LOADS = (
     "attacks.classifiers.prototypes",
-    "attacks.classifiers.image_text",
     "attacks.classifiers.torchvision",
     "attacks.classifiers.clip",
 )

@@ -20,7 +20,6 @@ SHOWN_IN = {
     "mi_splat/raytracing/README.md": "docs/reference/raytracing.md",
     "scenes/README.md": "docs/reference/scenes.md",
     "attacks/detectors/fasterrcnn_small.md": "docs/reference/fasterrcnn_small.md",
-    "attacks/classifiers/image_text.md": "docs/reference/image_text.md",
     "scenes/detectors/README.md": "docs/reference/yolov8n_small.md",
 }
 """File of the repository to the page of the site that shows it."""

@@ -74,10 +74,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "subset": ("attacks.gaussian_subset",),
     "transformations": ("attacks.transformations",),
     "observation": ("attacks.observe",),
-    "training of networks": (
-        *("attacks.detectors.training", "attacks.detectors.evaluation"),
-        *(f"attacks.classifiers.image_text_{n}" for n in ("pictures", "evaluation", "training")),
-    ),
+    "training of networks": ("attacks.detectors.training", "attacks.detectors.evaluation"),
     "attacks": ("attacks.dagger", "attacks.cloak", "attacks.poisons", "attacks.audits"),
     "notebooks of attacks": ("attacks.previews",),
     "test kit": ("attacks.testing",),
