@@ -76,7 +76,7 @@ def run(options: PoisonOptions) -> None:
     from attacks.cloak.own_pictures import BEFORE_AND_AFTER, RECORD, before_and_after
     from attacks.poisons.writing import as_files_hold, difference_sheet, write_poisoned
     from mi_splat import provenance
-    from mi_splat.datasets import has_tests, load_dataset
+    from mi_splat.datasets import load_dataset
     from mi_splat.io import load_splat
     from mi_splat.io.documents import save_json, save_png
     from mi_splat.io.folders import check_new_folder, new_folder
@@ -88,8 +88,7 @@ def run(options: PoisonOptions) -> None:
     work = kind.begun(options.poison, options.seed, options.device)
     with progress("reading the set"):
         views = load_dataset(options.dataset, split="train", downscale=options.downscale)
-        tested = has_tests(options.dataset)
-        held_out = load_dataset(options.dataset, split="test", downscale=options.downscale) if tested else None
+        held_out = load_dataset(options.dataset, split="test", downscale=options.downscale)
         splat = load_splat(options.splat) if kind.needs_splat and options.splat is not None else None
     with progress("poisoning", total=None) as advance:
         told = follow(advance)

@@ -41,7 +41,7 @@ def write_poisoned(
     """
     images = make_folder(folder / IMAGES)
     parts: dict[str, tuple[Dataset, Mapping[int, View]]] = {"train": (clean, done.views.replaced)}
-    if held_out is not None:
+    if held_out:
         parts["test"] = (held_out, {})
     listing = {}
     for split, (views, replaced) in parts.items():

@@ -153,7 +153,7 @@ def run(options: TrainOptions) -> None:
 def _train(options: TrainOptions) -> None:
     """As `run`, in a folder that is this process's own."""
     from mi_splat.bounds import near_plane
-    from mi_splat.datasets import Dataset, has_tests, load_dataset
+    from mi_splat.datasets import load_dataset
     from mi_splat.metrics import load_lpips
     from mi_splat.training.resume import METRICS, SPLAT, train
 
@@ -165,7 +165,7 @@ def _train(options: TrainOptions) -> None:
         if config.masks and not any(frame.mask for frame in views.frames):
             do = "leave out --masks, or put them where the set says"
             raise InvalidValueError(message(str(options.dataset), "masks of pictures", "none", do))
-        held_out = load(split="test") if has_tests(options.dataset) else ()
+        held_out = load(split="test")
         start = _start(views, options)
         near = near_plane(start, views.cameras) if options.near is None else options.near
         render = _renderer(options, near)
@@ -173,7 +173,7 @@ def _train(options: TrainOptions) -> None:
     begun = time.monotonic()
     lpips = load_lpips() if options.lpips else None
     words = _Words()
-    sets = (views, held_out) if isinstance(held_out, Dataset) else (views,)
+    sets = (views, held_out) if len(held_out) else (views,)
     with (
         _page(options, sets, start, near) as following,
         progress("training", total=config.iterations) as advance,

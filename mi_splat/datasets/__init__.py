@@ -1,6 +1,6 @@
 """Sets of pictures with cameras, as other programs keep them: Blender/NeRF transforms and COLMAP models."""
 
-from mi_splat.datasets.dataset import Dataset, has_tests, is_dataset, load_dataset
+from mi_splat.datasets.dataset import Dataset, is_dataset, load_dataset
 from mi_splat.datasets.errors import DatasetError, DatasetWarning
 from mi_splat.datasets.writing import write_colmap, write_transforms
 from mi_splat.io.points import PointCloud
@@ -10,7 +10,6 @@ __all__ = [
     "DatasetError",
     "DatasetWarning",
     "PointCloud",
-    "has_tests",
     "is_dataset",
     "load_dataset",
     "write_colmap",

@@ -4,6 +4,7 @@ COLMAP's poses are world-to-camera with our camera axes, and (0.5, 0.5) is the c
 """
 
 import math
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -12,9 +13,9 @@ from torch import Tensor
 
 from mi_splat.cameras import Camera
 from mi_splat.datasets import colmap_binary, colmap_text
-from mi_splat.datasets.colmap_model import MODELS, Lens, Model, Pose
+from mi_splat.datasets.colmap_model import MODELS, ONE_FOCAL, TWO_FOCALS, Lens, Model, Pose, unreadable
 from mi_splat.datasets.distortion import Intrinsics
-from mi_splat.datasets.errors import DatasetError
+from mi_splat.datasets.errors import DatasetError, DatasetWarning
 from mi_splat.datasets.frames import (
     HELD_OUT,
     Frame,
@@ -36,8 +37,6 @@ TEST_LIST = "test.txt"
 
 _FOLDERS = ("sparse/0", "sparse", "0", ".")
 _KINDS = (".bin", ".txt")
-_ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
-_TWO_FOCALS = ("PINHOLE", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV")
 _TANGENTIAL = ("OPENCV", "FULL_OPENCV")
 """Whose third and fourth coefficient are tangential, and the sixth and later ones a divisor's."""
 
@@ -53,6 +52,10 @@ def read_colmap(
 ) -> tuple[list[Frame], PointCloud | None]:
     """The frames of a split in the order of names, and the points."""
     folder = cameras_file.parent
+    others = [other for other in sorted(folder.parent.glob("[0-9]*")) if other != folder and find_model(other)]
+    if folder.name == "0" and others and root != folder:
+        do = f"{folder} is read; to read another, pass its folder"
+        warnings.warn(f"{folder.parent} has {len(others) + 1} models: {do}", DatasetWarning, stacklevel=3)
     model = _read_model(cameras_file)
     poses, source = _poses(model, cameras_file), _images_file(cameras_file)
     images, lenses = _images_folder(root, folder), _lenses(model, cameras_file)
@@ -141,13 +144,12 @@ def _intrinsics(lenses: Mapping[int, Lens], number: int, source: Path) -> Intrin
     if number not in lenses:
         raise DatasetError.of(str(source), f"a camera {number}", "none", "export the model again")
     lens, where = lenses[number], f"{source}, camera {number}"
-    if lens.model not in (*_ONE_FOCAL, *_TWO_FOCALS):
-        do = "undistort the pictures with colmap image_undistorter and pass its output"
-        raise DatasetError.of(where, f"one of {', '.join((*_ONE_FOCAL, *_TWO_FOCALS))}", lens.model, do)
+    if lens.model not in (*ONE_FOCAL, *TWO_FOCALS):
+        raise unreadable(where, lens.model)
     if len(lens.parameters) != MODELS[lens.model]:
         expected, got = f"{MODELS[lens.model]} parameters of {lens.model}", len(lens.parameters)
         raise DatasetError.of(where, expected, got, "export the model again")
-    first = lens.parameters[:1] if lens.model in _ONE_FOCAL else ()
+    first = lens.parameters[:1] if lens.model in ONE_FOCAL else ()
     fx, fy, cx, cy, *rest = (*first, *lens.parameters)
     radial, tangential, divisor = rest, [0.0, 0.0], list[float]()
     if lens.model in _TANGENTIAL:

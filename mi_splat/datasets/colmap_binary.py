@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 import torch
 
-from mi_splat.datasets.colmap_model import MODELS, Lens, Model, Pose
+from mi_splat.datasets.colmap_model import MODELS, Lens, Model, Pose, unreadable
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
@@ -98,8 +98,7 @@ def _lenses(path: Path) -> dict[int, Lens]:
         for _ in range(reader.count(_LENS.size)):
             number, model, width, height = (int(value) for value in reader.take(_LENS))
             if not 0 <= model < len(_NAMES):
-                do = "undistort the pictures with colmap image_undistorter and pass its output"
-                raise DatasetError.of(f"{path}, camera {number}", "a known camera model", f"number {model}", do)
+                raise unreadable(f"{path}, camera {number}", f"number {model}")
             parameters = reader.take(struct.Struct(f"<{MODELS[_NAMES[model]]}d"))
             _add(lenses, number, Lens(_NAMES[model], width, height, parameters), path)
     return lenses

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from mi_splat.datasets.errors import DatasetError
 from mi_splat.io.points import PointCloud
 
 MODELS = {
@@ -17,8 +18,24 @@ MODELS = {
     "RADIAL_FISHEYE": 5,
     "THIN_PRISM_FISHEYE": 12,
     "RAD_TAN_THIN_PRISM_FISHEYE": 16,
+    "SIMPLE_DIVISION": 4,
+    "DIVISION": 5,
+    "SIMPLE_FISHEYE": 3,
+    "FISHEYE": 4,
+    "EUCM": 6,
+    "EQUIRECTANGULAR": 2,
 }
 """Number of parameters of each of COLMAP's camera models, in the order of its ids."""
+
+ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE")
+TWO_FOCALS = ("PINHOLE", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FISHEYE")
+"""The camera models that are read, by how many focal lengths they have."""
+
+
+def unreadable(where: str, model: str) -> DatasetError:
+    """The error for a camera model that is not read."""
+    do = "undistort the pictures with colmap image_undistorter, or cut panoramas into perspective images first"
+    return DatasetError.of(where, f"a camera model of {', '.join((*ONE_FOCAL, *TWO_FOCALS))}", model, do)
 
 
 @dataclass(frozen=True, slots=True)

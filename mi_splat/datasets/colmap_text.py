@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from mi_splat.datasets.colmap_model import MODELS, Lens, Model, Pose
+from mi_splat.datasets.colmap_model import Lens, Model, Pose
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
@@ -50,8 +50,6 @@ def _lenses(path: Path) -> dict[int, Lens]:
             raise _fault(path, number, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS...", line) from error
         if key in lenses:
             raise _fault(path, number, "every id once", line)
-        if lens.model not in MODELS:
-            raise _fault(path, number, f"a camera model, one of {', '.join(MODELS)}", line)
         lenses[key] = lens
     return lenses
 

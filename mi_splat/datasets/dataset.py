@@ -23,6 +23,7 @@ from mi_splat.datasets.pictures import read_mask, read_picture
 from mi_splat.datasets.transforms import PARTS, SINGLE, find_transforms, read_transforms
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import sha256
+from mi_splat.io.errors import folder_advice
 from mi_splat.io.picture_files import check_pixels
 from mi_splat.io.points import PointCloud, load_points
 
@@ -200,7 +201,7 @@ def load_dataset(
     Args:
         path: The folder, or a transforms file.
         split: "train" or "test"; None is both. Where the set has no split, every `test_every`-th picture in the order
-            of names, the first included, is for tests.
+            of names, the first included, is for tests, unless it is the only one; "test" may then be empty.
         downscale: Integer factor by which pictures and intrinsics shrink; pixels are averaged, or taken from the
             smaller pictures of the set, in images_2 beside images for a factor of 2, and so on.
         background: sRGB colour behind transparent pixels.
@@ -231,8 +232,8 @@ def load_dataset(
     else:
         expected = "transforms.json, transforms_train.json or a COLMAP model in sparse/0"
         got = "none of these" if root.is_dir() else "no such folder"
-        raise DatasetError.of(str(root), expected, got, "pass the folder of a set of pictures")
-    if not frames:
+        raise DatasetError.of(str(root), expected, got, folder_advice(root, "pass the folder of a data set"))
+    if not frames and split != "test":
         do = "choose another split or test_every"
         raise DatasetError.of(str(root), "at least one picture", f"none for split {split!r}", do)
     return Dataset(
@@ -246,9 +247,3 @@ def is_dataset(path: str | os.PathLike[str]) -> bool:
     if root.is_dir():
         return find_transforms(root) is not None or find_model(root) is not None
     return root.name in (SINGLE, *PARTS.values())
-
-
-def has_tests(path: str | os.PathLike[str]) -> bool:
-    """Whether `load_dataset` has pictures for tests in a folder; a transforms_train.json alone has none."""
-    transforms = find_transforms(Path(path))
-    return transforms is None or transforms.name not in PARTS.values() or transforms.with_name(PARTS["test"]).is_file()

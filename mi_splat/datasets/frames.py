@@ -181,7 +181,7 @@ def held_out(items: Sequence[Item], split: Split | None, every: int) -> list[Ite
     """The part of a set without a split of its own: each `every`-th item for tests, the first included."""
     if split is None:
         return list(items)
-    return [item for i, item in enumerate(items) if (i % every == 0) == (split == "test")]
+    return [item for i, item in enumerate(items) if (i % every == 0 and len(items) > 1) == (split == "test")]
 
 
 def refuse_doubles(names: Iterable[str], source: Path) -> None:

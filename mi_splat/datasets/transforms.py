@@ -4,6 +4,7 @@ Poses in these files are camera-to-world with OpenGL's axes (x right, y up, z ba
 """
 
 import math
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from torch import Tensor
 
 from mi_splat.cameras import Camera
 from mi_splat.datasets.distortion import Intrinsics
-from mi_splat.datasets.errors import DatasetError
+from mi_splat.datasets.errors import DatasetError, DatasetWarning
 from mi_splat.datasets.frames import (
     Frame,
     Split,
@@ -70,7 +71,7 @@ def read_transforms(path: Path, split: Split | None, every: int, downscale: int 
         return [frame for _, frame in entries if frame], _points_file(document, path)
     files = {part: path.with_name(name) for part, name in PARTS.items()}
     wanted = files.values() if split is None else [files[split]]
-    documents = {file: _document(file) for file in wanted if split is not None or file.is_file()}
+    documents = {file: _document(file) for file in wanted if split == "train" or file.is_file()}
     entries = [entry for file, document in documents.items() for entry in _entries(document, file, downscale)]
     refuse_doubles((str(picture) for picture, _ in entries), path)
     return [frame for _, frame in entries if frame], next(
@@ -243,4 +244,7 @@ def _points_file(document: Mapping[str, Any], path: Path) -> Path | None:
     if isinstance(named, str) and named:
         within(path.parent, named, f"{path}: ply_file_path", above=_ABOVE)
         names = (named,)
+        if not (path.parent / named).is_file():
+            text = f"{path}: the point cloud {named} is missing; going on without points"
+            warnings.warn(text, DatasetWarning, stacklevel=4)
     return next((path.parent / name for name in names if (path.parent / name).is_file()), None)

@@ -30,6 +30,8 @@ _ADVICE = {
     errno.ENAMETOOLONG: "use a shorter name",
 }
 
+_PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".heic", ".heif", ".avif")
+
 
 def path_name(value: object) -> str:
     """A path, as text or as `pathlib` has it, as text."""
@@ -42,4 +44,12 @@ def path_name(value: object) -> str:
 def from_os_error(path: str, expected: str, error: OSError) -> SplatFileError:
     """The SplatFileError for a failure that the operating system reported."""
     got = error.strerror or str(error)
-    return SplatFileError.of(path, expected, got, _ADVICE.get(error.errno or 0, "check the disk and try again"))
+    do = _ADVICE.get(error.errno or 0, "check the disk and try again")
+    return SplatFileError.of(path, expected, got, folder_advice(path, do) if error.errno == errno.EISDIR else do)
+
+
+def folder_advice(folder: str | os.PathLike[str], otherwise: str) -> str:
+    """What to do about a folder that cannot be read as it is: photographs have to be prepared first."""
+    if os.path.isdir(folder) and any(name.lower().endswith(_PHOTOGRAPHS) for name in os.listdir(folder)):
+        return f"run mi-splat prepare {os.fspath(folder)} first, which finds the cameras of photographs"
+    return otherwise

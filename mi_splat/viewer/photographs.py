@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from mi_splat.cameras import Camera
-from mi_splat.datasets import Dataset, has_tests, is_dataset, load_dataset
+from mi_splat.datasets import Dataset, is_dataset, load_dataset
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import OF, recorded_cameras, unique_names
@@ -29,7 +29,7 @@ def photographs_of(
     factor = -(-longest // LONGEST_SIDE)
     if factor > 1 and not any(factor % frame.shrunk for frame in views.frames):
         views = replace(views, downscale=factor)
-    held_out = load_dataset(path, split="test").paths if has_tests(path) else ()
+    held_out = load_dataset(path, split="test").paths
     return _listed(views, path, frozenset(held_out), middle)
 
 

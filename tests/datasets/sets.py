@@ -93,6 +93,7 @@ LENSES: dict[str, tuple[list[float], tuple[int, int], list[float]]] = {
         (215, 136),
         [90.0, 95.0, 107.903125, 68.11333333333333],
     ),
+    "FISHEYE": ([90.0, 95.0, 80.3, 60.1], (219, 137), [90.0, 95.0, 109.91062500000001, 68.61416666666668]),
 }
 """COLMAP's parameters of pictures of 160 x 120, and what COLMAP 4.2.1 undistorts them to: size, and fx, fy, cx, cy."""
 

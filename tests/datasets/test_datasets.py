@@ -128,6 +128,28 @@ def test_one_file_for_all_pictures_with_intrinsics_by_frame(tmp_path: Path) -> N
     assert [path.stem for path in load_dataset(tmp_path, split="train").paths] == ["1", "2"]
 
 
+def test_a_set_of_one_image_has_no_held_out_image(tmp_path: Path) -> None:
+    write_transforms(tmp_path, VIEWS[:1])
+    assert [len(load_dataset(tmp_path, split=split)) for split in ("train", "test")] == [1, 0]  # type: ignore[arg-type]
+    (tmp_path / "transforms_train.json").rename(tmp_path / "transforms.json")
+    assert [len(load_dataset(tmp_path, split=split)) for split in ("train", "test")] == [1, 0]  # type: ignore[arg-type]
+
+
+def test_a_point_cloud_that_is_missing_is_warned_of(tmp_path: Path) -> None:
+    write_transforms(tmp_path, VIEWS, points=CLOUD)
+    (tmp_path / "points3D.ply").unlink()
+    with pytest.warns(DatasetWarning, match=r"the point cloud points3D\.ply is missing"):
+        assert load_dataset(tmp_path).points is None
+
+
+def test_of_several_models_the_first_is_read_with_a_warning(tmp_path: Path) -> None:
+    write_colmap(tmp_path, VIEWS)
+    shutil.copytree(tmp_path / "sparse" / "0", tmp_path / "sparse" / "1")
+    with pytest.warns(DatasetWarning, match="has 2 models: .* to read another, pass its folder"):
+        load_dataset(tmp_path)
+    assert len(load_dataset(tmp_path / "sparse" / "1", split=None)) == len(VIEWS)
+
+
 def test_binary_models(tmp_path: Path) -> None:
     model = colmap_binary(tmp_path, VIEWS, CLOUD)
     dataset = load_dataset(tmp_path, split=None)

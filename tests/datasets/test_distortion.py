@@ -14,6 +14,7 @@ from PIL import Image
 
 from mi_splat.cameras import Camera, View, project_points
 from mi_splat.datasets import DatasetError, load_dataset, write_colmap
+from mi_splat.datasets.colmap_model import TWO_FOCALS
 from mi_splat.datasets.distortion import Intrinsics, undistorted
 from mi_splat.training.evaluation import MOST_PSNR, score
 from tests import oracle
@@ -22,10 +23,10 @@ from tests.datasets.sets import CLOUD, LENSES, PROBES, VIEWS, lens_set, ramps
 
 def where(model: str, parameters: list[float], x: float, y: float) -> tuple[float, float]:
     """Where OpenCV's documentation says that a lens shows the point (x, y, 1)."""
-    fx, fy, cx, cy, *k = parameters if "OPENCV" in model else [parameters[0], *parameters]
+    fx, fy, cx, cy, *k = parameters if model in TWO_FOCALS else [parameters[0], *parameters]
     r = math.hypot(x, y)
-    if model == "OPENCV_FISHEYE":
-        theta = math.atan(r)
+    if model.endswith("FISHEYE"):
+        theta, k = math.atan(r), [*k, *[0.0] * 4]
         ratio = (theta + k[0] * theta**3 + k[1] * theta**5 + k[2] * theta**7 + k[3] * theta**9) / r
         return fx * x * ratio + cx, fy * y * ratio + cy
     k1, k2, p1, p2, k3, k4, k5, k6 = [*k, *[0.0] * 7][:8]
@@ -50,7 +51,8 @@ def test_a_lens_is_undone_as_by_colmap(model: str, tmp_path: Path) -> None:
     lens_set(tmp_path / "text", model, parameters, ramps())
     keys = {"SIMPLE_RADIAL": ["k1"], "RADIAL": ["k1", "k2"], "OPENCV": ["k1", "k2", "p1", "p2"]}
     keys["FULL_OPENCV"] = [*keys["OPENCV"], "k3", "k4", "k5", "k6"]
-    fx, fy, cx, cy, *k = parameters if "OPENCV" in model else [parameters[0], *parameters]
+    keys["FISHEYE"] = []
+    fx, fy, cx, cy, *k = parameters if model in TWO_FOCALS else [parameters[0], *parameters]
     document = {"camera_model": model, "w": 160, "h": 120, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
     document |= dict(zip(keys.get(model, ["k1", "k2", "k3", "k4"]), k, strict=True))
     frames = [{"file_path": "../text/images/0.png", "transform_matrix": np.eye(4).tolist()}]

@@ -1,7 +1,6 @@
 """What is wrong with a picture set is said in one line that names the file."""
 
 import json
-import shutil
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +13,7 @@ from PIL import Image
 
 from mi_splat.datasets import DatasetError, PointCloud, load_dataset, write_colmap, write_transforms
 from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.io import load_splat
 from tests.datasets.sets import CLOUD, VIEWS, colmap_binary
 
 Harm = Callable[[Path], object]
@@ -134,7 +134,8 @@ TEXT: dict[str, tuple[Harm, str]] = {
         "focal: expected positive",
     ),
     "a picture from elsewhere": (replace("images.txt", "train_00001", "../x"), "a file in the set"),
-    "unknown model": (replace("cameras.txt", "PINHOLE", "CAMERA"), r"cameras\.txt, line 2: expected a camera model"),
+    "unknown model": (replace("cameras.txt", "PINHOLE", "CAMERA"), "camera 1: expected a camera model.*; undistort"),
+    "panoramas": (replace("cameras.txt", "1 PINHOLE", "1 EQUIRECTANGULAR"), "got EQUIRECTANGULAR; undistort"),
     "too few parameters": (replace("cameras.txt", " 7.75", ""), "4 parameters of PINHOLE"),
     "words": (replace("cameras.txt", "18 13", "wide 13"), r"cameras\.txt, line 2: .*'1 PINHOLE wide"),
     "doubled camera": (rewrite(MODEL + "cameras.txt", lambda data: data * 2), "every id once"),
@@ -173,7 +174,7 @@ def test_text_models(harm: Harm, says: str, tmp_path: Path) -> None:
 def splice(name: str, at: int, form: str, *values: float) -> Harm:
     """Other values at a place of a binary file."""
     data = struct.pack(form, *values)
-    return rewrite(MODEL + name, lambda old: old[:at] + data + old[at + len(data) :])
+    return rewrite(MODEL + name, lambda old: old[:at] + data + (old[at + len(data) :] if at else b""))
 
 
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
@@ -196,9 +197,14 @@ def test_binary_sizes(name: str, change: Callable[[bytes], bytes], says: str, tm
         load_dataset(tmp_path)
 
 
+PANORAMAS = "<QiiQQ2diiQQ2d"
 BINARY: dict[str, tuple[Harm, str]] = {
     "distortion": (splice("cameras.bin", 12, "<i", 3), "cameras.bin"),
     "unknown model": (splice("cameras.bin", 12, "<i", 99), "number 99; undistort"),
+    "panoramas": (
+        splice("cameras.bin", 0, PANORAMAS, 2, 7, 17, 18, 13, 18, 13, 3, 17, 18, 13, 18, 13),
+        r"got EQUIRECTANGULAR; undistort",
+    ),
     "doubled camera": (splice("cameras.bin", 56, "<i", 7), "7 twice"),
     "NaN": (splice("images.bin", 12, "<d", float("nan")), "a quaternion"),
     "no such camera": (splice("images.bin", 68, "<i", 9), "a camera 9"),
@@ -217,16 +223,15 @@ def test_binary_values(harm: Harm, says: str, tmp_path: Path) -> None:
 
 
 def test_folders_that_are_no_set(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="none of these"):
+    with pytest.raises(DatasetError, match="none of these; pass the folder of a data set"):
         load_dataset(tmp_path)
+    Image.new("RGB", (5, 5)).save(tmp_path / "photo.JPG", "JPEG")
+    for read in (load_dataset, load_splat):
+        with pytest.raises(MiSplatError, match=f"run mi-splat prepare {tmp_path} first"):
+            read(tmp_path)
     with pytest.raises(DatasetError, match="no such folder"):
         load_dataset(tmp_path / "nowhere")
     write_transforms(tmp_path, VIEWS[:1])
-    with pytest.raises(DatasetError, match=r"transforms_test\.json.*another split"):
-        load_dataset(tmp_path, split="test")
-    shutil.move(tmp_path / "transforms_train.json", tmp_path / "transforms.json")
-    with pytest.raises(DatasetError, match="none for split 'train'"):
-        load_dataset(tmp_path)  # the only picture is held out
 
 
 @pytest.mark.parametrize(
