@@ -25,38 +25,49 @@ if TYPE_CHECKING:
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 
 
-COMMANDS = {
-    "capture": "take pictures of a mesh scene, to train a splat from",
-    "prepare": "cameras of photographs or of a video, to train a splat from them",
-    "train": "train a splat on pictures with cameras",
-    "render": "render a splat: a picture, many, or an animation",
-    "compare": "compare renderers on one splat: pictures, gradients, time and memory",
-    "select": "select one object of a splat, and see whether it is the right one",
-    "info": "what a splat file or a scene XML holds",
-    "audit": "whether a splat hides something that shows from some directions only",
-    "convert": "convert a splat file to another format",
-    "example-scenes": "make one of the shipped splat scenes again",
-    "dagger": "attack one object of a splat scene, so that a detector misreads it",
-    "dagger-eot": "the same attack for all cameras of a region at once, judged on held-out views",
-    "detect": "what detectors see in pictures, splats and scenes",
-    "evaluate": "how often an object is found, missed or misread, clean and attacked",
-    "study": "many attacks and what they hang on, from one TOML file: plan, run, status",
-    "bench": "a row of the scoreboard: one suite of attacks, the same for every detector",
-    "dagger-sanity": "whether DAGGER is a sane attack on an object and a detector, line by line",
-    "poison": "change the pictures of a set, so that a splat of them hides an object, costs more, or is misread",
-    "cloak": "poison training pictures, train on them, and measure who sees what (CLOAK)",
-    "artifact": "pack a finished result with its raw rows, so that others can check its figures",
-    "artifact-check": "derive every figure of artifacts again from their rows, or score their splats again",
-    "view": "look at a splat or a result in the browser, clean beside attacked",
-    "report": "one page of results: figures with intervals and controls, warnings, how to repeat them",
-    "rows": "the rows of a result, from which its figures are counted: as CSV or JSON",
-    "detectors": "the detectors, their classes, and whether the weights are there; get some of others",
-    "classifiers": "the classifiers, and whether the weights are there; get those of others",
-    "train-detector": "train one of the project's small detectors",
-    "evaluate-detector": "mAP, recall and false positives of detectors on held-out pictures",
-    "doctor": "check that everything works here, and say what to do where it does not",
+GROUPS: dict[str, dict[str, str]] = {
+    "look at a splat": {
+        "info": "what a splat file or a scene XML contains",
+        "view": "interactive viewer: a splat or a result in the browser, clean beside attacked",
+        "render": "render images or an animation of a splat",
+        "compare": "compare renderers on one splat: images, gradients, time and memory",
+        "convert": "convert a splat file to another format",
+        "select": "select one object of a splat, and check the selection",
+    },
+    "make a splat": {
+        "capture": "render training images of a mesh scene",
+        "prepare": "estimate the cameras of photographs or of a video, as a training set",
+        "train": "train a splat on images with cameras",
+        "example-scenes": "make one of the shipped splat scenes again",
+    },
+    "attack": {
+        "dagger": "perturb one object of a splat so that a detector misreads it (DAGGER)",
+        "dagger --region": "the same for all cameras of a region (EOT), evaluated on held-out views",
+        "cloak": "poison training images, train on them, and measure what detectors report (CLOAK)",
+        "poison": "poison the images of a training set: CLOAK, Poison-splat, M-IFGSM and controls",
+    },
+    "audit and measure": {
+        "audit": "check a splat for hidden, view-dependent appearances, edits and invalid data",
+        "detect": "what detectors report on images, splats and scenes",
+        "evaluate": "detection rates and attack success rates of a result, clean and attacked",
+        "dagger --sanity": "gradient-masking and sanity checks of DAGGER on an object and a detector",
+        "study": "many attacks from one TOML file: plan, run, resume, status",
+        "bench": "robustness benchmark: one suite of attacks, the same for every detector",
+        "report": "one HTML page of results: rates with intervals, controls, warnings, how to repeat them",
+        "rows": "the raw rows of a result as CSV or JSON",
+        "artifact": "pack a result with its raw rows, so that others can check its figures",
+        "artifact-check": "derive every figure of an artifact again from its rows",
+    },
+    "set up": {
+        "doctor": "check the installation, and say how to fix it",
+        "detectors": "list the detectors and their classes; download third-party ones",
+        "classifiers": "list the classifiers; download third-party ones",
+        "train-detector": "train one of the project's small detectors",
+        "evaluate-detector": "mAP, recall and false positives of detectors on held-out images",
+    },
 }
-"""What each command does, in a line; its module is called as it is."""
+"""What each command does, by task; a name with a flag is a mode of a command, with options of its own."""
+COMMANDS = {name: summary for group in GROUPS.values() for name, summary in group.items()}
 OF_SPLATS = ("capture", "prepare", "train", "render", "select", "info", "audit", "convert", "example-scenes")
 """Commands whose modules are in `mi_splat.cli`; those of the others are here."""
 WITHOUT_TORCH = ("classifiers", "detectors", "doctor", "info", "rows", "study")
@@ -70,7 +81,7 @@ def module_of(name: str) -> ModuleType:
     and `defaults(words)`, which reads from the words what other flags depend on.
     """
     package = "mi_splat" if name in OF_SPLATS else "attacks"
-    return importlib.import_module(f"{package}.cli.{name.replace('-', '_')}")
+    return importlib.import_module(f"{package}.cli.{name.replace(' --', '_').replace('-', '_')}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -88,7 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except UsageError as error:
-        name = words[0] if words and words[0] in COMMANDS else ""
+        name = command_of(words)[0] if words and words[0] in COMMANDS else ""
         warn(f"{f'{name}: ' if name else ''}{error} (see {PROGRAM} {f'{name} ' if name else ''}--help)")
         return MISUSED
     except (MiSplatError, OSError) as error:
@@ -122,10 +133,10 @@ def _dispatch(words: list[str]) -> int:
 
         sys.stdout.write(f"{PROGRAM} {version('mi-splat')}\n")
         return DONE
-    name, *rest = words
+    name, rest = command_of(words)
     if name not in COMMANDS:
         do = nearest(name, COMMANDS, f"try {PROGRAM} --help")
-        warn(message("command", f"one of {', '.join(COMMANDS)}", name, do))
+        warn(message("command", f"one of {', '.join(name for name in COMMANDS if ' ' not in name)}", name, do))
         return MISUSED
     from attacks.cli.names import check_names
     from mi_splat.provenance import running_command
@@ -142,6 +153,15 @@ def _dispatch(words: list[str]) -> int:
 
         with pixel_limit(most):
             return module.run(options) or DONE
+
+
+def command_of(words: Sequence[str]) -> tuple[str, list[str]]:
+    """The command that the first word names, or its mode that a flag chooses, and the other words."""
+    name, *rest = words
+    for word in rest:
+        if f"{name} {word}" in COMMANDS:
+            return f"{name} {word}", [other for other in rest if other != word]
+    return name, rest
 
 
 def parse(name: str, words: Sequence[str]) -> Any:
@@ -203,13 +223,15 @@ def _take_max_pixels(words: list[str]) -> int | None:
 def _help() -> str:
     """The text of `mi-splat --help`."""
     width = max(map(len, COMMANDS))
-    commands = "\n".join(f"  {name:{width}}  {summary}" for name, summary in COMMANDS.items())
+    commands = "\n\n".join(
+        "\n".join([f"{task}:", *(f"  {name:{width}}  {summary}" for name, summary in group.items())])
+        for task, group in GROUPS.items()
+    )
     return f"""\
 usage: {PROGRAM} COMMAND [OPTIONS]
 
-Attacks on 3D Gaussian splats, rendered by Mitsuba.
+Adversarial attacks on, and forensic audits of, 3D Gaussian splats.
 
-commands:
 {commands}
 
   {PROGRAM} help COMMAND  the options of one command; also {PROGRAM} COMMAND --help

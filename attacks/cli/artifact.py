@@ -13,7 +13,7 @@ EXAMPLES = (
     "artifact out/cloak --out out/artifact",
     "artifact out/layers --whole --out out/layers-artifact",
 )
-SEE_ALSO = ("artifact-check", "cloak", "dagger-eot")
+SEE_ALSO = ("artifact-check", "cloak", "dagger")
 
 
 @dataclass(frozen=True, kw_only=True)

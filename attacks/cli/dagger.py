@@ -33,7 +33,7 @@ EXAMPLES = (
 )
 _LOOKS = 3
 """How many looks from a camera a step takes as long as: what is seen, and the gradient."""
-SEE_ALSO = ("select", "evaluate", "dagger-eot", "study", "detectors")
+SEE_ALSO = ("select", "evaluate", "dagger --region", "study", "detectors")
 
 
 @dataclass(frozen=True, kw_only=True)

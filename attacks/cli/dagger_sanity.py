@@ -1,4 +1,4 @@
-"""`mi-splat dagger-sanity`: is the attack sane on this object and this detector; red lines end with exit status 1."""
+"""`mi-splat dagger --sanity`: is the attack sane on this object and this detector; red lines end with exit status 1."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 
 EXAMPLES = (
-    "dagger-sanity scenes/car_street.xml --object car --target person --out out/sanity",
-    "dagger-sanity desk.ply --mask mask.npy --azimuth 40 --detectors yolov8n_small --seeds 5 --out out/sanity",
+    "dagger --sanity scenes/car_street.xml --object car --target person --out out/sanity",
+    "dagger --sanity desk.ply --mask mask.npy --azimuth 40 --detectors yolov8n_small --seeds 5 --out out/sanity",
 )
 SEE_ALSO = ("dagger", "evaluate")
 

@@ -26,7 +26,7 @@ def cw(settings: SearchSettings) -> Optimiser:
     At weight 1 both pull alike at the edge of an evenly filled ball, if the loss is as steep there as at the start. A
     round without a success makes the weight ten times as large, one with a success looks between this weight and the
     largest that failed. Each begins at the run's first point, whose gradient is kept, with steps as long as if it were
-    the whole search. Where steps are not judged one by one (`dagger-eot`) the weight only grows.
+    the whole search. Where steps are not judged one by one (`dagger --region`) the weight only grows.
     """
     length = math.ceil(settings.steps / _ROUNDS)
     step = {name: size * settings.steps / length for name, size in settings.step.items()}

@@ -42,7 +42,7 @@ def open_exhibit(
     cameras: Path | None = None,
     background: tuple[float, float, float] | None = None,
 ) -> Exhibit:
-    """A splat, scene XML, data set, or folder of `train`, `dagger`, `dagger-eot`, `evaluate`, `cloak` or `audit`."""
+    """A splat, scene XML, data set, or folder of `train`, `dagger`, `evaluate`, `cloak` or `audit`."""
     exhibit = _opened(path, clean, background or (0.0, 0.0, 0.0))
     run = path / CONFIG
     if run.is_file() and exhibit.photographs is None:

@@ -1,6 +1,6 @@
 """One attack of a study: an object attacked from some of its scene's cameras, or from all cameras of a region.
 
-What it leaves: result.json as `mi-splat dagger` and `dagger-eot` write it, a picture of what was reported before and
+What it leaves: result.json as `mi-splat dagger` writes it, a picture of what was reported before and
 after, and the splat: object.ply has the object's Gaussians alone, attacked.ply of a region the whole scene.
 """
 

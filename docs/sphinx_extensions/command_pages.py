@@ -31,12 +31,17 @@ def write_pages(app: Sphinx) -> None:
     folder = Path(app.srcdir) / FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     for old in folder.glob("*.rst"):
-        if old.stem not in COMMANDS:
+        if old.stem not in map(file_name, COMMANDS):
             old.unlink()
     for name, summary in COMMANDS.items():
-        path, text = folder / f"{name}.rst", "\n".join(page(name, summary)) + "\n"
+        path, text = folder / f"{file_name(name)}.rst", "\n".join(page(name, summary)) + "\n"
         if not path.is_file() or path.read_text() != text:
             path.write_text(text)
+
+
+def file_name(command: str) -> str:
+    """Name of a command's page."""
+    return command.replace(" --", "-")
 
 
 def page(name: str, summary: str) -> Iterator[str]:
@@ -61,7 +66,7 @@ def page(name: str, summary: str) -> Iterator[str]:
                 yield from (marked_up(group.description), "")
             for action in actions:
                 yield from entry(action)
-    yield "See also: " + ", ".join(f":doc:`mi-splat {other} <{other}>`" for other in module.SEE_ALSO) + "."
+    yield "See also: " + ", ".join(f":doc:`mi-splat {other} <{file_name(other)}>`" for other in module.SEE_ALSO) + "."
 
 
 def entry(action: argparse.Action) -> Iterator[str]:

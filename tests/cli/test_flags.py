@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from attacks import cli
-from attacks.cli import parse, parser_of
+from attacks.cli import command_of, parse, parser_of
 from attacks.cloak.config import AttackConfig, CleaningConfig, StudyConfig, SurrogateConfig
 from attacks.cloak.layer_config import LayersConfig
 from attacks.observe.conditions import SunTable
@@ -324,7 +324,7 @@ def test_other_tables_are_refused(table: dict[str, Any], message: str) -> None:
 
 @pytest.mark.parametrize("command", cli.COMMANDS)
 def test_help_begins_with_what_it_does_and_examples(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main([command, "--help"]) == 0
+    assert cli.main([*command.split(), "--help"]) == 0
     text = capsys.readouterr().out
     assert text.index("Examples:") < text.index("-h, --help")
     assert "See also:" in text
@@ -357,21 +357,20 @@ def test_help_says_of_every_flag_what_it_means_and_what_its_values_are_called(co
     ],
 )
 def test_help_shows_ranges_units_and_defaults(command: str, shown: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main([command, "--help"]) == 0
+    assert cli.main([*command.split(), "--help"]) == 0
     assert shown in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize("line", [line for module in MODULES.values() for line in module.EXAMPLES])
 def test_examples_can_be_parsed(line: str) -> None:
-    command, *words = line.split()
-    parse(command, words)
+    parse(*command_of(line.split()))
 
 
 @pytest.mark.parametrize(("command", "module"), MODULES.items())
 def test_examples_and_neighbours_are_of_commands(command: str, module: Any) -> None:
     assert module.EXAMPLES
     assert set(module.SEE_ALSO) <= {*MODULES} - {command}
-    assert all(line.split()[0] == command for line in module.EXAMPLES)
+    assert all(command_of(line.split())[0] == command for line in module.EXAMPLES)
 
 
 def test_words_may_stand_in_any_order() -> None:

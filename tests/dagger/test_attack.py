@@ -335,7 +335,7 @@ def test_radii_make_a_curve_of_attacks_in_one_call() -> None:
 
 
 @pytest.mark.skipif(not (variant.has_cuda() and torch.cuda.is_available()), reason="needs a GPU")
-@pytest.mark.parametrize("words", ["dagger", "dagger-eot --held-out 4 --validation 2"])
+@pytest.mark.parametrize("words", ["dagger", "dagger --region --held-out 4 --validation 2"])
 def test_a_gpu_finds_nearly_the_same_losses(words: str, tmp_path: Path) -> None:
     losses = []
     for device in ("cpu", "cuda"):

@@ -244,7 +244,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, variant: str) -> Path:
     save_splat(toy_scene()[0], base / "a.ply")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("attacks.cli.names.load_detectors", lambda *_: [ColourDetector()])
-        assert cli.main(["dagger-eot", str(base / "a.ply"), *WORDS.split(), "--out", str(base / "out")]) == 0
+        assert cli.main(["dagger", "--region", str(base / "a.ply"), *WORDS.split(), "--out", str(base / "out")]) == 0
     return base / "out"
 
 
@@ -258,7 +258,8 @@ def test_the_command_is_stored_and_repeats_it(folder: Path, monkeypatch: pytest.
     program, *words = shlex.split(line)
     assert [program, *words] == [
         "mi-splat",
-        "dagger-eot",
+        "dagger",
+        "--region",
         str(folder.parent / "a.ply"),
         *WORDS.split(),
         "--out",

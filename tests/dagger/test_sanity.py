@@ -238,7 +238,7 @@ class TestCommand:
         monkeypatch.setattr(cli_cameras, "Renderer", lambda settings: blobs)
 
     def call(self, *words: str) -> int:
-        return cli.main(["dagger-sanity", "toy.ply", *self.WORDS, *self.VIEW, "--out", "out", *words])
+        return cli.main(["dagger", "--sanity", "toy.ply", *self.WORDS, *self.VIEW, "--out", "out", *words])
 
     def test_all_green(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert self.call("--surrogate", "other") == 0

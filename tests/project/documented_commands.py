@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from attacks.cli import command_of
+
 ROOT = Path(__file__).resolve().parents[2]
 
 When = Literal["fast", "nightly", "never"]
@@ -28,7 +30,7 @@ FAST = {
         "compare",
         "convert",
         "dagger",
-        "dagger-eot",
+        "dagger --region",
         "detect",
         "detectors",
         "evaluate",
@@ -44,7 +46,7 @@ FAST = {
 """Commands that are run by `make commands`, for every change."""
 NIGHTLY = {
     *("cloak", "doctor", "evaluate-detector", "view", "python"),
-    "dagger-sanity",
+    "dagger --sanity",
     *("study run pairs", "study run eot_pairs", "study run cloak"),
 }
 """Commands that are run by `make nightly`, each with the whole page that it stands on."""
@@ -79,12 +81,19 @@ class Line:
         return self.words[0].rpartition("/")[2]
 
     @property
+    def command(self) -> str:
+        """The command of `mi-splat`, or its mode."""
+        return command_of(self.words[1:])[0]
+
+    @property
     def kind(self) -> str:
         """What the tables above call it."""
         if self.program != "mi-splat":
             return " ".join(self.words[:2]) if self.program == "make" else self.program
         if "--help" in self.words:
             return "--help"
+        if self.command != self.words[1]:
+            return self.command
         if self.words[1] == "study":
             kind = f"study {self.words[2]} {Path(self.words[3]).stem}"
             return kind if kind in NIGHTLY else "study"
@@ -171,7 +180,7 @@ TINY: dict[str, dict[str, Change]] = {
     "select": {"--cameras": fewer_cameras(2)},
     "detect": {"--cameras": fewer_cameras(1), "--size": to("64")},
     "dagger": {"--cameras": fewer_cameras(2), "--size": to("64"), "--steps": to("1"), "--noise-draws": to("1")},
-    "dagger-eot": {
+    "dagger --region": {
         "--size": to("64"),
         "--steps": to("1"),
         "--pool": to("1"),
@@ -180,7 +189,7 @@ TINY: dict[str, dict[str, Change]] = {
     },
     "evaluate": {"--cameras": fewer_cameras(2), "--size": to("64"), "--pictures": to("1")},
     "view": {"--views": to("2", "1"), "--no-open": to()},
-    "dagger-sanity": {"--seeds": to("1"), "--steps": to("11"), "--surrogate": to("none")},
+    "dagger --sanity": {"--seeds": to("1"), "--steps": to("11"), "--surrogate": to("none")},
     "evaluate-detector": {"--pictures": to("2"), "--splats": to("0"), "--backgrounds.scenes": to("1")},
 }
 """Name of a command to what is changed in it, so that it takes seconds; what counts is that it runs."""
@@ -208,7 +217,7 @@ BENCHMARKS = {"benchmarks/render.py": ["--rounds", "1"]}
 def shortened(line: Line) -> list[str]:
     """The words after `mi-splat`, with the changes that the tables ask for."""
     words = list(line.words[1:])
-    changes = (SMALL if line.page in SMALL_PAGES else TINY).get(words[0], {})
+    changes = (SMALL if line.page in SMALL_PAGES else TINY).get(line.command, {})
     if "--weights" in words:
         changes = {**changes, **SHIPPED_WEIGHTS}
     for flag, change in changes.items():

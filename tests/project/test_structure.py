@@ -170,7 +170,7 @@ def test_packages_and_help_import_nothing_heavy() -> None:
 import contextlib, io, sys
 import attacks, mi_splat
 from attacks.cli import COMMANDS, main
-for words in (["--help"], ["--version"], *([name, "--help"] for name in COMMANDS)):
+for words in (["--help"], ["--version"], *([*name.split(), "--help"] for name in COMMANDS)):
     with contextlib.redirect_stdout(io.StringIO()) as text:
         assert main(words) == 0, words
     assert text.getvalue().strip(), words

@@ -320,7 +320,7 @@ def _gradient(runs: Runs) -> Measured:
     return _agreement(runs, whole_chain, CHAIN)
 
 
-@_check("sees the same at the same point twice", "something is random: attack the mean over it (`dagger-eot`)")
+@_check("sees the same at the same point twice", "something is random: attack the mean over it (`dagger --region`)")
 def _repeatable(runs: Runs) -> Measured:
     config, differences = runs.case.config, list[float]()
     for seed in range(len(runs.case.cameras)):

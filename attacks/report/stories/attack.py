@@ -1,4 +1,4 @@
-"""What `mi-splat dagger` and `dagger-eot` leave behind: one object, from chosen cameras or from all of a region."""
+"""What `mi-splat dagger` leaves behind: one object, from chosen cameras or from all of a region."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path

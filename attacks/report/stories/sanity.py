@@ -1,4 +1,4 @@
-"""What `mi-splat dagger-sanity` leaves behind: whether an attack that fails may be believed."""
+"""What `mi-splat dagger --sanity` leaves behind: whether an attack that fails may be believed."""
 
 from collections.abc import Mapping
 from pathlib import Path

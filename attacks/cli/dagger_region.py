@@ -1,4 +1,4 @@
-"""`mi-splat dagger-eot`: attack one object from all cameras of a region at once, and judge that on held-out views."""
+"""`mi-splat dagger --region`: attack one object from all cameras of a region, evaluated on held-out views."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 
 EXAMPLES = (
-    "dagger-eot scenes/car_street.xml --object car --target person --out out/dagger-eot",
-    "dagger-eot scenes/car_street.xml --object car --elevations 10 30 --jpeg 50 --blur 1 --out out/photographed",
+    "dagger --region scenes/car_street.xml --object car --target person --out out/dagger-eot",
+    "dagger --region scenes/car_street.xml --object car --elevations 10 30 --jpeg 50 --blur 1 --out out/photographed",
 )
 SEE_ALSO = ("dagger", "evaluate", "study", "detectors")
 
