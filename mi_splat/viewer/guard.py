@@ -9,9 +9,11 @@ a path that cannot be guessed, and its cookie goes nowhere else. Who listens on 
 asks that port for this very path.
 """
 
+import asyncio
 import hmac
 import html
 import ipaddress
+import logging
 import secrets
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -23,8 +25,13 @@ from urllib.parse import parse_qs, parse_qsl, urlencode, urlsplit
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.viewer.policy import NAMING, script_hash, viser_policy
 
+_LOG = logging.getLogger(__name__)
 LOOPBACK_NAMES = frozenset({"127.0.0.1", "localhost", "::1"})
 COOKIE = "mi-splat-view"
+MOST_WINDOWS = 8
+"""Browser windows that are served at the same time."""
+LARGEST_MESSAGE = 2**20
+"""Bytes of the largest message that a browser may send."""
 
 
 def is_loopback(host: str) -> bool:
@@ -144,7 +151,7 @@ def guarding(guard: Guard, websockets_server: Any) -> Iterator[None]:
     """
     plain, guarded = websockets_server.serve, []
 
-    def serve(*arguments: Any, **options: Any) -> Any:
+    def serve(handler: Any, *arguments: Any, **options: Any) -> Any:
         answer: Callable[[Any, Any], Any] | None = options.get("process_request")
         if answer is None:
             raise MiSplatError("viser: expected a server of pages, got another; install the version that is asked for")
@@ -172,7 +179,10 @@ def guarding(guard: Guard, websockets_server: Any) -> Iterator[None]:
             return response
 
         guarded.append(True)
-        return plain(*arguments, **{**options, "process_request": process_request})
+        quiet = logging.getLogger(f"{__name__}.connections")
+        quiet.setLevel(logging.CRITICAL)  # it would print what others send
+        options |= {"process_request": process_request, "max_size": LARGEST_MESSAGE, "logger": quiet}
+        return plain(_bounded(handler), *arguments, **options)
 
     websockets_server.serve = serve
     try:
@@ -181,3 +191,33 @@ def guarding(guard: Guard, websockets_server: Any) -> Iterator[None]:
         websockets_server.serve = plain
     if not guarded:
         raise MiSplatError("viser: expected a server to guard, got none; install the version that is asked for")
+
+
+def _bounded(handler: Any) -> Any:
+    """A handler of websockets for a few windows, which reports each kind of invalid message once, in one line."""
+    windows, told = set[Any](), set[str]()
+
+    def tell(error: BaseException | None) -> None:
+        kind = type(error).__name__
+        if kind not in told:
+            told.add(kind)
+            _LOG.warning("The page ignored a message of a browser (%s).", kind)
+            _LOG.debug("", exc_info=error)
+
+    async def handle(connection: Any) -> None:
+        import viser
+
+        if connection.subprotocol != f"viser-v{viser.__version__}":  # viser would print the other's
+            await connection.close(1002, f"expected viser {viser.__version__}")
+            return
+        asyncio.get_running_loop().set_exception_handler(lambda loop, context: tell(context.get("exception")))
+        if len(windows) >= MOST_WINDOWS:
+            await connection.close(1013, f"{MOST_WINDOWS} windows are open already")
+            return
+        windows.add(connection)
+        try:
+            await handler(connection)
+        finally:
+            windows.discard(connection)
+
+    return handle

@@ -12,7 +12,7 @@ from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.viewer.guard import COOKIE, Guard, checked_host, guarding, is_loopback
 from mi_splat.viewer.policy import NAMING, script_hash, viser_scripts
 
-GUARD = Guard(token="secret", secret_path="somewhere", cookie="crumb", scripts=("'sha256-of-it'",))
+GUARD = Guard(token="secret-of-this-page", secret_path="somewhere", cookie="crumb", scripts=("'sha256-of-it'",))
 HERE = {"Host": "127.0.0.1:8080"}
 COOKIES = {"Cookie": f"other=1; {COOKIE}-8080=crumb"}
 TUNNEL = {"Host": "localhost:9000", "Cookie": f"{COOKIE}-9000=crumb"}
@@ -21,7 +21,7 @@ TUNNEL = {"Host": "localhost:9000", "Cookie": f"{COOKIE}-9000=crumb"}
 @pytest.mark.parametrize(
     ("path", "headers"),
     [
-        ("/?token=secret", HERE),
+        ("/?token=secret-of-this-page", HERE),
         ("/", {**HERE, **COOKIES}),
         ("/", {**HERE, **COOKIES, "Origin": "http://127.0.0.1:8080"}),
         ("/somewhere", {**HERE, **COOKIES, "Origin": "http://127.0.0.1:8080"}),
@@ -43,6 +43,7 @@ def test_who_knows_the_token_may_pass(path: str, headers: dict[str, str]) -> Non
         ("/", HERE, "token"),
         ("/?token=wrong", HERE, "token"),
         ("/?token=", HERE, "token"),
+        *((f"/?token=secret{rest}", HERE, "token") for rest in ("", "-of-this-pagf", "-of-this-page-")),
         ("/?token=s\u00e9cret", HERE, "token"),
         ("/?token=s%ED%A0%80cret", HERE, "token"),
         ("//[x", HERE, "no address"),
@@ -53,11 +54,11 @@ def test_who_knows_the_token_may_pass(path: str, headers: dict[str, str]) -> Non
         ("/?token=crumb", HERE, "token"),
         ("/somewhere/", HERE, "token"),
         ("/", {**HERE, "Cookie": ";;\x00="}, "token"),
-        ("/?token=secret", {}, "name"),
-        ("/?token=secret", {"Host": "evil.example:8080"}, "name"),
-        ("/?token=secret", {"Host": "127.0.0.1.evil.example"}, "name"),
-        ("/?token=secret", {"Host": "[127.0.0.1"}, "name"),
-        ("/?token=secret", {"Host": "127.0.0.1:none"}, "name"),
+        ("/?token=secret-of-this-page", {}, "name"),
+        ("/?token=secret-of-this-page", {"Host": "evil.example:8080"}, "name"),
+        ("/?token=secret-of-this-page", {"Host": "127.0.0.1.evil.example"}, "name"),
+        ("/?token=secret-of-this-page", {"Host": "[127.0.0.1"}, "name"),
+        ("/?token=secret-of-this-page", {"Host": "127.0.0.1:none"}, "name"),
         ("/", {**HERE, **COOKIES, "Origin": "http://evil.example"}, "another page"),
         ("/", {**HERE, **COOKIES, "Origin": "http://127.0.0.1:9999"}, "another page"),
         ("/", {**HERE, **COOKIES, "Origin": "null"}, "another page"),
@@ -68,8 +69,8 @@ def test_all_others_are_refused(path: str, headers: dict[str, str], reason: str)
 
 
 def test_under_any_name_the_token_is_needed_still() -> None:
-    remote = Guard(names=None, token="secret")
-    assert remote.objection("/?token=secret", {"Host": "server.example"}) is None
+    remote = Guard(names=None, token="secret-of-this-page")
+    assert remote.objection("/?token=secret-of-this-page", {"Host": "server.example"}) is None
     assert remote.objection("/", {"Host": "server.example"}) is not None
     assert remote.objection("/", {"Host": "server.example", **COOKIES, "Origin": "http://evil.example"}) is not None
 
@@ -100,9 +101,9 @@ def test_a_cookie_goes_only_to_its_own_page() -> None:
 
 
 def test_an_address_with_a_token_leads_on_to_one_without() -> None:
-    assert 'content="0; url=/somewhere/"' in str(GUARD.door("/?token=secret"))
+    assert 'content="0; url=/somewhere/"' in str(GUARD.door("/?token=secret-of-this-page"))
     kept = 'url=/somewhere/?darkMode=&amp;a=%22%3Cb%3E"'
-    assert kept in str(GUARD.door("/?darkMode&token=secret&a=%22<b>&token=x"))
+    assert kept in str(GUARD.door("/?darkMode&token=secret-of-this-page&a=%22<b>&token=x"))
     assert GUARD.door("/somewhere/?darkMode") is None
 
 
@@ -195,8 +196,8 @@ def test_a_guarded_server_answers_those_who_may_pass() -> None:
     assert page.body == f"<p><script>{NAMING}</script>".encode()
     assert page.headers["Content-Length"] == str(len(page.body))
     assert page.headers["Set-Cookie"].startswith(f"{COOKIE}-8080=crumb;")
-    door = process(connection(), request("/?token=secret"))
-    assert (door.status, door.text) == (200, GUARD.door("/?token=secret"))
+    door = process(connection(), request("/?token=secret-of-this-page"))
+    assert (door.status, door.text) == (200, GUARD.door("/?token=secret-of-this-page"))
     assert door.headers["Content-Type"].startswith("text/html")
     assert door.headers["Set-Cookie"] == page.headers["Set-Cookie"]
 

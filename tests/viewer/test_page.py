@@ -8,7 +8,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Any
 from urllib.parse import urlsplit
@@ -19,17 +19,19 @@ from torch import Tensor
 
 pytest.importorskip("viser", reason="needs the extra `view`")
 
+from websockets.exceptions import ConnectionClosed
+
 from mi_splat.errors import InvalidValueError
 from mi_splat.viewer.bench import Bench
 from mi_splat.viewer.composition import DIFFERENCE
 from mi_splat.viewer.exhibit import Inspection
-from mi_splat.viewer.guard import COOKIE
+from mi_splat.viewer.guard import COOKIE, MOST_WINDOWS
 from mi_splat.viewer.page import Page, check_port
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.panel import FREE, as_html
 from mi_splat.viewer.session import Pace, Step, ViewState
 from tests.viewer.exhibits import ABOVE, START, Looker, painter
-from tests.viewer.wire import Browser, connection, headers_of, serving
+from tests.viewer.wire import PATIENCE, Browser, connection, headers_of, serving
 from tests.viewer.works import bench
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:websockets")
@@ -161,6 +163,41 @@ def test_a_click_picks_an_object_and_a_button_has_work_done_on_it() -> None:
         browser.until(lambda message: "Click on an object" in str(message.get("updates", {})))
 
 
+def test_a_few_windows_are_served_at_a_time(page: Page) -> None:
+    headers = headers_of(page.address)
+    with ExitStack() as stack:
+        windows = [stack.enter_context(connection(page.address, headers)) for _ in range(MOST_WINDOWS)]
+        with connection(page.address, headers) as one_more, pytest.raises(ConnectionClosed, match="windows are open"):
+            one_more.socket.recv(timeout=PATIENCE)
+        windows[0].socket.close()
+        with connection(page.address, headers) as next_one:
+            next_one.look(START)
+            assert next_one.picture().size
+
+
+def test_what_makes_no_sense_is_told_of_in_a_line_for_each_kind(
+    page: Page, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
+    headers = headers_of(page.address)
+    with connection(page.address, headers) as browser:
+        browser.look(START)
+        browser.picture(FULL)
+        slider = browser.control("Elevation")["uuid"]
+        for number in range(300):
+            for value in (f"{number}{'x' * 2000}", {str(number): "y" * 2000}, ["z" * 2000]):
+                browser.say("GuiUpdateMessage", uuid=slider, updates={"value": value})
+        browser.say("GuiUpdateMessage", uuid=slider, updates={"value": 70.0})
+        browser.until(lambda message: message["type"] == "SetCameraPositionMessage")
+        browser.say("ViewerCameraMessage", position="w" * 2000)
+        with pytest.raises(ConnectionClosed):
+            browser.until(lambda message: False)
+    with pytest.raises(ConnectionClosed), connection(page.address, headers, version="v" * 100) as browser:
+        browser.until(lambda message: False)
+    said = caplog.text + "".join(capfd.readouterr())
+    assert 1 <= said.count("\n") <= 4
+    assert not re.search("xxx|yyy|zzz|www|vvv|Traceback", said)
+
+
 @pytest.mark.parametrize("value", [float("nan"), 1e9, "text", None])
 def test_nonsense_from_a_browser_changes_nothing(value: object) -> None:
     with visiting(painter(1)) as browser:
@@ -178,7 +215,8 @@ def test_a_browser_changes_nothing_of_a_control_but_its_value() -> None:
         text = browser.control("clean")["uuid"]  # the command
         file = {"transfer_uuid": "a", "filename": "b", "mime_type": "c", "part_count": 0, "size_bytes": 0}
         browser.say("FileTransferStartUpload", source_component_uuid=text, **file)
-        browser.say("GuiUpdateMessage", uuid=text, updates={"removed": True})
+        for updates in ({"removed": True}, {"value": "", "removed": True}):
+            browser.say("GuiUpdateMessage", uuid=text, updates=updates)
         browser.say("GuiUpdateMessage", uuid=browser.control("Elevation")["uuid"], updates={"value": 70.0})
         told = browser.until(lambda message: "--elevation 70" in str(message.get("updates", {})))
         assert told["uuid"] == text

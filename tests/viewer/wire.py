@@ -104,7 +104,9 @@ def headers_of(address: str) -> dict[str, str]:
 
 
 @contextmanager
-def connection(address: str, headers: dict[str, str], *, origin: str | None = None) -> Iterator[Browser]:
+def connection(
+    address: str, headers: dict[str, str], *, origin: str | None = None, version: str | None = None
+) -> Iterator[Browser]:
     """A websocket to the page at `address`."""
     import viser
     from websockets.sync.client import connect
@@ -114,7 +116,7 @@ def connection(address: str, headers: dict[str, str], *, origin: str | None = No
         f"ws://{parts.netloc}/",
         additional_headers=headers,
         origin=origin,  # type: ignore[arg-type]
-        subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[list-item]
+        subprotocols=[f"viser-v{version or viser.__version__}"],  # type: ignore[list-item]
         max_size=None,
         compression=None,
     ) as socket:
