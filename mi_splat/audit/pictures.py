@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from mi_splat.audit.auditing import LEAST_PIECES, MOST_CAMERAS, given, judged_object, looked_at
+from mi_splat.audit.auditing import LEAST_CAMERAS, LEAST_PIECES, MOST_CAMERAS, given, judged_object, looked_at
 from mi_splat.audit.frames import Target, frame_of, targets
 from mi_splat.audit.results import SUSPICION, Audit, ObjectAudit
 from mi_splat.bounds import near_plane
@@ -63,6 +63,9 @@ def audit_pictures(views: Dataset, *, up: Point | None = None, on_step: OnStep |
     A small splat is trained for the surface alone; colours are those of the pictures, as they are. What is compared,
     and what gloss explains of it, is as in `audit`. Of more pictures than `MOST_CAMERAS` so many are, evenly taken.
     """
+    if len(views) < LEAST_CAMERAS:
+        do = "take more images of the scene, or audit a splat that was trained on them"
+        raise InvalidValueError.of("images", f"at least {LEAST_CAMERAS} for training", len(views), do)
     longer = max(max(camera.width, camera.height) for camera in views.cameras)
     views = dataclasses.replace(views, downscale=views.downscale * max(1, longer // LONGER_SIDE))
     numbers = torch.linspace(0, len(views) - 1, min(len(views), MOST_CAMERAS)).round().long()

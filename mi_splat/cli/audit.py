@@ -28,7 +28,7 @@ EXAMPLES = (
     "audit street.ply --out out/street-audit",
     "audit street.ply --sarif street.sarif",
     "audit street.ply --repair street-repaired.ply",
-    "audit street.glb --only lint --strict",
+    "audit street.glb --only lint",
     "audit received.ply --against street.ply --out out/changes",
     "audit out/capture",
 )
@@ -76,7 +76,8 @@ class AuditOptions(JsonOptions):
     force: bool = False
     """Replace an older result in --out, and the files of --sarif and --repair."""
     strict: bool = False
-    """Let the exit status be 3 for what is suspicious, for warnings of lint, and for any change --against, too."""
+    """Let the exit status be 3 for what is suspicious and for any change --against, too; warnings of lint are listed
+    and never change it."""
 
 
 def run(options: AuditOptions) -> int:
@@ -112,7 +113,7 @@ def run(options: AuditOptions) -> int:
         save_json(sarif(results), options.sarif)
     lines = [line for document in results if "error" not in document for line in _lines(document)]
     show_result(results[0] if len(results) == 1 else {"files": results}, *lines, as_json=options.json)
-    bad = {"hidden look", "error"} | ({"suspicious", "warning", "changed"} if options.strict else set())
+    bad = {"hidden look", "error"} | ({"suspicious", "changed"} if options.strict else set())
     if failures:
         return FAILED
     return (

@@ -14,17 +14,18 @@ from attacks.report.results import read_section
 from mi_splat.audit import pictures
 from mi_splat.audit.edits import edit_of
 from mi_splat.audit.frames import Target, frame_of, targets
-from mi_splat.audit.pictures import compare_pictures
+from mi_splat.audit.pictures import audit_pictures, compare_pictures
 from mi_splat.audit.results import Edit
 from mi_splat.audit.surfaces import lattice
 from mi_splat.cameras import Camera, View, look_at
-from mi_splat.datasets import Dataset, PointCloud, write_transforms
+from mi_splat.datasets import Dataset, PointCloud, load_dataset, write_transforms
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.sh import sh_basis
 from tests.audit import scenes
 from tests.audit.scenes import Made, cone, direction, hidden, standing
+from tests.datasets.sets import VIEWS
 
 EYE = 4 * direction(25, 70)
 """Where the camera stands that an attack is aimed at."""
@@ -147,6 +148,12 @@ def test_pictures_that_the_others_contradict_are_named(plain_suitcase: Made, poi
     assert float((named == inside).double().mean()) > 0.8  # SH of degree 3 fade at the edge
     assert float(judged.amounts[inside].median() - judged.amounts[~inside].median()) > 0.5
     assert judged.audit.strongest.occluder is None
+
+
+def test_few_images_are_refused_before_any_training(tmp_path: Path) -> None:
+    write_transforms(tmp_path, VIEWS)
+    with pytest.raises(InvalidValueError, match="images: expected at least 12 for training, got 6"):
+        audit_pictures(load_dataset(tmp_path), on_step=lambda done, of: pytest.fail("trained"))
 
 
 def test_an_honest_set_contradicts_nothing(plain_suitcase: Made) -> None:
