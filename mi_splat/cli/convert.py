@@ -62,7 +62,7 @@ def run(options: ConvertOptions) -> None:
     import torch
 
     from mi_splat.io import load_splat
-    from mi_splat.io.folders import check_not_input, check_writable, splat_in
+    from mi_splat.io.folders import check_new_file, check_not_input, check_writable, splat_in
     from mi_splat.io.formats.encoded import Values, dropped_bands
     from mi_splat.io.splat_files import write_splat_file
     from mi_splat.scene import merge
@@ -73,8 +73,8 @@ def run(options: ConvertOptions) -> None:
     sources = (options.source, *options.add)
     for source in sources:
         check_not_input(options.out, source)
-    if os.path.lexists(options.out) and not options.force:
-        raise InvalidValueError.of(str(options.out), "a free name", "a file that is there", "pass --force")
+    if os.path.lexists(options.out):
+        check_new_file(options.out, (options.out.suffix.lower(),), force=options.force)
     check_writable(options.out.parent)
     with progress(f"reading {', '.join(map(str, sources))}"):
         invalid: Literal["drop", "raise"] = "drop" if options.drop_invalid else "raise"

@@ -94,9 +94,10 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """Write a file so that a crash, a kill or a full disk leaves the old file or the new one, never a part.
 
     The bytes go to a temporary file in the same folder, reach the disk, and take the name `path` in one step. The mode
-    of a file that was there is kept; a symbolic link is followed. When the body raises, the temporary file is removed.
+    of a file that was there is kept; a symbolic link is replaced, and not what it leads to. When the body raises, the
+    temporary file is removed.
     """
-    target = os.path.realpath(path)
+    target = os.path.abspath(path)
     temporary = os.path.join(os.path.dirname(target), temporary_name())
     expected = "a file that can be written"
     try:
@@ -200,8 +201,10 @@ def _sync(path: str | os.PathLike[str]) -> None:
 def _mode(target: str) -> int | None:
     """Permission bits of the file that will be replaced, None if there is none."""
     try:
-        status = os.stat(target)
+        status = os.lstat(target)
     except FileNotFoundError:
+        return None
+    if stat.S_ISLNK(status.st_mode):
         return None
     if not stat.S_ISREG(status.st_mode):
         kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a special file"

@@ -7,12 +7,12 @@ import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.atomic import is_temporary, replace_folder, sweep_temporary, sync_folder, sync_names, temporary_name
 from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.formats.detection import META
 from mi_splat.io.locks import check_unlocked, locked_folder
-from mi_splat.io.manifest import write_manifest
+from mi_splat.io.manifest import MANIFEST, files_in, read_manifest, write_manifest
 
 RECORD = "result.json"
 """The file that every folder of results holds."""
@@ -84,10 +84,17 @@ def check_own_folder(out: str | os.PathLike[str], *records: str) -> None:
 def check_new_folder(out: str | os.PathLike[str], *, force: bool = False, record: str = RECORD) -> None:
     """Raise, before any work is done, unless a folder of results can be written at `out`.
 
-    An older result that a kill left without its name gets it back first.
+    With `force` it may hold an older result, of which every file is as its manifest lists it. An older result that a
+    kill left without its name gets it back first.
     """
     check_writable(out)
-    sweep_temporary(os.path.dirname(os.path.realpath(out)))
+    target = Path(os.path.realpath(out))
+    for folder, name in ((Path.cwd(), "the working directory"), (Path("~").expanduser(), "the home directory")):
+        inner = Path(os.path.realpath(folder))
+        if inner.is_relative_to(target):
+            got = name if inner == target else f"a folder above {name}"
+            raise SplatFileError.of(str(out), "a folder for the result alone", got, "pass another folder")
+    sweep_temporary(target.parent)
     check_unlocked(out)
     names = _names_in(Path(out))
     if not names:
@@ -100,6 +107,28 @@ def check_new_folder(out: str | os.PathLike[str], *, force: bool = False, record
     if record not in names:
         do = "delete the folder yourself, or pass another"
         raise SplatFileError.of(str(out), f"an older result ({record}) to replace", f"one that holds {held}", do)
+    if foreign := _foreign_files(Path(out)):
+        expected, do = f"nothing but what its {MANIFEST} lists", "move it elsewhere, or pass another folder"
+        raise SplatFileError.of(str(out), expected, f"also {_listed(foreign)}", do)
+
+
+def _foreign_files(folder: Path) -> list[str]:
+    """What in a folder is not as its manifest says that this program wrote it."""
+    if (folder / ".git").exists():
+        return [".git"]
+    try:
+        listed = read_manifest(folder).files
+    except MiSplatError:
+        listed = {}
+    return [
+        name
+        for name, path in files_in(folder)
+        if name not in listed or not _is_regular(path) or path.stat().st_size != listed[name][1]
+    ]
+
+
+def _is_regular(path: Path) -> bool:
+    return path.is_file() and not path.is_symlink()
 
 
 @contextlib.contextmanager

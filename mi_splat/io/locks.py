@@ -6,11 +6,13 @@ import json
 import os
 import platform
 import shlex
+import stat
 import sys
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from mi_splat.io.atomic import LOCK
 from mi_splat.io.errors import SplatFileError, from_os_error
@@ -61,13 +63,18 @@ def check_unlocked(folder: str | os.PathLike[str]) -> None:
 
 def _lock(file: str, folder: str) -> int:
     """Lock a file, made if need be, and write into it who has it; returns it open."""
+    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
     while True:
-        descriptor = os.open(file, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o666)
+        try:
+            descriptor = os.open(file, flags, 0o666)
+        except OSError as error:
+            raise (_foreign(file, "a symbolic link") if os.path.islink(file) else error) from error
         try:
             _take(descriptor, folder)
             if os.name == "nt" or os.path.samestat(os.fstat(descriptor), os.stat(file)):
+                _check_own(descriptor, file)
                 os.ftruncate(descriptor, 0)
-                os.write(descriptor, json.dumps(_this_process()).encode())
+                os.pwrite(descriptor, json.dumps(_this_process()).encode(), 0)
                 return descriptor
         except FileNotFoundError:  # who had it removed it, between two of our calls
             pass
@@ -75,6 +82,19 @@ def _lock(file: str, folder: str) -> int:
             os.close(descriptor)
             raise
         os.close(descriptor)
+
+
+def _check_own(descriptor: int, file: str) -> None:
+    """Raise unless a lock is a file that this program made: only such a one is overwritten, and later removed."""
+    status = os.fstat(descriptor)
+    if not stat.S_ISREG(status.st_mode) or (os.name != "nt" and status.st_nlink != 1):
+        raise _foreign(file, "a special file or a second name of another file")
+    if status.st_size and _record(descriptor) is None:
+        raise _foreign(file, "a file of something else")
+
+
+def _foreign(file: str, got: str) -> SplatFileError:
+    return SplatFileError.of(file, "a lock of this program", got, "delete it, or pass another folder")
 
 
 def _take(descriptor: int, folder: str) -> None:
@@ -102,8 +122,15 @@ def _this_process() -> dict[str, object]:
 
 def _holder(descriptor: int) -> str:
     """Who has the lock, in words, as far as the file says."""
-    try:
-        holder = DocumentReader().json_object(os.pread(descriptor, 4096, 0), "lock")
-        return f"`{holder['command']}`, process {holder['process']} on {holder['host']}, since {holder['since']}"
-    except (OSError, ValueError, KeyError, TypeError):
+    if (record := _record(descriptor)) is None:
         return "another process"
+    return f"`{record['command']}`, process {record['process']} on {record['host']}, since {record['since']}"
+
+
+def _record(descriptor: int) -> dict[str, Any] | None:
+    """What a lock says of who took it; None if it says nothing of the kind."""
+    try:
+        record = DocumentReader().json_object(os.pread(descriptor, 4096, 0), "lock")
+    except (OSError, ValueError):
+        return None
+    return record if _this_process().keys() <= record.keys() else None

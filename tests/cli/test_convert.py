@@ -50,7 +50,7 @@ def test_a_file_that_is_there_is_replaced_only_by_force(splat: Path, capsys: pyt
     out = splat.with_name("a.spz")
     out.write_bytes(b"mine")
     assert cli.main(["convert", str(splat), str(out)]) == 1
-    assert "pass --force" in capsys.readouterr().err
+    assert "--force" in capsys.readouterr().err
     assert out.read_bytes() == b"mine"
     assert cli.main(["convert", str(splat), str(out), "--force", "--spz-version", "4"]) == 0
     assert out.read_bytes().startswith(b"NGSP")

@@ -16,6 +16,7 @@ from PIL import Image
 from attacks import cli
 from mi_splat.io import save_splat
 from mi_splat.io.atomic import LOCK
+from mi_splat.io.folders import new_folder
 from tests.capture.trucks import save_texture, truck, write_glb
 from tests.cli.test_scenes import XML
 from tests.fakes import toy_scene
@@ -170,8 +171,8 @@ def test_a_result_is_replaced_only_when_forced(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["dagger", "a.ply", "--cluster", "1", "--out", "out"]
-    (folder / "out").mkdir()
-    (folder / "out" / "result.json").write_text("{}")
+    with new_folder(folder / "out") as place:
+        (place / "result.json").write_text("{}")
     forbid(("attacks.dagger.attack.attack",), monkeypatch)
     assert cli.main(words) == 1
     assert "replace this result with force (--force)" in capsys.readouterr().err

@@ -163,16 +163,14 @@ def test_permission_bits(old: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs symbolic links")
-def test_links_are_followed(old: Path) -> None:
-    link = old.with_name("link.ply")
-    link.symlink_to(old.name)
-    save_splat(random_scene(3), link)
-    assert link.is_symlink()
-    assert len(load_splat(old)) == 3
-    dangling = old.with_name("dangling.ply")
-    dangling.symlink_to("fresh.ply")
-    save_splat(random_scene(4), dangling)
-    assert len(load_splat(old.with_name("fresh.ply"))) == 4
+@pytest.mark.parametrize("target", ["precious.ply", "none.ply"])
+def test_a_link_is_replaced_and_not_what_it_leads_to(target: str, tmp_path: Path) -> None:
+    (tmp_path / "precious.ply").write_text("precious")
+    (tmp_path / "link.ply").symlink_to(target)
+    save_splat(random_scene(3), tmp_path / "link.ply")
+    assert (tmp_path / "precious.ply").read_text() == "precious"
+    assert names(tmp_path) == ["link.ply", "precious.ply"]
+    assert not (tmp_path / "link.ply").is_symlink()
 
 
 def test_partial_writes_are_completed(tmp_path: Path) -> None:
@@ -285,6 +283,42 @@ def test_a_lock_that_its_holder_just_removed_is_taken_again(tmp_path: Path, monk
     with locked_folder(tmp_path):
         assert names(tmp_path) == [LOCK]
         assert removed == [True]
+
+
+def test_a_lock_that_another_process_made_anew_is_that_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    flock = fcntl.flock
+
+    def late(descriptor: int, how: int) -> None:
+        monkeypatch.setattr(fcntl, "flock", flock)
+        flock(descriptor, how)
+        os.unlink(tmp_path / LOCK)
+        others.append(holder(tmp_path))
+
+    others: list[subprocess.Popen[str]] = []
+    monkeypatch.setattr(fcntl, "flock", late)
+    with pytest.raises(SplatFileError, match="in use by"), locked_folder(tmp_path):
+        raise AssertionError("two have it")
+    with others[0] as other:
+        other.communicate("\n")
+
+
+@pytest.mark.parametrize("kind", ["symbolic link", "hard link", "foreign file", "pipe"])
+def test_a_lock_that_this_program_did_not_make_is_left_alone(kind: str, tmp_path: Path) -> None:
+    out, precious = tmp_path / "out", tmp_path / "precious.txt"
+    out.mkdir()
+    precious.write_text("precious")
+    if kind == "symbolic link":
+        (out / LOCK).symlink_to("../precious.txt")
+    elif kind == "hard link":
+        os.link(precious, out / LOCK)
+    elif kind == "foreign file":
+        (out / LOCK).write_text("mine")
+    else:
+        os.mkfifo(out / LOCK)
+    with pytest.raises(SplatFileError, match=r"expected a lock of this program, got .*; delete it"), locked_folder(out):
+        raise AssertionError("it has the folder")
+    assert precious.read_text() == "precious"
+    assert names(out) == [LOCK]
 
 
 def test_a_disk_without_locks_refuses_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

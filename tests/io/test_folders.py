@@ -27,9 +27,9 @@ def names(folder: Path) -> list[str]:
 
 
 def result_in(folder: Path, text: str = "old") -> Path:
-    folder.mkdir(parents=True)
-    (folder / "result.json").write_text(text)
-    (folder / "before.png").write_text(text)
+    with new_folder(folder) as place:
+        (place / "result.json").write_text(text)
+        (place / "before.png").write_text(text)
     return folder
 
 
@@ -64,7 +64,9 @@ def test_nothing_is_left_of_a_folder_that_failed(tmp_path: Path) -> None:
 
 def test_an_older_result_is_refused_or_replaced_whole(tmp_path: Path) -> None:
     out = result_in(tmp_path / "out")
-    with pytest.raises(SplatFileError, match=r"holds before\.png, result\.json; .* or replace this result with force"):
+    with pytest.raises(
+        SplatFileError, match=r"holds before\.png, manifest\.json, result\.json; .* or replace this result with force"
+    ):
         check_new_folder(out)
     with pytest.raises(ZeroDivisionError):
         failing(out, force=True)
@@ -199,6 +201,64 @@ def test_force_never_replaces_what_is_no_result(tmp_path: Path) -> None:
         check_new_folder(tmp_path / "photographs", force=True)
     with pytest.raises(SplatFileError, match="holds photographs"):
         have(tmp_path, "config.json")
+
+
+def _changed(out: Path) -> str:
+    (out / "before.png").write_text("retouched")
+    return "before.png"
+
+
+def _added(out: Path) -> str:
+    (out / "notes").mkdir()
+    (out / "notes" / "mine.txt").write_text("")
+    return "notes/mine.txt"
+
+
+def _linked(out: Path) -> str:
+    (out / "before.png").rename(out.parent / "old.png")
+    (out / "before.png").symlink_to("../old.png")
+    return "before.png"
+
+
+def _unlisted(out: Path) -> str:
+    (out / MANIFEST).unlink()
+    return "before.png, result.json"
+
+
+def _hidden(out: Path) -> str:
+    document = json.loads((out / MANIFEST).read_text())
+    (out / MANIFEST).write_text(json.dumps({**document, "without": ["src"]}))
+    (out / "src").mkdir()
+    (out / "src" / "a.py").write_text("")
+    return "src/a.py"
+
+
+def _project(out: Path) -> str:
+    (out / ".git").mkdir()
+    return ".git"
+
+
+@pytest.mark.parametrize("change", [_changed, _added, _linked, _unlisted, _hidden, _project])
+def test_force_replaces_only_what_the_manifest_lists(change: Callable[[Path], str], tmp_path: Path) -> None:
+    out = result_in(tmp_path / "out")
+    name = change(out)
+    before = sorted(out.rglob("*"))
+    with pytest.raises(SplatFileError, match=rf"what its manifest\.json lists, got also {name}; move it elsewhere"):
+        check_new_folder(out, force=True)
+    assert sorted(out.rglob("*")) == before
+
+
+@pytest.mark.parametrize("where", [".", "..", "home"])
+def test_the_working_directory_and_the_home_directory_are_never_replaced(
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result_in(tmp_path / "out")
+    (tmp_path / "out" / "in").mkdir()
+    monkeypatch.setenv("HOME", str(tmp_path / "out" if where == "home" else tmp_path))
+    monkeypatch.chdir(tmp_path if where == "home" else tmp_path / "out" / ("in" if where == ".." else ""))
+    with pytest.raises(SplatFileError, match=r"got (a folder above )?the (working|home) directory; pass another"):
+        check_new_folder("out" if where == "home" else where, force=True)
+    assert (tmp_path / "out" / "result.json").read_text() == "old"
 
 
 @pytest.mark.parametrize("below", [(), ("deeper",), ("deeper", "still")])

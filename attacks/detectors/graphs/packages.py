@@ -36,6 +36,7 @@ from mi_splat.io.documents import save_bytes, save_json, sha256
 from mi_splat.io.errors import from_os_error
 from mi_splat.io.fields import Fields
 from mi_splat.io.folders import new_folder
+from mi_splat.io.manifest import MANIFEST
 from mi_splat.io.parsing import DocumentReader
 
 OnStep = Callable[[str], None]
@@ -141,6 +142,9 @@ def _write(detector: NpmDetector, content: _Content, origin: str) -> None:
         nodes, constants = read_tflite(content[0][detector.start :])
     else:
         nodes, constants = topology(content[0]), dict(read_graph_model(*content).constants)
+    if flaw(detector):
+        for name in (WEIGHTS, GRAPH, CARD, MANIFEST):
+            (folder_of(detector.name) / name).unlink(missing_ok=True)
     with new_folder(folder_of(detector.name), force=True, record=CARD) as folder:
         for name, data in ((WEIGHTS, save(constants)), (GRAPH, nodes)):
             save_bytes(data, folder / name)
