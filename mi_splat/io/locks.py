@@ -43,6 +43,7 @@ def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
         raise from_os_error(os.fspath(folder), "a folder that can be written", error) from error
     _HELD[key] = threading.get_ident()
     try:
+        _check_links(key)
         yield
     finally:
         del _HELD[key]
@@ -52,6 +53,15 @@ def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
         with contextlib.suppress(OSError):  # they are not empty
             for parent in missing:
                 parent.rmdir()
+
+
+def _check_links(folder: str) -> None:
+    """Raise if a link in a folder leads out of it: what is written below would be written there."""
+    for parent, folders, files in os.walk(folder):
+        for path in (os.path.join(parent, name) for name in (*folders, *files)):
+            if os.path.islink(path) and not Path(os.path.realpath(path)).is_relative_to(folder):
+                do = "put what it leads to in its place, or pass another folder"
+                raise SplatFileError.of(path, "a file or a folder", "a link that leads out of the folder", do)
 
 
 def check_unlocked(folder: str | os.PathLike[str]) -> None:

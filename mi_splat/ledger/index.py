@@ -17,7 +17,7 @@ from mi_splat.io.documents import save_text
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger.job import Job, Task
 from mi_splat.ledger.running import looked_up
-from mi_splat.ledger.store import Store
+from mi_splat.ledger.store import Store, checked_key
 
 STATES = ("waiting", "ready", "running", "done", "failed")
 """For others before it; for an engine; for its end; for nothing; for somebody who mends it."""
@@ -49,12 +49,12 @@ class Index:
     """The jobs of a plan by name: labels, and the keys as a driver has last known them.
 
     Args:
-        folder: The store.
+        store: That of the jobs.
         name: Of the plan.
     """
 
-    def __init__(self, folder: Path, name: str) -> None:
-        self._path = folder / "plans" / f"{name}.json"
+    def __init__(self, store: Store, name: str) -> None:
+        self._path = store.path("plans") / f"{name}.json"
         self._path.parent.mkdir(parents=True, exist_ok=True)
         self._lines: dict[str, list[Any]] = {}
         self._written = time.monotonic()
@@ -89,6 +89,9 @@ def _read(path: Path) -> list[list[Any]]:
     lines: list[list[Any]] = _READER.read_json_value(path)
     if not isinstance(lines, list) or not all(isinstance(line, list) and len(line) == 6 for line in lines):
         raise _READER.broken(str(path), "another document")
+    for *_, key in lines:
+        if key:
+            checked_key(key)
     return lines
 
 
@@ -103,7 +106,7 @@ def _keys(plans: Iterable[Path]) -> dict[str, tuple[str, str]]:
 
 def plan(store: Store, name: str, jobs: Mapping[str, Job]) -> list[Entry]:
     """Write down the jobs of a plan by their labels, and all before them, and look how far each is."""
-    index = Index(store.folder, name)
+    index = Index(store, name)
     for job, task, _ in looked_up(jobs.values(), store):
         index.add(job)
         if task is not None:

@@ -38,7 +38,7 @@ class Driver:
 
     def __init__(self, folder: Path, engine: Engine, *, name: str = "", on_event: OnEvent = nobody) -> None:
         self._store, self._engine, self._on_event = Store(folder), engine, on_event
-        self._index = Index(folder, name) if name else None
+        self._index = Index(self._store, name) if name else None
         self._results: dict[str, Result] = {}
         self._jobs: dict[str, asyncio.Task[Result]] = {}
         self._keys: dict[str, str] = {}

@@ -4,6 +4,7 @@ import contextlib
 import functools
 import hashlib
 import os
+import re
 import secrets
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -27,7 +28,7 @@ TRIES = 3
 """How often a job may fail."""
 AGAIN = "delete its folder, so that it is made again"
 _RECORDS = DocumentReader(expected="the record of a job", do=AGAIN, most=1 << 28)
-_KEY_DIGITS = 32
+_KEY = re.compile(r"[0-9a-f]{32}")
 _SYNCED_AT_ONCE = 8
 _versions, _commit = functools.cache(provenance.versions), functools.cache(provenance.commit)
 
@@ -47,11 +48,21 @@ class Store:
     leases: Leases = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "leases", Leases(folder=self.folder / "leases"))
+        object.__setattr__(self, "leases", Leases(folder=self.path("leases")))
+
+    def path(self, *parts: str) -> Path:
+        """A path below the folder, no part of which may be a link: it could lead out of the folder."""
+        path = self.folder
+        for part in parts:
+            path /= part
+            if path.is_symlink():
+                do = "put what it leads to in its place, or use another store"
+                raise InvalidValueError.of(str(path), "a part of the store", "a symbolic link", do)
+        return path
 
     def folder_of(self, key: str) -> Path:
         """The folder of a job, whether or not it is there."""
-        return self.folder / "jobs" / key[:2] / key
+        return self.path("jobs", checked_key(key)[:2], key)
 
     def has(self, key: str) -> bool:
         """Whether a job is done."""
@@ -60,7 +71,7 @@ class Store:
     def keys(self) -> set[str]:
         """Keys of all jobs that are done."""
         jobs = self.folder / "jobs"
-        return {name for shelf in _names(jobs) for name in _names(jobs / shelf) if len(name) == _KEY_DIGITS}
+        return {name for shelf in _names(jobs) for name in _names(jobs / shelf) if _KEY.fullmatch(name)}
 
     def record(self, key: str) -> dict[str, Any]:
         """What job.json of a finished job says, without a look at its files."""
@@ -95,7 +106,7 @@ class Store:
     def rows(self, keys: Iterable[str]) -> Iterator[tuple[str, Sequence[Mapping[str, Any]]]]:
         """Key and rows of finished jobs; of a record of any size, nothing else is parsed."""
         for key in keys:
-            path = f"{self.folder}/jobs/{key[:2]}/{key}/{RECORD}"
+            path = f"{self.folder_of(key)}/{RECORD}"
             try:
                 with open(path, "rb", buffering=0) as file:
                     lines = file.read().splitlines()
@@ -104,18 +115,18 @@ class Store:
             values = dict(line.rstrip(b",").split(b": ", 1) for line in lines if b": " in line)
             rows = values.get(b'"rows"', b"")
             digits = hashlib.sha256(b"[" + values.get(b'"files"', b"") + b"," + rows + b"]").hexdigest()
-            if values.get(b'"content"') != f'"{digits[:_KEY_DIGITS]}"'.encode():
+            if values.get(b'"content"') != f'"{digits[:32]}"'.encode():
                 raise InvalidValueError.of(path, "the rows that the job wrote", "others", AGAIN)
             yield key, _RECORDS.json_value(rows, path)
 
     @contextlib.contextmanager
     def making(self, key: str) -> Iterator[tuple[Path, Path]]:
         """Folders for who has the lease of a job: a new one for its result, and the one that it goes on with."""
-        for name in _names(self.folder / "tmp"):
+        temporary = self.path("tmp") / f"{checked_key(key)}.{secrets.token_hex(8)}"
+        for name in _names(temporary.parent):
             if name.startswith(key):  # its maker has died
-                shutil.rmtree(self.folder / "tmp" / name, ignore_errors=True)
-        temporary = self.folder / "tmp" / f"{key}.{secrets.token_hex(8)}"
-        partial = self.folder / "partial" / key
+                shutil.rmtree(temporary.with_name(name), ignore_errors=True)
+        partial = self.path("partial", key)
         try:
             (temporary / FILES).mkdir(parents=True)
             yield temporary, partial
@@ -143,20 +154,20 @@ class Store:
                 return self._second(temporary, {**record, "files": files}, key)
         except OSError as error:
             raise from_os_error(str(target), "a folder that can be written", error) from error
-        shutil.rmtree(self.folder / "partial" / key, ignore_errors=True)
+        shutil.rmtree(self.path("partial", key), ignore_errors=True)
         self.forgive(key)
         return []
 
     def _second(self, temporary: Path, whole: Mapping[str, Any], key: str) -> list[str]:
         names = differences(self.record(key), whole)
         if names:
-            (self.folder / "different").mkdir(exist_ok=True)
+            self.path("different").mkdir(exist_ok=True)
             os.rename(temporary, self.folder / "different" / temporary.name)
         return names
 
     def failures(self, key: str) -> list[dict[str, Any]]:
         """The tries of a job that failed: `error`, and what ran it."""
-        path = self.folder / "failed" / f"{key}.json"
+        path = self._failures(key)
         if not path.is_file():
             return []
         tries: list[dict[str, Any]] = _RECORDS.read_json(path)["tries"]
@@ -165,19 +176,22 @@ class Store:
     def failed(self) -> set[str]:
         """Keys of the jobs that have failed for good."""
         keys = (name.removesuffix(".json") for name in _names(self.folder / "failed"))
-        return {key for key in keys if len(self.failures(key)) >= TRIES}
+        return {key for key in keys if _KEY.fullmatch(key) and len(self.failures(key)) >= TRIES}
 
     def note_failure(self, task: Task, error: str, seconds: float) -> int:
         """Write down that a job failed."""
-        path = self.folder / "failed" / f"{task.key}.json"
+        path = self._failures(task.key)
         path.parent.mkdir(parents=True, exist_ok=True)
         tries = [*self.failures(task.key), {"error": error, "seconds": seconds, "versions": _versions()}]
         save_json({"kind": task.kind, "config": task.config, "tries": tries}, path)
         return len(tries)
 
+    def _failures(self, key: str) -> Path:
+        return self.path("failed", f"{checked_key(key)}.json")
+
     def forgive(self, key: str) -> bool:
         """Forget the failures of a job, so that it is tried again."""
-        path = self.folder / "failed" / f"{key}.json"
+        path = self._failures(key)
         with contextlib.suppress(FileNotFoundError):
             path.unlink()
             return True
@@ -185,7 +199,7 @@ class Store:
 
     def remove(self, key: str) -> None:
         """Delete a finished job and its failures, in one step for all who look."""
-        aside = self.folder / "tmp" / f"{key}.{secrets.token_hex(8)}"
+        aside = self.path("tmp") / f"{checked_key(key)}.{secrets.token_hex(8)}"
         aside.parent.mkdir(parents=True, exist_ok=True)
         with contextlib.suppress(FileNotFoundError):
             os.rename(self.folder_of(key), aside)
@@ -196,12 +210,19 @@ class Store:
         """Remove what killed processes have left: leases, folders in `tmp`, and `partial` of jobs that are done."""
         self.leases.live()
         # Listed before anybody is asked: who begins meanwhile makes a folder of another name.
-        for folder in [self.folder / "tmp" / name for name in _names(self.folder / "tmp")]:
-            if self.leases.free(folder.name[:_KEY_DIGITS]):
+        for folder in [self.folder / "tmp" / name for name in _names(self.path("tmp"))]:
+            if self.leases.free(folder.name[:32]):
                 shutil.rmtree(folder, ignore_errors=True)
-        for key in _names(self.folder / "partial"):
+        for key in filter(_KEY.fullmatch, _names(self.path("partial"))):
             if self.has(key) and self.leases.free(key):
                 shutil.rmtree(self.folder / "partial" / key, ignore_errors=True)
+
+
+def checked_key(key: str) -> str:
+    """A key, which is 32 hexadecimal digits: as a part of a path, nothing else stays in the store."""
+    if not _KEY.fullmatch(key):
+        raise InvalidValueError.of("key of a job", "32 hexadecimal digits", key[:80], "plan the study again")
+    return key
 
 
 def record_text(record: Mapping[str, Any], files: Mapping[str, str]) -> str:

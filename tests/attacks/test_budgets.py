@@ -36,6 +36,12 @@ def test_a_projection_lands_inside_and_a_second_one_changes_nothing(
         assert torch.equal(budget.project(once, {"sh": reference})["sh"], once["sh"])
 
 
+@pytest.mark.parametrize("norm", ["l2", "l2_per_gaussian"])
+def test_what_is_too_long_is_shrunk_to_the_radius_and_no_further(norm: NormName) -> None:
+    shrunk = NORMS[norm].shrink(torch.tensor([[3.0, 4.0]], dtype=torch.float64), 1.0)
+    torch.testing.assert_close(shrunk, torch.tensor([[0.6, 0.8]], dtype=torch.float64))
+
+
 @given(norms, seeds)
 def test_a_zero_budget_is_the_identity(norm: NormName, seed: int) -> None:
     point, reference = draw(seed, spread=1.0)

@@ -171,8 +171,8 @@ def test_a_result_is_replaced_only_when_forced(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["dagger", "a.ply", "--cluster", "1", "--out", "out"]
-    with new_folder(folder / "out") as place:
-        (place / "result.json").write_text("{}")
+    with new_folder(folder / "out") as made:
+        (made / "result.json").write_text("{}")
     forbid(("attacks.dagger.attack.attack",), monkeypatch)
     assert cli.main(words) == 1
     assert "replace this result with force (--force)" in capsys.readouterr().err

@@ -334,3 +334,16 @@ def test_what_cannot_be_made_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(SplatFileError, match="expected a folder that can be written"), locked_folder(tmp_path / "file"):
         raise AssertionError("it is a file")
+
+
+def test_a_link_that_leads_out_of_a_locked_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "out" / "images").mkdir(parents=True)
+    (tmp_path / "out" / "within").symlink_to("images")
+    with locked_folder(tmp_path / "out"):
+        pass
+    (tmp_path / "out" / "images" / "deep").symlink_to("../..")
+    with (
+        pytest.raises(SplatFileError, match=r"got a link that leads out of the folder"),
+        locked_folder(tmp_path / "out"),
+    ):
+        raise AssertionError("it is written into")

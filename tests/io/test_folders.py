@@ -27,9 +27,9 @@ def names(folder: Path) -> list[str]:
 
 
 def result_in(folder: Path, text: str = "old") -> Path:
-    with new_folder(folder) as place:
-        (place / "result.json").write_text(text)
-        (place / "before.png").write_text(text)
+    with new_folder(folder) as made:
+        (made / "result.json").write_text(text)
+        (made / "before.png").write_text(text)
     return folder
 
 

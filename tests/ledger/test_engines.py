@@ -272,7 +272,7 @@ def test_what_one_plan_has_done_another_one_knows(tmp_path: Path) -> None:
 
 def test_a_driver_that_ends_early_takes_no_keys_from_another_one(tmp_path: Path) -> None:
     store, jobs = Store(tmp_path), {"second": walk(2, one=walk(1))}
-    early = Index(tmp_path, "plan")
+    early = Index(Store(tmp_path), "plan")
     early.add(walk(1))
     early.add(jobs["second"], "second")
     run(tmp_path, jobs)

@@ -8,6 +8,7 @@ import json
 import math
 import os
 import shutil
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,9 +21,11 @@ from hypothesis import strategies as st
 from mi_splat.errors import InvalidValueError
 from mi_splat.import_closure import closure
 from mi_splat.io.documents import sha256
+from mi_splat.io.errors import SplatFileError
 from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Event, Job, Ledger, running
 from mi_splat.ledger.engines import InProcess
+from mi_splat.ledger.index import plan, status
 from mi_splat.ledger.job import DiskFullError
 from mi_splat.ledger.plans import Driver, grid
 from mi_splat.ledger.running import run_job, task_for
@@ -280,3 +283,67 @@ def test_a_field_that_is_new_has_its_default_and_one_that_is_gone_is_told() -> N
 def test_a_text_names_no_code_beside_the_configurations_of_its_kind(name: str) -> None:
     with pytest.raises(InvalidValueError, match="expected a dataclass or an enumeration of a module that the kind"):
         decoded({"class": name}, closure(NUMBERS))
+
+
+def used(store: Store, key: str) -> list[Callable[[], object]]:
+    """All that makes a path of a key."""
+    return [
+        lambda: store.has(key),
+        lambda: store.failures(key),
+        lambda: store.forgive(key),
+        lambda: store.remove(key),
+        lambda: next(store.rows([key])),
+        lambda: store.making(key).__enter__(),
+    ]
+
+
+@pytest.mark.parametrize("key", ["../victim", "0" * 31, "0" * 33, "A" * 32, f"{'0' * 32}\n", "/"])
+def test_a_key_is_digits_or_no_part_of_a_path(key: str, tmp_path: Path) -> None:
+    (tmp_path / "victim").mkdir()
+    for use in used(Store(tmp_path / "store"), key):
+        with pytest.raises(InvalidValueError, match="expected 32 hexadecimal digits"):
+            use()
+    assert [path.name for path in tmp_path.iterdir()] == ["victim"]
+
+
+def test_a_plan_with_another_key_is_refused(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    plan(store, "numbers", {"one": Job(kind=NUMBERS, config=NumbersConfig())})
+    (line,) = json.loads((tmp_path / "plans" / "numbers.json").read_text())
+    (tmp_path / "plans" / "numbers.json").write_text(json.dumps([[*line[:5], "../victim"]]))
+    with pytest.raises(InvalidValueError, match=r"expected 32 hexadecimal digits, got \.\./victim"):
+        status(store, "numbers")
+
+
+@pytest.mark.parametrize("link", ["jobs", "jobs/00", f"jobs/00/{'0' * 32}", "tmp", "partial", "failed"])
+def test_no_link_leads_out_of_a_store(link: str, tmp_path: Path) -> None:
+    victim, path = tmp_path / "victim", tmp_path / "store" / link
+    victim.mkdir()
+    path.parent.mkdir(parents=True)
+    path.symlink_to(victim)
+    store = Store(tmp_path / "store")
+    messages = []
+    for use in used(store, "0" * 32)[2:]:
+        try:
+            use()
+        except (InvalidValueError, SplatFileError) as error:
+            messages.append(str(error))
+    assert any("expected a part of the store, got a symbolic link" in message for message in messages)
+    assert not list(victim.iterdir())
+
+
+def test_a_plan_replaces_a_link_and_not_what_it_leads_to(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    (tmp_path / "store" / "plans").mkdir(parents=True)
+    (tmp_path / "store" / "plans" / "numbers.json").symlink_to("../../mine.txt")
+    plan(Store(tmp_path / "store"), "numbers", {"one": Job(kind=NUMBERS, config=NumbersConfig())})
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+
+
+def test_only_classes_of_what_a_kind_imports_are_made_of_a_record() -> None:
+    value = {"class": "calendar:TextCalendar", "firstweekday": 0}
+    sys.modules.pop("this", None)
+    for name in ("this:d", "calendar:Calendar", "enum:Enum"):
+        with pytest.raises(InvalidValueError, match="of a module that the kind imports"):
+            decoded({**value, "class": name}, closure(NUMBERS))
+    assert "this" not in sys.modules, "a record has imported a module of its choice"
