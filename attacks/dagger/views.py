@@ -66,7 +66,8 @@ def fixed_views(subset: GaussianSubset, cameras: Sequence[Camera], *, render: Re
         box = visible_box(weight)
         if box is None:
             expected = "a view in which the object is visible"
-            raise InvalidValueError.of("camera", expected, "none of it", "turn the camera or choose another")
+            what = "camera" if len(cameras) == 1 else f"camera {index + 1} of {len(cameras)}"
+            raise InvalidValueError.of(what, expected, "none of it", "turn this camera or choose another")
         direction = direction_of(camera, centre, up)
         views.append(View(index=index, camera=camera, box=box, weight=weight, direction=direction))
     return views

@@ -212,6 +212,9 @@ class ImageChange:
     psnr_object: float | None
     outside: float
 
+    def __str__(self) -> str:
+        return "no pixel changed" if self.psnr is None else f"PSNR {self.psnr:.1f} dB"
+
 
 def image_change(before: Sequence[Tensor], after: Sequence[Tensor], weights: Sequence[Tensor]) -> ImageChange:
     """Compare (H, W, 3) pictures pairwise; `weights` are (H, W) as from `visible_weight`."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mi_splat.assets.mesh import Floats, skin
 from mi_splat.assets.srgb import to_linear, to_srgb
 from mi_splat.capture.mesh_materials import MaterialNotes, MeshFileNotes, beside, lies_outside
-from mi_splat.io.picture_files import BROKEN
+from mi_splat.io.picture_files import BROKEN, PictureFileError, check_scans
 
 GREY = 0.7
 """sRGB grey of surfaces without any colour."""
@@ -112,11 +112,12 @@ def _picture(material: Any | None, stated: MaterialNotes, path: Path, fault: Rep
         fault(f"{stated.picture} (texture): options {stated.options}, which are not followed")
         return None
     try:
+        check_scans(picture, stated.picture or "a texture")
         if picture.mode.startswith("I"):  # 16 bits, which Pillow would clip to 8
             grey = np.asarray(picture, np.float32)[..., None] / np.float32(65535)
             return np.repeat(np.clip(grey, 0, 1), 3, axis=2)
         return np.asarray(picture.convert("RGB"), np.float32) / np.float32(255)
-    except BROKEN as error:
+    except (PictureFileError, *BROKEN) as error:
         fault(f"{stated.picture or 'a texture'} (texture): {str(error)[:80]}")
         return None
 

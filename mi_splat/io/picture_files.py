@@ -4,6 +4,7 @@ A PNG of 500 kB may hold so many pixels of one colour that they take gigabytes i
 """
 
 import io
+import re
 import struct
 import threading
 import warnings
@@ -30,6 +31,11 @@ BROKEN = (
 ImportError: ultralytics, once it is loaded, lets Pillow look for a plugin that is not installed. Warning: where the
 caller has made errors of warnings.
 """
+
+MOST_SCANS = 100
+"""Scans that a JPEG may have; encoders write about ten, and each goes over all pixels again."""
+_MARKER = re.compile(rb"\xff[^\x00\x01\xff\xd0-\xd7]", re.DOTALL)
+"""A marker with a length after it, or the end: not a stuffed byte, a fill byte or a restart."""
 
 _ANIMATED = ("PNG", "WEBP")
 _lock = threading.RLock()
@@ -99,6 +105,40 @@ def focal_length_35mm(picture: Image.Image) -> float | None:
     return length if 1 <= length <= 2000 else None
 
 
+def check_picture(path: Path, what: str, *, formats: Sequence[str]) -> None:
+    """Raise if another library must not decode a picture."""
+    with _opened(path, what, formats) as picture:
+        check_scans(picture, what)
+
+
+def check_scans(picture: Image.Image, what: str) -> None:
+    """Raise if a picture, opened and not yet decoded, is a JPEG of so many scans that decoding takes minutes."""
+    if picture.format == "TIFF" and "jpeg" in str(picture.info.get("compression")):
+        raise PictureFileError.of(what, "a TIFF without JPEG inside", "one with it", "save it as JPEG or PNG")
+    file = getattr(picture, "fp", None)
+    if picture.format not in ("JPEG", "MPO") or file is None:
+        return
+    offset = file.tell()
+    file.seek(0)
+    scans = _scans(file.read())
+    file.seek(offset)
+    if scans > MOST_SCANS:
+        raise PictureFileError.of(what, f"a JPEG of at most {MOST_SCANS} scans", "more", "save it again")
+
+
+def _scans(data: bytes) -> int:
+    """How many scans a JPEG has; the count ends one above `MOST_SCANS`."""
+    offset = scans = 0
+    while scans <= MOST_SCANS and (marker := _MARKER.search(data, offset)) is not None:
+        kind, offset = marker[0][1], marker.end()
+        if kind == 0xD9:  # end of image; what follows is a video or another picture
+            break
+        if kind != 0xD8:
+            offset += int.from_bytes(data[offset : offset + 2], "big")
+        scans += kind == 0xDA
+    return scans
+
+
 def load_picture(
     source: Path | bytes, what: str = "", *, formats: Sequence[str] = FORMATS, upright: bool = False
 ) -> Image.Image:
@@ -106,6 +146,7 @@ def load_picture(
     with _opened(source, what or str(source), formats) as picture:
         if picture.format in _ANIMATED and getattr(picture, "is_animated", False):
             raise PictureFileError.of(what or str(source), "one picture", "an animation", "save one picture of it")
+        check_scans(picture, what or str(source))
         picture.load()
         return ImageOps.exif_transpose(picture) if upright else picture.copy()
 

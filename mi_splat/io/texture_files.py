@@ -5,7 +5,7 @@ import struct
 from pathlib import Path
 
 from mi_splat.io.errors import from_os_error
-from mi_splat.io.picture_files import FORMATS, PictureFileError, check_pixels, picture_header
+from mi_splat.io.picture_files import FORMATS, PictureFileError, check_picture, check_pixels
 
 _EXR = b"\x76\x2f\x31\x01"
 _HEADER = 1 << 20
@@ -52,7 +52,7 @@ def check_texture(path: Path, what: str = "") -> None:
         return check_pixels(what, int(match[1]), int(match[2]))
     if radiance:
         raise _broken(what, "Radiance HDR")
-    picture_header(path, what, formats=(*FORMATS, "PPM", "TGA"))
+    check_picture(path, what, formats=(*FORMATS, "PPM", "TGA"))
     return None
 
 

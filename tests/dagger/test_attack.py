@@ -105,6 +105,7 @@ def test_a_zero_budget_changes_no_bit() -> None:
     assert result.changed_gaussians == 0
     assert not result.success
     assert result.image.psnr is None
+    assert f"{result.image}" == "no pixel changed"
     assert "the loss did not fall" in result.warnings
 
 

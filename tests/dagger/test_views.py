@@ -13,6 +13,7 @@ from attacks.dagger.views import ViewDistribution, batch_indices, fixed_views
 from attacks.gaussian_subset import GaussianSubset
 from attacks.observe.views import visible_box
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
+from mi_splat.cameras import look_at
 from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import from_z
 from mi_splat.scene import Similarity
@@ -45,6 +46,12 @@ def test_the_object_shows_in_every_view() -> None:
         assert box is not None
         assert torch.equal(box, view.box)
         assert REGION.elevations[0] <= view.direction.elevation <= REGION.elevations[1]
+
+
+def test_the_camera_that_misses_the_object_is_named() -> None:
+    away = dataclasses.replace(camera(), to_world=look_at((50.0, -3.0, 0.0), (50.0, 0.0, 0.0)))
+    with pytest.raises(InvalidValueError, match="camera 2 of 3: expected a view in which the object is visible"):
+        fixed_views(GaussianSubset.of(*toy_scene()), [camera(), away, camera()], render=blobs)
 
 
 def test_regions_have_the_up_that_is_said() -> None:

@@ -49,6 +49,7 @@ from tests.detectors.test_training import PLAIN, Noting
 from tests.fakes import camera
 from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SOG, Document
 from tests.io.format_files import tame_scene, valid
+from tests.io.test_picture_files import many_scans
 from tests.report.results import MAKERS
 from tests.training.sets import SHORT, scene_and_views
 
@@ -228,8 +229,14 @@ def _picture(name: str, folder: Path) -> Path:
     return folder / name
 
 
+def _scans(folder: Path) -> Path:
+    (folder / "p.jpg").write_bytes(many_scans(90))
+    return folder / "p.jpg"
+
+
 def _rows(name: str, folder: Path) -> Path:
-    data = rows_bytes(frame_of({"view": view, "splat": "clean", "iou": 0.5 / (view + 1)} for view in range(20)))
+    more = {f"depth: {number}": 1.0 for number in range(190 if name.startswith("wide") else 0)}
+    data = rows_bytes(frame_of({"view": view, "splat": "clean", "iou": 0.5 / (view + 1)} | more for view in range(20)))
     (folder / name).write_bytes(packed(data) if name.endswith(".gz") else data)
     return folder / name
 
@@ -288,7 +295,7 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     yield "result.json of an artifact", _artifact("result.json")
     yield "manifest.json", _artifact("manifest.json")
     yield "table of an artifact", _artifact("*.csv*")
-    for name in ("rows.csv", "rows.csv.gz"):
+    for name in ("rows.csv", "rows.csv.gz", "wide.csv.gz"):
         yield f"rows {name}", Kind(make=partial(_rows, name), read=read_rows)
     yield "study", Kind(make=_copied("scenes/cloak_demo.toml"), read=read_study)
     yield "study of attacks", Kind(make=_copied("scenes/studies/transfer.toml"), read=_plan)
@@ -296,6 +303,7 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     yield "mesh a.gltf", Kind(make=gltf, read=gltf_notes, document=PLAIN_JSON)
     yield "mask", Kind(make=_mask, read=lambda path: load_mask(path, tame_scene(20, 1)))
     yield from ((f"picture {name}", Kind(make=partial(_picture, name), read=_see)) for name in ("p.png", "p.jpg"))
+    yield "picture of JPEG scans", Kind(make=_scans, read=_see)
     parts = (".xml", ".json", "_roadside.ply", "_stop_sign.ply")
     yield "scene XML", Kind(make=_copied(*(f"scenes/stop_sign{part}" for part in parts)), read=open_scene)
 

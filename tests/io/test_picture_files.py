@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 from PIL import Image, PngImagePlugin
 
 from attacks import cli
+from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io import SplatFileError
 from mi_splat.io.picture_files import MOST_PIXELS, PictureFileError, load_picture, picture_header, pixel_limit
 from mi_splat.io.pictures import VideoError, check_animation, save_animation, save_picture
+from mi_splat.io.texture_files import check_texture
+from tests.capture.trucks import truck, write_glb
 from tests.project.layers import PACKAGES, ROOT
 
 SQUARE = Image.linear_gradient("L").convert("RGB")
@@ -84,6 +87,26 @@ def test_whole_files_are_read_and_broken_ones_refused(kind: str) -> None:
     assert load_picture(data, "square").size == (256, 256)
     with pytest.raises(PictureFileError, match="square: expected a picture that can be read"):
         load_picture(data[: len(data) // 2], "square")
+
+
+def many_scans(count: int) -> bytes:
+    """A progressive JPEG whose last scan is repeated."""
+    data = saved("JPEG", progressive=True)
+    start = data.rindex(b"\xff\xc4", 0, data.rindex(b"\xff\xda"))
+    return data[:-2] + data[start:-2] * count + data[-2:]
+
+
+def test_a_jpeg_of_many_scans_is_not_decoded(tmp_path: Path) -> None:
+    assert load_picture(many_scans(20) + b"\xff\xda" * 200, "square").size == (256, 256)  # a video after its end
+    (tmp_path / "scans.jpg").write_bytes(many_scans(200))
+    mesh = write_glb(tmp_path, truck(), image={"uri": "scans.jpg"})
+    for read in (load_picture, check_texture):
+        with pytest.raises(PictureFileError, match=r"scans\.jpg: expected a JPEG of at most 100 scans"):
+            read(tmp_path / "scans.jpg")
+    with pytest.raises(MiSplatError, match=r"scans\.jpg \(texture\): .* at most 100 scans"):
+        load_mesh(mesh)
+    with pytest.raises(PictureFileError, match="expected a TIFF without JPEG inside"):
+        load_picture(saved("TIFF", compression="jpeg"), "square")
 
 
 @pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP", "BMP", "TIFF"])
