@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from mi_splat import plugins
 from mi_splat.errors import MiSplatError
 from mi_splat.llvm import prepare_llvm
-from mi_splat.mitsuba_log import log_to_stderr
+from mi_splat.mitsuba_setup import set_up_mitsuba
 from mi_splat.plugins import SUPPORTED_VARIANTS
 
 DEFAULT_VARIANT = "llvm_ad_rgb"
@@ -30,9 +30,9 @@ def use(variant: str = "") -> str:
     elif not has_cuda():
         do = f"use {DEFAULT_VARIANT}, or install the GPU's driver"
         raise VariantError.of(f"variant {variant}", "an NVIDIA GPU that Dr.Jit can use", "none", do)
+    set_up_mitsuba()
     if mi.variant() != variant:
         mi.set_variant(variant)
-    log_to_stderr()
     plugins.register()
     return variant
 

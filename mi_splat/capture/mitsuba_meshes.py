@@ -16,10 +16,10 @@ from mi_splat.assets.daylight import Light, sky_map
 from mi_splat.assets.mesh import Asset, Floats, Mesh
 from mi_splat.assets.srgb import to_linear
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.scene_parts import check_scene_file
 from mi_splat.io.texture_files import check_texture
 from mi_splat.llvm import prepare_llvm
-from mi_splat.mitsuba_log import log_to_stderr
+from mi_splat.mitsuba_setup import set_up_mitsuba
+from mi_splat.scene_files import load_mitsuba_scene
 
 MANY_PICTURES = "llvm_ad_rgb"
 """Variant that traces a whole picture at once: five times as fast, after half a second of compiling for each scene."""
@@ -42,9 +42,9 @@ def tracing_variant(variant: str | None = None) -> Iterator[None]:
     if wanted == MANY_PICTURES:
         prepare_llvm()
     token, previous = _chosen.set(wanted), mi.variant()
+    set_up_mitsuba()
     if previous != wanted:
         mi.set_variant(wanted)
-    log_to_stderr()
     try:
         yield
     finally:
@@ -63,13 +63,7 @@ def load_scene(scene: dict[str, Any] | Path) -> mi.Scene:
     """A scene dictionary or a Mitsuba XML file as a scene of the variant that is set."""
     if isinstance(scene, dict):
         return mi.load_dict(scene)
-    if not Path(scene).is_file():
-        raise InvalidValueError.of("scene", "a Mitsuba XML file", str(scene), "check the path")
-    check_scene_file(Path(scene))
-    loaded = mi.load_file(str(scene))
-    if not isinstance(loaded, mi.Scene):
-        raise InvalidValueError.of(str(scene), "a <scene>", type(loaded).__name__, "wrap it in <scene>")
-    return loaded
+    return load_mitsuba_scene(scene)
 
 
 def corner_normals(mesh: Mesh, *, crease: float = 38.0) -> Floats:

@@ -1,9 +1,12 @@
 """What a Mitsuba scene is made of: the elements of its file and of those that it includes, and the files they name.
 
 A file is read before Mitsuba reads it: XML in UTF-8 of sane depth and size, without entities. Mitsuba's own reader
-follows any depth, which ends the process where the stack does, and takes any encoding.
+follows any depth, which ends the process where the stack does, and takes any encoding. It also loads native code for
+a plugin type that it does not know, and reads from any device: both are refused here.
 """
 
+import functools
+import importlib.util
 import os
 import re
 from collections.abc import Mapping
@@ -12,17 +15,30 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, one_line
 from mi_splat.io.texture_files import check_texture, is_texture
 
 MOST_BYTES, MOST_ELEMENTS, DEEPEST = 16 << 20, 100_000, 64
 """What a scene file may have: bytes and elements (with the files that it includes, too), and elements in each other."""
+OWN_PLUGINS = ("gaussians", "splat_ray", "splat_tile")
+"""The plugins of this library, which `mi_splat.plugins` registers."""
 _ENCODING = re.compile(r"\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)")
+
+
+@functools.cache
+def plugin_names() -> frozenset[str]:
+    """The plugin types that a scene may name: those that Mitsuba ships, native or in Python, and our own."""
+    spec = importlib.util.find_spec("mitsuba")
+    package = Path(spec.origin).parent if spec is not None and spec.origin else Path()
+    files = [*package.glob("plugins/*"), *package.glob("python/ad/integrators/*.py")]
+    return frozenset({*OWN_PLUGINS, *(file.stem for file in files)} - {"__init__", "common"})
 
 
 def scene_elements(path: Path) -> list[ElementTree.Element]:
     """All elements of a scene file in their order, of those that it includes none."""
     try:
+        if path.exists() and not path.is_file():
+            raise ValueError("a folder, a device or a pipe")
         if (size := path.stat().st_size) > MOST_BYTES:
             raise ValueError(f"{size:,} bytes, more than {MOST_BYTES:,}")
         text = path.read_bytes().decode("utf-8-sig")
@@ -71,6 +87,7 @@ MOST_INCLUSIONS, _MOST_FOLDERS = 1000, 64
 """How many files a scene may include, and in how many folders it may have them looked for."""
 _LONGEST_CHAIN = 16
 """Files that include each other in a row; Mitsuba refuses more."""
+_NATIVE = (".dll", ".dylib", ".so")
 _PICTURES = (".bmp", ".exr", ".hdr", ".jpeg", ".jpg", ".pfm", ".png", ".ppm", ".rgbe", ".tga", ".tif", ".tiff", ".webp")
 
 
@@ -102,7 +119,10 @@ def scene_parts(path: Path, parameters: Mapping[str, object] | None = None) -> S
 
 def check_scene_file(path: Path, parameters: Mapping[str, object] | None = None) -> None:
     """Raise unless Mitsuba may read a scene file, the files that it includes and the pictures that they name."""
-    for file in dict.fromkeys(scene_parts(path, parameters).files):
+    reader = _Reader(path, parameters or {})
+    reader.read(path, [path.resolve()])
+    reader.check_folders()
+    for file in dict.fromkeys(reader.parts.files):
         if file.suffix.lower() in _PICTURES or is_texture(file):
             check_texture(file)
 
@@ -123,6 +143,9 @@ class _Reader:
         for element in scene_elements(path):
             filled = self._filled(element)
             self.parts.elements.append(Element(element.tag, filled))
+            if (kind := filled.get("type")) is not None and kind not in plugin_names():
+                got = f'type="{one_line(kind, 60)}" in <{element.tag}>'
+                raise self._refused("plugins that Mitsuba or mi-splat ships", got, "take another plugin")
             if len(self.parts.elements) > MOST_ELEMENTS:
                 raise self._refused(f"at most {MOST_ELEMENTS:,} elements in all", "more", "split the scene")
             if element.tag == "default":
@@ -136,10 +159,22 @@ class _Reader:
             else:
                 name = filled.get("value" if element.tag == "string" else "filename", "")
                 folders = [path.parent] * (element.tag == "include") + self._folders
-                files = [folder / name for folder in folders if os.path.isfile(folder / name)]  # of names of any length
+                named = [folder / name for folder in folders]
+                files = [file for file in named if os.path.isfile(file)]  # of names of any length
+                if not files and any(os.path.exists(file) and not os.path.isdir(file) for file in named):
+                    raise self._refused(
+                        "names of regular files", f"{one_line(name, 60)}, a device or a pipe", "name another file"
+                    )
                 self.parts.files += files[:1]
                 if files and element.tag == "include":
                     self._include(files[0], chain)
+
+    def check_folders(self) -> None:
+        """Refuse code that Mitsuba would load in the place of a plugin of its own; the working folder comes later."""
+        for folder in self._folders[:-1]:
+            for file in folder.glob("plugins/*"):
+                if file.stem in plugin_names() - set(OWN_PLUGINS) and file.suffix in _NATIVE:
+                    raise self._refused("no native code beside it", f"{file}", "remove that file")
 
     def _include(self, file: Path, chain: list[Path]) -> None:
         """Read a file that is included."""

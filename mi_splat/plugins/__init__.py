@@ -2,6 +2,9 @@
 
 Importing this package is enough: the plugins are registered in the current variant, and again whenever another one
 that can render splats is set.
+
+A scene file from somebody else is read with `mi_splat.read_scene`. Plain `mi.load_file` loads native code that lies
+beside the file: `plugins/NAME.so` for every plugin type that Mitsuba has not loaded yet, one of its own included.
 """
 
 import functools

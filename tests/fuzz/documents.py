@@ -2,11 +2,13 @@
 
 import io
 import json
+import re
 import struct
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
+from xml.sax.saxutils import escape
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,3 +66,21 @@ SAFETENSORS = Document(_header, _with_header)
 
 GLB = Document(lambda data: json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]]), _with_glb_json)
 SOG = Document(_sog_json, _with_sog_json)
+
+_NAMED = re.compile(r'(?<= type=")[^"]*|(?<= value=")[^"]*\.ply')
+_NOT_FOR_SCENES = ("evil", "../evil", "plugins/evil", "/dev/zero", "pipe", ".")
+
+
+def _with_names(data: bytes, text: str) -> bytes:
+    try:
+        names = iter([str(name) for name in json.loads(text)["scene"]])
+    except (ValueError, TypeError, KeyError, RecursionError):
+        names = iter([text])
+    xml = _NAMED.sub(lambda match: escape(next(names, match[0]), {'"': "&quot;"}), data.decode())
+    return xml.encode("utf-8", "surrogatepass")
+
+
+SCENE_NAMES = Document(
+    lambda data: {"scene": _NAMED.findall(data.decode())[:6], "others": [*_NOT_FOR_SCENES]}, _with_names
+)
+"""The first plugin types and splats that a scene file names, beside names that no scene may have."""

@@ -3,6 +3,7 @@
 import dataclasses
 import importlib.util
 import json
+import os
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -33,6 +34,7 @@ from mi_splat.capture.gltf import gltf_notes
 from mi_splat.capture.record import claim_folder
 from mi_splat.datasets.pictures import read_mask, read_picture
 from mi_splat.datasets.transforms import read_cameras, read_world_offset
+from mi_splat.errors import MiSplatError
 from mi_splat.io.camera_records import describe, recorded_cameras
 from mi_splat.io.documents import save_json
 from mi_splat.io.points import load_points
@@ -47,7 +49,7 @@ from tests.detectors.graphs.packages import TOPOLOGY, toy
 from tests.detectors.graphs.packages import WEIGHTS as TOY_WEIGHTS
 from tests.detectors.test_training import PLAIN, Noting
 from tests.fakes import camera
-from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SOG, Document
+from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SCENE_NAMES, SOG, Document
 from tests.io.format_files import tame_scene, valid
 from tests.io.test_picture_files import many_scans
 from tests.report.results import MAKERS
@@ -306,6 +308,26 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     yield "picture of JPEG scans", Kind(make=_scans, read=_see)
     parts = (".xml", ".json", "_roadside.ply", "_stop_sign.ply")
     yield "scene XML", Kind(make=_copied(*(f"scenes/stop_sign{part}" for part in parts)), read=open_scene)
+    yield "names in a scene XML", Kind(make=_beside_code_and_pipe, read=_open_without_code, document=SCENE_NAMES)
+
+
+def _beside_code_and_pipe(folder: Path) -> Path:
+    path = _copied(*(f"scenes/stop_sign{part}" for part in (".xml", "_roadside.ply", "_stop_sign.ply")))(folder)
+    os.mkfifo(folder / "pipe")
+    (folder / "plugins").mkdir()
+    for name in ("evil.so", "plugins/evil.so"):
+        (folder / name).write_text("no library: Mitsuba says so if it tries to load it")
+    return path
+
+
+def _open_without_code(path: Path) -> None:
+    """Open a scene; that Mitsuba tried to load code beside it is a failure."""
+    try:
+        open_scene(path)
+    except MiSplatError as error:
+        if "loading plugin" in str(error):
+            raise AssertionError(str(error)) from error
+        raise
 
 
 def _plan(path: Path) -> None:

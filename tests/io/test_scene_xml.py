@@ -1,5 +1,6 @@
 """Scene files of unknown origin: what would end the process or fill the memory is refused before Mitsuba reads it."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -57,6 +58,17 @@ REFUSED: dict[str, tuple[Callable[[], bytes], str]] = {
         lambda: scene(f'<default name="p" value="{"x" * 100_000}"/>', f'<string name="{"$p" * 10_000}" value=""/>'),
         "at most 16,777,216 characters",
     ),
+    "a plugin of its own": (lambda: scene('<bsdf type="evil"/>'), 'type="evil" in <bsdf>'),
+    "a plugin by its path": (lambda: scene('<emitter type="../evil"/>'), r'type="\.\./evil" in <emitter>'),
+    "a plugin by a default": (
+        lambda: scene('<default name="t" value="evil"/>', '<shape type="sphere"><bsdf type="$t"/></shape>'),
+        'type="evil"',
+    ),
+    "a plugin in an included file": (lambda: scene('<include filename="b/d.xml"/>'), 'type="evil" in <texture>'),
+    "code with the name of a plugin": (lambda: scene('<path value="b"/>'), r"no native code beside it, got .*diffuse"),
+    "a device": (lambda: scene('<string name="filename" value="/dev/zero"/>'), "/dev/zero, a device or a pipe"),
+    "a pipe": (lambda: scene('<spectrum name="s" filename="b/pipe"/>'), "b/pipe, a device or a pipe"),
+    "a pipe that is included": (lambda: scene('<include filename="b/pipe"/>'), "b/pipe, a device or a pipe"),
     "a tree of many": (lambda: scene('<include filename="t4.xml"/>' * 50), "at most 1,000 inclusions"),
 }
 
@@ -66,6 +78,10 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "b").mkdir()
     (tmp_path / "b" / "b.xml").write_bytes(scene('<include filename="../a.xml"/>'))
     (tmp_path / "b" / "c.xml").write_bytes(b"\1")
+    (tmp_path / "b" / "d.xml").write_bytes(scene('<texture type="evil"/>'))
+    (tmp_path / "b" / "plugins").mkdir()
+    (tmp_path / "b" / "plugins" / "diffuse.so").write_bytes(b"")
+    os.mkfifo(tmp_path / "b" / "pipe")
     (tmp_path / "t0.xml").write_bytes(scene('<shape type="sphere"/>'))
     for number in range(4):
         (tmp_path / f"t{number + 1}.xml").write_bytes(scene(f'<include filename="t{number}.xml"/>' * 50))
@@ -81,7 +97,7 @@ def test_what_no_scene_needs_is_refused(name: str, folder: Path) -> None:
         check_scene_file(path)
 
 
-@pytest.mark.parametrize("name", ["8,000 in each other", "a circle"])
+@pytest.mark.parametrize("name", ["8,000 in each other", "a circle", "a plugin of its own", "a device"])
 def test_every_reader_checks_first(name: str, folder: Path) -> None:
     make, says = REFUSED[name]
     path = folder / "a.xml"
@@ -153,7 +169,8 @@ def test_the_files_of_a_scene_are_all_that_it_names(tmp_path: Path) -> None:
     path = tmp_path / "a.xml"
     path.write_bytes(scene('<default name="folder" value="parts"/>', *texts, '<include filename="b.xml"/>'))
     assert scene_parts(path).files == [path, *(tmp_path / name for name in ("parts/a.ply", "b.xml", "parts/b.spd"))]
-    for wrong in ("none.xml", "beside.ply"):
+    os.mkfifo(tmp_path / "pipe.xml")
+    for wrong in ("none.xml", "beside.ply", "pipe.xml"):
         with pytest.raises(MiSplatError, match=f"{wrong}: expected a Mitsuba XML file"):
             scene_parts(tmp_path / wrong)
 

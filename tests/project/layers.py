@@ -42,7 +42,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "objects": ("mi_splat.assets",),
     "rasterization": ("mi_splat.rasterization",),
     "ray tracing": ("mi_splat.raytracing",),
-    "Mitsuba": ("mi_splat.llvm", "mi_splat.mitsuba_log", "mi_splat.plugins", "mi_splat.variant"),
+    "Mitsuba": ("mi_splat.llvm", "mi_splat.mitsuba_setup", "mi_splat.plugins", "mi_splat.variant"),
     "rendering": (
         "mi_splat.rendering",
         "mi_splat.side_outputs",

@@ -30,7 +30,7 @@ RENDERERS = (
     "mi_splat.rasterization",
     "mi_splat.raytracing",
     "mi_splat.plugins",
-    "mi_splat.mitsuba_log",
+    "mi_splat.mitsuba_setup",
     "mi_splat.variant",
     "mi_splat.rendering",
     "mi_splat.side_outputs",

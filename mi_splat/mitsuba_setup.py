@@ -1,22 +1,35 @@
-"""Where Mitsuba's own log goes: to stderr, as stdout is for results."""
+"""What a process does with Mitsuba first: its log goes to stderr, and its own folder is searched for plugins first."""
 
 import sys
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 from mi_splat.errors import printable
 
 
-def log_to_stderr() -> None:
-    """Send what Mitsuba logs to stderr; it writes to stdout by itself. A log that the caller has set up is kept."""
+def set_up_mitsuba() -> None:
+    """Send what Mitsuba logs to stderr, and take its plugins from its own folder, not from the working directory.
+
+    Mitsuba writes to stdout by itself, which is for results. A log that the caller has set up is kept.
+    """
     import mitsuba as mi
 
+    _search_own_folder_first()
     logger = mi.logger()
     for number in reversed(range(logger.appender_count())):
         appender = logger.appender(number)
         if isinstance(appender, mi.StreamAppender) and not appender.logs_to_file():
             logger.remove_appender(appender)
             logger.add_appender(_appender())
+
+
+@cache
+def _search_own_folder_first() -> None:
+    """Mitsuba looks for `plugins/NAME.so` in the working directory otherwise, and runs what it finds there."""
+    import mitsuba as mi
+
+    mi.file_resolver().prepend(str(Path(str(mi.__file__)).parent))
 
 
 @cache
