@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from attacks.dagger.config import Config, DaggerConfig, EnsembleLoss
+from attacks.dagger.config import Config, DaggerConfig
 from attacks.dagger.views import View
 from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset
@@ -67,30 +67,37 @@ class Problem:
         Attacks", ICLR 2017), or that of the detector that resists most. Nothing is differentiated for an optimiser
         that knows the loss alone.
         """
+        groups = [self.detectors] if config.ensemble == "mean" else [(detector,) for detector in self.detectors]
         with torch.set_grad_enabled(config.spec.gradient):
-            each = [self._evaluate(detector, parameters, views) for detector in self.detectors]
-        joint = _LOSSES[config.ensemble]([evaluation for evaluation, _ in each])
-        return replace(joint, verdict=config.verdict(list(zip(*(verdicts for _, verdicts in each), strict=True))))
+            each = [self._evaluate(group, parameters, views) for group in groups]
+        joint = max((evaluation for evaluation, _ in each), key=lambda evaluation: evaluation.loss)
+        rows = [[verdict for row in view for verdict in row] for view in zip(*(rows for _, rows in each), strict=True)]
+        return replace(joint, verdict=config.verdict(rows))
 
     def _evaluate(
-        self, detector: Detector, parameters: Parameters, views: Sequence[View]
-    ) -> tuple[Evaluation, list[Verdict]]:
-        """Mean loss of one detector over the views, its gradients, and the verdict of each view."""
-        loss, verdicts = 0.0, []
+        self, detectors: Sequence[Detector], parameters: Parameters, views: Sequence[View]
+    ) -> tuple[Evaluation, list[list[Verdict]]]:
+        """Mean loss of detectors over the views, its gradients, and the verdicts of each view; it is rendered once."""
+        loss, rows, share = 0.0, list[list[Verdict]](), len(views) * len(detectors)
         gradients = (
             {name: torch.zeros_like(value) for name, value in parameters.items()} if torch.is_grad_enabled() else {}
         )
         for view in views:
-            leaves = _leaves(parameters)
-            picture = bounded(self._differentiable(leaves, view.camera))
-            target, candidates = self.target(view, detector), detector.candidates(picture[None])[0]
-            here = self.objective(candidates, target) / len(views)
-            for name, gradient in _gradients(here, leaves).items():
+            leaves, row = _leaves(parameters), list[Verdict]()
+            rendered = bounded(self._differentiable(leaves, view.camera))
+            picture = rendered.detach().requires_grad_(torch.is_grad_enabled())
+            along = torch.zeros_like(picture)
+            for detector in detectors:
+                target, candidates = self.target(view, detector), detector.candidates(picture[None])[0]
+                here = self.objective(candidates, target) / share
+                along += _gradients(here, {"picture": picture}).get("picture", 0.0)
+                loss += float(here.detach())
+                far = self.objective.far(candidates, target) if isinstance(self.objective, Relabel) else None
+                row.append(far or self._reported(detector, picture.detach(), target))
+            rows.append(row)
+            for name, gradient in _gradients(rendered, leaves, along).items():
                 gradients[name] += gradient
-            loss += float(here.detach())
-            far = self.objective.far(candidates, target) if isinstance(self.objective, Relabel) else None
-            verdicts.append(far or self._reported(detector, picture.detach(), target))
-        return Evaluation(loss=loss, gradients=gradients), verdicts
+        return Evaluation(loss=loss, gradients=gradients), rows
 
     def _reported(self, detector: Detector, picture: Tensor, target: Target) -> Verdict:
         """What a detector's report on the picture at 8 bits says."""
@@ -164,11 +171,11 @@ def _leaves(parameters: Parameters) -> Parameters:
     return {name: value.detach().requires_grad_(torch.is_grad_enabled()) for name, value in parameters.items()}
 
 
-def _gradients(loss: Tensor, leaves: Parameters) -> Parameters:
-    """Derivative of the loss by each parameter; none where nobody asks."""
+def _gradients(value: Tensor, leaves: Parameters, along: Tensor | None = None) -> Parameters:
+    """Derivative of a value by each parameter, of a tensor `along` a gradient; none where nobody asks."""
     if not torch.is_grad_enabled():
         return {}
-    parts = torch.autograd.grad(loss, list(leaves.values()), materialize_grads=True)
+    parts = torch.autograd.grad(value, list(leaves.values()), along, materialize_grads=True)
     return dict(zip(leaves, parts, strict=True))
 
 
@@ -184,20 +191,6 @@ def check_detectors(detectors: Sequence[Detector], objective: Objective) -> None
             expected = f"one of {', '.join(detector.classes)}"
             do = nearest(objective.label, detector.classes, "choose one of them")
             raise InvalidValueError.of(f"target{of}", expected, objective.label, do)
-
-
-def _mean(each: Sequence[Evaluation]) -> Evaluation:
-    if len(each) == 1:
-        return each[0]
-    names = each[0].gradients
-    gradients = {name: torch.stack([evaluation.gradients[name] for evaluation in each]).mean(0) for name in names}
-    return Evaluation(loss=sum(evaluation.loss for evaluation in each) / len(each), gradients=gradients)
-
-
-_LOSSES: dict[EnsembleLoss, Callable[[Sequence[Evaluation]], Evaluation]] = {
-    "mean": _mean,
-    "max": lambda each: max(each, key=lambda evaluation: evaluation.loss),
-}
 
 
 class _Bounded(torch.autograd.Function):

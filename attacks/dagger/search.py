@@ -64,7 +64,7 @@ def frozen(problem: Problem, views: Sequence[View], config: DaggerConfig) -> Pro
         problem.subset.scene,
         [view.camera for view in views],
         render=problem.render,
-        pictures=len(problem.detectors) * config.restarts * (config.steps + 1),
+        pictures=config.restarts * (config.steps + 1),
         rows=problem.subset.rows,
     )
     return dataclasses.replace(problem, frozen=made)
