@@ -129,21 +129,25 @@ def _of_detector(rows: pl.DataFrame) -> dict[str, Any]:
 # Transfer, and an attacked splat under other conditions
 
 
-def transfer_measures(confidence: Confidence = REPORTED) -> Measures:
+def transfer_measures(confidence: Confidence = REPORTED, kinds: Sequence[str] = ("targeted", "untargeted")) -> Measures:
     """How often attacks, and noise of their sizes, deceive a detector, of the rows whose clean object it finds.
 
     `found`: the clean object is reported, and not taken for the target. `targeted`: the wanted class is reported on the
-    attacked object; `untargeted`: the object's own class no longer is; `noise_...`: the same of random noise. All but
-    `found` need rows of `with_control`.
+    attacked object; `untargeted`: the object's own class no longer is; `reached`: the attack's own objective is;
+    `noise_...`: the same of random noise. All but `found` need rows of `with_control`.
     """
     clean = reported(f"{CONTROL}original_score", confidence) & ~reported(f"{CONTROL}target_score", confidence)
-    wanted, gone = reported("target_score", confidence), ~reported("original_score", confidence)
+    holds = {
+        "targeted": reported("target_score", confidence),
+        "untargeted": ~reported("original_score", confidence),
+        "reached": pl.col("success"),
+    }
     return {
         "found": Measure(holds=clean, given=of(CLEAN)),
         **{
-            f"{before}{name}": Measure(holds=holds, given=of(splat) & clean)
+            f"{before}{kind}": Measure(holds=holds[kind], given=of(splat) & clean)
             for before, splat in (("", ATTACKED), ("noise_", NOISE))
-            for name, holds in (("targeted", wanted), ("untargeted", gone))
+            for kind in kinds
         },
     }
 

@@ -76,7 +76,7 @@ class Judge:
         condition = renderer if self.condition == AS_ATTACKED else self.condition
         sun, street = street_of(condition, self.sun)
         inputs: dict[str, Job | Part | Path] = {"attacked": attacked.part(splat), **street}
-        of |= {"object": config.object, "target": config.objective.label, "condition": condition, "sun": sun}
+        of |= {"object": config.object, "objective": config.objective, "condition": condition, "sun": sun}
         of |= {"package": package_of(condition)}
         of |= {"attributes": attack.attributes, "norm": attack.norm}
         return [

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from torch import Generator
 
+from attacks.aims import PluggedObjective
 from attacks.budgets import Budget
 from attacks.dagger.views import View, fixed_views
 from attacks.gaussian_subset import GaussianSubset
 from attacks.limits import NormName
+from attacks.objectives import Hide, Relabel, Target, Untargeted
 from attacks.observe.conditions import OWN, Condition, SunTable, Viewing, condition_of
-from attacks.observe.look import look, report_cells, seen_from
+from attacks.observe.look import look, report_cells, seen_from, verdict_cells
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE
 from attacks.observe.views import ViewDetections
 from attacks.studies.attack import distribution
@@ -39,7 +41,7 @@ class Look:
 
     Attributes:
         object: Id of the object; with spaces for its underscores it is the object's class.
-        target: Class wanted; None for none.
+        objective: What the attack wants the detectors to see.
         detector: Name of the one that looks.
         attributes: What the attack could change.
         eps: Radii of balls that noise stays in: one for all attributes, or one for each.
@@ -56,7 +58,7 @@ class Look:
     """
 
     object: str
-    target: str | None
+    objective: Relabel | Hide | Untargeted | PluggedObjective
     detector: str
     attributes: tuple[Attribute, ...]
     eps: tuple[float, ...]
@@ -94,10 +96,15 @@ def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, An
         condition = _changing(condition, {camera: view.change for camera, view in moved.items()})
     directions = seen_from(viewing.centre)
 
-    def cells(seen: ViewDetections) -> dict[str, Any]:
-        return {**directions(seen), **report_cells(seen.detections, seen.box, original=original, target=config.target)}
-
     splats, detectors = _splats(config, scene, load_splat(inputs["attacked"])), detectors_of((config.detector,), inputs)
+    wanted, classes = config.objective, tuple(detectors[0].classes)
+
+    def cells(seen: ViewDetections) -> dict[str, Any]:
+        assert seen.box is not None  # as `fixed_views` has seen to
+        target = Target(box=seen.box, label=wanted.label, classes=classes, original=original)
+        reported = report_cells(seen.detections, seen.box, original=original, target=wanted.label)
+        return {**directions(seen), **reported, **verdict_cells(wanted.verdict(seen.detections, target))}
+
     unmoved = replace(condition, move=lambda camera: camera)
     looked = look([unmoved], splats, list(boxes), detectors, boxes=boxes.__getitem__, cells=cells)
     shown = config.condition or (OWN if config.transformations is None else HELD_OUT)

@@ -35,9 +35,12 @@ _STATED = (
     *("evaluations", "cpu_seconds", "loss"),
 )
 """What an attack says of itself that does not follow from rows."""
-_SHARED = ("settings", "versions", "variant", "commit", "target", "confidence", "bisected", "redraws")
+_SHARED = ("settings", "versions", "variant", "commit", "aim", "target", "confidence", "bisected", "redraws")
 """Of what an attack states, that which may stand there."""
 _NAME_DIGITS = 12
+
+KINDS_OF = {"relabel": ("targeted", "untargeted"), "untargeted": ("untargeted",)}
+"""What is counted of looks at attacks with an objective; of others whether that is reached."""
 
 RATES = {
     "rate": "success",
@@ -132,6 +135,7 @@ def _attack(attempt: Attempt, result: Done) -> dict[str, Any]:
         "labels": dict(attempt.point.labels),
         "bisected": attempt.point.bisected,
         "sources": list(config.detectors),
+        "aim": config.objective.name,
         "target": config.objective.label,
         "confidence": config.objective.confidence,
         "seed": config.attack.seed,
@@ -298,6 +302,11 @@ def _smallest(attacks: Record, each: Mapping[str, Record]) -> list[dict[str, Any
     return lines
 
 
+def _aim(attack: Record) -> str:
+    """The objective of an attack by its name; results of before it was written had no others."""
+    return str(attack.get("aim", "relabel" if attack["target"] else "untargeted"))
+
+
 def _looks(attacks: Record, looks: pl.DataFrame) -> list[dict[str, Any]]:
     """How often attacks that differ in pair and seed alone deceive each detector under each condition."""
     lines = []
@@ -309,11 +318,7 @@ def _looks(attacks: Record, looks: pl.DataFrame) -> list[dict[str, Any]]:
         by = ("condition", "detector")
         medians = mine.filter(splat=ATTACKED).group_by(by).agg(pl.col("target_score").median())
         scores = {(condition, detector): score for condition, detector, score in medians.iter_rows()}
-        measures = {
-            name: measure
-            for name, measure in transfer_measures(confidence).items()
-            if first["target"] or name.split("_")[-1] != "targeted"
-        }
+        measures = transfer_measures(confidence, kinds=KINDS_OF.get(_aim(first), ("reached",)))
         for (condition, detector), rates in count(mine, measures, by).items():
             lines.append(
                 {

@@ -79,7 +79,11 @@ _OF_SEARCHES: dict[str, Cell] = {
     "smallest": _number("smallest"),
     "largest that does not": _number("not_enough"),
 }
-KINDS = {"targeted": "The wanted class is reported", "untargeted": "The object's class is no longer reported"}
+KINDS = {
+    "targeted": "The wanted class is reported",
+    "untargeted": "The object's class is no longer reported",
+    "reached": "The objective of the attack is reached",
+}
 
 
 def _introduction(record: Record) -> list[str]:

@@ -12,7 +12,7 @@ from attacks.cloak.rates import measures
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import write_report
-from attacks.objectives import Objective, hide, relabel, untargeted
+from attacks.objectives import Objective, hide, objective, relabel, untargeted
 from attacks.observe.measures import Confidence, Measures
 from attacks.report.checking import Check, read_result
 from attacks.report.rescoring import rescore
@@ -40,12 +40,18 @@ def scored(folder: Path, *detectors: ColourDetector) -> list[Check]:
     return rescore(result, story_of(result).rescoring, detectors)
 
 
-@pytest.mark.parametrize("objective", [relabel("person"), hide(), untargeted()], ids=lambda one: str(one.name))
-def test_an_attack_is_scored_again(objective: Objective, tmp_path: Path, variant: str) -> None:
-    folder = result_of(tmp_path / "result", objective, [ColourDetector(), CoarseDetector()])
+@pytest.mark.parametrize("aim", [relabel("person"), hide(), untargeted()], ids=lambda one: str(one.name))
+def test_an_attack_is_scored_again(aim: Objective, tmp_path: Path, variant: str) -> None:
+    folder = result_of(tmp_path / "result", aim, [ColourDetector(), CoarseDetector()])
     lines = scored(folder, ColourDetector(), CoarseDetector())
     assert [line.colour for line in lines] == ["green"] * 4
     assert all("moved by 0.0%" in line.words for line in lines)
+
+
+def test_an_objective_of_functions_is_not_scored_again(tmp_path: Path, variant: str) -> None:
+    own = objective(lambda candidates, target: candidates.scores.sum(), lambda detections, target: True, name="own")
+    with pytest.raises(InvalidValueError, match="objective own: expected one that is known by its name, got functions"):
+        scored(result_of(tmp_path / "result", own), ColourDetector())
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,8 @@ made = attack.FixedAttack(object="car", objective=Relabel(label="person"), detec
 attack.run(made, scene, out)
 found = strange("attacks.studies.attack")
 from attacks.studies import look
-seen = dict(object="car", target="person", detector=detector, attributes=("sh",), norm="l2", seed=0, eps=(5.0,))
+wanted = Relabel(label="person")
+seen = dict(object="car", objective=wanted, detector=detector, attributes=("sh",), norm="l2", seed=0, eps=(5.0,))
 look.run(look.Look(**seen, condition=".spz"), {**scene, "attacked": folder / "object.ply"}, out)
 print([*found, *strange("attacks.studies.look")])
 """

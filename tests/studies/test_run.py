@@ -151,8 +151,8 @@ def test_looks_count_runs_whose_clean_object_is_found(run: dict[str, Any]) -> No
     assert own["noise_targeted"]["successes"] == 0
     assert not looks["seen as a person", 12.0, ".ply", "fake_coarse"]["white_box"]
     hidden = looks["hidden", 12.0, ".ply", "fake_colour"]
-    assert "targeted" not in hidden
-    assert hidden["untargeted"]["successes"] == 2
+    assert not {"targeted", "untargeted"} & {*hidden}  # its objective is that nothing at all is reported
+    assert hidden["reached"]["successes"] == 2
 
 
 def test_the_page_says_what_was_counted(folder: Path, run: dict[str, Any]) -> None:

@@ -236,8 +236,11 @@ def _by_angle(record: Record, angle: str, needed: float) -> Chart:
 def objective_of(record: Record) -> Objective:
     """The aim of an attack."""
     try:
-        kind = _AIMS.get(str(record["objective"]), (PluggedObjective,))[0]
-        aim: Objective = kind(**record["config"]["objective"])
+        name, values = str(record["objective"]), record["config"]["objective"]
+        if name not in _AIMS and "kind" not in values:
+            do = "score it again in the program that made it, or bring the objective as a plug-in"
+            raise InvalidValueError.of(f"objective {name[:40]}", "one that is known by its name", "functions", do)
+        aim: Objective = _AIMS.get(name, (PluggedObjective,))[0](**values)
     except (KeyError, TypeError) as error:
         expected, do = f"the settings of one of {', '.join(_AIMS)}", "get the result again"
         raise InvalidValueError.of("objective", expected, repr(error), do) from error

@@ -59,7 +59,7 @@ def _headline(record: Record) -> tuple[str, str, list[Record], str]:
         counting, aim = ("held-out views", "success") if key == "rate" else ("attacks", "the aim reached")
         return f"{counting} with {aim}{f' ({part})' if part else ''}", counting, members, key
     others = [look for look in looks if not look["white_box"]] or list(looks)
-    key = "targeted" if "targeted" in others[0] else "untargeted"
+    key = next(kind for kind in KINDS if kind in others[0])
     return f"{_JUDGES[others[0]['white_box']]}: {KINDS[key].lower()}", "looks", others, key
 
 
@@ -104,7 +104,7 @@ def _warnings(attacks: Sequence[Record]) -> Iterator[str]:
 
 def _doubts(looks: Sequence[Record]) -> Iterator[str]:
     """Judges that do not see the clean object, and figures that noise reaches, so that they say nothing."""
-    others = [look for look in looks if not look["white_box"]]
+    others = [look for look in looks if not look["white_box"] and "untargeted" in look]
     gone, noise = (pooled(look[key] for look in others) for key in ("untargeted", "noise_untargeted"))
     if gone.successes and noise.total and noise.fraction >= gone.fraction:
         yield (
