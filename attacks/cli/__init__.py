@@ -18,11 +18,12 @@ from typing import TYPE_CHECKING, Any
 
 from mi_splat.cli.console import PROGRAM, UsageError, import_at_once, warn
 from mi_splat.errors import MiSplatError, message, nearest, printable
+from mi_splat.interrupts import INTERRUPTED, TERMINATED, sigterm_as_interrupt
 
 if TYPE_CHECKING:
     import argparse
 
-DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
+DONE, FAILED, MISUSED = 0, 1, 2
 
 
 GROUPS: dict[str, dict[str, str]] = {
@@ -86,15 +87,21 @@ def module_of(name: str) -> ModuleType:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return the process's exit status."""
+    with sigterm_as_interrupt() as terminated:
+        try:
+            return _answered(arguments)
+        except KeyboardInterrupt:
+            warn("terminated" if terminated() else "interrupted")
+            return TERMINATED if terminated() else INTERRUPTED
+
+
+def _answered(arguments: Sequence[str] | None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         with _plain_warnings():
             return _dispatch(words)
     except SystemExit as stop:  # argparse ends --help this way
         return stop.code if isinstance(stop.code, int) else DONE if stop.code is None else FAILED
-    except KeyboardInterrupt:
-        warn("interrupted")
-        return INTERRUPTED
     except BrokenPipeError:  # the reader of our output, `head` for instance, has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
@@ -238,5 +245,6 @@ Adversarial attacks on, and forensic audits of, 3D Gaussian splats.
   {PROGRAM} --version     the version
   --max-pixels N         with any command: pixels that a picture which is read may have (50000000)
 
-exit status: 0 done (also when an attack fails: that is a result), 1 error, 2 wrong usage; audit: 3 found
+exit status: 0 done (also when an attack fails: that is a result), 1 error, 2 wrong usage; audit: 3 found;
+  130 Ctrl-C, 143 SIGTERM: what can be resumed is kept
 """

@@ -20,12 +20,15 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from mi_splat.interrupts import TERMINATED, sigterm_as_interrupt
 from mi_splat.ledger.job import DiskFullError, EngineError, Event, HeldError, OnEvent, Outcome, Task, nobody
 from mi_splat.ledger.running import run_job
 from mi_splat.ledger.store import Store
 
 _LOOK = 0.25
 """Seconds between two looks at the time and the memory."""
+_GRACE = 8.0
+"""Seconds that a stopped job has to write down how far it is."""
 _SHOWN = 2000
 """Characters of what a process said last."""
 _BETWEEN = 0.1
@@ -70,12 +73,12 @@ class Child:
         self._process: subprocess.Popen[bytes] | None = None
         self._pipe: Any = None
         self._output: Any = None
-        self._stopped = False
+        self._stopped: float | None = None
 
     def run(self, task: Task, on_event: OnEvent = nobody, *, cores: Sequence[int] = ()) -> Outcome:
         """Run a task, and write down what it could not write down itself: by what signal or limit it was ended."""
         process, failures = self._started(), list[str]()
-        if self._stopped:
+        if self._stopped is not None:
             return Outcome(state="stopped", text="the engine was closed")
 
         def tell(event: Event) -> None:
@@ -93,7 +96,7 @@ class Child:
         if isinstance(answer, Outcome):
             return answer
         self.close()
-        if self._stopped:
+        if self._stopped is not None:
             return Outcome(state="stopped", text="the engine was closed")
         if not failures:
             seconds = round(time.monotonic() - begun, 3)
@@ -103,10 +106,10 @@ class Child:
         return Outcome(state="failed", text=failures[0])
 
     def stop(self) -> None:
-        """End the `run` of another thread now; what it did counts as no try."""
-        self._stopped = True
+        """End the `run` of another thread, which may write down first how far it is; it counts as no try."""
+        self._stopped = time.monotonic()
         if (process := self._process) is not None:
-            process.kill()
+            process.terminate()
 
     def close(self) -> None:
         """End the process."""
@@ -148,6 +151,8 @@ class Child:
                     tell(answer)
             except (EOFError, OSError):
                 return self._end(process)
+            if self._stopped is not None and time.monotonic() - self._stopped > _GRACE:
+                process.kill()
             if time.monotonic() - looked > _LOOK:
                 looked = time.monotonic()
                 if broken := limits.broken(process.pid, looked - begun):
@@ -219,5 +224,16 @@ def _listen(pipe: Connection, tasks: queue.SimpleQueue[tuple[Task, Sequence[int]
             os._exit(1)  # nobody watches any more
 
 
+def main() -> int:
+    """Serve until the pipe is closed or SIGTERM comes, which ends a job as Ctrl-C would."""
+    pipe = Connection(int(sys.argv[2]))
+    with sigterm_as_interrupt():
+        try:
+            serve(Store(Path(sys.argv[1])), pipe)
+        except KeyboardInterrupt:
+            pipe.send(Outcome(state="stopped", text="it was terminated"))
+    return TERMINATED
+
+
 if __name__ == "__main__":
-    serve(Store(Path(sys.argv[1])), Connection(int(sys.argv[2])))
+    sys.exit(main())

@@ -12,6 +12,7 @@ from typing import Any
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.import_closure import closure
+from mi_splat.interrupts import INTERRUPTED, TERMINATED, sigterm_as_interrupt
 from mi_splat.io.documents import save_text
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger.engines import Processes
@@ -83,4 +84,8 @@ def run(store: Path, jobs: Path, first: int, last: int) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(min(1, run(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]))))
+    with sigterm_as_interrupt() as terminated:
+        try:
+            sys.exit(min(1, run(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]))))
+        except KeyboardInterrupt:
+            sys.exit(TERMINATED if terminated() else INTERRUPTED)

@@ -2,20 +2,17 @@
 
 import dataclasses
 import hashlib
-import signal
-import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from types import FrameType
 
 import torch
 
 from mi_splat import provenance
 from mi_splat.cameras import Camera, RenderFn, View, cameras_of, fingerprint_of
 from mi_splat.errors import InvalidValueError
+from mi_splat.interrupts import deferred_interrupt
 from mi_splat.io import save_splat
 from mi_splat.io.atomic import sweep_temporary
 from mi_splat.io.documents import save_json
@@ -82,7 +79,7 @@ def train(
 
         if on_start is not None:
             on_start(state)
-        with _deferred_interrupt() as interrupted:
+        with deferred_interrupt() as interrupted:
 
             def after(line: Progress) -> None:
                 if on_step is not None:
@@ -182,23 +179,3 @@ def _figures(fit: Fit, held_out: int) -> dict[str, object]:
         "history": [asdict(line) for line in fit.history],
         **provenance.origin(),
     }
-
-
-@contextmanager
-def _deferred_interrupt() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C inside the block is only noted, so that a step is never left half done; a second one stops at once."""
-    pressed: list[int] = []
-
-    def note(number: int, frame: FrameType | None) -> None:
-        if pressed:
-            raise KeyboardInterrupt
-        pressed.append(number)
-
-    if threading.current_thread() is not threading.main_thread():  # only the main thread gets signals
-        yield lambda: False
-        return
-    previous = signal.signal(signal.SIGINT, note)
-    try:
-        yield lambda: bool(pressed)
-    finally:
-        signal.signal(signal.SIGINT, previous)

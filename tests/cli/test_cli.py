@@ -2,11 +2,13 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -168,6 +170,28 @@ def test_errors_are_one_line(
     assert captured.out == ""
     assert line in captured.err
     assert len(captured.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("interrupt", [signal.default_int_handler, signal.SIG_IGN])
+def test_sigterm_is_an_interrupt_with_another_status(interrupt: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept: list[str] = []
+
+    def wait(options: object) -> int:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        finally:
+            kept.append("what there was")
+        return 0
+
+    command_that(wait, monkeypatch)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        assert cli.main(["doctor"]) == 143
+    finally:
+        signal.signal(signal.SIGINT, handlers[signal.SIGINT])
+    assert kept == ["what there was"]
+    assert signal.getsignal(signal.SIGTERM) == handlers[signal.SIGTERM]
 
 
 def test_bugs_keep_their_traceback(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -118,6 +118,21 @@ def test_an_interrupt_in_this_process_ends_the_plan_at_once(tmp_path: Path, caps
     assert capsys.readouterr().err == ""
 
 
+def test_a_child_that_is_stopped_keeps_what_it_has_and_counts_no_try(tmp_path: Path) -> None:
+    task, child, events = _task(tmp_path, walk(0, steps=9, seconds=0.4)), Child(tmp_path), list[Event]()
+
+    def stop(event: Event) -> None:
+        events.append(event)
+        if event.state == "progress":
+            child.stop()
+
+    assert child.run(task, stop).state == "stopped"
+    child.close()
+    assert sorted(path.name for path in (tmp_path / "partial" / task.key).iterdir()) == ["interrupted", "kept"]
+    assert not Store(tmp_path).failures(task.key)
+    assert Store(tmp_path).leases.free(task.key)
+
+
 def test_a_plan_is_looked_at_before_it_is_run(tmp_path: Path) -> None:
     store, first = Store(tmp_path), walk(1)
     jobs = {"second": walk(2, one=first), "third": walk(3)}

@@ -32,6 +32,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "scene",
             "placement",
             "progress",
+            "interrupts",
         )
     ),
     "cameras": ("mi_splat.cameras", "mi_splat.directions", "mi_splat.bounds"),

@@ -12,6 +12,7 @@ import torch
 
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
+from mi_splat.interrupts import sigterm_as_interrupt
 from mi_splat.rendering import Renderer
 from mi_splat.scene import scene_hash
 from mi_splat.training.checkpoints import CheckpointError, load_state
@@ -56,18 +57,20 @@ def test_a_view_that_is_not_there_is_not_waited_for(tmp_path: Path) -> None:
         train(views, start, tmp_path, render=watching(), config=config)
 
 
-@pytest.mark.parametrize(("threads", "step"), [(1, 23), (2, 31)], indirect=["threads"])
-def test_a_folder_that_was_interrupted_goes_on(tmp_path: Path, threads: int, step: int) -> None:
+@pytest.mark.parametrize(
+    ("threads", "step", "number"), [(1, 23, signal.SIGINT), (2, 31, signal.SIGTERM)], indirect=["threads"]
+)
+def test_a_folder_that_was_interrupted_goes_on(tmp_path: Path, threads: int, step: int, number: signal.Signals) -> None:
     truth, views = views_of()
     start = from_points(truth.means, torch.full((50, 3), 0.5))
     whole = train(views, start, tmp_path / "whole", render=watching(), config=CONFIG, held_out=views[:2], every=15)
 
     def press(line: Progress) -> None:
         if line.iteration == step:
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), number)
 
     broken = tmp_path / "broken"
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt), sigterm_as_interrupt():
         train(views, start, broken, render=watching(), config=CONFIG, held_out=views[:2], on_step=press)
     assert (broken / "checkpoint.safetensors").is_file()
     assert not (broken / "splat.ply").exists()

@@ -29,7 +29,11 @@ def run(config: WalkConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[s
         if config.trouble == "eat":
             eaten = bytearray(b"x") * 400_000_000
             number += len(eaten)
-        time.sleep(config.seconds)
+        try:
+            time.sleep(config.seconds)
+        except KeyboardInterrupt:
+            (out.partial / "interrupted").write_text("")
+            raise
         step, number = step + 1, (number * 6364136223846793005 + 1) % (1 << 64)
         (out.partial / "new").write_text(f"{step} {number}")
         os.replace(out.partial / "new", kept)
