@@ -16,22 +16,20 @@ from attacks.dagger.attack import attack_views
 from attacks.dagger.checkpoint import Checkpoint
 from attacks.dagger.config import EotConfig
 from attacks.limits import NORM_NAMES, NormName
-from attacks.objectives import hide, relabel, untargeted
+from attacks.objectives import relabel, untargeted
 from attacks.observe.measures import AIMS, joint_views
-from attacks.observe.rates import banded, count
-from attacks.observe.views import as_saved, object_boxes
+from attacks.observe.rates import count
+from attacks.observe.views import as_saved
 from attacks.report.checking import pack, read_result
 from attacks.report.exhibits import open_exhibit
 from attacks.report.rescoring import rescore
 from attacks.report.results import read_section, story_of
-from attacks.search import Parameters, Verdict
+from attacks.search import Parameters
 from attacks.transformations.config import PictureChanges, Transformations
 from mi_splat.attributes import Attribute
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
-from mi_splat.io.camera_records import camera_of, recorded_cameras
 from mi_splat.io.images import through_png
-from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import ATTRIBUTES
 from tests.dagger.toy import QUICK, REGION, quick, toy_views
 from tests.fakes import CoarseDetector, ColourDetector, blobs, toy_scene
@@ -71,13 +69,6 @@ def test_sh_changes_up_to_a_degree(degree: int) -> None:
     before = scene.with_degree(result.scene.degree).sh[mask]
     moved = (result.scene.sh[mask] != before).any(-1).any(0)
     assert moved.tolist() == [k < (degree + 1) ** 2 for k in range(before.shape[1])]
-
-
-def test_the_control_moves_what_the_attack_moves_by_as_much() -> None:
-    result = quick(sh_degree=0, norm="l2", eps=(12.0,))
-    assert len(result.judgement.noise_images) == 1
-    assert result.used_in_file["sh"] == pytest.approx(result.used["sh"], rel=1e-5)
-    assert result.judgement.noise_images[0].outside == pytest.approx(result.judgement.image.outside, abs=0.02)
 
 
 def test_the_control_has_draws_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,58 +166,6 @@ def test_enough_success_can_end_the_search() -> None:
     assert result.trace[-1].index < 30
 
 
-def test_scores_order_by_successes_first() -> None:
-    def row(success: bool, score: float) -> list[Verdict]:
-        return [Verdict(success=success, score=score, unambiguous=success)]
-
-    def score(*rows: list[Verdict]) -> float:
-        return EotConfig().verdict(rows).score
-
-    assert score(row(True, 0.7), row(False, 0.0)) > score(row(False, 0.69), row(False, 0.69))
-    assert score(row(True, 0.9), row(False, 0.0)) > score(row(True, 0.7), row(False, 0.0))
-    assert not EotConfig(required_views=0.6).verdict([row(True, 0.7), row(False, 0.0)]).success
-    assert EotConfig(required_views=0.5).verdict([row(True, 0.7), row(False, 0.0)]).success
-
-
-def test_success_over_an_angle_counts_every_view_once() -> None:
-    result = quick()
-    rows, success = result.looked.rows, AIMS["success"]
-    parts = banded(rows, "elevation", (0.0, 30.0), 3, success)
-    assert sum(part["total"] for part in parts) == 8
-    assert [part["from"] for part in parts] == [0.0, 10.0, 20.0]
-    assert banded(rows, "elevation", (5.0, 5.0), 3, success) == []
-
-
-def test_hiding_works_as_well() -> None:
-    assert quick(hide()).success
-
-
-@pytest.mark.parametrize(
-    ("settings", "named"),
-    [
-        ({"judge_seed": 0}, "judge_seed"),
-        ({"momentum": 1.0}, "momentum"),
-        ({"schedule": "steep"}, "schedule"),
-        ({"batch": 0}, "batch"),
-        ({"stop_at": 0.0}, "stop_at"),
-        ({"required_views": 1.5}, "required_views"),
-        ({"eps": (1.0, 2.0)}, "eps"),
-    ],
-)
-def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], named: str) -> None:
-    with pytest.raises(InvalidValueError, match=f"^{named}: expected"):
-        EotConfig(**settings)
-
-
-def test_detectors_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(InvalidValueError, match="target: expected one of car"):
-        quick(relabel("zebra"))
-    with pytest.raises(InvalidValueError, match="one detector, or several with different names"):
-        attack_views(toy_views(), [ColourDetector()] * 2, hide())
-    with pytest.raises(InvalidValueError, match="one detector"):
-        attack_views(toy_views(), [], hide())
-
-
 # The record of an attack on a distribution of views: the attack is repeated from it, and its splat is scored again
 
 
@@ -273,20 +212,6 @@ def test_the_command_is_stored_and_repeats_it(folder: Path, monkeypatch: pytest.
     }
 
 
-def test_it_holds_all_that_its_pictures_depend_on(folder: Path) -> None:
-    values = stored(folder)
-    assert (values["near"], values["background"]) == (0.3, [0.1, 0.1, 0.12])
-    settings = RenderSettings(near=values["near"], background=tuple(values["background"]))
-    cameras = [camera_of(view["camera"]) for view in values["views"]]
-    boxes = object_boxes(toy_scene()[0], toy_scene()[1], cameras, render=Renderer(settings))
-    assert [None if box is None else box.tolist() for box in boxes] == [view["box"] for view in values["views"]]
-    assert len(values["views"][0]["noise_successes"]) == values["config"]["noise_draws"]
-    reference = recorded_cameras(folder / "result.json")
-    assert reference is not None
-    assert list(reference) == ["orbit"]
-    assert recorded_cameras(folder / "result.json", reference=False) is None
-
-
 def test_its_copy_is_scored_again(folder: Path, tmp_path: Path) -> None:
     story = story_of(read_result(folder))
     copy = pack(folder, tmp_path / "copy", story.figures, whole=True)
@@ -302,18 +227,6 @@ def test_its_copy_is_scored_again(folder: Path, tmp_path: Path) -> None:
     lines = rescore(copy, story.rescoring, [Blind()], every=2, on_view=lambda done, total: looked.append((done, total)))
     assert lines[0].colour == "red"
     assert looked == [(1, 2), (2, 2)]
-
-
-def test_the_splat_may_lie_elsewhere_and_is_known_by_its_hash(folder: Path, tmp_path: Path) -> None:
-    story = story_of(read_result(folder))
-    copy = pack(folder, tmp_path / "copy", story.figures)
-    with pytest.raises(InvalidValueError, match="expected a splat of the result, got none") as error:
-        rescore(copy, story.rescoring, [ColourDetector()])
-    assert error.value.hint == "--splats"
-    assert all(line.passed for line in rescore(copy, story.rescoring, [ColourDetector()], splats=folder))
-    save_splat(toy_scene()[0], tmp_path / "attacked.ply")
-    with pytest.raises(InvalidValueError, match=r"expected the SHA-256 that the manifest lists of attacked\.ply"):
-        rescore(copy, story.rescoring, [ColourDetector()], splats=tmp_path)
 
 
 def test_its_held_out_views_are_shown(folder: Path) -> None:

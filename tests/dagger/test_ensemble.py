@@ -12,7 +12,6 @@ from torch import Tensor
 from attacks import cli
 from attacks.dagger.attack import attack, fixed_problem
 from attacks.dagger.config import DaggerConfig, EnsembleLoss
-from attacks.dagger.report import summary, write_report
 from attacks.dagger.result import Result
 from attacks.detectors.base import Candidates, Detector
 from attacks.gaussian_subset import GaussianSubset
@@ -92,34 +91,11 @@ def test_the_mean_and_the_largest_of_the_losses() -> None:
     assert torch.equal(largest.gradients["sh"], hardest.gradients["sh"])
 
 
-def test_both_detectors_are_deceived_and_each_has_its_verdict() -> None:
-    result = run([FINE, COARSE])
-    assert result.success
-    assert result.detectors == ("fake_colour", "fake_coarse")
-    each = result.figures["detectors"]
-    assert all(one["success"] for one in each)
-    assert result.score == min(one["score"] for one in each)
-    assert result.target_confidence == min(one["target_confidence"] for one in each)
-    assert [view.detector for view in result.views] == ["fake_colour", "fake_coarse"]
-    assert result.figures["noise"]["successes"] == 0
-    assert result.origin["detector"] == "fake_colour + fake_coarse"
-
-
 @pytest.mark.parametrize(("required", "success"), [(1.0, False), (0.5, True)])
 def test_a_fraction_of_the_detectors_can_be_enough(required: float, success: bool) -> None:
     result = run([FINE, Stubborn()], required_detectors=required, eps=(20.0,))
     assert result.success is success
     assert [one["success"] for one in result.figures["detectors"]] == [True, False]
-
-
-def test_the_report_shows_every_detector(tmp_path: Path) -> None:
-    result = run([FINE, COARSE])
-    values = summary(result)
-    assert [one["detector"] for one in values["detectors"]] == ["fake_colour", "fake_coarse"]
-    assert [view["detector"] for view in values["views"]] == ["fake_colour", "fake_coarse"]
-    assert values["detector"] == "fake_colour + fake_coarse"
-    assert values["config"]["ensemble"] == "mean"
-    assert (tmp_path / "out" / "result.json") == write_report(result, tmp_path / "out")["result.json"]
 
 
 def test_the_command_says_what_each_detector_saw(
@@ -143,16 +119,6 @@ def test_the_command_says_what_each_detector_saw(
     lines = shown.out.splitlines()
     figures = {line.split("  ")[0]: line.partition("  ")[2].split()[:3] for line in lines}
     assert figures["fake_colour"] == figures["fake_coarse"] == ["2", "of", "2"]
-
-
-def test_a_faint_object_is_warned_of_by_the_name_of_the_detector() -> None:
-    class Blind(ColourDetector):
-        name = "fake_blind"
-        min_confidence = 2.0
-
-    result = run([FINE, Blind()], steps=1)
-    assert "the clean picture of view 0 has no detection by fake_blind of 0.5 or more on the object" in result.warnings
-    assert not any("by fake_colour" in warning for warning in result.warnings)
 
 
 def test_wrong_detectors_are_named() -> None:

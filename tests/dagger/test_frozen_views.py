@@ -8,11 +8,10 @@ import pytest
 import torch
 
 from attacks.dagger import search
-from attacks.dagger.attack import attack, attack_views, fixed_problem
+from attacks.dagger.attack import attack, attack_views
 from attacks.dagger.config import DaggerConfig, EotConfig
 from attacks.dagger.result import Result
 from attacks.dagger.views import ViewDistribution
-from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import relabel
 from attacks.transformations.config import Transformations
 from mi_splat import rendering
@@ -65,23 +64,10 @@ def test_an_attack_has_the_same_bits_on_any_number_of_drjits_threads() -> None:
     assert all(one.trace == results[0].trace for one in results)
 
 
-def test_the_result_says_what_its_last_bits_depend_on() -> None:
-    torch_of_result = run(Renderer(), steps=1).origin["torch"]
-    assert torch_of_result["threads"] == torch.get_num_threads()
-    assert torch_of_result["instructions"] == torch.backends.cpu.get_cpu_capability()
-
-
 def test_other_attributes_take_the_renderer(frozen: list[Camera]) -> None:
     run(Renderer(), attributes=("sh", "opacities"), eps=(12.0, 1.0), steps=2)
     run(Renderer(), attributes=("opacities",), eps=(1.0,), steps=2)
     assert not frozen
-
-
-def test_one_step_is_not_worth_a_view(frozen: list[Camera]) -> None:
-    run(Renderer(), steps=1)
-    assert not frozen
-    run(Renderer(), steps=2)
-    assert frozen
 
 
 def test_what_does_not_fit_is_rendered(frozen: list[Camera], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,17 +80,6 @@ def test_what_does_not_fit_is_rendered(frozen: list[Camera], monkeypatch: pytest
     result = run(Renderer())
     assert {id(one) for one in frozen} == {id(CAMERAS[0])}
     assert [line.loss for line in result.trace] == pytest.approx([line.loss for line in expected.trace], rel=1e-3)
-
-
-def test_other_parameters_of_the_same_problem_take_the_renderer(frozen: list[Camera]) -> None:
-    scene, mask = toy_scene()
-    subset, config = GaussianSubset.of(scene, mask), DaggerConfig()
-    problem, views, _ = fixed_problem(subset, CAMERAS, (ColourDetector(),), relabel("person"), render=Renderer())
-    problem = search.frozen(problem, views, config)
-    problem.evaluate(subset.parameters(("sh", "means")), views, config)
-    assert not frozen
-    problem.evaluate(subset.parameters(("sh",)), views, config)
-    assert frozen == CAMERAS
 
 
 def test_a_search_over_drawn_views_makes_few_pictures_of_whole_scenes(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -62,21 +62,6 @@ def test_an_interrupted_search_finds_the_same_bits(tmp_path: Path, killed_at: in
     assert not path.exists()  # the search has ended
 
 
-def test_a_search_goes_on_and_does_not_begin_anew(tmp_path: Path) -> None:
-    path, seen = tmp_path / "search.checkpoint", []
-    with pytest.raises(KilledError):
-        run(path, killed_at=5)
-    attack_views(
-        toy_views(),
-        ColourDetector(),
-        relabel("person"),
-        config=EotConfig(**QUICK),
-        checkpoint=Checkpoint(path=path, every=2),
-        on_step=lambda line: seen.append(line.index),
-    )
-    assert seen == [4, 5, 6, 7, 8]
-
-
 def test_a_checkpoint_of_another_attack_is_refused_and_stays(tmp_path: Path) -> None:
     path = tmp_path / "search.checkpoint"
     with pytest.raises(KilledError):
@@ -86,14 +71,6 @@ def test_a_checkpoint_of_another_attack_is_refused_and_stays(tmp_path: Path) -> 
     assert path.exists()
     # How it is judged is not part of the search.
     assert run(path, held_out=3).rate.total == 3
-
-
-def test_what_is_no_checkpoint_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "search.checkpoint"
-    path.write_bytes(b"something else")
-    with pytest.raises(CheckpointError, match="expected a checkpoint"):
-        run(path)
-    assert path.read_bytes() == b"something else"
 
 
 @pytest.mark.parametrize(

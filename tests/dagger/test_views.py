@@ -34,12 +34,6 @@ def test_a_view_depends_on_seed_and_number_alone() -> None:
     assert not torch.allclose(other.camera.to_world, first[0].camera.to_world)
 
 
-def test_views_are_kept_unless_told_otherwise() -> None:
-    views = toy_views()
-    assert views.view(0, 1) is views.view(0, 1)
-    assert views.view(0, 2, keep=False) is not views.view(0, 2, keep=False)
-
-
 def test_the_object_shows_in_every_view() -> None:
     for view in toy_views().views(0, 10):
         box = visible_box(view.weight)
@@ -93,41 +87,13 @@ def test_each_view_of_a_pool_comes_once_before_one_comes_again(pool: int) -> Non
     assert drawn[:3] == batch_indices(0, seed=1, batch=3, pool=pool)
 
 
-def test_without_a_pool_every_view_is_new() -> None:
-    drawn = [number for step in range(5) for number in batch_indices(step, seed=1, batch=3, pool=0)]
-    assert drawn == list(range(15))
-
-
 # The pictures of an attack keep the PSNR that was asked for, and the price of their error follows it
-
-
-def test_the_price_begins_where_an_error_at_the_limit_costs_one() -> None:
-    price = ImagePrice.of(20.0, steps=100)
-    assert price.limit == pytest.approx(0.01)
-    assert price.weight * price.limit == pytest.approx(1.0)
 
 
 def test_the_price_rises_while_pictures_are_too_bad_and_falls_while_they_are_good() -> None:
     price = ImagePrice.of(20.0, steps=100)
     assert price.after(0.02).weight > price.weight > price.after(0.005).weight
     assert price.after(0.01).weight == pytest.approx(price.weight)
-
-
-def test_an_error_above_the_limit_costs_more_at_once() -> None:
-    price = ImagePrice.of(20.0, steps=100)
-    assert price.now == price.weight
-    worse = price.after(0.03)
-    assert worse.now == pytest.approx(3 * worse.weight)
-    better = price.after(0.003)
-    assert better.now == better.weight
-
-
-def test_the_price_stays_within_its_bounds() -> None:
-    for error, bound in ((1.0, 100.0), (0.0, 0.02)):
-        price = ImagePrice.of(20.0, steps=100)
-        for _ in range(400):
-            price = price.after(error)
-        assert price.weight * price.limit == pytest.approx(bound)
 
 
 def test_a_point_is_pulled_back_to_the_limit_along_a_line() -> None:
@@ -174,9 +140,3 @@ def test_a_result_that_is_below_its_budget_warns() -> None:
     assert isinstance(result.config, EotConfig)
     asked_for_more = dataclasses.replace(result, config=dataclasses.replace(result.config, image_psnr=45.0))
     assert any("less than the 45 dB of the validation views" in one for one in asked_for_more.warnings)
-
-
-def test_an_impossible_limit_is_refused() -> None:
-    for psnr in (0.0, -3.0, float("inf"), float("nan")):
-        with pytest.raises(InvalidValueError, match="image_psnr"):
-            EotConfig(image_psnr=psnr)

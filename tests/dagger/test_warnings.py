@@ -93,11 +93,6 @@ def with_figures(result: Result, **figures: Any) -> Result:
     return dataclasses.replace(result, figures={**result.figures, **figures})
 
 
-def test_a_success_beside_a_surer_class_is_warned_of(sound: Result) -> None:
-    ambiguous = with_figures(sound, success=True, score=0.8, unambiguous=False)
-    assert ambiguous.warnings == ("another class is still detected on the object with more confidence",)
-
-
 @pytest.mark.parametrize(("left", "strict"), [(0.49, True), (0.5, False), (0.91, False)])
 def test_an_own_class_that_stays_beside_the_wanted_one_is_warned_of(sound: Result, left: float, strict: bool) -> None:
     (view,) = sound.views
@@ -132,23 +127,6 @@ def test_noise_that_does_as_well_is_warned_of(
     figures = {"success": success, "score": score, "unambiguous": success, "noise": {**noise, "draws": 2}}
     warnings = dataclasses.replace(with_figures(sound, **figures), best=best).warnings
     assert ("random noise of the same size does as well" in warnings) is warned
-
-
-@pytest.mark.parametrize(("field", "limit"), [("clamped_fraction", 0.25), ("zero_gradient_fraction", 0.9)])
-def test_limits_of_the_warnings(sound: Result, field: str, limit: float) -> None:
-    def with_value(value: float) -> Result:
-        if field == "clamped_fraction":
-            return dataclasses.replace(sound, clamped_fraction=value)
-        first = dataclasses.replace(sound.trace[0], zero_gradient_fraction=value)
-        return dataclasses.replace(sound, trace=(first, *sound.trace[1:]))
-
-    assert with_value(limit).warnings == ()
-    assert len(with_value(limit + 0.01).warnings) == 1
-
-
-def test_a_failure_is_not_called_ambiguous(sound: Result) -> None:
-    failed = with_figures(sound, success=False, score=0.4, unambiguous=False)
-    assert failed.warnings == ("success in the search did not survive the saved file and 8-bit pictures",)
 
 
 @pytest.mark.parametrize(("score", "warned"), [(0.49, True), (0.5, False)])
