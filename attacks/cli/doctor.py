@@ -27,6 +27,7 @@ from mi_splat.cli.console import import_at_once, progress, show_result
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import MiSplatError, install, nearest
 from mi_splat.llvm import llvm_hint
+from mi_splat.processes import python_command
 from mi_splat.provenance import versions
 from mi_splat.registry import brought_by_packages
 
@@ -104,7 +105,7 @@ def examine(on_done: Callable[[str], None] = lambda name: None) -> list[Finding]
     packages = ", ".join(f"{package} {number}" for package, number in versions().items())
     detail = f"{packages}; {platform.system()} {platform.machine()}"
     findings = [Finding(name="versions", state="works", detail=detail, advice="", required=True)]
-    findings += examine_groups(tuple(GROUPS), [sys.executable, "-m", "attacks.cli.doctor"], on_done)
+    findings += examine_groups(tuple(GROUPS), python_command("attacks.cli.doctor"), on_done)
     for extra, modules in EXTRAS.items():
         missing = [module for module in modules if importlib.util.find_spec(module) is None]
         state: State = "absent" if missing else "works"
@@ -120,7 +121,7 @@ def _plug_in(point: tuple[str, str, str]) -> Finding:
     detail, advice = f"{origin} ({group})", ""
     if group not in REGISTRIES:
         advice = f"no command looks there; {nearest(group, REGISTRIES, 'see docs/plug-ins.md')}"
-    elif not (done := _answers([sys.executable, "-m", "attacks.cli.doctor", f"{group}/{name}"]))[0]:
+    elif not (done := _answers(python_command("attacks.cli.doctor", f"{group}/{name}")))[0]:
         advice = done[1]
     state: State = "fails" if advice else "works"
     return Finding(name=f"plug-in {name}", state=state, detail=detail, advice=advice, required=False)

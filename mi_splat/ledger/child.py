@@ -24,6 +24,7 @@ from mi_splat.interrupts import TERMINATED, sigterm_as_interrupt
 from mi_splat.ledger.job import DiskFullError, EngineError, Event, HeldError, OnEvent, Outcome, Task, nobody
 from mi_splat.ledger.running import run_job
 from mi_splat.ledger.store import Store
+from mi_splat.processes import python_command
 
 _LOOK = 0.25
 """Seconds between two looks at the time and the memory."""
@@ -126,8 +127,8 @@ class Child:
         self.close()
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the process
         self._pipe, end = Pipe()
-        environment = {**os.environ, **self._environment, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        command = [sys.executable, "-m", __name__, str(self._store.folder.absolute()), str(end.fileno())]
+        environment = {**os.environ, **self._environment}
+        command = python_command(__name__, str(self._store.folder.absolute()), str(end.fileno()))
         files: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": self._output, "stderr": self._output}
         with end:
             process = subprocess.Popen(

@@ -19,6 +19,7 @@ from mi_splat.ledger.engines import Processes
 from mi_splat.ledger.job import Job, Part, by_depth
 from mi_splat.ledger.plans import Driver, grid
 from mi_splat.ledger.values import decoded
+from mi_splat.processes import python_command
 
 JOBS, SUBMIT = "jobs.json", "submit.sh"
 MOST_ELEMENTS = 1000
@@ -42,7 +43,7 @@ def export(jobs: Iterable[Job], folder: Path, store: Path, *, options: Sequence[
     for number, level in enumerate(levels):
         each = -(-len(level) // MOST_ELEMENTS)
         elements = -(-len(level) // each)
-        command = [sys.executable, "-m", "mi_splat.ledger.slurm", str(store.absolute()), str(folder.absolute() / JOBS)]
+        command = python_command("mi_splat.ledger.slurm", str(store.absolute()), str(folder.absolute() / JOBS))
         script = [
             "#!/bin/sh",
             *(f"#SBATCH {option}" for option in (f"--array=0-{elements - 1}", *options)),

@@ -6,7 +6,6 @@ The renderer is for one thread. So whatever takes longer than a picture runs in 
 import contextlib
 import io
 import math
-import multiprocessing
 import os
 import signal
 import threading
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from mi_splat.errors import MiSplatError
+from mi_splat.processes import spawn_context
 from mi_splat.viewer.composition import Pixels
 from mi_splat.viewer.exhibit import Exhibit, Inspector
 from mi_splat.viewer.orbit import Orbit
@@ -186,7 +186,7 @@ class Job:
     """
 
     def __init__(self, perform: Perform, words: Sequence[str], *, processes: Any = None) -> None:
-        processes = processes or multiprocessing.get_context("spawn")
+        processes = processes or spawn_context()
         self._pipe, end = processes.Pipe()
         self._process = processes.Process(target=_run, args=(perform, list(words), end), daemon=True)
         self._process.start()

@@ -8,6 +8,7 @@ import pytest
 from attacks import cli
 from attacks.cli import doctor
 from attacks.cli.doctor import Finding, Probe
+from mi_splat.processes import python_command
 
 PROBES = tuple(
     Probe(name=name, run=lambda: "", advice=f"mend {name}", required=name != "third")
@@ -70,7 +71,7 @@ def test_what_is_optional_may_be_absent(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_an_old_llvm_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/nowhere/libLLVM-14.so.1")
-    findings = doctor.examine_groups(["renderer"], [sys.executable, "-m", "attacks.cli.doctor"])
+    findings = doctor.examine_groups(["renderer"], python_command("attacks.cli.doctor"))
     assert [finding.state for finding in findings] == ["fails", "skipped", "skipped", "skipped"]
     assert "/nowhere/libLLVM-14.so.1" in findings[0].detail
     assert "apt install" in findings[0].advice

@@ -33,6 +33,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "placement",
             "progress",
             "interrupts",
+            "processes",
         )
     ),
     "cameras": ("mi_splat.cameras", "mi_splat.directions", "mi_splat.bounds"),
