@@ -14,7 +14,7 @@ from typing import Any
 
 from PIL import Image, ImageDraw
 
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError, message, printable
 from mi_splat.io.documents import save_text
 from mi_splat.io.folders import check_new_file
 from mi_splat.io.images import to_bytes
@@ -84,7 +84,7 @@ def write_export(
     rows = [] if exhibit.photographs else export_orbits(exhibit.start, views)
     around = [_view(painter, orbit, on_view) for row in rows for orbit in row]
     check_export(path, views, force=force)  # it took a while
-    save_text(page_text(painter, cameras, around, views), path)
+    save_text(printable(page_text(painter, cameras, around, views)), path)
 
 
 def page_text(
