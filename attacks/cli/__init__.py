@@ -39,7 +39,6 @@ GROUPS: dict[str, dict[str, str]] = {
         "capture": "render training images of a mesh scene",
         "prepare": "estimate the cameras of photographs or of a video, as a training set",
         "train": "train a splat on images with cameras",
-        "example-scenes": "make one of the shipped splat scenes again",
     },
     "attack": {
         "dagger": "perturb one object of a splat so that a detector misreads it (DAGGER)",
@@ -63,13 +62,11 @@ GROUPS: dict[str, dict[str, str]] = {
         "doctor": "check the installation, and say how to fix it",
         "detectors": "list the detectors and their classes; download third-party ones",
         "classifiers": "list the classifiers; download third-party ones",
-        "train-detector": "train one of the project's small detectors",
-        "evaluate-detector": "mAP, recall and false positives of detectors on held-out images",
     },
 }
 """What each command does, by task; a name with a flag is a mode of a command, with options of its own."""
 COMMANDS = {name: summary for group in GROUPS.values() for name, summary in group.items()}
-OF_SPLATS = ("capture", "prepare", "train", "render", "select", "info", "audit", "convert", "example-scenes")
+OF_SPLATS = ("capture", "prepare", "train", "render", "select", "info", "audit", "convert")
 """Commands whose modules are in `mi_splat.cli`; those of the others are here."""
 WITHOUT_TORCH = ("classifiers", "detectors", "doctor", "info", "rows", "study")
 """Commands that do without torch, or with most of what they are asked."""

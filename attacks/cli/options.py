@@ -17,8 +17,6 @@ ClassName = Annotated[str, Called("CLASS")]
 Confidence = Annotated[Fraction, Called("CONFIDENCE")]
 PositiveRadius = Annotated[float, above(0, "units of the splat file", "5 is the paper's"), Called("RADIUS")]
 Seeds = Annotated[int, at_least(1), Called("COUNT")]
-Processes = Annotated[int, between(0, 1024)]
-Threads = Annotated[int, between(1, 1024)]
 Workers = Annotated[int, between(0, 1024, "processes")]
 _WORKER = 2e9
 """Bytes of memory that a process takes which trains or attacks."""

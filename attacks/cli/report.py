@@ -30,7 +30,7 @@ SEE_ALSO = ("view", "evaluate", "dagger", "cloak")
 class ReportOptions(JsonOptions):
     """Write one page of results: pictures, curves with intervals, controls, warnings, settings, and how to repeat it.
 
-    Takes folders that mi-splat dagger, study, evaluate, evaluate-detector, compare, detect,
+    Takes folders that mi-splat dagger, study, evaluate, compare, detect,
     cloak, audit, train and poison have written. The page is one file without a script, and asks nothing of any network.
     """
 

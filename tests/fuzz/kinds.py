@@ -23,7 +23,6 @@ from attacks.detectors.catalogue import CARD, GRAPH, WEIGHTS
 from attacks.detectors.graphs import packages
 from attacks.detectors.graphs.files import load_graph_model, read_graph_model, topology
 from attacks.detectors.graphs.network import GraphNetwork
-from attacks.detectors.training.loop import Training
 from attacks.detectors.weights import apply_weights, read_weights
 from attacks.observe.rows import frame_of, packed, read_rows, rows_bytes
 from attacks.report.checking import check_result, read_result
@@ -47,7 +46,6 @@ from mi_splat.training.strategies import FixedConfig
 from tests.detectors.graphs.graphs import files, ints, node, placeholder, string
 from tests.detectors.graphs.packages import TOPOLOGY, toy
 from tests.detectors.graphs.packages import WEIGHTS as TOY_WEIGHTS
-from tests.detectors.test_training import PLAIN, Noting
 from tests.fakes import camera
 from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SCENE_NAMES, SOG, Document
 from tests.io.format_files import tame_scene, valid
@@ -185,17 +183,6 @@ def _search(folder: Path) -> Path:
     return folder / "s.checkpoint"
 
 
-def _detector_training(folder: Path) -> Path:
-    training = Training(PLAIN, Noting())
-    training.history = [{"epoch": 0, "named": 0.5}]
-    training.save(folder)
-    return folder / "checkpoint.safetensors"
-
-
-def _resume(path: Path) -> None:
-    Training.resume(path.parent, PLAIN, Noting())
-
-
 def _result(name: str) -> Kind:
     """A result that a page can show."""
 
@@ -291,7 +278,6 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
         yield f"weights {name}", Kind(make=partial(_weights, name), read=_apply, document=document)
     yield "training", Kind(make=_training, read=load_state, document=CHECKPOINT)
     yield "search", Kind(make=_search, read=partial(eot_checkpoint.load_state, key="key"), document=CHECKPOINT)
-    yield "training of a detector", Kind(make=_detector_training, read=_resume, document=CHECKPOINT)
     for name in MAKERS:
         yield f"result {name}", _result(name)
     yield "result.json of an artifact", _artifact("result.json")

@@ -63,7 +63,6 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "capture": ("mi_splat.capture",),
     "notebooks": ("mi_splat.cards", "mi_splat.previews"),
     "viewer": ("mi_splat.viewer",),
-    "example scenes": ("mi_splat.example_scenes",),
     "commands of mi_splat": ("mi_splat.cli",),
     "interfaces of attacks": (
         "attacks.limits",
@@ -76,7 +75,6 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "subset": ("attacks.gaussian_subset",),
     "transformations": ("attacks.transformations",),
     "observation": ("attacks.observe",),
-    "training of networks": ("attacks.detectors.training", "attacks.detectors.evaluation"),
     "attacks": ("attacks.dagger", "attacks.cloak", "attacks.poisons", "attacks.audits"),
     "notebooks of attacks": ("attacks.previews",),
     "test kit": ("attacks.testing",),
