@@ -122,7 +122,8 @@ def _settings_of(integrator: Any, near: float, path: str | Path) -> RenderSettin
         if type(integrator).__name__ != "BasicVolumetricPrimitiveRadianceFieldIntegrator":
             got = f"{integrator.class_name()}, which shows splats as grey lumps in Mitsuba"
             do = 'they are drawn with splat_tile here: write <integrator type="splat_tile"/>'
-            warnings.warn(message(str(path), "the integrator splat_tile or splat_ray", got, do), SplatFileWarning)
+            text = message(str(path), "the integrator splat_tile or splat_ray", got, do)
+            warnings.warn(text, SplatFileWarning, stacklevel=4)
         return RenderSettings(near=near)
     return RenderSettings(
         background=integrator.background,
