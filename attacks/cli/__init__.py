@@ -1,7 +1,8 @@
 """The command line: `mi-splat COMMAND ...`, also `python -m attacks COMMAND ...`.
 
-A command is a module with its options, a dataclass, and what it does, `run(options)`. Options are parsed before torch
-and Mitsuba are imported, which `run` does where it needs them, so that `--help` answers at once.
+A command is a module with its options, a dataclass, and what it does, `run(options)`. Options are parsed, and
+checked by `check_inputs(options)` in a module that has it, before torch and Mitsuba are imported, so that `--help` and
+wrong paths are answered at once.
 """
 
 from __future__ import annotations
@@ -148,6 +149,8 @@ def _dispatch(words: list[str]) -> int:
     options = parse(name, rest)
     check_names(options)
     module = module_of(name)
+    if hasattr(module, "check_inputs"):
+        module.check_inputs(options)
     if name not in WITHOUT_TORCH:
         import_at_once("torch")
     with running_command(given):

@@ -40,7 +40,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "files": ("mi_splat.io",),
     "ledger": ("mi_splat.ledger",),
     "selection": ("mi_splat.selection",),
-    "data sets": ("mi_splat.datasets", "mi_splat.camera_sets"),
+    "data sets": ("mi_splat.datasets", "mi_splat.camera_forms", "mi_splat.camera_sets"),
     "objects": ("mi_splat.assets",),
     "rasterization": ("mi_splat.rasterization",),
     "ray tracing": ("mi_splat.raytracing",),

@@ -249,7 +249,7 @@ def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["judged", "--out", "old.html"], "--force"),
         (["judged", "--out", "none/page.html"], "make the folder first"),
         (["nothing", "--out", "page.html"], "check the path"),
-        (["judged", "empty", "--out", "page.html"], "empty: expected a folder that one of mi-splat dagger,"),
+        (["judged", "empty", "--out", "page.html"], "empty: expected a folder that a command of mi-splat has written"),
         (["judged/result.json", "--out", "page.html"], "pass judged"),
     ],
 )
