@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import tomllib
 
 from attacks.cli import COMMANDS, command_of, parse
 from attacks.cli.doctor import REGISTRIES
 from tests.browser import CHROMIUM
 from tests.project.documented_commands import BENCHMARKS, FAST, NIGHTLY, ROOT, Line, blocks, lines, pages
-from tests.project.test_extras import PROJECT
+from tests.project.test_extras import PROJECT, tomllib
 from tests.warm import Warm
 
 LINES = list(lines())
