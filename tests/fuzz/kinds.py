@@ -48,6 +48,7 @@ from tests.detectors.graphs.packages import TOPOLOGY, toy
 from tests.detectors.graphs.packages import WEIGHTS as TOY_WEIGHTS
 from tests.fakes import camera
 from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SCENE_NAMES, SOG, Document
+from tests.fuzz.folders import clean, links, plan_with_keys, write_among_links
 from tests.io.format_files import tame_scene, valid
 from tests.io.test_picture_files import many_scans
 from tests.report.results import MAKERS
@@ -292,6 +293,8 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     yield "mask", Kind(make=_mask, read=lambda path: load_mask(path, tame_scene(20, 1)))
     yield from ((f"picture {name}", Kind(make=partial(_picture, name), read=_see)) for name in ("p.png", "p.jpg"))
     yield "picture of JPEG scans", Kind(make=_scans, read=_see)
+    yield "keys", Kind(make=plan_with_keys, read=clean, document=PLAIN_JSON)
+    yield "links", Kind(make=links, read=write_among_links, document=PLAIN_JSON)
     parts = (".xml", ".json", "_roadside.ply", "_stop_sign.ply")
     yield "scene XML", Kind(make=_copied(*(f"scenes/stop_sign{part}" for part in parts)), read=open_scene)
     yield "names in a scene XML", Kind(make=_beside_code_and_pipe, read=_open_without_code, document=SCENE_NAMES)
