@@ -18,9 +18,8 @@ from mi_splat.fields import Called, Folder, Length, between
 
 if TYPE_CHECKING:
     from mi_splat.cameras import Camera
-    from mi_splat.capture.record import Inputs
     from mi_splat.capture.sources import CaptureSource
-    from mi_splat.capture.writer import WrittenCapture
+    from mi_splat.capture.writer import Inputs, WrittenCapture
 
 
 EXAMPLES = (
@@ -78,7 +77,7 @@ def check_inputs(options: CaptureOptions) -> None:
 
 def run(options: CaptureOptions) -> None:
     """Capture, or go on with a capture, and say what was written."""
-    from mi_splat.capture.record import RECORD
+    from mi_splat.capture.writer import RECORD
     from mi_splat.io.folders import own_folder
 
     with own_folder(options.out, RECORD):

@@ -28,15 +28,15 @@ from mi_splat.assets import build, street
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.assets.primitives import ellipsoid
 from mi_splat.cameras import Camera, RenderFn, View, orbit_pose, project_points
-from mi_splat.capture.mesh_splats import DiscConfig, RefineConfig, disc_splat, refine
 from mi_splat.capture.mitsuba_meshes import FEW_PICTURES, tracing_variant
 from mi_splat.capture.path_tracer import Light, capture, daylight, depth_maps, in_front, scene_dict, shapes
-from mi_splat.capture.surface_sampling import nearness, surface_samples
+from mi_splat.capture.surface_points import nearness, surface_samples
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, merge
 from scenes.recipes.detector_surroundings import of_kind, random_surroundings, scatter
+from scenes.recipes.disc_splats import DiscConfig, RefineConfig, disc_splat, refine
 
 SPLITS = {"train": (0, 100_000), "validation": (300_000, 400_000), "held-out": (500_000, 600_000)}
 """Half-open ranges of asset seeds; also what separates the splits' cameras, lights and surroundings."""

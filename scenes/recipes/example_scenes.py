@@ -22,9 +22,8 @@ from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import ellipsoid
 from mi_splat.assets.recipes import RECIPES, SceneRecipe, around
 from mi_splat.cameras import Camera, View, look_at
-from mi_splat.capture.mesh_splats import DiscConfig, disc_splat
 from mi_splat.capture.path_tracer import capture, depth_maps, scene_dict
-from mi_splat.capture.surface_sampling import nearness, surface_samples
+from mi_splat.capture.surface_points import nearness, surface_samples
 from mi_splat.io import load_splat, save_splat
 from mi_splat.metrics import psnr
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
@@ -32,6 +31,7 @@ from mi_splat.rotation import to_matrix
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.training.loop import FitConfig, fit
 from mi_splat.training.strategies import ClassicConfig
+from scenes.recipes.disc_splats import DiscConfig, disc_splat
 
 SIZE, FOCAL, HELD_OUT = 256, 256.0, 12
 """Edge of the pictures and focal length in pixels, and number of pictures that take no part."""
