@@ -19,10 +19,6 @@ from safetensors.torch import save_file
 from attacks.cloak.config import read_study
 from attacks.dagger import checkpoint as eot_checkpoint
 from attacks.dagger.image_budget import ImagePrice
-from attacks.detectors.catalogue import CARD, GRAPH, WEIGHTS
-from attacks.detectors.graphs import packages
-from attacks.detectors.graphs.files import load_graph_model, read_graph_model, topology
-from attacks.detectors.graphs.network import GraphNetwork
 from attacks.detectors.weights import apply_weights, read_weights
 from attacks.observe.rows import frame_of, packed, read_rows, rows_bytes
 from attacks.report.checking import check_result, read_result
@@ -35,7 +31,6 @@ from mi_splat.datasets.pictures import read_mask, read_picture
 from mi_splat.datasets.transforms import read_cameras, read_world_offset
 from mi_splat.errors import MiSplatError
 from mi_splat.io.camera_records import describe, recorded_cameras
-from mi_splat.io.documents import save_json
 from mi_splat.io.points import load_points
 from mi_splat.io.splat_files import load_splat, save_splat
 from mi_splat.scene_files import open_scene
@@ -43,9 +38,6 @@ from mi_splat.selection.masks import load_mask, save_mask
 from mi_splat.training.checkpoints import load_state, save_state
 from mi_splat.training.loop import Progress, TrainState
 from mi_splat.training.strategies import FixedConfig
-from tests.detectors.graphs.graphs import files, ints, node, placeholder, string
-from tests.detectors.graphs.packages import TOPOLOGY, toy
-from tests.detectors.graphs.packages import WEIGHTS as TOY_WEIGHTS
 from tests.fakes import camera
 from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SCENE_NAMES, SOG, Document
 from tests.fuzz.folders import clean, links, plan_with_keys, write_among_links
@@ -111,48 +103,6 @@ def _camera_files(path: Path) -> None:
 _CAPTURE = {"version": "1", "scene": "a", "cameras": "b", "train": 3, "test": 1, "samples": 16, "seed": 0}
 _CAPTURE |= {"alpha": True, "points": 0, "near": None, "pictures": 1, "mitsuba": "3", "world_offset": [0, 0, 0]}
 _CAPTURE |= {"inputs": {"scene": {"object": "car"}, "cameras": {"count": 3}}}
-
-
-def _card(folder: Path) -> Path:
-    save_file({"half": torch.zeros(1, 2), "axes": torch.zeros(2, dtype=torch.int32)}, folder / WEIGHTS)
-    (folder / GRAPH).write_bytes(topology(TOPOLOGY))
-    save_json(packages.card_of(toy("toy"), folder, "here"), folder / CARD)
-    return folder / CARD
-
-
-def _graph_files() -> tuple[bytes, bytes]:
-    nodes = [
-        placeholder("x", (1, 6, 6, 2)),
-        node("y", "_FusedConv2D", ["x", "k", "b"], strides=ints(1, 2, 2, 1), padding=string("SAME"), fused_ops=_FUSED),
-        node("p", "Pad", ["y", "amounts"]),
-        node("r", "Reshape", ["p", "shape"]),
-        node("t", "Transpose", ["r", "order"]),
-        node("s", "StridedSlice", ["t", "from", "to", "by"], begin_mask={"i": "1"}, shrink_axis_mask={"i": "2"}),
-        node("u", "ResizeBilinear", ["x", "side"], half_pixel_centers={"b": True}),
-        node("m", "Mean", ["u", "axes"], keep_dims={"b": False}),
-        node("z", "AddV2", ["s", "m"]),
-    ]
-    whole = {"amounts": [[0, 0], [1, 0], [1, 0], [0, 0]], "shape": [4, 4, 2], "order": [2, 0, 1], "side": [4, 4]}
-    whole |= {"from": [0, 1, 0], "to": [2, 2, 2], "by": [1, 1, 2], "axes": [0, 1, 2]}
-    constants: dict[str, Any] = {name: np.array(value, np.int32) for name, value in whole.items()}
-    constants |= {"k": np.ones((3, 3, 2, 2), np.float32), "b": np.zeros(2, np.float32)}
-    return files(nodes, constants, ["z"])
-
-
-_FUSED = {"list": {"s": ["Qmlhc0FkZA==", "UmVsdTY="]}}
-
-
-def _graph(folder: Path) -> Path:
-    model, weights = _graph_files()
-    save_file(dict(read_graph_model(model, weights).constants), folder / WEIGHTS)
-    (folder / GRAPH).write_bytes(topology(model))
-    return folder / GRAPH
-
-
-def _run_graph(path: Path) -> None:
-    network = GraphNetwork(load_graph_model(path.with_name(GRAPH), path.with_name(WEIGHTS)))
-    with torch.no_grad():
-        network(*(torch.zeros(shape) for shape in network.inputs.values()))
 
 
 def _weights(name: str, folder: Path) -> Path:
@@ -261,19 +211,6 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     capture = _written("capture.json", lambda: _CAPTURE)
     claim = Kind(make=capture, read=lambda path: claim_folder(path.parent, dict(_CAPTURE)), document=PLAIN_JSON)
     yield "record of a capture", claim
-    check = partial(packages.check_files, toy("toy"))
-    yield "detector card", Kind(make=_card, read=lambda path: check(path.parent), document=PLAIN_JSON)
-    yield "graph", Kind(make=_graph, read=_run_graph, document=PLAIN_JSON)
-    yield (
-        "constants",
-        Kind(make=lambda folder: _graph(folder).with_name(WEIGHTS), read=_run_graph, document=SAFETENSORS),
-    )
-    convert = Kind(
-        make=_written("model.json", lambda: TOPOLOGY),
-        read=lambda path: read_graph_model(path.read_bytes(), TOY_WEIGHTS),
-        document=PLAIN_JSON,
-    )
-    yield "model", convert
     for name in ("w.safetensors", "w.pth"):
         document = SAFETENSORS if name.endswith("tensors") else None
         yield f"weights {name}", Kind(make=partial(_weights, name), read=_apply, document=document)
