@@ -26,11 +26,11 @@ from render import shell  # of this folder
 
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
-from mi_splat.viewer.composition import ways_of_showing
-from mi_splat.viewer.exhibit import Exhibit, ShownSplat, whole
+from mi_splat.viewer.client import JPEG_QUALITY
+from mi_splat.viewer.content import Content, ShownSplat, whole
+from mi_splat.viewer.layout import display_modes
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.session import Pace, Step, ViewState
-from mi_splat.viewer.visitor import JPEG_QUALITY
 
 
 def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures: int) -> dict[str, float]:
@@ -40,9 +40,9 @@ def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures
     shown = tuple(
         ShownSplat(name=name, scene=scene, path=Path(f"{name}.ply"), file_settings=settings) for name in names
     )
-    exhibit = Exhibit(title="benchmark", splats=shown, settings=settings, start=whole(scene), size=(640, 480))
-    painter, pace = Painter(exhibit, Renderer(settings)), Pace()
-    state = ViewState(orbit=exhibit.start, show=ways_of_showing(names)[0], canvas=canvas)
+    content = Content(title="benchmark", splats=shown, settings=settings, start=whole(scene), size=(640, 480))
+    painter, pace = Painter(content, Renderer(settings)), Pace()
+    state = ViewState(orbit=content.start, mode=display_modes(names)[0], canvas=canvas)
     times: list[float] = []
     busy, every = 0.0, 1
     for number in range(pictures):
@@ -51,7 +51,7 @@ def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures
         state = replace(state, orbit=replace(state.orbit, azimuth=3.0 * number))
         seconds, every = _timed(painter, state, Step.COARSE, pace)
         times.append(seconds)
-        pace = pace.after(seconds, every=every)
+        pace = pace.after(seconds)
     busy, settled = time.process_time() - busy, times[pictures // 4 :]
     full = [_timed(painter, state, Step.FULL, pace)[0] for _ in range(5)]
     return {
@@ -67,10 +67,10 @@ def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures
 
 def _timed(painter: Painter, state: ViewState, step: Step, pace: Pace) -> tuple[float, int]:
     """Seconds for a picture, and of how many Gaussians it shows one."""
-    begun = time.perf_counter()
+    started = time.perf_counter()
     painting = painter.paint(state, step, pace)
     Image.fromarray(painting.pixels).save(io.BytesIO(), format="JPEG", quality=JPEG_QUALITY[step])
-    return time.perf_counter() - begun, painting.every
+    return time.perf_counter() - started, painting.every
 
 
 def main() -> None:

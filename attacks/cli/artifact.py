@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from attacks.cli.options import check_result_folder
 from mi_splat.cli.console import progress, show_result
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import ResultOptions
@@ -30,11 +29,6 @@ class ArtifactOptions(ResultOptions):
     out: Folder = Path("out/artifact")
     whole: bool = False
     """Copy splats and pictures, too, so that others can score the splats again."""
-
-
-def check_inputs(options: ArtifactOptions) -> None:
-    """Raise unless the folder may be a result."""
-    check_result_folder(options.result)
 
 
 def run(options: ArtifactOptions) -> None:

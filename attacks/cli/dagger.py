@@ -15,6 +15,7 @@ from mi_splat.cli.flags import Unprefixed
 from mi_splat.cli.options import CameraOptions, check_no_input_in
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Folder
+from mi_splat.interrupts import deferred_interrupt
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -53,13 +54,8 @@ class DaggerOptions(AttackOptions):
     out: Folder = Path("out/dagger")
 
 
-def run(
-    options: DaggerOptions,
-    *,
-    watched: Callable[[Detector], Detector] | None = None,
-    enough: Callable[[], bool] = lambda: False,
-) -> None:
-    """Attack, write what came of it, and say it."""
+def run(options: DaggerOptions) -> None:
+    """Attack, write what came of it, and say it; Ctrl-C ends the search with the best so far."""
     from attacks.cli.aims import aim, chosen_object, write_result
     from attacks.cli.names import load_detectors
     from attacks.cli.summary import show_summary
@@ -69,8 +65,8 @@ def run(
     from mi_splat.scene_files import open_scene
     from mi_splat.selection.select import doubts, require_visible
 
-    check_no_input_in(options.out, options.scene)
     check_new_folder(options.out, force=options.force)
+    check_no_input_in(options.out, options.scene)
     limit_threads()
     config = options.config
     with progress("loading the scene and the detector", total=config.restarts * (config.steps + 1)) as advance:
@@ -84,26 +80,27 @@ def run(
         detectors = load_detectors(options.detectors, options.weights, options.device)
         if len(chosen.cameras) > 1:
             _forecast(loaded.scene, chosen, detectors, config)
-        if watched is not None:
-            detectors = list(map(watched, detectors))
         objective = aim(options.objective, options.target, options.confidence)
         advance("attacking", 0)
-        result = attack(
-            loaded.scene,
-            chosen.mask,
-            list(chosen.cameras.values()),
-            detectors,
-            objective,
-            render=chosen.render,
-            config=config,
-            up=options.view.up,
-            on_step=_follow(advance, objective.label, config, enough),
-        )
+        with deferred_interrupt() as interrupted:
+            result = attack(
+                loaded.scene,
+                chosen.mask,
+                list(chosen.cameras.values()),
+                detectors,
+                objective,
+                render=chosen.render,
+                config=config,
+                up=options.view.up,
+                on_step=_follow(advance, objective.label, config, interrupted),
+            )
         origin = {"scene": str(options.scene), "selection": selection.as_dict(), "cameras": list(chosen.cameras)}
         doubtful = tuple(doubts(chosen.mask, weights))
         result = replace(result, origin={**result.origin, **origin}, doubts=doubtful)
         write_result(result, loaded, chosen.mask, options.out, force=options.force)
     show_summary(options.out, as_json=options.json)
+    if interrupted():
+        raise KeyboardInterrupt
 
 
 def _showing(chosen: Chosen, weights: dict[str, Tensor]) -> tuple[Chosen, dict[str, Tensor]]:
@@ -134,7 +131,7 @@ def _forecast(scene: GaussianScene, chosen: Chosen, detectors: Sequence[Detector
 
 
 def _follow(
-    advance: Advance, label: str | None, config: DaggerConfig, enough: Callable[[], bool]
+    advance: Advance, label: str | None, config: DaggerConfig, interrupted: Callable[[], bool]
 ) -> Callable[[Step], bool]:
     """A callback that shows each step of the attack, and ends it if the clean object is taken for the class wanted."""
 
@@ -143,6 +140,6 @@ def _follow(
             do = "name another class with --target"
             raise InvalidValueError.of("--target", "another class than is seen before the attack", label, do)
         advance(f"attacking: loss {step.loss:.3f}, score {step.score:.0%}")
-        return step.index + step.restart > 0 and enough()
+        return step.index + step.restart > 0 and interrupted()
 
     return note

@@ -17,8 +17,8 @@ from typing import Protocol
 from mi_splat.errors import MiSplatError, printable
 
 PROGRAM = "mi-splat"
-LINE_SECONDS = 10.0
-"""Time between two lines of progress where there is no terminal."""
+LINE_SECONDS = float(os.environ.get("MI_SPLAT_PROGRESS_SECONDS", "10"))
+"""Time between two lines of progress where there is no terminal; the viewer sets another for its jobs."""
 
 
 class UsageError(MiSplatError):
@@ -95,9 +95,6 @@ def show_table(rows: Iterable[tuple[str, str]]) -> None:
 @contextmanager
 def progress(text: str, total: int | None = None) -> Iterator[Advance]:
     """A progress bar on stderr while the block runs; where stderr is no terminal, a line every ten seconds."""
-    if _LISTENERS:
-        yield _Told(_LISTENERS[-1], text, total)
-        return
     if not sys.stderr.isatty():
         yield _Lines(text, total)
         return
@@ -112,35 +109,6 @@ def progress(text: str, total: int | None = None) -> Iterator[Advance]:
             bar.update(units)
 
         yield advance
-
-
-Listener = Callable[[str, float | None], None]
-"""Told what is going on, and which part of it is done; None where that is not known."""
-_LISTENERS: list[Listener] = []
-
-
-@contextmanager
-def telling(listener: Listener) -> Iterator[None]:
-    """Progress is told to a listener, and shown nowhere, while the block runs."""
-    _LISTENERS.append(listener)
-    try:
-        yield
-    finally:
-        _LISTENERS.pop()
-
-
-class _Told:
-    """Progress that a listener is told."""
-
-    def __init__(self, listener: Listener, text: str, total: int | None) -> None:
-        self._listener, self._text, self._total, self._done = listener, text, total, 0
-        self(text, 0)
-
-    def __call__(self, text: str | None = None, units: int = 1) -> None:
-        self._text = self._text if text is None else text
-        self._done += units
-        counted = f" ({self._done} of {self._total})" if self._total else ""
-        self._listener(f"{self._text}{counted}", self._done / self._total if self._total else None)
 
 
 class _Lines:

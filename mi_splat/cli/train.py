@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from mi_splat.rendering import Renderer
     from mi_splat.scene import GaussianScene
     from mi_splat.training.loop import Progress, TrainState
-    from mi_splat.viewer.live import Follower
+    from mi_splat.viewer.live import LiveTraining
 
 
 EXAMPLES = (
@@ -142,7 +142,7 @@ def run(options: TrainOptions) -> None:
         raise UsageError(message("--port", "--live beside it", "no page", "add --live, or leave it out"))
     check_device(options.device)
     if options.live:
-        from mi_splat.viewer.page import check_port, need_viser
+        from mi_splat.viewer.server import check_port, need_viser
 
         need_viser()
         check_port("127.0.0.1", _port(options))
@@ -235,23 +235,23 @@ class _Following:
 @contextlib.contextmanager
 def _page(
     options: TrainOptions, sets: Sequence[Dataset], start: GaussianScene, near: float
-) -> Iterator[_Following | Follower]:
+) -> Iterator[_Following | LiveTraining]:
     """The page that follows the training, if there is to be one."""
     if not options.live:
         yield _Following()
         return
     from mi_splat.rendering import Renderer, RenderSettings
     from mi_splat.training.resume import SPLAT
-    from mi_splat.viewer.live import Follower, Live, training_exhibit
-    from mi_splat.viewer.page import Page
+    from mi_splat.viewer.live import LiveTraining, training_content
     from mi_splat.viewer.painter import Painter
+    from mi_splat.viewer.server import Page
 
     settings = RenderSettings(background=options.background, near=near)
-    exhibit = training_exhibit(sets, start, dataset=options.dataset, out=options.out / SPLAT, settings=settings)
-    live = Live(Painter(exhibit, Renderer(settings)), options.fit.iterations)
-    with Page(live, port=_port(options)) as page:
-        warn(f"open {page.address}")
-        yield Follower(live, page)
+    content = training_content(sets, start, dataset=options.dataset, out=options.out / SPLAT, settings=settings)
+    live = LiveTraining(Painter(content, Renderer(settings)), options.fit.iterations)
+    with Page(live, port=_port(options)) as live.page:
+        warn(f"open {live.page.address}")
+        yield live
 
 
 def _port(options: TrainOptions) -> int:

@@ -1,12 +1,11 @@
-"""Who may see the page: whoever knows its token, from a page of its own, under a name that was expected.
+"""Access to the page: a token and then a cookie, the Origin and the Host of requests, and the scripts that may run.
 
-A server on this machine alone is still within reach of other users of it and of any web page that is open in a browser
-on it. So every request needs a secret: first the token in the address, then a cookie. A request that another page makes
-is refused by its Origin, and one that came by a foreign name (DNS rebinding) by its Host.
+A server on this machine is still within reach of its other users and of any web page in a browser on it. Therefore
+every request needs a secret, one from another page is refused by its Origin, and one under a foreign name (DNS
+rebinding) by its Host.
 
-A browser sends a cookie to every port of a host, whoever listens there. Only its path can limit that: the page moves to
-a path that cannot be guessed, and its cookie goes nowhere else. Who listens on another port gets it only if the browser
-asks that port for this very path.
+A browser sends a cookie to every port of a host. Only its path can limit that: the page moves to a path that cannot be
+guessed, and its cookie goes nowhere else.
 """
 
 import asyncio
@@ -23,7 +22,6 @@ from typing import Any
 from urllib.parse import parse_qs, parse_qsl, urlencode, urlsplit
 
 from mi_splat.errors import InvalidValueError, MiSplatError, message
-from mi_splat.viewer.policy import NAMING, script_hash, viser_policy
 
 _LOG = logging.getLogger(__name__)
 LOOPBACK_NAMES = frozenset({"127.0.0.1", "localhost", "::1"})
@@ -32,10 +30,18 @@ MOST_WINDOWS = 8
 """Browser windows that are served at the same time."""
 LARGEST_MESSAGE = 2**20
 """Bytes of the largest message that a browser may send."""
+NAMING = """
+new MutationObserver(() => {
+  for (const label of document.querySelectorAll("label[for]"))
+    for (const control of label.closest(".mantine-Flex-root")?.querySelectorAll("[role=slider], input, textarea") ?? [])
+      if (!control.labels?.length && control.ariaLabel !== label.textContent) control.ariaLabel = label.textContent;
+}).observe(document, {childList: true, subtree: true});
+"""
+"""Script that gives controls of viser without a name the text of the label next to them, for screen readers."""
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a name stands for this machine alone."""
+    """Whether only this machine can reach a name."""
     if host in LOOPBACK_NAMES:
         return True
     try:
@@ -51,24 +57,15 @@ def checked_host(host: str, *, allow_remote: bool) -> str:
             "leave it out and open an SSH tunnel (ssh -L 8080:127.0.0.1:8080 HOST), or add --allow-remote, which sends "
             "everything over the network without encryption"
         )
-        raise InvalidValueError(message("host", "127.0.0.1 or another name of this machine alone", host, do))
+        raise InvalidValueError(message("host", "127.0.0.1 or another name that only this machine can reach", host, do))
     return host
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Guard:
-    """What a request has to know.
-
-    Attributes:
-        names: Names under which the page may be asked for; None is any.
-        scripts: Hashes of the scripts that may run in the page, beside the one that is added to it.
-        token: What the address has to hold.
-        secret_path: Path of the page, without its first slash.
-        cookie: What the cookie has to hold.
-    """
+    """The names that a page is served under (None is any), the token of its address, its path and its cookie."""
 
     names: frozenset[str] | None = LOOPBACK_NAMES
-    scripts: tuple[str, ...] = ()
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     secret_path: str = field(default_factory=lambda: secrets.token_urlsafe(12))
     cookie: str = field(default_factory=lambda: secrets.token_urlsafe(24))
@@ -92,10 +89,9 @@ class Guard:
         return None
 
     def door(self, path: str) -> str | None:
-        """For an address with the token, a page that leads on to the one without it; None for others.
+        """For an address with the token, a page that leads to the one without it; None for others.
 
-        A redirect would fail behind a link of another site: the browser counts what it asks for then as asked by that
-        site, and leaves the cookie out.
+        A redirect would fail behind a link of another site, because the browser then leaves the cookie out.
         """
         rest = parse_qsl(urlsplit(path).query, keep_blank_values=True)
         kept = [(key, value) for key, value in rest if key != "token"]
@@ -111,20 +107,42 @@ class Guard:
         """The path as viser knows it, whose page is at "/"."""
         return path.removeprefix(f"/{self.secret_path}") or "/"
 
-    def headers(self, host: str) -> dict[str, str]:
-        """Headers of every answer: the cookie, and that the page shall ask nothing of anybody else."""
-        # Paths keep the pages of one browser apart; the port tells who looks at the cookies which page each is of.
+    def headers(self, host: str, nonce: str) -> dict[str, str]:
+        """Headers of every answer: the cookie, and what the page may do."""
+        # Paths keep the pages of one browser apart; the port in the name helps whoever looks at the cookies.
         name = f"{COOKIE}-{_name_and_port(host)[1]}"
         return {
             "Set-Cookie": f"{name}={self.cookie}; HttpOnly; SameSite=Strict; Path=/{self.secret_path}",
-            "Content-Security-Policy": viser_policy((*self.scripts, script_hash(NAMING)), host),
+            "Content-Security-Policy": content_security_policy(host, nonce),
             "Referrer-Policy": "no-referrer",
             "Cache-Control": "no-store",
         }
 
 
+def content_security_policy(host: str, nonce: str) -> str:
+    """Only scripts with the nonce, and those that they add, run; and the page connects to nobody else."""
+    return "; ".join(
+        (
+            "default-src 'none'",
+            # No 'unsafe-eval': only viser's renderer of splats needs it, which this page does not use. The page unpacks
+            # itself and every message with WebAssembly.
+            f"script-src 'nonce-{nonce}' 'strict-dynamic' 'wasm-unsafe-eval'",
+            "worker-src blob:",  # the connection to the server, whose code is in the page
+            "style-src 'unsafe-inline'",  # the controls write their colours and places into the page
+            "img-src data: blob:",
+            "font-src data:",
+            f"connect-src 'self' ws://{host} data:",  # data: is WebAssembly in the page
+            "frame-src 'none'",
+            "object-src 'none'",
+            "base-uri 'none'",
+            "form-action 'none'",
+            "frame-ancestors 'none'",
+        )
+    )
+
+
 def _name_and_port(host: str) -> tuple[str | None, int]:
-    """What a Host header says; no name if it is none."""
+    """The parts of a Host header; no name if it is invalid."""
     try:
         parts = urlsplit(f"//{host}")
         return parts.hostname, parts.port or 80
@@ -133,48 +151,49 @@ def _name_and_port(host: str) -> tuple[str | None, int]:
 
 
 def _cookies(header: str, name: str) -> list[str]:
-    """Every value that a Cookie header has for a name: whoever listens on another port may have added one."""
+    """Every value that a Cookie header has for a name: a server on another port may have added one."""
     pairs = (pair.strip().partition("=") for pair in header.split(";"))
     return [value for key, _, value in pairs if key == name]
 
 
 def _any_is(given: Iterable[str], secret: str) -> bool:
-    """Whether a secret is among what was given, without telling by the time how much of it is right."""
+    """Whether a secret is among what was given, in a time that does not depend on how much of it is right."""
     return any(hmac.compare_digest(value.encode("utf-8", "replace"), secret.encode()) for value in given)
 
 
 @contextmanager
 def guarding(guard: Guard, websockets_server: Any) -> Iterator[None]:
-    """Servers that `websockets` begins to serve in this block answer only requests that the guard lets pass.
+    """Servers that `websockets` starts in this block answer only requests that the guard lets pass.
 
-    viser has no hook for it, so its call of `serve` is led through here.
+    viser has no hook for it, so its call of `serve` is replaced.
     """
     plain, guarded = websockets_server.serve, []
 
     def serve(handler: Any, *arguments: Any, **options: Any) -> Any:
         answer: Callable[[Any, Any], Any] | None = options.get("process_request")
         if answer is None:
-            raise MiSplatError("viser: expected a server of pages, got another; install the version that is asked for")
+            raise MiSplatError("viser: expected a server of pages, got another; install the extra `view` again")
 
         def process_request(connection: Any, request: Any) -> Any:
             objection = guard.objection(request.path, request.headers)
             if objection is not None:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{objection}\n")
-            door = guard.door(request.path)
+            door, nonce = guard.door(request.path), secrets.token_urlsafe(16)
             request.path = guard.inside(request.path)
-            request.headers.pop("Accept-Encoding", None)  # what is packed has no place for the script
+            request.headers.pop("Accept-Encoding", None)  # scripts are added below
             response = answer(connection, request)
             if response is None:  # a websocket
                 return None
             if response.headers.get("Content-Type", "").startswith("text/html"):
-                response.body += f"<script>{NAMING}</script>".encode()
+                script = f'<script nonce="{nonce}"'.encode()
+                response.body = (response.body + f"<script>{NAMING}</script>".encode()).replace(b"<script", script)
                 del response.headers["Content-Length"]
                 response.headers["Content-Length"] = str(len(response.body))
             if door is not None:
                 response = connection.respond(HTTPStatus.OK, door)
                 del response.headers["Content-Type"]  # of plain text
                 response.headers["Content-Type"] = "text/html; charset=utf-8"
-            for name, value in guard.headers(request.headers["Host"]).items():
+            for name, value in guard.headers(request.headers["Host"], nonce).items():
                 response.headers[name] = value
             return response
 
@@ -190,17 +209,17 @@ def guarding(guard: Guard, websockets_server: Any) -> Iterator[None]:
     finally:
         websockets_server.serve = plain
     if not guarded:
-        raise MiSplatError("viser: expected a server to guard, got none; install the version that is asked for")
+        raise MiSplatError("viser: expected a server to guard, got none; install the extra `view` again")
 
 
 def _bounded(handler: Any) -> Any:
     """A handler of websockets for a few windows, which reports each kind of invalid message once, in one line."""
-    windows, told = set[Any](), set[str]()
+    windows, reported = set[Any](), set[str]()
 
-    def tell(error: BaseException | None) -> None:
+    def report(error: BaseException | None) -> None:
         kind = type(error).__name__
-        if kind not in told:
-            told.add(kind)
+        if kind not in reported:
+            reported.add(kind)
             _LOG.warning("The page ignored a message of a browser (%s).", kind)
             _LOG.debug("", exc_info=error)
 
@@ -210,7 +229,7 @@ def _bounded(handler: Any) -> Any:
         if connection.subprotocol != f"viser-v{viser.__version__}":  # viser would print the other's
             await connection.close(1002, f"expected viser {viser.__version__}")
             return
-        asyncio.get_running_loop().set_exception_handler(lambda loop, context: tell(context.get("exception")))
+        asyncio.get_running_loop().set_exception_handler(lambda loop, context: report(context.get("exception")))
         if len(windows) >= MOST_WINDOWS:
             await connection.close(1013, f"{MOST_WINDOWS} windows are open already")
             return

@@ -1,239 +1,113 @@
-"""Long work beside the page: a command in a process of its own, what it says meanwhile, and what it leaves behind.
+"""Commands that a page runs in processes of their own: their forms, requests and results."""
 
-The renderer is for one thread. So whatever takes longer than a picture runs in another process, which can be stopped.
-"""
-
-import contextlib
-import io
 import math
 import os
 import signal
-import threading
+import subprocess
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
 
-from mi_splat.errors import MiSplatError
-from mi_splat.processes import spawn_context
-from mi_splat.viewer.composition import Pixels
-from mi_splat.viewer.exhibit import Exhibit, Inspector
+from mi_splat.errors import printable
+from mi_splat.viewer.content import Content, Inspector
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.picking import Picked
 
 Value = str | float
-Values = Mapping[str, Value]
-"""What was chosen in a form, by the name of the field."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
-    """A field of a form: one of some words.
-
-    Attributes:
-        name: Of the field.
-        label: What it is called on the page.
-        options: The words; at least one.
-        usual: The one that is chosen at first.
-    """
+    """A field of a form: one of some words."""
 
     name: str
     label: str
     options: tuple[str, ...]
-    usual: str
+    default: str
 
-    def taken(self, value: object) -> Value:
-        """The value if it can be chosen, else the usual one: what comes from a browser may be anything."""
-        return value if isinstance(value, str) and value in self.options else self.usual
+    def valid(self, value: object) -> Value:
+        """The value if it is an option, else the default: a browser may send anything."""
+        return value if isinstance(value, str) and value in self.options else self.default
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Number:
-    """A field of a form: a number in a range.
-
-    Attributes:
-        name: Of the field.
-        label: What it is called on the page.
-        low: Smallest.
-        high: Largest.
-        step: Between two.
-        usual: What it is at first.
-    """
+    """A field of a form: a number in a range."""
 
     name: str
     label: str
     low: float
     high: float
     step: float
-    usual: float
+    default: float
 
-    def taken(self, value: object) -> Value:
-        """The value if it is a number in the range, else the usual one."""
+    def valid(self, value: object) -> Value:
+        """The value if it is a number in the range, else the default."""
         fits = isinstance(value, int | float) and math.isfinite(value) and self.low <= value <= self.high
-        return value if fits and isinstance(value, int | float) else self.usual
-
-
-Field = Choice | Number
+        return value if fits and isinstance(value, int | float) else self.default
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Request:
-    """What a visitor asks for.
+class JobRequest:
+    """A job on what is shown, from the camera of a window, with the values of its form and the selected object."""
 
-    Attributes:
-        kind: Which work.
-        exhibit: What is shown.
-        orbit: The visitor's camera.
-        values: Of every field of the form.
-        picked: The object; None if none was picked.
-    """
-
-    kind: str
-    exhibit: Exhibit
+    content: Content
     orbit: Orbit
-    values: Values
+    values: Mapping[str, Value]
     picked: Picked | None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Outcome:
-    """What work has led to.
-
-    Attributes:
-        lines: It in words; plain text.
-        exhibit: To be shown in place of what is shown; None leaves that.
-        inspector: Looks at its pictures.
-        cameras: Cameras that are worth a look, by what is to be seen there.
-        picture: (H, W, 3) a picture beside the words.
-    """
+class JobResult:
+    """The result of a job in words; `content`, if any, is shown from then on."""
 
     lines: tuple[str, ...]
-    exhibit: Exhibit | None = None
+    content: Content | None = None
     inspector: Inspector | None = None
-    cameras: Mapping[str, Orbit] = field(default_factory=dict)
-    picture: Pixels | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class News:
-    """What running work says.
+class JobKind:
+    """A kind of job: its form, the arguments of its command, and how its folder is opened.
 
-    Attributes:
-        text: In a line.
-        share: Part of it that is done, in [0, 1]; None where that is not known.
-        picture: (H, W, 3) what it looks at.
+    `out` is the folder of the command that is shown; the page itself uses a temporary one.
     """
 
-    text: str
-    share: float | None = None
-    picture: Pixels | None = None
-
-
-Tell = Callable[[News], bool | None]
-"""Told what work does; says whether it is to end with what it has."""
-Perform = Callable[[Sequence[str], Tell], None]
-"""Runs the words of a command; a function of a module, as another process imports it. Raises what ends it."""
-
-
-class Laboratory(Protocol):
-    """What can be done with an exhibit beside looking at it; all of it is commands.
-
-    Attributes:
-        kinds: Kinds of work, in the order of the page.
-        lasting: Those that can end before their time, with what they have.
-        perform: Runs a command.
-    """
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        """Kinds of work, in the order of the page."""
-        ...
-
-    @property
-    def lasting(self) -> frozenset[str]:
-        """Kinds of work that can end before their time, with what they have."""
-        ...
-
-    @property
-    def perform(self) -> Perform:
-        """Runs the words of a command."""
-        ...
-
-    def form(self, kind: str, exhibit: Exhibit, values: Values) -> tuple[Field, ...]:
-        """What a kind of work asks for."""
-        ...
-
-    def folder(self, kind: str) -> Path:
-        """What a user would call the folder of a result."""
-        ...
-
-    def words(self, request: Request, *, mask: Path, out: Path) -> list[str]:
-        """The words of the command that does the work, after the program's name."""
-        ...
-
-    def opened(self, request: Request, out: Path) -> Outcome:
-        """The result in a folder."""
-        ...
+    name: str
+    fields: tuple[Choice | Number, ...]
+    out: Path
+    arguments: Callable[[JobRequest, Path, Path], list[str]]
+    """Of a request, the file of the mask and the folder of the result."""
+    opened: Callable[[JobRequest, Path], JobResult]
 
 
 class Job:
-    """A command in a process of its own.
+    """A command in a process, whose output is kept in a file next to its result."""
 
-    Args:
-        perform: Runs it.
-        words: Its words.
-        processes: Starts it; `multiprocessing` by default.
-    """
+    def __init__(self, arguments: Sequence[str], log: Path) -> None:
+        self._log = log
+        with log.open("wb") as output:
+            self._process = subprocess.Popen(
+                arguments,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, "MI_SPLAT_PROGRESS_SECONDS": "1"},
+                start_new_session=True,  # Ctrl-C is for the page, which ends this process
+            )
 
-    def __init__(self, perform: Perform, words: Sequence[str], *, processes: Any = None) -> None:
-        processes = processes or spawn_context()
-        self._pipe, end = processes.Pipe()
-        self._process = processes.Process(target=_run, args=(perform, list(words), end), daemon=True)
-        self._process.start()
-        end.close()
+    @property
+    def status(self) -> int | None:
+        """Exit status of the process; None while it runs."""
+        return self._process.poll()
 
-    def heard(self) -> News | str | None:
-        """What the work has printed since the last call; how it ended (empty: well) as text; None for nothing new."""
-        last: News | str | None = None
-        try:
-            while not isinstance(last, str) and self._pipe.poll():
-                last = self._pipe.recv()
-        except (EOFError, OSError):
-            self._process.join()
-            last = f"it ended with status {self._process.exitcode}"
-        return last
+    @property
+    def last_line(self) -> str:
+        """What the command said last."""
+        lines = self._log.read_bytes().decode("utf-8", "replace").splitlines()
+        return printable(lines[-1].removeprefix("mi-splat: ")) if lines else ""
 
-    def end(self) -> None:
-        """Ask the work to end with what it has, as far as its kind can."""
-        with contextlib.suppress(OSError):  # it has ended itself meanwhile
-            self._pipe.send(True)
-
-    def stop(self) -> None:
-        """End the work, if it still runs."""
-        self._process.kill()
-        self._process.join()
-        self._pipe.close()
-
-
-def _run(perform: Perform, words: Sequence[str], pipe: Any) -> None:
-    """What the process does: says what happens, and last how it ended."""
-    if threading.current_thread() is threading.main_thread():
-        os.nice(5)  # pictures come first
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page, which ends this process
-    log, ending = io.StringIO(), False
-
-    def tell(news: News) -> bool:
-        nonlocal ending
-        pipe.send(news)
-        ending = ending or bool(pipe.poll())
-        return ending
-
-    try:
-        with contextlib.redirect_stdout(log), contextlib.redirect_stderr(log):
-            perform(words, tell)
-    except (MiSplatError, OSError) as error:
-        pipe.send(" ".join(str(error).split()) or type(error).__name__)
-    else:
-        pipe.send("")
-    finally:
-        pipe.close()
+    def stop(self, number: signal.Signals) -> None:
+        """Send a signal to the process and to all that it has started, if it still runs."""
+        if self.status is None:
+            os.killpg(self._process.pid, number)

@@ -1,46 +1,38 @@
-"""A camera that looks at a point from an azimuth, an elevation and a distance: what sliders and a mouse can change."""
+"""A camera around a point, which sliders and the mouse can change, and the options that give it to a command."""
 
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import torch
 
 from mi_splat.cameras import Camera, orbit_pose
-from mi_splat.directions import POLE, Point
+from mi_splat.directions import POLE, UP, Point
 from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.camera_records import OF
+from mi_splat.rendering import RenderSettings
+from mi_splat.rotation import from_z
 from mi_splat.scene_files import resized
 
 _ANGLE_DIGITS, _LENGTH_DIGITS = 2, 5
-"""Decimals that are kept of angles (degrees), and digits of lengths, of a pose that came from a mouse."""
+"""Decimals of angles (degrees), and significant digits of lengths, that are kept of a pose set with the mouse."""
 _CAMERA_DIGITS, _ROLL_DIGITS = 6, 3
 """Decimals that are kept of the pose of a camera and of its roll; cameras of files have single precision."""
 _SAME_POSE = 1e-3
-"""Part of the distance by which two poses may differ and still be the same."""
+"""Fraction of the distance within which two poses count as the same."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Orbit:
-    """A camera without a picture size, whose numbers can be changed; or a camera of a file, until they are.
+    """A camera around `target`, without a picture size: angles in degrees, lengths in world units.
 
-    A camera of a file is kept as it is: no number is rounded, and it may have two focal lengths, or a principal point
-    off the centre.
-
-    Attributes:
-        target: (3,) point that is looked at, world units.
-        azimuth: Degrees from world +x towards +y, in [0, 360).
-        elevation: Degrees above the horizontal plane, in [-90, 90].
-        distance: World units between camera and target, > 0.
-        fov: Degrees over the shorter side of a picture, in (0, 180).
-        roll: Degrees that the camera is turned about its axis, clockwise as it looks, in [-180, 180].
-        exact: The very camera, if it is one of a file.
-        source: What `mi-splat render --cameras` calls that; empty if it has no name for it.
-
-    Raises:
-        InvalidValueError: A number is out of range or not finite.
+    A camera of a file stays in `exact` to the bit until one of its numbers changes. `source` is its name for
+    `mi-splat render --cameras`, if it has one. `fov` covers the shorter side.
     """
 
     target: Point
@@ -63,19 +55,19 @@ class Orbit:
 
     @property
     def camera_size(self) -> tuple[int, int] | None:
-        """Width and height in pixels of the picture of a camera of a file; None of others."""
+        """Width and height in pixels of the picture of a camera of a file; None for others."""
         return None if self.exact is None else (self.exact.width, self.exact.height)
 
     @property
     def position(self) -> tuple[float, float, float]:
-        """(3,) where the camera stands, world units."""
+        """(3,) position of the camera in world units."""
         a, e = math.radians(self.azimuth), math.radians(self.elevation)
         x, y, z = self.target
         flat = self.distance * math.cos(e)
         return x + flat * math.cos(a), y + flat * math.sin(a), z + self.distance * math.sin(e)
 
     def camera(self, size: tuple[int, int]) -> Camera:
-        """The camera with a picture of so many pixels, (width, height); the same as `mi-splat render` takes."""
+        """The camera that `mi-splat render` uses for a picture of (width, height) pixels."""
         if self.exact is not None:
             return resized(self.exact, size)
         angles = {"azimuth": self.azimuth, "elevation": self.elevation, "roll": self.roll}
@@ -83,23 +75,22 @@ class Orbit:
         return Camera(to_world=pose, focal=focal_length(self.fov, size), width=size[0], height=size[1])
 
     def vertical_fov(self, size: tuple[int, int]) -> float:
-        """Field of view in radians from the top to the bottom of a picture of (width, height)."""
+        """Vertical field of view in radians of a picture of (width, height) pixels."""
         return 2 * math.atan(size[1] / 2 / focal_length(self.fov, size))
 
     def is_at(self, position: Sequence[float], look_at: Sequence[float]) -> bool:
-        """Whether this is a camera at `position` (3,) that looks at `look_at` (3,), to a thousandth of the distance."""
+        """Whether this camera stands at `position` (3,) and looks at `look_at` (3,)."""
         apart = max(math.dist(self.position, position), math.dist(self.target, look_at))
         return apart <= _SAME_POSE * self.distance
 
     def changed(self, **numbers: Any) -> Orbit:
-        """The camera with other numbers, which is none of a file any more."""
+        """The camera with other numbers, which is no longer one of a file."""
         return replace(self, exact=None, source="", **numbers)
 
     def moved(self, position: Sequence[float], look_at: Sequence[float]) -> Orbit:
         """The camera at `position` (3,) that looks at `look_at` (3,), in numbers short enough to be typed.
 
-        Straight above and below, where there is no azimuth, it keeps the one it had. A pose that is no camera (both
-        points the same, or not finite) changes nothing.
+        Straight above and below it keeps its azimuth. A pose that is no camera changes nothing.
         """
         x, y, z = (float(a) - float(b) for a, b in zip(position, look_at, strict=True))
         flat, length = math.hypot(x, y), math.hypot(x, y, z)
@@ -109,7 +100,7 @@ class Orbit:
         azimuth = self.azimuth if flat <= POLE * length else math.degrees(math.atan2(y, x)) % 360.0
         near = math.dist(look_at, self.target) <= _SAME_POSE * length
         return self.changed(
-            # What was not moved keeps every digit: the middle of a scene is not told from its neighbours by rounding.
+            # A target that did not move keeps every digit, because rounding would move it away from the centre.
             target=self.target if near else tuple(round(float(value), decimals) for value in look_at),
             azimuth=round(azimuth, _ANGLE_DIGITS),
             elevation=round(math.degrees(math.atan2(z, flat)), _ANGLE_DIGITS),
@@ -118,20 +109,20 @@ class Orbit:
 
 
 def focal_length(fov: float, size: tuple[int, int]) -> float:
-    """Focal length in pixels of a field of view (degrees, over the shorter side) at (width, height)."""
+    """Focal length in pixels for a field of view (degrees, over the shorter side) at (width, height)."""
     return min(size) / 2 / math.tan(math.radians(fov) / 2)
 
 
-def orbit_of(camera: Camera, middle: Point, *, source: str = "") -> Orbit:
-    """A camera of a file as an orbit: around the point of its axis that is nearest to `middle` (3,), world units.
+def orbit_of(camera: Camera, centre: Point, *, source: str = "") -> Orbit:
+    """A camera of a file as an orbit around the point of its axis that is nearest to `centre` (3,).
 
-    Where `middle` is behind it, that point is as far before it.
+    If `centre` is behind the camera, that point is as far in front of it.
     """
-    pose, centre = camera.to_world, torch.tensor(list(middle), dtype=torch.float64)
+    pose, middle = camera.to_world, torch.tensor(list(centre), dtype=torch.float64)
     forward = pose[:3, 2]
-    distance = float((centre - camera.position) @ forward)
+    distance = float((middle - camera.position) @ forward)
     if not round(distance, _CAMERA_DIGITS) > 0:
-        distance = max(float((centre - camera.position).norm()), 10**-_CAMERA_DIGITS)
+        distance = max(float((middle - camera.position).norm()), 10**-_CAMERA_DIGITS)
     x, y, z = (-forward).tolist()
     elevation = math.degrees(math.atan2(z, math.hypot(x, y)))
     if math.hypot(x, y) > POLE:
@@ -141,14 +132,12 @@ def orbit_of(camera: Camera, middle: Point, *, source: str = "") -> Orbit:
     level = orbit_pose((0.0, 0.0, 0.0), azimuth=azimuth, elevation=elevation, distance=1.0)
     right = level[:3, :2].T @ pose[:3, 0]
     fov = 2 * math.degrees(math.atan(min(camera.width, camera.height) / 2 / camera.fx))
-    numbers = (round(value, _CAMERA_DIGITS) for value in (azimuth, elevation, distance, fov))
-    azimuth, elevation, distance, fov = numbers
     return Orbit(
         target=[round(value, _CAMERA_DIGITS) for value in (camera.position + distance * forward).tolist()],
-        azimuth=azimuth,
-        elevation=elevation,
-        distance=distance,
-        fov=fov,
+        azimuth=round(azimuth, _CAMERA_DIGITS),
+        elevation=round(elevation, _CAMERA_DIGITS),
+        distance=round(distance, _CAMERA_DIGITS),
+        fov=round(fov, _CAMERA_DIGITS),
         roll=round(math.degrees(math.atan2(float(right[1]), float(right[0]))), _ROLL_DIGITS) + 0.0,
         exact=camera,
         source=source,
@@ -168,3 +157,64 @@ def focus_of(cameras: Sequence[Camera], otherwise: Point) -> Point:
         return otherwise
     x, y, z = torch.linalg.solve(total, (across @ positions[:, :, None]).sum(0))[:, 0].tolist()
     return x, y, z
+
+
+def render_command(
+    path: Path,
+    orbit: Orbit,
+    size: tuple[int, int],
+    *,
+    centre: Point | None,
+    settings: RenderSettings,
+    file_settings: RenderSettings,
+    up: Point = UP,
+) -> str:
+    """The `mi-splat render` that makes a picture, to the bit where z is up or the camera is one of a file."""
+    background = file_settings.background
+    options = camera_options(orbit, size, settings=settings, background=background, centre=centre, up=up, path=path)
+    return shlex.join(["mi-splat", "render", str(path), *options])
+
+
+def camera_options(
+    orbit: Orbit,
+    size: tuple[int, int],
+    *,
+    settings: RenderSettings,
+    background: Point | None = None,
+    centre: Point | None = None,
+    up: Point = UP,
+    path: Path | None = None,
+) -> list[str]:
+    """The options that give a camera to a command; those with the file's own `background` or `centre` are left out."""
+    if orbit.exact is not None and orbit.source:
+        options = ["--cameras", orbit.source.removeprefix(f"{path}{OF}")]
+    else:
+        options = _orbit_options(orbit, centre, up)
+    options += ["--size", f"{size[0]}x{size[1]}"]
+    if settings.background != background:
+        options += _option("background", *settings.background)
+    return options + _option("near", settings.near)  # without it, a bare splat's near plane follows the camera
+
+
+def _orbit_options(orbit: Orbit, centre: Point | None, up: Point) -> list[str]:
+    options = [*_option("azimuth", orbit.azimuth), *_option("elevation", orbit.elevation)]
+    options += [*_option("distance", orbit.distance), *_option("fov", orbit.fov)]
+    if orbit.roll:
+        options += _option("camera-roll", orbit.roll)
+    if tuple(up) != UP:
+        turn = from_z(torch.tensor(list(up)))
+        options += up_options(up)
+        options += _option("centre", *(turn @ torch.tensor(list(orbit.target), dtype=torch.float64)).tolist())
+    elif centre is None or tuple(orbit.target) != tuple(centre):
+        options += _option("centre", *orbit.target)
+    return options
+
+
+def up_options(up: Point) -> list[str]:
+    """The option that sets the up direction; none if that is z."""
+    return [] if tuple(up) == UP else _option("up", *up)
+
+
+def _option(name: str, *values: float) -> list[str]:
+    """An option with numbers that read back exactly."""
+    return [f"--{name}", *(repr(value).removesuffix(".0") for value in values)]

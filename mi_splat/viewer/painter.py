@@ -1,6 +1,6 @@
-"""Makes the pictures of a page: renders, draws lines and findings, and puts them together."""
+"""Renders the picture of a page: splats and photographs side by side, with detections."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,43 +10,35 @@ from torch import Tensor
 from torch.nn import functional
 
 from mi_splat.bounds import bounds
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras import RenderFn
 from mi_splat.directions import Point
+from mi_splat.io.formats.compressed_ply import morton_order
 from mi_splat.io.images import quantise, to_bytes
 from mi_splat.labels import write_label
 from mi_splat.metrics import psnr
 from mi_splat.scene import GaussianScene
 from mi_splat.training.losses import masked
-from mi_splat.viewer.command import render_command
-from mi_splat.viewer.composition import DIFFERENCE, SPLIT, Layout, Pixels, compose, lay_out, needed, pane_pixels, panes
-from mi_splat.viewer.exhibit import Exhibit, Inspection, Inspector
-from mi_splat.viewer.lines import draw_lines
-from mi_splat.viewer.orbit import Orbit
-from mi_splat.viewer.picking import Picked, edges, tinted
+from mi_splat.viewer.content import Content, Inspection, Inspector
+from mi_splat.viewer.layout import DIFFERENCE, Layout, Pixels, compose, difference, lay_out, panes, pictures_of
+from mi_splat.viewer.orbit import Orbit, render_command
+from mi_splat.viewer.picking import Picked, tinted
 from mi_splat.viewer.session import Pace, Step, ViewState
-from mi_splat.viewer.thinning import Thinned, thinning
 
 MOST_PIXELS = 1_500_000
-"""Pixels of the largest full picture; the browser enlarges it where its window has more."""
-LETTERS = 15
-"""Height of letters in a full picture, pixels."""
-SMALLEST_LETTERS = 7
-"""Height of letters below which nobody could read them."""
+"""Pixels of the largest full picture; the browser enlarges it to a larger window."""
+LETTERS, SMALLEST_LETTERS = 15, 7
+"""Height of letters in a full picture, and the smallest that can be read, in pixels."""
 NO_PICTURE = 0.2
-"""Grey in the place of a photograph that there is not."""
+"""Grey level in place of a missing photograph."""
 PREVIEW = " (preview)"
-"""What stands behind the title of a picture that has fewer pixels or Gaussians than there are."""
+"""Follows the title of a picture with fewer pixels or Gaussians than there are."""
+LARGEST_THINNING = 64
+"""A coarse picture shows at least one of so many Gaussians."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Painting:
-    """One picture of the page.
-
-    Attributes:
-        pixels: (H, W, 3) uint8, of the shape of the page's place for pictures.
-        inspections: Of each splat that was inspected; empty while the camera moves.
-        every: Of how many Gaussians it shows one; 1 except in coarse pictures.
-    """
+    """A picture of a page, (H, W, 3), and what was found in it; a coarse one shows one of `every` Gaussians."""
 
     pixels: Pixels
     inspections: Mapping[str, Inspection]
@@ -54,86 +46,60 @@ class Painting:
 
 
 class Painter:
-    """Makes pictures of an exhibit.
+    """Renders pictures of a content; the inspector looks at those of a resting camera."""
 
-    Args:
-        exhibit: What is shown.
-        render: The renderer.
-        inspector: Looks at pictures of a resting camera, if there is one.
-    """
-
-    def __init__(self, exhibit: Exhibit, render: RenderFn, inspector: Inspector | None = None) -> None:
-        self.exhibit, self.render, self.inspector = exhibit, render, inspector
-        self._thinned = {splat.name: Thinned(splat.scene) for splat in exhibit.splats}
+    def __init__(self, content: Content, render: RenderFn, inspector: Inspector | None = None) -> None:
+        self.content, self.render, self.inspector = content, render, inspector
+        self._splats = {splat.name: Thinned(splat.scene) for splat in content.splats}
         self._tinted = dict[str, Thinned]()
-        self._picked: Picked | None = None
-        self._middles = dict[str, Point | None]()
-        self._middles |= {splat.name: bounds(splat.scene)[0] for splat in exhibit.splats}
+        self._centres: dict[str, Point | None] = {splat.name: bounds(splat.scene)[0] for splat in content.splats}
         self._last: tuple[Orbit, dict[str, Inspection]] | None = None
 
     def exchange(self, name: str, scene: GaussianScene) -> None:
         """Show other Gaussians as a splat from now on, which its file does not have yet."""
-        splats = [replace(splat, scene=scene) if splat.name == name else splat for splat in self.exhibit.splats]
-        self.exhibit = replace(self.exhibit, splats=tuple(splats))
-        self._thinned[name], self._middles[name], self._last = Thinned(scene), None, None
-        self._tinted = {}
+        splats = [replace(splat, scene=scene) if splat.name == name else splat for splat in self.content.splats]
+        self.content = replace(self.content, splats=tuple(splats))
+        self._splats[name], self._centres[name], self._last = Thinned(scene), None, None
 
     def tint(self, picked: Picked | None) -> None:
-        """Show an object in another colour, and its box, in each splat that has as many Gaussians; None shows none.
-
-        A heat map, and what is inspected, never has it.
-        """
-        self._picked, self._tinted = picked, {}
-
-    def _made_tints(self) -> Mapping[str, Thinned]:
-        """The splats with the object in another colour, made when they are first shown."""
-        picked = self._picked
-        if picked is not None and not self._tinted:
-            fits = [splat for splat in self.exhibit.splats if picked.fits(splat.scene)]
-            self._tinted = {splat.name: Thinned(tinted(splat.scene, picked.mask)) for splat in fits}
-        return self._tinted
+        """Highlight an object in each splat with as many Gaussians, but not in differences and inspected pictures."""
+        fits = [splat for splat in self.content.splats if picked is not None and picked.fits(splat.scene)]
+        self._tinted = {splat.name: Thinned(tinted(splat.scene, picked.mask)) for splat in fits if picked is not None}
 
     def paint(self, state: ViewState, step: Step, pace: Pace) -> Painting:
-        """The picture that a step of a session asks for."""
-        full = within(state.canvas, MOST_PIXELS)
-        names = panes(state.show, self.exhibit.names)
+        """The picture that a step of a session needs."""
+        full, names = within(state.canvas, MOST_PIXELS), self.content.names
         layout = self.layout(state, pace.size(full) if step is Step.COARSE else full)
-        scale = layout.canvas[0] / full[0]
-        shown = list(dict.fromkeys(name for pane in names for name in needed(pane, self.exhibit.names)))
+        shown = list(dict.fromkeys(name for pane in panes(state.mode, names) for name in pictures_of(pane, names)))
         inspections = {name: self.inspect(name, state.orbit) for name in shown} if step is Step.INSPECTED else {}
-        camera = state.orbit.camera(layout.size)
-        every = 1
-        # Two splats without the same Gaussians would differ where nothing does.
-        if step is Step.COARSE and DIFFERENCE not in names:
-            most = max((len(splat.scene) for splat in self.exhibit.splats if splat.name in shown), default=1)
-            every = thinning(most, camera.width * camera.height * pace.richness)
-        thinned = self._thinned if DIFFERENCE in names else {**self._thinned, **self._made_tints()}
-        splats = {name: made(every) for name, made in thinned.items() if name in shown}
-        pictures = {
-            name: to_bytes(self.sized_picture(name, state.orbit, layout.size, splats.get(name))) for name in shown
-        }
-        letters, mark = max(LETTERS * scale, SMALLEST_LETTERS), PREVIEW if every > 1 or scale < 1 else ""
-        made = [self._pane(pane, pictures, inspections, camera, state, letters, mark) for pane in names]
+        splats, every = self._splats, 1
+        if state.mode != DIFFERENCE:  # two splats with different Gaussians would differ everywhere
+            splats = {**self._splats, **self._tinted}
+            if step is Step.COARSE:
+                most = max((len(splat.scene) for splat in self.content.splats if splat.name in shown), default=1)
+                every = thinning(most, layout.size[0] * layout.size[1])
+        pictures = {}
+        for name in shown:
+            scene = splats[name](every) if name in splats else None
+            pictures[name] = to_bytes(self.sized_picture(name, state.orbit, layout.size, scene))
+        scale = layout.canvas[0] / full[0]
+        title = PREVIEW if every > 1 or scale < 1 else "", max(LETTERS * scale, SMALLEST_LETTERS)
+        made = [self._pane(pane, pictures, inspections, state, title) for pane in panes(state.mode, names)]
         return Painting(pixels=compose(made, layout), inspections=inspections, every=every)
 
     def layout(self, state: ViewState, canvas: tuple[int, int] | None = None) -> Layout:
-        """Where pictures stand in a place of the shape of the page's; None is as large as it gets."""
-        full, (width, height) = within(state.canvas, MOST_PIXELS), self.exhibit.size_at(state.orbit)
+        """Where pictures stand on a canvas of the window's shape; None is the largest."""
+        full, (width, height) = within(state.canvas, MOST_PIXELS), self.content.size_at(state.orbit)
         canvas = canvas or full
-        count = len(panes(state.show, self.exhibit.names))
+        count = len(panes(state.mode, self.content.names))
         return lay_out(canvas, width / height, count, gap=round(4 * canvas[0] / full[0]))
 
     def picture(self, name: str, orbit: Orbit) -> Tensor:
-        """(H, W, 3) the picture that is inspected, rendered or photographed: of its stated size, and of 8 bits."""
-        return quantise(self.sized_picture(name, orbit, self.exhibit.size_at(orbit)))
-
-    def photograph(self, orbit: Orbit) -> Tensor | None:
-        """(H, W, 3) what was photographed from a camera; None if nothing was."""
-        exhibit = self.exhibit
-        return None if exhibit.photographs is None else exhibit.photographs.from_camera(exhibit.camera_name(orbit))
+        """(H, W, 3) the picture that is inspected, with 8 bits."""
+        return quantise(self.sized_picture(name, orbit, self.content.size_at(orbit)))
 
     def inspect(self, name: str, orbit: Orbit) -> Inspection:
-        """What is found in the picture of a splat; of the last camera it is remembered."""
+        """What is found in the picture of a splat; that of the last camera is kept."""
         assert self.inspector is not None
         if self._last is None or self._last[0] != orbit:
             self._last = (orbit, {})
@@ -143,90 +109,104 @@ class Painter:
         return inspections[name]
 
     def commands(self, orbit: Orbit) -> dict[str, str]:
-        """For each splat the command that makes the picture which is inspected."""
-        exhibit = self.exhibit
+        """For each splat the command that makes the inspected picture."""
+        content = self.content
         return {
             splat.name: render_command(
                 splat.path,
                 orbit,
-                exhibit.size_at(orbit),
-                middle=self._middles[splat.name],
-                settings=exhibit.settings,
+                content.size_at(orbit),
+                centre=self._centres[splat.name],
+                settings=content.settings,
                 file_settings=splat.file_settings,
-                up=exhibit.up,
+                up=content.up,
             )
-            for splat in exhibit.splats
+            for splat in content.splats
         }
 
-    def likeness(self, orbit: Orbit) -> float | None:
-        """PSNR in dB between the two pictures that are inspected; None of one, or where equal.
+    def similarity(self, orbit: Orbit) -> float | None:
+        """PSNR in dB between the two inspected pictures; None for one, or where they are equal.
 
-        What a photograph does not show at its border is no error, as in the scores of a training.
+        Masked pixels of a photograph are left out, as in the scores of a training.
         """
-        photographs = self.exhibit.photographs
-        if len(self.exhibit.names) < 2 or (photographs and self.photograph(orbit) is None):
+        photographs = self.content.photographs
+        if len(self.content.names) < 2 or (photographs and self._photograph(orbit) is None):
             return None
-        first, second = (self.picture(name, orbit) for name in self.exhibit.names)
+        first, second = (self.picture(name, orbit) for name in self.content.names)
         if photographs is not None:
-            shown = photographs.shown_from(self.exhibit.camera_name(orbit))
-            if shown is not None:
-                second = masked(second, first, _resized(shown[..., None], self.exhibit.size_at(orbit))[..., 0])
+            valid = photographs.valid_pixels(self.content.camera_name(orbit))
+            if valid is not None:
+                second = masked(second, first, _resized(valid[..., None], self.content.size_at(orbit))[..., 0])
         return None if torch.equal(first, second) else float(psnr(first, second))
 
     def comparison(self, orbit: Orbit) -> str:
-        """How like each other the two pictures are from here, in words; nothing of one."""
-        names, photographs = self.exhibit.names, self.exhibit.photographs
-        if photographs is not None and self.photograph(orbit) is None:
+        """How similar the two pictures are, in words; empty for one."""
+        names, photographs = self.content.names, self.content.photographs
+        if photographs is not None and self._photograph(orbit) is None:
             return f"There is no {photographs.name} from here: choose one of the cameras."
         if len(names) < 2:
             return ""
-        likeness = self.likeness(orbit)
-        if likeness is None:
+        similarity = self.similarity(orbit)
+        if similarity is None:
             return "From here both pictures are the same."
-        return f"PSNR of {' and '.join(names)} from here: {likeness:.1f} dB"
+        return f"PSNR of {' and '.join(names)} from here: {similarity:.1f} dB"
 
     def sized_picture(
         self, name: str, orbit: Orbit, size: tuple[int, int], scene: GaussianScene | None = None
     ) -> Tensor:
-        """(H, W, 3) a splat, or what was photographed; of a photograph that there is not, grey."""
-        if name in self._thinned:
+        """(H, W, 3) a splat or a photograph; grey if there is no photograph."""
+        if name in self._splats:
             with torch.no_grad():
-                return self.render(scene or self._thinned[name](1), orbit.camera(size))
-        taken = self.photograph(orbit)
-        if taken is None:
-            return torch.full((size[1], size[0], 3), NO_PICTURE)
-        return _resized(taken, size)
+                return self.render(scene or self._splats[name](1), orbit.camera(size))
+        taken = self._photograph(orbit)
+        return torch.full((size[1], size[0], 3), NO_PICTURE) if taken is None else _resized(taken, size)
+
+    def _photograph(self, orbit: Orbit) -> Tensor | None:
+        photographs = self.content.photographs
+        return None if photographs is None else photographs.from_camera(self.content.camera_name(orbit))
 
     def _pane(
         self,
         pane: str,
         pictures: Mapping[str, Pixels],
         inspections: Mapping[str, Inspection],
-        camera: Camera,
         state: ViewState,
-        letters: float,
-        mark: str,
+        title: tuple[str, float],
     ) -> Pixels:
         """The pixels of one pane with everything drawn into it."""
-        parts = {name: pictures[name] for name in needed(pane, self.exhibit.names)}
-        if set(parts) & set(inspections) and pane != DIFFERENCE:
-            wide = self.exhibit.size_at(state.orbit)[0]
-            parts = {name: self._marked(pixels, inspections[name], wide) for name, pixels in parts.items()}
-        image = Image.fromarray(np.ascontiguousarray(pane_pixels(pane, parts, split=state.split)))
+        pixels = difference(*pictures.values()) if pane == DIFFERENCE else pictures[pane]
+        image = Image.fromarray(np.ascontiguousarray(pixels))
         draw = ImageDraw.Draw(image)
-        for name in sorted(state.lines & set(self.exhibit.lines)):
-            draw_lines(draw, self.exhibit.lines[name], camera)
-        if self._picked is not None and pane != DIFFERENCE:
-            draw_lines(draw, edges(self._picked.box), camera)
-        for left, text in _titles(pane, self.exhibit.names, image.width, letters):
-            write_label(draw, (left, image.height - 1.9 * letters), text + mark, "#000000", size=letters)
+        if pane in inspections:
+            inspections[pane].draw(draw, image.width / self.content.size_at(state.orbit)[0])
+        mark, letters = title
+        write_label(draw, (0.4 * letters, image.height - 1.9 * letters), pane + mark, "#000000", size=letters)
         return np.asarray(image)
 
-    def _marked(self, pixels: Pixels, inspection: Inspection, width: int) -> Pixels:
-        """A picture with what was found in it when it was so many pixels wide."""
-        image = Image.fromarray(pixels)
-        inspection.draw(ImageDraw.Draw(image), image.width / width)
-        return np.asarray(image)
+
+class Thinned:
+    """A scene with fewer and larger Gaussians, made when they are first needed."""
+
+    def __init__(self, scene: GaussianScene) -> None:
+        self._scenes = {1: scene}
+
+    def __call__(self, every: int) -> GaussianScene:
+        """One of `every` neighbours along a Morton curve, enlarged so that surfaces stay closed."""
+        if every not in self._scenes:
+            scene = self._scenes[1]
+            order = torch.as_tensor(morton_order(scene.means.detach().cpu().numpy()))
+            rows = order[every // 2 :: every].to(scene.means.device)
+            means, scales, *rest = (tensor[rows] for tensor in scene.tensors())
+            self._scenes[every] = GaussianScene.unchecked(means, scales * every**0.5, *rest)
+        return self._scenes[every]
+
+
+def thinning(count: int, pixels: int) -> int:
+    """The power of two that leaves at most one Gaussian a pixel."""
+    every = 1
+    while every < LARGEST_THINNING and count > pixels * every:
+        every *= 2
+    return every
 
 
 def _resized(picture: Tensor, size: tuple[int, int]) -> Tensor:
@@ -238,16 +218,8 @@ def _resized(picture: Tensor, size: tuple[int, int]) -> Tensor:
     return resized[0].permute(1, 2, 0).clamp(0, 1)
 
 
-def _titles(pane: str, names: Sequence[str], width: int, letters: float) -> list[tuple[float, str]]:
-    """What is written at the bottom of a pane, and how far from its left."""
-    edge = 0.4 * letters
-    if pane == SPLIT:
-        return [(edge, names[0]), (width, names[1])]
-    return [(edge, pane)]
-
-
 def within(canvas: tuple[int, int], pixels: int) -> tuple[int, int]:
-    """A place of this shape with at most so many pixels."""
+    """A canvas of this shape with at most so many pixels."""
     width, height = canvas
     factor = min(1.0, (pixels / (width * height)) ** 0.5)
     return max(1, round(width * factor)), max(1, round(height * factor))

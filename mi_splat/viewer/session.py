@@ -1,7 +1,7 @@
-"""What one visitor of the page sees, and which picture is due: values and rules, without a browser and without a clock.
+"""What a browser window shows and which picture is due next, without a browser and without a clock.
 
-While the camera moves, coarse pictures come as fast as they can be made, with as many pixels as a picture's time
-allows. When it rests, one full picture follows, and then, where there is somebody to look at it, what they find.
+While the camera moves, coarse pictures are rendered with as many pixels as the time for one allows. When it rests, a
+full picture follows, and then one with the detections.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from mi_splat.viewer.orbit import Orbit
 
 REST = 0.2
 """Seconds without a change after which the camera is at rest."""
+LOWEST_SCALE = 0.2
+"""Smallest width of a coarse picture, as a fraction of the full one."""
 
 
 class Step(Enum):
@@ -26,59 +28,36 @@ class Step(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewState:
-    """What is to be seen.
+    """What a window shows: `mode` is one of `mi_splat.viewer.layout.display_modes`, `canvas` its size in pixels.
 
-    Attributes:
-        orbit: The camera.
-        show: One of the ways of showing in `mi_splat.viewer.composition`.
-        split: Part of the width left of the dividing line in a split picture, in [0, 1].
-        lines: Names of the sets of lines that are drawn.
-        inspected: Whether findings are drawn into the picture.
-        canvas: Width and height in pixels of the place for pictures.
-        tint: Counts the changes of what is shown in another colour.
+    `revision` counts changes of the splats themselves.
     """
 
     orbit: Orbit
-    show: str
-    split: float = 0.5
-    lines: frozenset[str] = frozenset()
+    mode: str
     inspected: bool = True
     canvas: tuple[int, int] = (640, 480)
-    tint: int = 0
+    revision: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pace:
-    """How coarse pictures are while the camera moves.
-
-    Attributes:
-        seconds: What a picture may take.
-        scale: Width of a coarse picture in widths of the full one, in [lowest, 1].
-        lowest: Smallest scale.
-        richness: How many times as many Gaussians a pixel are drawn as usual, where a full width leaves time for them.
-    """
+    """How coarse pictures are while the camera moves: the seconds for one, and its width as a fraction of the full."""
 
     seconds: float = 0.07
     scale: float = 0.5
-    lowest: float = 0.2
-    richness: int = 1
 
-    def after(self, seconds: float, *, every: int = 1) -> Pace:
-        """The pace after a coarse picture that took so long.
+    def after(self, seconds: float) -> Pace:
+        """The pace after a coarse picture that took `seconds`.
 
-        Time is taken to grow with the number of pixels, the square of the scale, and so does the number of Gaussians.
-        Within a quarter of the wanted time nothing changes, and the width changes by at most 1.5 times at once, so that
-        pictures do not pulse.
+        Time is assumed to grow with the number of pixels. Within a quarter of the target nothing changes, and the width
+        changes by at most 1.5 times at once, so that pictures do not pulse.
         """
         ratio = self.seconds / max(seconds, 1e-6)
-        if self.richness > 1 and ratio < 0.8:
-            return replace(self, richness=self.richness // 2)
-        if self.scale == 1.0 and every > 1 and ratio >= 2:  # twice the Gaussians take at most twice the time
-            return replace(self, richness=2 * self.richness)
         if 0.8 <= ratio <= 1.25:
             return self
         step = min(max(math.sqrt(ratio), 1 / 1.5), 1.5)
-        return replace(self, scale=min(max(self.scale * step, self.lowest), 1.0))
+        return replace(self, scale=min(max(self.scale * step, LOWEST_SCALE), 1.0))
 
     def size(self, full: tuple[int, int]) -> tuple[int, int]:
         """Width and height of a coarse picture where the full one has `full` pixels."""
@@ -88,14 +67,7 @@ class Pace:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Session:
-    """One visitor.
-
-    Attributes:
-        state: What is to be seen.
-        changed: When that changed last, in seconds of any clock.
-        pace: How coarse the pictures are that show a change.
-        painted: The last step that was done since the change; None: nothing yet.
-    """
+    """The state of a window, when it changed last (seconds of any clock), and the last step that was painted since."""
 
     state: ViewState
     changed: float
@@ -103,13 +75,13 @@ class Session:
     painted: Step | None = None
 
     def change(self, state: ViewState, now: float) -> Session:
-        """The session after a visitor's wish; the same if it is what is there already."""
+        """The session with another state; itself if the state is the same."""
         if state == self.state:
             return self
         return replace(self, state=state, changed=now, painted=None)
 
     def due(self, now: float, *, inspector: bool) -> Step | None:
-        """The picture to make now, None if there is none (yet)."""
+        """The picture to make now, None if there is none yet."""
         if self.painted is None:
             return Step.COARSE
         if self.painted is Step.COARSE:
@@ -118,7 +90,7 @@ class Session:
             return Step.INSPECTED
         return None
 
-    def done(self, step: Step, of: ViewState, seconds: float, *, every: int = 1) -> Session:
-        """The session after a picture was made and sent."""
-        pace = self.pace.after(seconds, every=every) if step is Step.COARSE else self.pace
+    def done(self, step: Step, of: ViewState, seconds: float) -> Session:
+        """The session after a picture of a state was sent."""
+        pace = self.pace.after(seconds) if step is Step.COARSE else self.pace
         return replace(self, pace=pace, painted=step if of is self.state else self.painted)

@@ -138,7 +138,6 @@ def test_a_set_of_photographs_through_every_command(walk: Walk, monkeypatch: pyt
     assert upright["gaussians"] == trained["gaussians"]
     low, high = (load_splat("upright.ply").means.quantile(share, 0) for share in (0.02, 0.98))
     assert float(high[2] - low[2]) < float(high[1] - low[1])  # the plane lies
-    walk("view run --up -y --views 3 1 --size 32 --export view.html")
     if importlib.util.find_spec("pxr") is not None:
         walk("convert upright.ply upright.usdc")
         assert walk.json("info upright.usdc")["gaussians"] == trained["gaussians"]
@@ -187,4 +186,3 @@ def test_a_video_of_path_traced_pictures_through_every_command(walk: Walk, monke
     walk("detect attacked --cameras orbit:2@30 --size 64 --detectors fake_colour --out seen")
     walk("compare run --cameras orbit:1@30 --size 64 --rounds 0 --no-gradients --out compared")
     walk("poison set run --mask object.npy --hide-from elevation:10-90 --downscale 8 --out poisoned")
-    walk("view run --size 32 --views 3 1 --export view.html")

@@ -36,6 +36,7 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     ),
     "compare": (["compare", "a.ply"], "{}", ("mi_splat.comparison.compare.compare",)),
     "select": (["select", "a.ply", "--cluster", "1"], "{}/a.npy", ("mi_splat.cli.cameras.choose",)),
+    "example-scenes": (["example-scenes", "stop_sign"], "{}", ("mi_splat.example_scenes.make",)),
     "dagger": (["dagger", "a.ply", "--cluster", "1"], "{}", ("attacks.dagger.attack.attack",)),
     "study": (["study", "run", "attacks.toml"], "{}", ("attacks.studies.dagger.DaggerWork",)),
     "dagger --sanity": (["dagger", "--sanity", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger_sanity._case",)),
@@ -48,6 +49,8 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     "cloak": (["cloak", "study.toml"], "{}", ("attacks.cloak.study.run_study",)),
     "detect": (["detect", "a.ply"], "{}", ("attacks.cli.names.load_detectors",)),
     "evaluate": (["evaluate", "a.ply", "b.ply"], "{}", ("attacks.cli.names.load_detectors",)),
+    "train-detector": (["train-detector"], "{}", ("attacks.detectors.training.dataset.made",)),
+    "evaluate-detector": (["evaluate-detector"], "{}", ("attacks.detectors.training.dataset.made",)),
 }
 """Words of each command that writes, what its --out is in a folder, and what must not be reached."""
 STUDY = 'name = "s"\n[[attack]]\nname = "above"\nelevation = [40, 90]\n'
@@ -119,6 +122,8 @@ def test_a_read_only_folder_is_seen_before_any_work(
 def test_a_folder_of_something_else_is_refused(
     name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    if name == "example-scenes":
+        pytest.skip("it adds files of its own name to a folder, and says so in its help")
     words, _, work = COMMANDS[name]
     (folder / "album").mkdir()
     (folder / "album" / "wedding.jpg").write_text("dear")
@@ -133,6 +138,8 @@ def test_a_folder_of_something_else_is_refused(
 def test_a_folder_that_another_process_works_in_is_refused(
     name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    if name == "example-scenes":
+        pytest.skip("it goes on with nothing")
     words, _, work = COMMANDS[name]
     forbid(work, monkeypatch)
     with taken(folder / "out"):
@@ -148,7 +155,6 @@ def test_a_folder_that_another_process_works_in_is_refused(
         "render a.ply --size 16 --cameras orbit:2@20 --out out/a.gif",
         "select a.ply --cluster 1 --size 16 --out out/a.npy",
         "convert a.ply out/b.glb",
-        "view a.ply --size 16 --views 1 1 --export out/a.html",
     ],
 )
 def test_what_a_killed_call_left_beside_a_file_is_swept(line: str, folder: Path) -> None:
@@ -229,14 +235,11 @@ REFUSED = {
     "train none --out o --port 8081": (2, "--port: expected --live beside it"),
     "view a.ply --host 0.0.0.0": (1, "host: expected 127.0.0.1"),
     "view a.ply --host 192.168.3.4 --port 0": (1, "SSH tunnel"),
-    "view a.ply --export none/page.html": (1, "make the folder first"),
-    "view a.ply --export a.ply": (1, "ends in .html"),
-    "view a.ply --export old.html": (1, "--force"),
-    "view a.ply --export p.html --clean half.ply": (1, "the scenes: expected the same Gaussians in both"),
-    "view a.ply --export p.html --detectors fasterrcnn_smal": (1, "fasterrcnn_small"),
-    "view a.ply --export p.html --weights w.safetensors": (1, "name it with --detectors"),
-    "view a.ply --export p.html --clean none.ply": (1, "none.ply"),
-    **{f"view {path} --export p.html": (1, ": expected ") for path in ("none.ply", "none", "old.html", ".")},
+    "view a.ply --port 0 --clean half.ply": (1, "the scenes: expected the same Gaussians in both"),
+    "view a.ply --port 0 --detectors fasterrcnn_smal": (1, "fasterrcnn_small"),
+    "view a.ply --port 0 --weights w.safetensors": (1, "name it with --detectors"),
+    "view a.ply --port 0 --clean none.ply": (1, "none.ply"),
+    **{f"view {path} --port 0": (1, ": expected ") for path in ("none.ply", "none", "old.html", ".")},
 }
 
 

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import signal
 import socket
 import subprocess
@@ -21,7 +20,7 @@ from mi_splat.io.camera_records import camera_of, describe
 from mi_splat.rendering import Renderer, RenderSettings
 from tests.fakes import camera, toy_scene
 from tests.project.layers import ROOT
-from tests.viewer.exhibits import ball
+from tests.viewer.contents import ball
 
 SMALL = ["--size", "24x16"]
 
@@ -159,25 +158,6 @@ def test_a_taken_port_is_told(splat: Path, capsys: pytest.CaptureFixture[str]) -
         pytest.importorskip("viser", reason="needs the extra `view`")
         assert cli.main(words) == 1
     assert "--port 0" in capsys.readouterr().err
-
-
-def test_the_page_in_a_file(splat: Path, capsys: pytest.CaptureFixture[str], variant: str) -> None:
-    out = splat.parent / "page.html"
-    words = ["view", str(splat), "--clean", str(splat), "--views", "3", "1", "--size", "60x40", "--export", str(out)]
-    assert cli.main([*words, "--detectors", "fasterrcnn_small"]) == 0
-    out_text = capsys.readouterr().out
-    assert "1 camera and 3 x 1 all around" in out_text
-    assert "Up is z." in out_text
-    page = out.read_text("utf-8")
-    match = re.search(r'<script id="views" type="application/json">(.*?)</script>', page, re.DOTALL)
-    assert match is not None
-    views = json.loads(match[1])
-    assert len(views) == 3
-    assert all("%" in part["findings"] for view in views for part in view["splats"])
-    assert cli.main(words) == 1
-    assert out.read_text("utf-8") == page
-    assert cli.main([*words, "--force"]) == 0
-    assert out.read_text("utf-8") != page  # no detector this time
 
 
 @pytest.mark.slow

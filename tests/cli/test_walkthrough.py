@@ -99,8 +99,6 @@ def test_a_foreign_mesh_through_every_command(walk: Walk, tmp_path: Path) -> Non
     judged = "--cameras orbit:3@20 --size 96 --target person --detectors fasterrcnn_small"
     assert walk.json(f"evaluate run/splat.ply attacked/attacked.ply {judged} --out judged")
     walk("detect attacked/attacked.ply one.jpg --size 96 --out seen")
-    walk("view attacked --export page.html --views 3 1 --size 48")
-    assert "http://" not in Path("page.html").read_text().replace("http://www.w3.org", "")
 
 
 @pytest.mark.parametrize("ending", ["compressed.ply", "spz", "sog", "glb", "ply"])

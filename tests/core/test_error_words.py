@@ -17,7 +17,6 @@ from mi_splat.io.folders import check_new_folder
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.config import Selection
 from mi_splat.selection.select import select
-from mi_splat.viewer.export import check_export
 from tests.fakes import toy_scene
 
 
@@ -44,7 +43,6 @@ CALLS: dict[str, tuple[Callable[[], object], str]] = {
     "none selected": (lambda: select(scene(), Selection(box=(8, 8, 8, 9, 9, 9))), "--box"),
     "no such part": (lambda: select(scene(), Selection(object="car")), "--object"),
     "an older result": (lambda: check_new_folder("out", force=False), "--force"),
-    "an older page": (lambda: check_export(Path("page.html"), (2, 1), force=False), "--force"),
     "two of the same": (lambda: changed_mask(scene(), scene()), "--box"),
     "a NaN": (lambda: load_splat("nan.ply"), "mi-splat convert nan.ply VALID.ply --drop-invalid"),
 }
@@ -73,7 +71,5 @@ def test_the_command_line_says_how_to_drop_what_is_not_valid(
 
 
 def test_the_command_line_names_its_flags(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["view", "a.ply", "--export", "page.html"]) == 1
-    assert "replace it with force (--force)" in capsys.readouterr().err
     assert cli.main(["select", "a.ply"]) == 1
     assert "(--object, --box, --click, --cluster or --mask)" in capsys.readouterr().err

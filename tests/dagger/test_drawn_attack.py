@@ -21,9 +21,9 @@ from attacks.observe.measures import AIMS, joint_views
 from attacks.observe.rates import count
 from attacks.observe.views import as_saved
 from attacks.report.checking import pack, read_result
-from attacks.report.exhibits import open_exhibit
 from attacks.report.rescoring import rescore
 from attacks.report.results import read_section, story_of
+from attacks.report.viewer_content import open_content
 from attacks.search import Parameters
 from attacks.transformations.config import PictureChanges, Transformations
 from mi_splat.attributes import Attribute
@@ -230,8 +230,7 @@ def test_its_copy_is_scored_again(folder: Path, tmp_path: Path) -> None:
 
 
 def test_its_held_out_views_are_shown(folder: Path) -> None:
-    exhibit = open_exhibit(folder, clean=folder.parent / "a.ply")
-    assert [name for name in exhibit.cameras if "view" in name] == [f"held-out view {i}" for i in range(4)]
-    assert set(exhibit.lines) == {"Held-out cameras"}
-    assert (exhibit.settings.near, exhibit.settings.background) == (0.3, (0.1, 0.1, 0.12))
-    assert len(load_splat(folder / "attacked.ply")) == len(exhibit.splat("attacked").scene)
+    content = open_content(folder, clean=folder.parent / "a.ply")
+    assert [name for name in content.cameras if "view" in name] == [f"held-out view {i}" for i in range(4)]
+    assert (content.settings.near, content.settings.background) == (0.3, (0.1, 0.1, 0.12))
+    assert len(load_splat(folder / "attacked.ply")) == len(content.splat("attacked").scene)

@@ -1,10 +1,14 @@
-"""The page in a real browser: it opens, moves, shows both splats and the right numbers, and asks nobody else.
+"""The page in a real browser: it opens, moves, shows both splats and the right numbers, and connects to nobody else.
 
 Needs Chromium (Debian's package `chromium`) and Playwright (of the extra `dev`).
 """
 
+import io
 import re
 import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -14,15 +18,18 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
-from mi_splat.viewer import export
-from mi_splat.viewer.export import write_export
+from attacks.cloak.config import AttackConfig, CameraConfig, StudyConfig
+from attacks.report.viewer_content import detector_inspector, open_content
+from mi_splat.io import save_splat
 from mi_splat.viewer.guard import COOKIE
+from mi_splat.viewer.painter import Painter
+from mi_splat.viewer.runner import JobRunner
 from tests.browser import CHROMIUM
-from tests.viewer.exhibits import ABOVE, START, Looker, painter
-from tests.viewer.windows import Window, window
-from tests.viewer.wire import serving
-from tests.viewer.works import bench
+from tests.fakes import ColourDetector, blobs
+from tests.viewer.contents import ABOVE, START, MeanInspector, ball, balls, painter, runner, save_study
+from tests.viewer.wire import PATIENCE, serving
 
 pytestmark = [
     pytest.mark.slow,
@@ -30,28 +37,82 @@ pytestmark = [
     # In the threads of a browser that is told to go away.
     pytest.mark.filterwarnings("ignore::DeprecationWarning:websockets"),
 ]
+UNUSED = "'unsafe-eval' is not an allowed source of script"
+"""The complaint of viser's own renderer of splats, which the page does not use."""
+HOSTILE = (
+    "<iframe srcdoc='<img src=x onerror=parent.ran=1>'> [l](javascript:globalThis.ran=1) **b** `c` &lt; www.a.example"
+)
+"""A name that would run scripts, and look otherwise than it is written; it can be the name of a file."""
 
 
-def colours(pixels: NDArray[np.int32]) -> tuple[int, int]:
-    """How many pixels are clearly red, and how many clearly green."""
-    red, green = pixels[..., 0], pixels[..., 1]
-    return int((red > green + 60).sum()), int((green > red + 60).sum())
+class Window:
+    """A window of the browser, which remembers its errors and its connections."""
+
+    def __init__(self, chromium: Any, address: str, size: tuple[int, int]) -> None:
+        self.page = chromium.new_page(viewport={"width": size[0], "height": size[1]})
+        self.errors: list[str] = []
+        self.requests: list[str] = []
+        self.page.on("console", lambda line: self.errors.append(line.text) if line.type == "error" else None)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.on("websocket", lambda socket: self.requests.append(socket.url))
+        self.page.goto(address)
+
+    def colours(self, rows: int | None = None, columns: int | None = 650) -> tuple[int, int]:
+        """How many pixels are clearly red and how many clearly green, without the controls on the right."""
+        red, green = (self.pixels[:rows, :columns, channel] for channel in (0, 1))
+        return int((red > green + 60).sum()), int((green > red + 60).sum())
+
+    @property
+    def pixels(self) -> NDArray[np.int32]:
+        """A screenshot."""
+        with Image.open(io.BytesIO(self.page.screenshot())) as image:
+            return np.asarray(image.convert("RGB"), np.int32)
+
+    def until(self, true: Callable[[], bool]) -> None:
+        """Wait until something is the case."""
+        end = time.monotonic() + PATIENCE
+        while not true():
+            assert time.monotonic() < end, self.page.inner_text("body")
+            self.page.wait_for_timeout(100)
+
+    def says(self, text: str) -> None:
+        """Wait until the page says something."""
+        self.until(lambda: text in self.page.inner_text("body"))
+
+    def commands(self) -> list[str]:
+        """All commands on the page."""
+        texts: list[str] = self.page.locator("textarea").evaluate_all("areas => areas.map(area => area.value)")
+        return texts
+
+
+@contextmanager
+def window(
+    chromium: Any, shown: Painter | JobRunner, size: tuple[int, int] = (1000, 640), *, says: str = "above the ground"
+) -> Iterator[Window]:
+    """A window on a page that says something sooner or later, and connects to nobody but the server."""
+    with serving(shown) as page:
+        opened = Window(chromium, page.address, size)
+        opened.says(says)
+        yield opened
+        assert not [error for error in opened.errors if UNUSED not in error]
+        hosts = {urlsplit(url.removeprefix("blob:")).hostname for url in opened.requests}
+        assert hosts <= {"127.0.0.1", None}
+        opened.page.close()
 
 
 def test_it_shows_both_splats_and_what_the_api_says_of_them(chromium: Any) -> None:
-    work = painter(looker=Looker())
-    with window(chromium, work) as opened:
-        expected = painter(looker=Looker())
+    with window(chromium, painter(inspector=MeanInspector())) as opened:
+        expected = painter(inspector=MeanInspector())
         for name in ("clean", "attacked"):
             opened.says(expected.inspect(name, START).text)
-        opened.says(f"{expected.likeness(START):.1f} dB")
-        opened.until(lambda: min(colours(opened.shot(650))) > 2000)  # the last picture comes after its words
-        commands = opened.page.locator("textarea").evaluate_all("areas => areas.map(area => area.value)")
-        assert set(expected.commands(START).values()) <= set(commands)
+        opened.says(f"{expected.similarity(START):.1f} dB")
+        opened.until(lambda: min(opened.colours()) > 2000)  # the last picture comes after its words
+        assert set(expected.commands(START).values()) <= set(opened.commands())
 
 
-def test_the_keyboard_alone_moves_the_camera_and_chooses_what_is_shown(chromium: Any) -> None:
-    with window(chromium, painter(looker=Looker())) as opened:
+def test_the_keyboard_moves_the_camera_and_chooses_what_is_shown(chromium: Any) -> None:
+    with window(chromium, painter(inspector=MeanInspector())) as opened:
         keys, named = opened.page.keyboard, opened.page.get_by_role("slider", name="Elevation")
         named.wait_for()
         for _ in range(40):  # to the first slider, as with the tab key
@@ -63,11 +124,9 @@ def test_the_keyboard_alone_moves_the_camera_and_chooses_what_is_shown(chromium:
         for _ in range(5):
             keys.press("ArrowRight")
         there = replace(START, elevation=START.elevation + 5)
-        opened.says(painter(looker=Looker()).inspect("clean", there).text)
-        opened.says(f"{there.camera((8, 8)).position[2]:.1f} above the ground")
+        opened.says(painter(inspector=MeanInspector()).inspect("clean", there).text)
 
-        show = opened.page.get_by_role("combobox", name="Show")
-        show.focus()
+        opened.page.get_by_role("combobox", name="Show").focus()
         chosen = "() => document.querySelector('[role=option][data-combobox-selected]')?.textContent"
         for _ in range(8):
             keys.press("ArrowDown")
@@ -75,31 +134,27 @@ def test_the_keyboard_alone_moves_the_camera_and_chooses_what_is_shown(chromium:
             if opened.page.evaluate(chosen) == "clean":
                 break
         keys.press("Enter")
-        opened.until(lambda: colours(opened.shot(650))[1] < 100)
-        assert colours(opened.shot(650))[0] > 2000
+        opened.until(lambda: opened.colours()[1] < 100)
+        assert opened.colours()[0] > 2000
 
 
 def test_the_mouse_moves_the_camera_and_the_picture_follows(chromium: Any) -> None:
     with window(chromium, painter(1)) as opened:
-        before, text = opened.shot(650), opened.page.locator("textarea").first.input_value()
+        before, text = opened.pixels, opened.commands()[0]
         opened.page.wait_for_timeout(1200)
         mouse = opened.page.mouse
         mouse.move(300, 300)
         mouse.down()
         mouse.move(420, 240, steps=6)
         mouse.up()
-        opened.until(lambda: opened.page.locator("textarea").first.input_value() != text)
-        command = opened.page.locator("textarea").first.input_value()
-        assert re.search(r"--azimuth [\d.]+ --elevation -?[\d.]+", command)
-        opened.until(lambda: bool(np.abs(opened.shot(650) - before).mean() > 0.5))
+        opened.until(lambda: opened.commands()[0] != text)
+        assert re.search(r"--azimuth [\d.]+ --elevation -?[\d.]+", opened.commands()[0])
+        opened.until(lambda: bool(np.abs(opened.pixels - before)[:, :650].mean() > 0.5))
 
 
 def test_a_narrow_window_has_pictures_and_controls(chromium: Any) -> None:
-    with window(chromium, painter(looker=Looker()), size=(320, 640)) as opened:
-        opened.page.wait_for_timeout(500)
-        red, green = colours(opened.shot()[:256])  # above the controls
-        assert red > 200
-        assert green > 200
+    with window(chromium, painter(inspector=MeanInspector()), size=(320, 640)) as opened:
+        opened.until(lambda: min(opened.colours(256, None)) > 200)  # above the controls
         slider = opened.page.get_by_role("slider").first
         slider.scroll_into_view_if_needed()
         box = slider.bounding_box()
@@ -107,12 +162,12 @@ def test_a_narrow_window_has_pictures_and_controls(chromium: Any) -> None:
         assert 0 <= box["x"] <= 320 - box["width"]
         slider.focus()
         opened.page.keyboard.press("ArrowRight")
-        opened.says(painter(looker=Looker()).inspect("clean", replace(START, elevation=21.0)).text)
+        opened.says(painter(inspector=MeanInspector()).inspect("clean", replace(START, elevation=21.0)).text)
         assert opened.page.evaluate("document.documentElement.scrollWidth") <= 320
 
 
-def test_an_object_is_picked_and_worked_on(chromium: Any, tmp_path: Path) -> None:
-    with window(chromium, bench()) as opened:
+def test_an_object_is_selected_and_a_job_runs_on_it(chromium: Any, tmp_path: Path) -> None:
+    with window(chromium, runner()) as opened:
         page = opened.page
         page.get_by_role("tab", name="Tools").press("Enter")
         page.mouse.click(340, 320)
@@ -124,50 +179,76 @@ def test_an_object_is_picked_and_worked_on(chromium: Any, tmp_path: Path) -> Non
         assert f"{mask.sum()} of {len(mask)} Gaussians of clean" in page.inner_text("body")
         page.get_by_text("Work", exact=True).first.click()
         page.get_by_label("eps").last.fill("7")  # numbers have names
-        opened.until(
-            lambda: any("--eps=7" in text for text in page.locator("textarea").evaluate_all("a => a.map(x => x.value)"))
-        )
+        opened.until(lambda: any("--eps=7" in text for text in opened.commands()))
         page.get_by_role("button", name="Work", exact=True).press("Enter")
-        opened.says(f"done to {mask.sum()}")
-        opened.until(lambda: min(colours(opened.shot(650))) > 2000)  # both splats, in their own colours
-        page.get_by_role("button", name="from above").press("Enter")
-        page.get_by_role("tab", name="Look").press("Enter")
+        opened.says("done with --eps=7")
+        opened.until(lambda: min(opened.colours()) > 2000)  # both splats, in their own colours
+        page.get_by_role("tab", name="View").press("Enter")
+        page.get_by_role("combobox", name="From").click()
+        page.get_by_role("option", name="above").click()
         opened.says(f"{ABOVE.camera((8, 8)).position[2]:.1f} above the ground")
 
 
-@pytest.mark.parametrize("size", [(1000, 700), (320, 640)])
-def test_the_page_in_a_file(
-    chromium: Any, size: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def of_study(folder: Path) -> Painter:
+    """A study with an attack of this name."""
+    attack = AttackConfig(name=HOSTILE, elevation=(50.0, 90.0))
+    cameras = CameraConfig(train=30, size=64, distance=7.0)
+    save_study(folder, StudyConfig(name=HOSTILE, cameras=cameras, attack=(attack,)))
+    return Painter(open_content(folder), blobs)
+
+
+def of_weights(folder: Path) -> Painter:
+    """A detector with a class of this name."""
+    detector = ColourDetector()
+    detector.classes = (HOSTILE, "person", "stop sign")
+    return Painter(balls(1), blobs, detector_inspector(detector, min_confidence=0.0))
+
+
+def of_file(folder: Path) -> Painter:
+    """A splat in a file of this name."""
+    path = folder / f"{HOSTILE}.ply"
+    save_splat(ball((0.9, 0.1, 0.1)), path)
+    return Painter(open_content(path), blobs, MeanInspector())
+
+
+@pytest.mark.parametrize(
+    ("made", "says", "times"),
+    [
+        (of_study, f"Trigger {HOSTILE}: ", 2),
+        (of_weights, f"clean: {HOSTILE} ", 1),
+        (of_file, f"{HOSTILE}: mean colour", 3),
+    ],
+)
+def test_names_in_files_are_shown_as_they_are_written(
+    chromium: Any, made: Callable[[Path], Painter], says: str, times: int, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(export, "SHORTER_SIDE", 60)
-    work = painter(looker=Looker())
-    write_export(work, tmp_path / "page.html", views=(6, 2))
-    opened = Window(chromium, (tmp_path / "page.html").as_uri(), size)
-    page, first = opened.page, opened.shot()
-    red, green = colours(first)
-    assert min(red, green) > 1000
-    assert page.get_by_label("Azimuth").input_value() == "0"
-    assert page.get_by_label("Camera").input_value() == "0"
-    opened.says(work.inspect("attacked", START).text)
-    page.keyboard.press("Tab")
-    page.keyboard.press("Tab")
-    assert page.evaluate("document.activeElement.id") == "azimuth"
-    page.keyboard.press("ArrowRight")
-    page.keyboard.press("Tab")
-    page.keyboard.press("ArrowRight")
-    there = replace(START, azimuth=START.azimuth + 60, elevation=67.5)
-    for name in ("clean", "attacked"):
-        opened.says(work.inspect(name, there).text)
-    assert page.get_by_label("Camera").input_value() == ""
-    assert page.get_by_label("Azimuth").get_attribute("aria-valuetext") == "90°"
-    assert not np.array_equal(opened.shot(), first)
-    page.get_by_label("Camera").select_option("0")
-    assert page.get_by_label("Azimuth").input_value() == "0"  # where that camera is
-    assert page.get_by_label("Azimuth").get_attribute("aria-valuetext") == f"{START.azimuth:g}°"
-    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
-    assert not opened.errors
-    assert all(url.startswith(("file:", "data:")) for url in opened.asked)
-    page.close()
+    with window(chromium, made(tmp_path), size=(1000, 1400), says=says) as opened:
+        page = opened.page
+        opened.until(lambda: page.inner_text("body").count(HOSTILE) == times)  # a panel is drawn anew
+        if made is of_study:
+            page.get_by_role("combobox", name="From").click()
+            opened.says(f"inside {HOSTILE}")
+        page.wait_for_timeout(300)  # an image is not found
+        assert page.evaluate("globalThis.ran") is None
+        for selector in ("iframe", "img[src=x]", "a", "body code"):
+            assert page.locator(selector).count() == 0, selector
+
+
+def test_no_script_runs_even_if_markup_came_through(chromium: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    markup = (
+        "<img src=x onerror=globalThis.ran=1><iframe srcdoc='<script>parent.ran=1</script>'></iframe>"
+        "<a href='javascript:globalThis.ran=1'>a link</a>"
+    )
+    monkeypatch.setattr("mi_splat.viewer.panel.html.escape", lambda text: text)
+    work = painter(1)
+    work.content = replace(work.content, describe=lambda camera: (markup,))
+    with serving(work) as page:
+        opened = Window(chromium, page.address, (1000, 640))
+        opened.page.get_by_text("a link").click()
+        refused = {"inline event handler", "inline script", "JavaScript URL"}
+        opened.until(lambda: all(f"{what} violates" in "".join(opened.errors) for what in refused))
+        assert opened.page.evaluate("globalThis.ran") is None
+        opened.page.close()
 
 
 def test_two_pages_in_one_browser(chromium: Any) -> None:
@@ -179,7 +260,6 @@ def test_two_pages_in_one_browser(chromium: Any) -> None:
             tab.bring_to_front()
             tab.goto(address)
             tab.get_by_text("above the ground").wait_for()
-            assert address.partition("token=")[2] not in tab.url
             assert "token" not in tab.url
         for tab in tabs:  # each by its own cookie, after the other has set one
             tab.bring_to_front()
@@ -194,11 +274,11 @@ def test_two_pages_in_one_browser(chromium: Any) -> None:
 
 
 def test_another_port_gets_no_cookie(chromium: Any) -> None:
-    heard: list[str | None] = []
+    cookies: list[str | None] = []
 
     class Listener(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            heard.append(self.headers["Cookie"])
+            cookies.append(self.headers["Cookie"])
             self.send_error(404)
 
         def log_message(self, *words: object) -> None:
@@ -217,8 +297,8 @@ def test_another_port_gets_no_cookie(chromium: Any) -> None:
         finally:
             other.shutdown()
             thread.join()
-    assert len(heard) >= 2
-    assert set(heard) == {None}
+    assert len(cookies) >= 2
+    assert set(cookies) == {None}
 
 
 def test_the_page_opens_from_a_link_of_another_site(chromium: Any) -> None:

@@ -6,7 +6,6 @@ import signal
 import threading
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,27 +18,27 @@ from mi_splat.training.initialization import from_points
 from mi_splat.training.loop import Fit, Progress
 from mi_splat.training.resume import train
 from mi_splat.viewer import live as module
-from mi_splat.viewer.live import MOST_POINTS, SPLAT, Curve, Follower, Live, draw_curves, training_exhibit
-from mi_splat.viewer.page import Page
+from mi_splat.viewer.live import SPLAT, LiveTraining, curve_data, training_content
 from mi_splat.viewer.painter import Painter
+from mi_splat.viewer.server import Page
 from tests.training.sets import views_of, watching
 from tests.training.test_resume import CONFIG
-from tests.viewer.exhibits import START
+from tests.viewer.contents import START
 from tests.viewer.wire import Browser, connection, headers_of
 
 STEPS = 40
 
 
 @pytest.fixture
-def live(tmp_path: Path) -> Live:
+def live(tmp_path: Path) -> LiveTraining:
     """Of a small set, two of whose pictures are held out."""
     _, views = views_of()
     write_transforms(tmp_path / "set", views[2:], test=views[:2])
     parts = [load_dataset(tmp_path / "set", split=split) for split in ("train", "test")]
-    shown = training_exhibit(
+    shown = training_content(
         parts, beginning(), dataset=tmp_path / "set", out=tmp_path / "out" / "splat.ply", settings=RenderSettings()
     )
-    return Live(Painter(shown, Renderer()), STEPS)
+    return LiveTraining(Painter(shown, Renderer()), STEPS)
 
 
 def beginning() -> GaussianScene:
@@ -47,10 +46,8 @@ def beginning() -> GaussianScene:
     return from_points(truth.means, torch.full((50, 3), 0.5))
 
 
-def trained(folder: Path, follower: Follower | None = None) -> Fit:
-    hooks: dict[str, Any] = {}
-    if follower is not None:
-        hooks = {"on_start": follower.begin, "on_step": follower.note, "hold": follower.hold}
+def trained(folder: Path, live: LiveTraining | None = None) -> Fit:
+    hooks = {} if live is None else {"on_start": live.begin, "on_step": live.note, "hold": live.hold}
     _, views = views_of()
     config = dataclasses.replace(CONFIG, iterations=STEPS)
     return train(views, beginning(), folder, render=watching(), config=config, held_out=views[:2], **hooks)
@@ -60,18 +57,18 @@ def says(browser: Browser, text: str) -> None:
     browser.until(lambda message: text in str(message))
 
 
-def test_a_training_that_is_watched_stops_goes_on_and_is_the_same(
-    live: Live, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_training_that_is_watched_pauses_continues_and_is_the_same(
+    live: LiveTraining, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "REFRESH", 0.0)
     made: list[Fit] = []
     with Page(live, port=0) as page, connection(page.address, headers_of(page.address)) as browser:
-        follower = Follower(live, page)
+        live.page = page
         live.toggle()  # it waits after its first step
-        thread = threading.Thread(target=lambda: made.append(trained(tmp_path / "watched", follower)))
+        thread = threading.Thread(target=lambda: made.append(trained(tmp_path / "watched", live)))
         thread.start()
         browser.look(START)
-        says(browser, f"Step 1 of {STEPS}, stopped")
+        says(browser, f"Step 1 of {STEPS}, paused")
         assert browser.picture().shape[2] == 3
         (button,) = (message["uuid"] for message in browser.messages if message["type"] == "GuiButtonMessage")
         browser.say("GuiUpdateMessage", uuid=button, updates={"value": True})
@@ -79,17 +76,16 @@ def test_a_training_that_is_watched_stops_goes_on_and_is_the_same(
     plain = trained(tmp_path / "plain")
     assert all(torch.equal(a, b) for a, b in zip(made[0].scene.tensors(), plain.scene.tensors(), strict=True))
     assert (tmp_path / "watched" / "splat.ply").read_bytes() == (tmp_path / "plain" / "splat.ply").read_bytes()
-    assert live.share == 1.0
     assert f"All held-out pictures at step {STEPS}: PSNR" in live.remarks[-1]
 
 
-def test_a_stopped_training_can_be_ended(live: Live, tmp_path: Path) -> None:
+def test_a_paused_training_can_be_ended(live: LiveTraining, tmp_path: Path) -> None:
     """With Ctrl-C, and its checkpoint is written."""
     live.toggle()
 
     def hold() -> bool:
         os.kill(os.getpid(), signal.SIGINT)
-        return live.waiting
+        return live.paused
 
     _, views = views_of()
     with pytest.raises(KeyboardInterrupt):
@@ -97,8 +93,8 @@ def test_a_stopped_training_can_be_ended(live: Live, tmp_path: Path) -> None:
     assert (tmp_path / "ended" / "checkpoint.safetensors").is_file()
 
 
-def test_the_first_picture_is_a_held_out_one_beside_its_photograph(live: Live) -> None:
-    shown = live.exhibit
+def test_the_first_picture_is_a_held_out_one_beside_its_photograph(live: LiveTraining) -> None:
+    shown = live.content
     assert shown.names == ("photograph", SPLAT)
     assert "held out" in str(shown.camera_name(shown.start))
     assert sum("held out" in name for name in shown.cameras) == 2
@@ -108,8 +104,8 @@ def test_the_first_picture_is_a_held_out_one_beside_its_photograph(live: Live) -
     assert "--centre" in live.painter.commands(shown.start.changed())[SPLAT]
 
 
-def test_a_photograph_that_cannot_be_read_is_told_of_and_ends_nothing(live: Live) -> None:
-    shown = live.exhibit.photographs
+def test_a_photograph_that_cannot_be_read_is_reported_and_ends_nothing(live: LiveTraining) -> None:
+    shown = live.content.photographs
     assert shown is not None
     assert isinstance(shown.views, Dataset)
     shown.views.paths[0].write_bytes(b"no picture")
@@ -121,12 +117,9 @@ def test_a_photograph_that_cannot_be_read_is_told_of_and_ends_nothing(live: Live
     assert str(shown.views.paths[0]) in live.remarks[-1]
 
 
-def test_curves_are_thinned_out_evenly_and_drawn() -> None:
-    curve = Curve("loss")
-    for step in range(1000):
-        curve.add(step, float(step))
-    assert len(curve.points) < MOST_POINTS
-    assert all(value == step for step, value in curve.points)
-    assert np.allclose(np.diff([step for step, _ in curve.points]), 4)
-    drawn = draw_curves((curve, Curve("PSNR"), Curve("other", [(3, 1.0)])))
-    assert drawn.shape == (2 * draw_curves((curve,)).shape[0], 320, 3)
+def test_curves_are_thinned_out_evenly() -> None:
+    steps, values = curve_data([(step, float(step)) for step in range(1024)])
+    assert np.array_equal(steps, values)
+    assert np.allclose(np.diff(steps), 4)
+    assert curve_data([])[0].shape == (1,)
+    assert curve_data([(3, 1.0)]) == (np.array([3.0]), np.array([1.0]))

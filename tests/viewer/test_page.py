@@ -22,26 +22,25 @@ pytest.importorskip("viser", reason="needs the extra `view`")
 from websockets.exceptions import ConnectionClosed
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.viewer.bench import Bench
-from mi_splat.viewer.composition import DIFFERENCE
-from mi_splat.viewer.exhibit import Inspection
+from mi_splat.viewer.content import Inspection
 from mi_splat.viewer.guard import COOKIE, MOST_WINDOWS
-from mi_splat.viewer.page import Page, check_port
+from mi_splat.viewer.layout import DIFFERENCE
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.panel import FREE, as_html
+from mi_splat.viewer.runner import JobRunner
+from mi_splat.viewer.server import Page, check_port
 from mi_splat.viewer.session import Pace, Step, ViewState
-from tests.viewer.exhibits import ABOVE, START, Looker, painter
+from tests.viewer.contents import ABOVE, START, MeanInspector, painter, runner
 from tests.viewer.wire import PATIENCE, Browser, connection, headers_of, serving
-from tests.viewer.works import bench
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:websockets")
 FULL = (80, 160)
 
 
 @contextmanager
-def visiting(work: Painter | Bench) -> Iterator[Browser]:
+def visiting(shown: Painter | JobRunner) -> Iterator[Browser]:
     """A browser on a page; it has the first camera and a window of 160 x 80."""
-    with serving(work) as page, connection(page.address, headers_of(page.address)) as browser:
+    with serving(shown) as page, connection(page.address, headers_of(page.address)) as browser:
         browser.look(START)
         yield browser
 
@@ -72,7 +71,7 @@ def test_the_address_opens_the_page_and_nothing_else_does(page: Page) -> None:
     cookie = {"Cookie": headers["Set-Cookie"].partition(";")[0]}
     status, text, headers = fetch(bare + leads_to[1], cookie)
     assert (status, '<div id="root">' in text) == (200, True)
-    assert headers["Content-Security-Policy"].startswith("default-src 'none'; script-src 'sha256-")
+    assert headers["Content-Security-Policy"].startswith("default-src 'none'; script-src 'nonce-")
     assert headers["Set-Cookie"].endswith(f"Path=/{leads_to[1][:-1]}")
     assert fetch(bare + leads_to[1] + "none.js", cookie)[0] == 404
     assert fetch(bare + leads_to[1], {})[0] == 403
@@ -95,13 +94,13 @@ def test_a_websocket_needs_the_token_too(page: Page, case: str) -> None:
         pass
 
 
-def test_pictures_are_the_painter_s() -> None:
+def test_pictures_come_from_the_painter() -> None:
     work = painter()
     with visiting(work) as browser:
         first = browser.picture()
         assert first.shape[1] < FULL[1]  # coarse
         full = browser.picture(FULL)
-    state = ViewState(orbit=START, show="side by side", canvas=(160, 80))
+    state = ViewState(orbit=START, mode="side by side", canvas=(160, 80))
     expected = work.paint(state, Step.FULL, Pace()).pixels
     assert np.abs(full.astype(int) - expected).mean() < 3  # JPEG
 
@@ -115,7 +114,7 @@ def test_the_picture_follows_the_mouse_and_so_do_the_controls() -> None:
         browser.look(there)
         browser.picture()
         pixels = browser.picture(FULL)
-        state = ViewState(orbit=there, show="side by side", canvas=(160, 80))
+        state = ViewState(orbit=there, mode="side by side", canvas=(160, 80))
         assert np.abs(pixels.astype(int) - work.paint(state, Step.FULL, Pace()).pixels).mean() < 3
         uuid = browser.control("Azimuth")["uuid"]
         values = [m["updates"]["value"] for m in browser.messages if m.get("uuid") == uuid and "updates" in m]
@@ -123,19 +122,19 @@ def test_the_picture_follows_the_mouse_and_so_do_the_controls() -> None:
 
 
 def test_a_control_moves_the_camera() -> None:
-    work = painter(looker=Looker())
+    work = painter(inspector=MeanInspector())
     with visiting(work) as browser:
         slider = browser.control("Elevation")
         browser.picture(FULL)
         browser.say("GuiUpdateMessage", uuid=slider["uuid"], updates={"value": 70.0})
         told = browser.until(lambda message: message["type"] == "SetCameraPositionMessage")
         assert np.allclose(told["position"], replace(START, elevation=70.0).position)
-        expected = painter(looker=Looker()).inspect("clean", replace(START, elevation=70.0)).text
+        expected = painter(inspector=MeanInspector()).inspect("clean", replace(START, elevation=70.0)).text
         browser.until(lambda message: expected in str(message.get("updates", {})))
 
 
-def test_a_click_picks_an_object_and_a_button_has_work_done_on_it() -> None:
-    with visiting(bench()) as browser:
+def test_a_click_selects_an_object_and_a_button_runs_a_job_on_it() -> None:
+    with visiting(runner()) as browser:
         browser.picture(FULL)
         ray = {"ray_origin": (0.0, 0.0, 0.0), "ray_direction": (0.0, 0.0, 1.0)}
         for at in ((float("nan"), 7.0), (0.5, 0.5)):
@@ -153,13 +152,13 @@ def test_a_click_picks_an_object_and_a_button_has_work_done_on_it() -> None:
             browser.say("GuiUpdateMessage", uuid=button[-1]["uuid"], updates={"value": True})
 
         message_with("mi-splat select clean.ply --click 24,16")
+        message_with("mi-splat do --eps=5.0")
+        browser.say("GuiUpdateMessage", uuid=browser.control("eps")["uuid"], updates={"value": 7.5})
+        message_with("mi-splat do --eps=7.5")
         press("Work")
-        message_with("done to")
+        message_with("done with --eps=7.5")
         assert "attacked" in message_with("'label': 'Show'")["props"]["options"]
-        press("from above")
-        told = browser.until(lambda message: message["type"] == "SetCameraPositionMessage")
-        assert np.allclose(told["position"], ABOVE.position)
-        press("Undo")
+        press("Clear")
         browser.until(lambda message: "Click on an object" in str(message.get("updates", {})))
 
 
@@ -175,7 +174,7 @@ def test_a_few_windows_are_served_at_a_time(page: Page) -> None:
             assert next_one.picture().size
 
 
-def test_what_makes_no_sense_is_told_of_in_a_line_for_each_kind(
+def test_each_kind_of_invalid_message_is_reported_once(
     page: Page, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
 ) -> None:
     headers = headers_of(page.address)
@@ -199,7 +198,7 @@ def test_what_makes_no_sense_is_told_of_in_a_line_for_each_kind(
 
 
 @pytest.mark.parametrize("value", [float("nan"), 1e9, "text", None])
-def test_nonsense_from_a_browser_changes_nothing(value: object) -> None:
+def test_an_invalid_number_of_a_browser_changes_nothing(value: object) -> None:
     with visiting(painter(1)) as browser:
         before = browser.picture(FULL)
         uuid = browser.control("Elevation")["uuid"]
@@ -223,20 +222,20 @@ def test_a_browser_changes_nothing_of_a_control_but_its_value() -> None:
         assert "FileTransferPartAck" not in [message["type"] for message in browser.messages]
 
 
-def test_a_wish_of_controls_that_are_gone_changes_nothing() -> None:
+def test_a_value_of_controls_that_are_gone_changes_nothing() -> None:
     """A result that has two splats was shown when it was made, and now there is one."""
     with serving(painter(1)) as page, connection(page.address, headers_of(page.address)) as browser:
         browser.look(START)
         browser.picture(FULL)
-        (visitor,) = page._visitors.values()
-        visitor._change_by_control(lambda state: replace(state, show=DIFFERENCE, orbit=ABOVE))
+        (client,) = page._clients.values()
+        client._change(lambda state: replace(state, mode=DIFFERENCE, orbit=ABOVE))
         browser.picture(FULL)
 
 
-def test_a_visitor_is_shown_what_has_changed_while_the_page_was_made_for_it(
+def test_a_window_is_shown_what_has_changed_while_the_page_was_made_for_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    work = bench()
+    work = runner()
     with serving(work) as page, connection(page.address, headers_of(page.address)) as browser:
         panel = work.panel
 
@@ -250,10 +249,8 @@ def test_a_visitor_is_shown_what_has_changed_while_the_page_was_made_for_it(
         browser.until(lambda message: "said meanwhile" in str(message.get("updates", {})))
 
 
-def test_an_error_in_a_picture_is_told_and_the_page_lives_on() -> None:
-    work = painter(looker=Looker())
-    looker = work.inspector
-    assert looker is not None
+def test_an_error_in_a_picture_is_shown_and_the_next_one_succeeds() -> None:
+    work, inspector = painter(inspector=MeanInspector()), MeanInspector()
 
     def fail(picture: Tensor) -> Inspection:
         raise InvalidValueError("picture: expected another, got this; look elsewhere")
@@ -261,7 +258,7 @@ def test_an_error_in_a_picture_is_told_and_the_page_lives_on() -> None:
     work.inspector = fail
     with visiting(work) as browser:
         browser.until(lambda message: "look elsewhere" in str(message.get("updates", {})))
-        work.inspector = looker
+        work.inspector = inspector
         elevation = browser.control("Elevation")["uuid"]
         browser.say("GuiUpdateMessage", uuid=elevation, updates={"value": 70.0})
         browser.until(lambda message: "mean colour" in str(message.get("updates", {})))
@@ -269,7 +266,7 @@ def test_an_error_in_a_picture_is_told_and_the_page_lives_on() -> None:
 
 def test_no_two_cameras_to_choose_from_have_one_name() -> None:
     work = painter(1)
-    work.exhibit = replace(work.exhibit, cameras={FREE: START, f"({FREE})": START})
+    work.content = replace(work.content, cameras={FREE: START, f"({FREE})": START})
     with visiting(work) as browser:
         options = browser.control("From")["props"]["options"]
     assert list(options) == [f"(({FREE}))", FREE, f"({FREE})"]
@@ -282,7 +279,7 @@ def test_what_is_said_of_a_picture_is_text(words: str) -> None:
     assert as_html([(words, words), ("", words)]).count(html.escape(words)) == 3
     assert as_html([("", f"\ud800{words}")]).endswith(f">?{html.escape(words)}</div>")
     work = painter()
-    work.exhibit = replace(work.exhibit, describe=lambda camera: (words,))
+    work.content = replace(work.content, describe=lambda camera: (words,))
     with visiting(work) as browser:
         update = browser.until(lambda message: "PSNR" in str(message.get("updates", {})))["updates"]
     assert list(update) == ["content"]  # as HTML

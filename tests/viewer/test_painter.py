@@ -1,4 +1,4 @@
-"""The picture of the page: everything asked for is in it, and what is inspected is the picture that is said."""
+"""The picture of the page: its layout and content, and what is inspected is what `mi-splat render` makes."""
 
 import shlex
 from dataclasses import replace
@@ -8,33 +8,69 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
 from PIL import Image
 
 from attacks import cli
 from mi_splat.directions import UP
 from mi_splat.errors import InvalidValueError
-from mi_splat.io import load_splat, save_splat
+from mi_splat.io import save_splat
 from mi_splat.io.images import to_bytes
+from mi_splat.metrics import psnr
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import from_z
 from mi_splat.scene import Similarity
-from mi_splat.viewer.composition import BESIDE, DIFFERENCE, SPLIT, lay_out
-from mi_splat.viewer.exhibit import Exhibit, ShownSplat, Wishes, exhibit_of_file
+from mi_splat.scene_files import read_scene
+from mi_splat.viewer.content import content_of_file
+from mi_splat.viewer.layout import DIFFERENCE, MARGIN, SIDE_BY_SIDE, Pixels, compose, difference, lay_out
 from mi_splat.viewer.orbit import Orbit
-from mi_splat.viewer.painter import MOST_PIXELS, Painter, within
+from mi_splat.viewer.painter import LARGEST_THINNING, MOST_PIXELS, Painter, Thinned, thinning, within
 from mi_splat.viewer.session import Pace, Step, ViewState
 from tests import oracle
 from tests.fakes import blobs
-from tests.viewer.exhibits import START, Looker, ball, exhibit, painter
+from tests.project.layers import ROOT
+from tests.viewer.contents import START, MeanInspector, ball, balls, painter
 
-STATE = ViewState(orbit=START, show="side by side", canvas=(200, 100))
+STATE = ViewState(orbit=START, mode=SIDE_BY_SIDE, canvas=(200, 100))
 FULL = Step.FULL, Pace()
 
 
-def middle(pixels: np.ndarray, part: slice) -> list[int]:
+def flat(value: int, height: int = 4, width: int = 6) -> Pixels:
+    return np.full((height, width, 3), value, np.uint8)
+
+
+def middle(pixels: NDArray[np.uint8], part: slice) -> list[int]:
     """The colour in the middle of a part of the page."""
     box = pixels[:, part]
     return [int(value) for value in box[box.shape[0] // 2, box.shape[1] // 2]]
+
+
+@given(st.integers(1, 3000), st.integers(1, 3000), st.floats(0.3, 3), st.integers(1, 2), st.integers(0, 4))
+def test_pictures_lie_inside_and_apart(width: int, height: int, aspect: float, count: int, gap: int) -> None:
+    layout = lay_out((width, height), aspect, count, gap=gap)
+    w, h = layout.size
+    page = compose([flat(200, h, w)] * count, layout)
+    assert page.shape == (layout.canvas[1], layout.canvas[0], 3)
+    if min(width, height) > 60:  # else a pixel is a lot
+        assert min(map(min, layout.corners)) >= 0
+        assert w / h == pytest.approx(aspect, rel=0.1)
+        assert int((page == 200).all(-1).sum()) == count * w * h  # none covers another
+        assert (page == 200).all(-1).sum() + (page == MARGIN).all(-1).sum() == page.size / 3
+
+
+def test_a_wide_page_has_a_row_and_a_portrait_one_leaves_room_for_its_controls() -> None:
+    wide, high = lay_out((1000, 400), 1.0, 2), lay_out((320, 640), 1.0, 2)
+    assert wide.corners[0][1] == wide.corners[1][1]
+    assert wide.size == (400, 400)
+    assert all(y + high.size[1] <= 0.45 * 640 for _, y in high.corners)
+
+
+@pytest.mark.parametrize(("change", "grey"), [(0, 0), (10, 20), (100, 200), (128, 255), (255, 255)])
+def test_the_difference_is_the_change_in_either_direction(change: int, grey: int) -> None:
+    assert (difference(flat(0), flat(change)) == grey).all()
+    assert (difference(flat(change), flat(0)) == grey).all()
 
 
 def test_two_splats_stand_side_by_side() -> None:
@@ -43,122 +79,101 @@ def test_two_splats_stand_side_by_side() -> None:
     red, green = middle(pixels, slice(0, 98)), middle(pixels, slice(102, 200))
     assert red[0] > 150 > red[1]
     assert green[1] > 130 > green[0]
+    changes = painter().paint(replace(STATE, mode=DIFFERENCE), *FULL).pixels
+    assert sum(middle(changes, slice(0, 200))) > 400
+    assert painter().paint(STATE, Step.COARSE, Pace(scale=0.25)).pixels.shape == (25, 50, 3)
 
 
-def test_a_split_picture_and_a_difference() -> None:
-    split = painter().paint(replace(STATE, show=SPLIT, split=0.5), *FULL).pixels
-    assert middle(split, slice(84, 96))[0] > 150
-    assert middle(split, slice(104, 116))[1] > 130
-    heat = painter().paint(replace(STATE, show=DIFFERENCE), *FULL).pixels
-    assert sum(middle(heat, slice(0, 200))) > 400
-
-
-def test_coarse_pictures_have_fewer_pixels_and_the_same_shape() -> None:
-    coarse = painter().paint(STATE, Step.COARSE, Pace(scale=0.25)).pixels
-    assert coarse.shape == (25, 50, 3)
-
-
-def test_lines_are_drawn_when_wished() -> None:
-    blue = (0, 0, 255)
-    without, with_lines = (
-        painter().paint(replace(STATE, lines=frozenset(lines)), *FULL).pixels for lines in ((), ("Ring", "unknown"))
-    )
-    assert not (without == blue).all(-1).any()
-    assert (with_lines == blue).all(-1).any()
-
-
-def test_what_is_inspected_is_the_stated_picture_of_8_bits_and_only_at_rest() -> None:
-    looker = Looker()
-    work = painter(looker=looker)
+def test_what_is_inspected_has_8_bits_and_is_inspected_once_at_rest() -> None:
+    inspector = MeanInspector()
+    work = painter(inspector=inspector)
     for step in (Step.COARSE, Step.FULL):
         assert not work.paint(STATE, step, Pace()).inspections
-    assert not looker.seen
+    assert not inspector.seen
     painting = work.paint(STATE, Step.INSPECTED, Pace())
     assert list(painting.inspections) == ["clean", "attacked"]
-    expected = to_bytes(work.render(work.exhibit.splats[0].scene, START.camera((48, 32))))
-    assert np.array_equal(to_bytes(looker.seen[0]), expected)
-    assert torch.equal(looker.seen[0], (looker.seen[0] * 255).round() / 255)
-    assert "mean colour" in painting.inspections["clean"].text
+    expected = to_bytes(work.render(work.content.splats[0].scene, START.camera((48, 32))))
+    assert np.array_equal(to_bytes(inspector.seen[0]), expected)
+    assert torch.equal(inspector.seen[0], (inspector.seen[0] * 255).round() / 255)
     assert (painting.pixels[20:24, 3:8] == 255).all()  # the mark
-
-
-def test_the_same_view_is_inspected_once() -> None:
-    looker = Looker()
-    work = painter(looker=looker)
-    for state in (STATE, replace(STATE, lines=frozenset({"Ring"})), replace(STATE, show="clean")):
-        work.paint(state, Step.INSPECTED, Pace())
-    assert len(looker.seen) == 2
+    work.paint(replace(STATE, mode="clean"), Step.INSPECTED, Pace())
+    assert len(inspector.seen) == 2
     work.paint(replace(STATE, orbit=replace(START, azimuth=1.0)), Step.INSPECTED, Pace())
-    assert len(looker.seen) == 4
+    assert len(inspector.seen) == 4
+    state = replace(STATE, mode=DIFFERENCE)  # without marks
+    assert np.array_equal(work.paint(state, Step.INSPECTED, Pace()).pixels, work.paint(state, *FULL).pixels)
 
 
-def test_marks_are_no_difference() -> None:
-    work = painter(looker=Looker())
-    state = replace(STATE, show=DIFFERENCE)
-    assert np.array_equal(work.paint(state, Step.INSPECTED, Pace()).pixels, work.paint(state, Step.FULL, Pace()).pixels)
-
-
-def test_likeness_is_that_of_the_inspected_pictures() -> None:
-    from mi_splat.metrics import psnr
-
+def test_similarity_is_that_of_the_inspected_pictures() -> None:
     work = painter()
     first, second = (work.picture(name, START) for name in ("clean", "attacked"))
-    assert work.likeness(START) == pytest.approx(float(psnr(first, second)))
-    assert painter(1).likeness(START) is None
+    assert work.similarity(START) == pytest.approx(float(psnr(first, second)))
+    assert painter(1).similarity(START) is None
 
 
-@pytest.mark.parametrize("canvas", [(1, 1), (16, 8192), (8192, 8192), (3840, 2160)])
+@pytest.mark.parametrize("canvas", [(1, 1), (16, 8192), (8192, 8192), (4000, 4000)])
 def test_no_window_is_too_large_or_too_small(canvas: tuple[int, int]) -> None:
     width, height = within(canvas, MOST_PIXELS)
     assert width * height <= 1.01 * MOST_PIXELS
-    layout = lay_out((width, height), 1.5, 2)
-    assert min(layout.size) >= 1
+    assert min(lay_out((width, height), 1.5, 2).size) >= 1
 
 
-def test_two_names_are_two() -> None:
-    splat = ShownSplat(name="one", scene=ball((1, 0, 0)), path=Path("a.ply"), file_settings=RenderSettings())
-    with pytest.raises(InvalidValueError, match="splats: expected one, or two of different names"):
-        Exhibit(title="", splats=(splat, splat), settings=RenderSettings(), start=START, size=(8, 8))
+def test_a_quarter_of_the_gaussians_looks_like_all() -> None:
+    loaded = read_scene(ROOT / "scenes" / "car_street.xml")
+    camera, render = replace(loaded.cameras["rear"], width=128, height=128, focal=125.0), Renderer(loaded.settings)
+    quarter = Thinned(loaded.scene)(4)
+    small = quarter.replace(scales=quarter.scales / 2)  # without what makes up for the others
+    full = render(loaded.scene, camera)
+    assert len(quarter) == len(loaded.scene) // 4
+    similarity = psnr(render(quarter, camera), full)
+    assert similarity > 22
+    assert psnr(render(small, camera), full) < similarity - 4
 
 
-@pytest.mark.parametrize("way", [BESIDE, SPLIT, DIFFERENCE])
-def test_a_file_that_is_called_as_a_way_of_showing(way: str, tmp_path: Path) -> None:
-    save_splat(ball((0.5, 0.5, 0.5)), tmp_path / f"{way}.ply")
-    work = Painter(exhibit_of_file(tmp_path / f"{way}.ply"), blobs, Looker())
-    assert work.exhibit.names == (f"{way}.ply",)
-    state = ViewState(orbit=START, show=f"{way}.ply", canvas=(60, 40))
-    assert set(work.paint(state, Step.INSPECTED, Pace()).inspections) == {f"{way}.ply"}
-    with pytest.raises(InvalidValueError, match=f"name of a splat: expected none of a way of showing, got {way}"):
-        exhibit_of_file(tmp_path / f"{way}.ply", name=way)
+@pytest.mark.parametrize(
+    ("count", "pixels", "every"),
+    [(0, 1, 1), (900, 900, 1), (901, 900, 2), (3600, 900, 4), (1_000_000, 150_000, 8), (10**9, 1, LARGEST_THINNING)],
+)
+def test_pictures_of_few_pixels_have_few_gaussians(count: int, pixels: int, every: int) -> None:
+    assert thinning(count, pixels) == every
 
 
-@pytest.mark.parametrize("change", ["title", "cameras", "lines", "path"])
-def test_what_no_page_can_hold_is_told(change: str) -> None:
-    bad, whole = "a\udcff", exhibit(1)
-    changes: dict[str, dict[str, Any]] = {
-        "title": {"title": bad},
-        "cameras": {"cameras": {bad: START}},
-        "lines": {"lines": {bad: whole.lines["Ring"]}},
-        "path": {"splats": (replace(whole.splats[0], path=Path(bad) / "b.ply"),)},
-    }
-    with pytest.raises(InvalidValueError, match=r"name: expected Unicode, got 'a\\udcff.*; rename it"):
-        replace(whole, **changes[change])
+@pytest.mark.parametrize("mode", ["clean", SIDE_BY_SIDE, DIFFERENCE])
+def test_only_coarse_pictures_have_fewer_gaussians_and_say_so(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    titles = list[str]()
+    monkeypatch.setattr("mi_splat.viewer.painter.write_label", lambda draw, corner, text, *_, **__: titles.append(text))
+    work = Painter(balls(count=1000), blobs, MeanInspector())
+    state = ViewState(orbit=START, mode=mode, canvas=(30, 20))
+    coarse, full = (work.paint(state, step, Pace(scale=1.0)) for step in (Step.COARSE, Step.FULL))
+    assert (coarse.every > 1) == (mode != DIFFERENCE)  # which would show the differences of other Gaussians
+    assert full.every == 1
+    assert ("preview" in titles[0], "preview" in titles[-1]) == (coarse.every > 1, False)
+    work.paint(state, Step.COARSE, Pace(scale=0.9))
+    assert "preview" in titles[-1]
 
 
-def test_a_file_alone_is_shown_whole(tmp_path: Path) -> None:
-    save_splat(ball((0.5, 0.5, 0.5)), tmp_path / "ball.ply")
-    exhibit = exhibit_of_file(tmp_path / "ball.ply")
-    assert exhibit.names == ("ball",)
-    assert (exhibit.start.azimuth, exhibit.start.elevation, exhibit.start.fov) == (30.0, 20.0, 45.0)
-    assert list(exhibit.cameras) == ["whole scene"]
+def test_files_have_names_that_a_page_can_show(tmp_path: Path) -> None:
+    save_splat(ball((0.5, 0.5, 0.5)), tmp_path / f"{DIFFERENCE}.ply")
+    content = content_of_file(tmp_path / f"{DIFFERENCE}.ply")
+    assert content.names == (f"{DIFFERENCE}.ply",)
+    assert (content.start.azimuth, content.start.elevation, content.start.fov) == (30.0, 20.0, 45.0)
+    assert list(content.cameras) == ["whole scene"]
+    with pytest.raises(InvalidValueError, match="name of a splat: expected no display mode, got difference"):
+        content_of_file(tmp_path / f"{DIFFERENCE}.ply", name=DIFFERENCE)
 
 
-def test_wishes_stand_above_what_files_say() -> None:
-    wished = Wishes(background=(1, 1, 1), near=0.5, size=(10, 20)).applied(exhibit())
-    assert wished.settings == RenderSettings(background=(1, 1, 1), near=0.5)
-    assert wished.size == (10, 20)
-    same = exhibit()
-    assert Wishes().applied(same).settings == same.settings
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"splats": 2 * balls(1).splats}, "splats: expected one, or two of different names"),
+        ({"title": "a\udcff"}, r"name: expected Unicode, got 'a\\udcff"),
+        ({"cameras": {"a\udcff": START}}, r"name: expected Unicode, got 'a\\udcff"),
+        ({"splats": (replace(balls(1).splats[0], path=Path("a\udcff")),)}, r"name: expected Unicode, got 'a\\udcff"),
+    ],
+)
+def test_names_that_a_page_cannot_show(changes: dict[str, Any], reason: str) -> None:
+    with pytest.raises(InvalidValueError, match=reason):
+        replace(balls(1), **changes)
 
 
 def test_a_splat_with_another_up_stands_upright(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -168,10 +183,12 @@ def test_a_splat_with_another_up_stands_upright(monkeypatch: pytest.MonkeyPatch,
     turn = from_z(torch.tensor(down))
     save_splat(scene, "z.ply")
     save_splat(scene.transform(Similarity(rotation=turn, translation=torch.zeros(3), scale=1.0)), "y.ply")
-    wishes, orbit = Wishes(size=(48, 40)), Orbit(target=(0.1, 0.2, 0.0), azimuth=70, elevation=30, distance=4, fov=45)
-    files = {"z.ply": UP, "y.ply": down}
-    works = [Painter(wishes.applied(exhibit_of_file(Path(file)).turned(up)), Renderer()) for file, up in files.items()]
-    upright, turned = (work.picture(work.exhibit.names[0], orbit) for work in works)
+    orbit = Orbit(target=(0.1, 0.2, 0.0), azimuth=70, elevation=30, distance=4, fov=45)
+    works = [
+        Painter(content_of_file(Path(file)).turned(up).with_settings(size=(48, 40)), Renderer())
+        for file, up in {"z.ply": UP, "y.ply": down}.items()
+    ]
+    upright, turned = (work.picture(work.content.names[0], orbit) for work in works)
     torch.testing.assert_close(turned, upright, rtol=0, atol=1.1 / 255)
     command = shlex.split(works[1].commands(orbit)["y"])
     assert "--up" in command
@@ -181,19 +198,21 @@ def test_a_splat_with_another_up_stands_upright(monkeypatch: pytest.MonkeyPatch,
     assert np.abs(again - upright.numpy()).max() <= 1.1 / 255
 
 
-@pytest.mark.parametrize("wishes", [Wishes(), Wishes(background=(0.25, 0.5, 1.0), near=4.8, size=(40, 64))])
+@pytest.mark.parametrize("settings", [{}, {"background": (0.25, 0.5, 1.0), "near": 4.8, "size": (40, 64)}])
 @pytest.mark.parametrize("moved", [False, True])
 def test_the_command_makes_the_picture_to_the_bit(
-    wishes: Wishes, moved: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str
+    settings: dict[str, Any], moved: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variant: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for name, colour in (("a b.ply", (0.9, 0.2, 0.1)), ("clean.ply", (0.2, 0.2, 0.9))):
         save_splat(ball(colour), tmp_path / name)
-    exhibit = wishes.applied(exhibit_of_file(Path("a b.ply"), clean=Path("clean.ply")))
-    orbit = exhibit.start
+    content = content_of_file(Path("a b.ply"), clean=Path("clean.ply")).with_settings(**settings)
+    if settings:
+        assert content.settings == RenderSettings(background=settings["background"], near=settings["near"])
+    orbit = content.start
     if moved:
         orbit = orbit.moved((1.2345678, -3.0, 2.0), (0.2, 0.123456, -0.1))
-    work = Painter(exhibit, Renderer(exhibit.settings))
+    work = Painter(content, Renderer(content.settings))
     command = shlex.split(work.commands(orbit)["attacked"])
     assert command[:3] == ["mi-splat", "render", "a b.ply"]
     assert cli.main([*command[1:], "--out", "again.png"]) == 0
@@ -201,4 +220,3 @@ def test_the_command_makes_the_picture_to_the_bit(
         again = np.asarray(picture)
     assert again.std() > 10
     assert np.array_equal(again, to_bytes(work.picture("attacked", orbit)))
-    assert len(load_splat("a b.ply")) == len(exhibit.splat("attacked").scene)

@@ -3,7 +3,6 @@
 import json
 import shlex
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ import torch
 from PIL import Image
 
 from attacks import cli
-from attacks.report.exhibits import open_exhibit
+from attacks.report.viewer_content import open_content
 from mi_splat.cameras import Camera, View, orbit_pose
 from mi_splat.datasets import Dataset, load_dataset, write_colmap, write_transforms
 from mi_splat.errors import InvalidValueError
@@ -21,8 +20,7 @@ from mi_splat.io.camera_records import describe
 from mi_splat.io.images import to_bytes
 from mi_splat.rendering import Renderer
 from mi_splat.training.resume import poses_digest
-from mi_splat.viewer.exhibit import Photographs, own_up
-from mi_splat.viewer.export import write_export
+from mi_splat.viewer.content import Photographs
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.session import Pace, Step, ViewState
 from tests import oracle
@@ -49,53 +47,52 @@ def folder(tmp_path_factory: pytest.TempPathFactory, variant: str) -> Path:
 
 @pytest.mark.parametrize("kind", ["set", "colmap"])
 def test_a_set_alone_shows_what_its_cameras_took(folder: Path, kind: str) -> None:
-    exhibit = open_exhibit(folder / kind)
-    assert exhibit.names == ("photograph",)
-    assert len(exhibit.cameras) == len(ROLLS)
-    assert sum("held out" in name for name in exhibit.cameras) == 1
-    assert {round(orbit.roll) % 360 for orbit in exhibit.cameras.values()} == {round(roll) % 360 for roll in ROLLS}
-    work = Painter(exhibit, blobs)
+    content = open_content(folder / kind)
+    assert content.names == ("photograph",)
+    assert len(content.cameras) == len(ROLLS)
+    assert sum("held out" in name for name in content.cameras) == 1
+    assert {round(orbit.roll) % 360 for orbit in content.cameras.values()} == {round(roll) % 360 for roll in ROLLS}
+    work = Painter(content, blobs)
     with Image.open(next((folder / kind).rglob("*.png"))) as picture:
         photograph = np.asarray(picture.convert("RGB"))
-    taken = [to_bytes(work.picture("photograph", orbit)) for orbit in exhibit.cameras.values()]
+    taken = [to_bytes(work.picture("photograph", orbit)) for orbit in content.cameras.values()]
     assert any(np.array_equal(pixels, photograph) for pixels in taken)
     assert {pixels.shape for pixels in taken} == {(40, 48, 3), (64, 48, 3)}
-    assert "no photograph from here" in work.comparison(exhibit.start.changed(azimuth=1.0))
-    assert len(exhibit.lines["Cameras"].segments) == 8 * len(ROLLS)
+    assert "no photograph from here" in work.comparison(content.start.changed(azimuth=1.0))
 
 
 @pytest.mark.parametrize("kind", ["set", "colmap"])
 def test_a_splat_is_rendered_where_each_photograph_was_taken(folder: Path, kind: str) -> None:
-    exhibit = open_exhibit(folder / "splat.ply", cameras=folder / kind)
-    assert exhibit.names == ("photograph", "splat")
-    work = Painter(exhibit, Renderer(exhibit.settings))
-    for orbit in list(exhibit.cameras.values())[: len(ROLLS)]:
-        assert (work.likeness(orbit) or 99.0) > 45  # the file of a picture has 8 bits
-    state = ViewState(orbit=exhibit.start, show="side by side", canvas=(96, 80))
+    content = open_content(folder / "splat.ply", cameras=folder / kind)
+    assert content.names == ("photograph", "splat")
+    work = Painter(content, Renderer(content.settings))
+    for orbit in list(content.cameras.values())[: len(ROLLS)]:
+        assert (work.similarity(orbit) or 99.0) > 45  # the file of a picture has 8 bits
+    state = ViewState(orbit=content.start, mode="side by side", canvas=(96, 80))
     assert work.paint(state, Step.FULL, Pace()).pixels.std() > 10
 
 
 def test_what_a_photograph_does_not_show_is_no_error(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    exhibit = open_exhibit(folder / "splat.ply", cameras=folder / "set")
-    work = Painter(exhibit, Renderer(exhibit.settings))
-    taken = work.picture("photograph", exhibit.start)
+    content = open_content(folder / "splat.ply", cameras=folder / "set")
+    work = Painter(content, Renderer(content.settings))
+    taken = work.picture("photograph", content.start)
     cut = taken.clone()
     cut[:, :20] = 0.0
     monkeypatch.setattr(Photographs, "from_camera", lambda self, name: cut)
-    assert (work.likeness(exhibit.start) or 99.0) < 30
+    assert (work.similarity(content.start) or 99.0) < 30
     shown = (torch.arange(taken.shape[1]) >= 20).float().expand(taken.shape[:2])
     monkeypatch.setattr(Dataset, "loss_mask", lambda self, index, files: None if files else shown)
-    assert (work.likeness(exhibit.start) or 99.0) > 45
+    assert (work.similarity(content.start) or 99.0) > 45
 
 
 def test_the_command_makes_the_picture_of_a_rolled_camera(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    exhibit = open_exhibit(folder / "splat.ply", cameras=folder / "set")
-    work = Painter(exhibit, Renderer(exhibit.settings))
-    name = next(name for name, orbit in exhibit.cameras.items() if round(orbit.roll) == 35)
-    for orbit in (exhibit.cameras[name], exhibit.cameras[name].changed(azimuth=50.0)):
+    content = open_content(folder / "splat.ply", cameras=folder / "set")
+    work = Painter(content, Renderer(content.settings))
+    name = next(name for name, orbit in content.cameras.items() if round(orbit.roll) == 35)
+    for orbit in (content.cameras[name], content.cameras[name].changed(azimuth=50.0)):
         command = shlex.split(work.commands(orbit)["splat"])
         assert ("--camera-roll" in command) == (orbit.exact is None)
         assert cli.main([*command[1:], "--out", "again.png"]) == 0
@@ -114,60 +111,43 @@ def test_a_training_finds_its_set_and_how_it_was_rendered(folder: Path, tmp_path
         "poses": poses,
     }
     (run / "config.json").write_text(json.dumps(recorded))
-    exhibit = open_exhibit(run)
-    assert exhibit.names == ("photograph", "run")
-    assert (exhibit.settings.near, exhibit.settings.background) == (0.3, (1.0, 1.0, 1.0))
+    content = open_content(run)
+    assert content.names == ("photograph", "run")
+    assert (content.settings.near, content.settings.background) == (0.3, (1.0, 1.0, 1.0))
     (tmp_path / "transforms.json").write_text("nobody's business")
     for change in (
         {"poses": "guessed"},
         *({"dataset": path} for path in ("gone", 300 * "a", str(tmp_path), "//host/set")),
     ):
         (run / "config.json").write_text(json.dumps({**recorded, **change}))
-        exhibit = open_exhibit(run)
-        assert exhibit.names == ("run",)
-        assert exhibit.title.endswith("the set of its training is not where it was: --cameras names it")
+        content = open_content(run)
+        assert content.names == ("run",)
+        assert content.title.endswith("the set of its training is not where it was: --cameras names it")
 
 
 def test_a_list_of_cameras_and_two_splats(folder: Path, tmp_path: Path) -> None:
-    camera = next(iter(open_exhibit(folder / "set").cameras.values())).exact
+    camera = next(iter(open_content(folder / "set").cameras.values())).exact
     assert camera is not None
     (tmp_path / "cameras.json").write_text(json.dumps([describe("here", camera)]))
-    exhibit = open_exhibit(folder / "splat.ply", clean=folder / "splat.ply", cameras=tmp_path / "cameras.json")
-    assert list(exhibit.cameras) == ["here", "whole scene"]
-    assert torch.equal(exhibit.start.camera((48, 40)).to_world, camera.to_world)
-    assert Painter(exhibit, blobs).comparison(exhibit.start) == "From here both pictures are the same."
-    beside = open_exhibit(folder / "splat.ply", clean=folder / "splat.ply", cameras=folder / "set")
+    content = open_content(folder / "splat.ply", clean=folder / "splat.ply", cameras=tmp_path / "cameras.json")
+    assert list(content.cameras) == ["here", "whole scene"]
+    assert torch.equal(content.start.camera((48, 40)).to_world, camera.to_world)
+    assert Painter(content, blobs).comparison(content.start) == "From here both pictures are the same."
+    beside = open_content(folder / "splat.ply", clean=folder / "splat.ply", cameras=folder / "set")
     assert beside.names == ("clean", "attacked")
 
 
 def test_what_cannot_be_shown_together(folder: Path) -> None:
-    with pytest.raises(InvalidValueError, match="clean: expected nothing beside a set"):
-        open_exhibit(folder / "set", clean=folder / "splat.ply")
-    with pytest.raises(InvalidValueError, match="cameras: expected none beside a set"):
-        open_exhibit(folder / "set", cameras=folder / "colmap")
-    with pytest.raises(InvalidValueError, match=r"cameras: expected a set of pictures .* nothing there"):
-        open_exhibit(folder / "splat.ply", cameras=folder / "none")
-
-
-def test_the_up_of_most_cameras_is_told(folder: Path) -> None:
-    level = {
-        name: replace(o, exact=o.changed(roll=0.0).camera((8, 8)))
-        for name, o in open_exhibit(folder / "set").cameras.items()
-    }
-    exhibit = replace(open_exhibit(folder / "set"), cameras=level)
-    assert own_up(exhibit) is None
-    assert own_up(exhibit.turned((0.0, -1.0, 0.0))) == (0.0, 0.0, 1.0)
+    with pytest.raises(InvalidValueError, match="clean: expected nothing beside a"):
+        open_content(folder / "set", clean=folder / "splat.ply")
+    with pytest.raises(InvalidValueError, match="cameras: expected none beside a data set"):
+        open_content(folder / "set", cameras=folder / "colmap")
+    with pytest.raises(InvalidValueError, match=r"cameras: expected a data set .* nothing there"):
+        open_content(folder / "splat.ply", cameras=folder / "none")
 
 
 def test_a_set_alone_is_served(folder: Path) -> None:
-    exhibit = open_exhibit(folder / "set")
-    with serving(Painter(exhibit, blobs)) as page, connection(page.address, headers_of(page.address)) as browser:
-        browser.look(exhibit.start, (96, 80))
+    content = open_content(folder / "set")
+    with serving(Painter(content, blobs)) as page, connection(page.address, headers_of(page.address)) as browser:
+        browser.look(content.start, (96, 80))
         assert browser.picture((80, 96)).std() > 10
-
-
-def test_the_page_in_a_file_has_the_photographs_alone(folder: Path, tmp_path: Path) -> None:
-    write_export(Painter(open_exhibit(folder / "set"), blobs), tmp_path / "page.html", views=(4, 2))
-    page = (tmp_path / "page.html").read_text()
-    assert '<script id="views" type="application/json">[]</script>' in page
-    assert page.count("<option ") == len(ROLLS) + 1

@@ -14,10 +14,10 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from mi_splat.viewer.bench import Bench
 from mi_splat.viewer.orbit import Orbit
-from mi_splat.viewer.page import Page
 from mi_splat.viewer.painter import Painter
+from mi_splat.viewer.runner import JobRunner
+from mi_splat.viewer.server import Page
 
 PATIENCE = 120.0
 """Seconds after which what does not come will never come."""
@@ -124,10 +124,10 @@ def connection(
 
 
 @contextmanager
-def serving(work: Painter | Bench) -> Iterator[Page]:
+def serving(shown: Painter | JobRunner) -> Iterator[Page]:
     """A page whose pictures another thread makes."""
     stop = threading.Event()
-    with Page(work, port=0) as page:
+    with Page(shown, port=0) as page:
         thread = threading.Thread(target=page.run, args=(stop,))
         thread.start()
         try:

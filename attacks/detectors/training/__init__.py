@@ -1,0 +1,1 @@
+"""How the two small detectors that the project ships are trained, on its own pictures."""

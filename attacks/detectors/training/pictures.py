@@ -1,0 +1,364 @@
+"""Labelled pictures for the small detectors: which objects, seen from where, in what light, in front of what.
+
+They are path traced, or renders of splats, or show no object at all, so that whatever is reported there is a false
+positive. All pictures of scene n of a split are a pure function of (configuration, n): nothing depends on the order or
+the process in which they are made.
+"""
+
+import contextlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.random import Generator
+from numpy.typing import NDArray
+from torch import Tensor
+
+from attacks.detectors.catalogue import SMALL_CLASSES
+from attacks.detectors.training.config import (
+    BACKGROUNDS,
+    SPLITS,
+    BackgroundConfig,
+    PictureSetConfig,
+    SplatConfig,
+)
+from attacks.detectors.training.surroundings import backdrop, of_kind, scatter
+from mi_splat.assets import build, street
+from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
+from mi_splat.assets.primitives import ellipsoid
+from mi_splat.cameras import Camera, RenderFn, View, orbit_pose, project_points
+from mi_splat.capture.mesh_splats import DiscConfig, RefineConfig, disc_splat, refine
+from mi_splat.capture.mitsuba_meshes import FEW_PICTURES, tracing_variant
+from mi_splat.capture.path_tracer import (
+    Light,
+    capture,
+    daylight,
+    depth_maps,
+    in_front,
+    scene_dict,
+    shapes,
+)
+from mi_splat.capture.surface_sampling import nearness, surface_samples
+from mi_splat.directions import direction_of
+from mi_splat.errors import InvalidValueError
+from mi_splat.fields import check_choice
+from mi_splat.scene import GaussianScene, merge
+
+Mask = NDArray[np.bool_]
+_TRIES, _WELL_VISIBLE = 4, 0.5
+_LEAST_SOLID = 0.12
+"""Fraction of a square around the object that its outline fills; below it, a flat thing is seen from its edge."""
+_LEAST_PIXELS = 12
+_COARSE = 4
+_DISTANCE = (4.0, 7.0)
+"""Metres from a camera to what it looks at, about those of the shipped scenes."""
+_OBJECT_RADIUS = 2.2
+"""Metres; random surroundings are made to fit an object of this size, here that of a car."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViewingConditions:
+    """How one object in one picture is seen.
+
+    Attributes:
+        elevation: Degrees above the horizontal plane, of the camera as seen from the centre of the object's box.
+        distance: World units from the camera to that centre.
+        extent: World units, diagonal of the object's box.
+        sun_elevation: Degrees above the horizon; None where the light is not known.
+        sun_strength: Irradiance of the sun on a surface that faces it; None where the light is not known.
+    """
+
+    elevation: float
+    distance: float
+    extent: float
+    sun_elevation: float | None = None
+    sun_strength: float | None = None
+
+
+def viewing_conditions(points: Floats, camera: Camera, light: Light | None = None) -> ViewingConditions:
+    """How an object is seen from a camera, rounded to six digits after the point."""
+    low, high = points.min(0).astype(np.float64), points.max(0).astype(np.float64)
+    centre: list[float] = ((low + high) / 2).tolist()
+    return ViewingConditions(
+        elevation=round(direction_of(camera, centre).elevation, 6),
+        distance=round(math.dist(camera.position.tolist(), centre), 6),
+        extent=round(float(np.linalg.norm(high - low)), 6),
+        sun_elevation=None if light is None else round(light.sun_elevation, 6),
+        sun_strength=None if light is None else round(light.sun_strength, 6),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureScene:
+    """What a picture is taken of: objects in the world, what is around them, the light."""
+
+    assets: tuple[Asset, ...]
+    surroundings: Asset
+    light: Light
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelledPicture:
+    """A labelled picture.
+
+    Attributes:
+        image: (H, W, 3) uint8 sRGB.
+        boxes: (B, 4) float32 pixels, tight around visible pixels.
+        labels: (B,) int64, 1 + position in SMALL_CLASSES.
+        conditions: How each of the B objects is seen; empty where nobody asks.
+    """
+
+    image: Tensor
+    boxes: Tensor
+    labels: Tensor
+    conditions: tuple[ViewingConditions, ...] = ()
+
+
+def random_scene(config: PictureSetConfig, number: int) -> PictureScene:
+    """Scene `number` of a configuration."""
+    low, high = SPLITS[config.split]
+    rng = np.random.default_rng([config.seed, low, number])
+    kind = rng.random()
+    names = [config.focus[number % len(config.focus)], SMALL_CLASSES[int(rng.integers(len(SMALL_CLASSES)))]]
+    count = 0 if kind < config.empty else 2 if kind < config.empty + config.pair else 1
+    seeds = [int(rng.integers(low, high)) for _ in names]
+    assets = _arrange([build(n, s) for n, s in zip(names[:count], seeds, strict=False)], rng)
+    points = np.concatenate([asset.vertices for asset in assets]) if assets else np.array([[1.0, 0, 0], [0, 1.0, 1.0]])
+    radius = float(np.linalg.norm(points[:, :2], axis=1).max())
+    radius = max(radius, 0.35 * float(points[:, 2].max()))
+    light = daylight(int(rng.integers(1 << 30)))
+    if config.around is not None:
+        around = of_kind(config.around, int(rng.integers(low, high)), rng, radius)
+    elif rng.random() < config.street:
+        around = street.backdrop(int(rng.integers(low, high)))
+        around = Asset(around.name, (*around.meshes, *scatter(rng, radius))) if rng.random() < 0.5 else around
+    else:
+        around = backdrop(rng, radius)
+    return PictureScene(tuple(assets), around, light)
+
+
+def _arrange(assets: Sequence[Asset], rng: Generator) -> list[Asset]:
+    """Turn each object about z; put a second one beside the first, scaled to a comparable size."""
+    placed: list[Asset] = []
+    for asset in assets:
+        turned = asset.transformed(rotation("z", float(rng.uniform(0, 360))))
+        if placed:
+            wanted = _reach(placed[0]) * math.exp(rng.uniform(-0.6, 0.3))
+            factor = wanted / _reach(turned)
+            turned = turned.transformed(scaling(factor, factor, factor))
+            away = (_radius(placed[0]) + _radius(turned)) * rng.uniform(0.85, 1.3)
+            angle = rng.uniform(0, 2 * math.pi)
+            turned = turned.transformed(translation(away * math.cos(angle), away * math.sin(angle), 0))
+        placed.append(turned)
+    return placed
+
+
+def _reach(asset: Asset) -> float:
+    low, high = asset.bounds
+    return float((high - low).max())
+
+
+def _radius(asset: Asset) -> float:
+    low, high = asset.bounds
+    return float(np.linalg.norm((high - low)[:2])) / 2
+
+
+def framing_camera(points: Floats, rng: Generator, config: PictureSetConfig, *, smallest: float = 0.2) -> Camera:
+    """A camera in which the longer side of the box around some points is a fraction of the image's side."""
+    size = config.size
+    low, high = points.min(0), points.max(0)
+    centre, half = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+    azimuth, elevation = float(rng.uniform(0, 360)), float(rng.uniform(*config.elevation))
+    focal = size / 2 / math.tan(math.radians(rng.uniform(22, 60)) / 2)
+    extent = size * math.exp(rng.uniform(math.log(smallest), 0.0))
+    cloud = torch.from_numpy(np.ascontiguousarray(points, np.float64))
+    distance = 2 * half * focal / extent
+    for _ in range(4):
+        pose = orbit_pose(centre.tolist(), azimuth=azimuth, elevation=elevation, distance=distance)
+        pixels, _ = project_points(cloud, Camera(to_world=pose, focal=focal, width=size, height=size))
+        spread = float((pixels.amax(0) - pixels.amin(0)).max())
+        distance = max(min(distance * spread / extent, config.farthest or math.inf), 1.1 * half)
+    pose = orbit_pose(centre.tolist(), azimuth=azimuth, elevation=elevation, distance=distance)
+    roll = math.radians(rng.normal(0, 4))
+    turn = torch.eye(4, dtype=torch.float64)
+    turn[0, 0] = turn[1, 1] = math.cos(roll)
+    turn[1, 0], turn[0, 1] = math.sin(roll), -math.sin(roll)
+    room = (size - extent) / 2 + (0.3 * extent if rng.random() < 0.25 else 0.0)
+    shift = rng.uniform(-1, 1, 2) * room
+    principal = (size / 2 + float(shift[0]), size / 2 + float(shift[1]))
+    return Camera(to_world=pose @ turn, focal=focal, width=size, height=size, principal=principal)
+
+
+class SceneRenderer:
+    """Chooses cameras for one scene, renders its pictures and labels them.
+
+    Attributes:
+        contents: What is there.
+        scene: The same as a Mitsuba scene for the variant of few pictures.
+    """
+
+    def __init__(self, config: PictureSetConfig, number: int) -> None:
+        """Build scene `number`."""
+        self._config = config
+        self.contents = random_scene(config, number)
+        self._rng = np.random.default_rng([config.seed, SPLITS[config.split][0], number, 1])
+        contents = self.contents
+        with tracing_variant(FEW_PICTURES):
+            self.scene = scene_dict(contents.assets, light=contents.light, backdrop=contents.surroundings)
+            self._alone = [{"type": "scene", **shapes(asset.body, "body")} for asset in contents.assets]
+
+    @tracing_variant(FEW_PICTURES)
+    def choose_camera(self) -> Camera:
+        """The next camera; objects that are hidden, cut off or seen edge-on make it look for another, a few times."""
+        for _ in range(_TRIES):
+            camera = self._any_camera()
+            seen = self._visible(camera)
+            if not seen or any(fraction >= _WELL_VISIBLE and solid for fraction, solid in seen):
+                break
+        return camera
+
+    @tracing_variant(FEW_PICTURES)
+    def render(self, camera: Camera) -> View:
+        """A path-traced picture."""
+        (view,) = capture(self.scene, [camera], samples=self._config.samples, seed=int(self._rng.integers(1 << 28)))
+        return view
+
+    @tracing_variant(FEW_PICTURES)
+    def label(self, camera: Camera, image: Tensor) -> LabelledPicture:
+        """Round an (H, W, 3) picture in [0, 1] from this camera to 8 bits and say what is in it."""
+        boxes, labels, conditions = [], [], []
+        outlines, visible = self._outlines(camera), self._visible(camera)
+        for asset, (seen, _), (fraction, _) in zip(self.contents.assets, outlines, visible, strict=True):
+            rows, columns = np.nonzero(seen)
+            if len(rows) >= _LEAST_PIXELS and fraction >= self._config.least_visible:
+                boxes.append([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
+                labels.append(1 + SMALL_CLASSES.index(asset.name))
+                conditions.append(viewing_conditions(asset.body.vertices, camera, self.contents.light))
+        return LabelledPicture(
+            _in_bytes(image),
+            torch.tensor(np.array(boxes, np.float32).reshape(-1, 4)),
+            torch.tensor(labels, dtype=torch.int64),
+            tuple(conditions),
+        )
+
+    def _any_camera(self) -> Camera:
+        assets, rng = self.contents.assets, self._rng
+        if not assets:
+            scale = math.exp(rng.uniform(math.log(0.7), math.log(6.0)))
+            points: Floats = (scale * (rng.normal(0, 1, (64, 3)) * [1, 1, 0.4] + [0, 0, 0.9])).astype(np.float32)
+        elif rng.random() < 0.5:
+            points = assets[int(rng.integers(len(assets)))].body.vertices
+        else:
+            points = np.concatenate([asset.body.vertices for asset in assets])
+        return framing_camera(points, rng, self._config)
+
+    def _outlines(self, camera: Camera) -> list[tuple[Mask, Mask]]:
+        """(H, W) masks for each object: where it is seen, and where it would be seen if it were alone."""
+        nearest, *alone = (depth_maps(scene, [camera])[0].numpy() for scene in (self.scene, *self._alone))
+        return [(in_front(depths, nearest), depths > 0) for depths in alone]
+
+    def _visible(self, camera: Camera) -> list[tuple[float, bool]]:
+        """For each object: which fraction of its outline is seen, and whether that is more than an edge; few rays."""
+        small = replace(
+            camera,
+            focal=camera.fx / _COARSE,
+            width=camera.width // _COARSE,
+            height=camera.height // _COARSE,
+            principal=(camera.cx / _COARSE, camera.cy / _COARSE),
+        )
+        fractions = []
+        for asset, (seen, alone) in zip(self.contents.assets, self._outlines(small), strict=True):
+            pixels, depth = project_points(torch.from_numpy(asset.body.vertices), camera)
+            inside = (pixels >= 0).all(1) & (pixels <= self._config.size).all(1) & (depth > 0)
+            fraction = float(seen.sum()) / max(float(alone.sum()), 1.0) * float(inside.float().mean())
+            fractions.append((fraction, _solid(alone)))
+        return fractions
+
+
+def _in_bytes(image: Tensor) -> Tensor:
+    return (image.clamp(0, 1) * 255).round().to(torch.uint8)
+
+
+def _solid(outline: Mask) -> bool:
+    rows, columns = np.nonzero(outline)
+    side = max(np.ptp(rows), np.ptp(columns)) + 1 if len(rows) else 1
+    return len(rows) >= _LEAST_SOLID * side**2
+
+
+def scene_pictures(config: PictureSetConfig, number: int) -> list[LabelledPicture]:
+    """The pictures of scene `number`."""
+    with tracing_variant(FEW_PICTURES):
+        renderer = SceneRenderer(config, number)
+        cameras = [renderer.choose_camera() for _ in range(config.shots)]
+        return [renderer.label(camera, renderer.render(camera).image) for camera in cameras]
+
+
+def background_pictures(kind: str, number: int, config: BackgroundConfig) -> list[LabelledPicture]:
+    """The pictures of background `number` of a kind, a pure function of its arguments; none has a label.
+
+    Cameras look at a point near the origin from 4 to 7 metres, from elevations of 0 to 90 degrees and all azimuths,
+    with a field of view of 22 to 60 degrees, as in the pictures with objects.
+    """
+    check_choice("kind", kind, BACKGROUNDS)
+    low, high = SPLITS[config.split]
+    rng = np.random.default_rng([config.seed, low, number, 2 + BACKGROUNDS.index(kind)])
+    around = of_kind(kind, int(rng.integers(low, high)), rng, _OBJECT_RADIUS)
+    with tracing_variant(FEW_PICTURES):
+        scene = scene_dict([], light=daylight(int(rng.integers(1 << 30))), backdrop=around)
+        cameras = [background_camera(rng, config.size) for _ in range(config.shots)]
+        views = capture(scene, cameras, samples=config.samples, seed=int(rng.integers(1 << 28)))
+    nothing = torch.zeros(0, 4), torch.zeros(0, dtype=torch.int64)
+    return [LabelledPicture(_in_bytes(view.image), *nothing) for view in views]
+
+
+def background_camera(rng: Generator, size: int) -> Camera:
+    """A camera that looks at a point near the origin, where objects stand in other pictures."""
+    target = (float(rng.normal(0, 0.5)), float(rng.normal(0, 0.5)), float(rng.uniform(0.5, 1.2)))
+    focal = size / 2 / math.tan(math.radians(rng.uniform(22, 60)) / 2)
+    pose = orbit_pose(
+        target,
+        azimuth=float(rng.uniform(0, 360)),
+        elevation=float(rng.uniform(0, 90)),
+        distance=float(rng.uniform(*_DISTANCE)),
+    )
+    return Camera(to_world=pose, focal=focal, width=size, height=size)
+
+
+def splat_pictures(
+    scenes: PictureSetConfig, number: int, config: SplatConfig, *, render: RenderFn
+) -> list[LabelledPicture]:
+    """Labelled renders of a splat of one scene; the labels are those of the meshes it was made from."""
+    renderer = SceneRenderer(replace(scenes, samples=config.samples), number)
+    with tracing_variant(FEW_PICTURES):
+        tests = [renderer.choose_camera() for _ in range(config.pictures)]
+        views = [renderer.render(renderer.choose_camera()) for _ in range(config.views)]
+    splat = splat_of(renderer.scene, renderer.contents, views, config, render)
+    with torch.no_grad():
+        pictures = [render(splat, camera) for camera in tests]
+    with tracing_variant(FEW_PICTURES):
+        return [renderer.label(camera, picture) for camera, picture in zip(tests, pictures, strict=True)]
+
+
+def splat_of(
+    scene: dict[str, Any], contents: PictureScene, views: Sequence[View], config: SplatConfig, render: RenderFn
+) -> GaussianScene:
+    """A splat of a path-traced scene: objects, surroundings and sky."""
+    cameras = [view.camera for view in views]
+    depths = depth_maps(scene, cameras)
+    dome = Asset("sky", (ellipsoid((440.0, 440.0, 440.0), (0.6, 0.7, 0.8), segments=48),))
+    wanted = [(asset, config.objects, 0.62) for asset in contents.assets]
+    wanted += [(contents.surroundings, config.surroundings, 0.62)] if contents.surroundings.meshes else []
+    wanted += [(dome, config.sky, 0.9)]
+    parts = []
+    for asset, count, overlap in wanted:
+        density = nearness(cameras, closest=0.3) if asset is contents.surroundings else None
+        samples = surface_samples(asset, count, density=density)
+        with contextlib.suppress(InvalidValueError):  # a part that no picture shows is left out
+            parts.append(disc_splat(samples, views, depths, config=DiscConfig(overlap=overlap)))
+    whole = merge(*parts)
+    if config.steps == 0:
+        return whole
+    return refine(whole, views, render=render, config=RefineConfig(steps=config.steps))

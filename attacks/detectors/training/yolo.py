@@ -1,0 +1,92 @@
+"""How `yolov8n_small` is trained by the loop of `attacks.detectors.training.loop`, with the losses of ultralytics."""
+
+from collections.abc import Sequence
+
+import torch
+import torch.nn.functional as F  # noqa: N812
+from torch import Generator, Tensor, nn
+
+from attacks.detectors.base import Detector
+from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_SIDE
+from attacks.detectors.training.loop import DetectorTrainer, Targets
+from attacks.detectors.ultralytics import YOLODetector, build
+
+_MIN_CONFIDENCE = 0.001
+"""Confidence of detections that count in an average precision."""
+_MOSAIC_FRACTION = 0.5
+"""Fraction of a batch that is made of four pictures each, but for the last epochs."""
+
+
+class YOLOTrainer(DetectorTrainer):
+    """The small YOLOv8. A cell learns from every picture, so four pictures in one teach four times as much."""
+
+    name = "yolov8n_small"
+
+    def __init__(self) -> None:
+        self._side: int | None = None
+        self._mosaic_fraction = _MOSAIC_FRACTION
+
+    def build(self) -> nn.Module:
+        """See `DetectorTrainer`."""
+        return build("n", len(SMALL_CLASSES))
+
+    def begin_epoch(self, model: nn.Module, *, side: int | None, final: bool) -> None:
+        """See `DetectorTrainer`; the last epochs have no mosaics."""
+        self._side, self._mosaic_fraction = side, 0.0 if final else _MOSAIC_FRACTION
+
+    def losses(
+        self, model: nn.Module, pictures: list[Tensor], targets: Targets, generator: Generator
+    ) -> dict[str, Tensor]:
+        """As in `DetectorTrainer`: the library's three, per picture."""
+        pictures, targets = with_mosaics(pictures, targets, self._mosaic_fraction, generator)
+        planes = torch.stack(pictures)
+        height, width = planes.shape[2:]
+        if self._side is not None:
+            planes = F.interpolate(planes, size=(self._side, self._side), mode="bilinear", antialias=True)
+        predictions = model(planes.contiguous(memory_format=torch.channels_last))
+        corners = torch.cat([t["boxes"] for t in targets]) / torch.tensor([width, height, width, height])
+        batch = {
+            "img": planes,
+            "batch_idx": torch.cat([torch.full((len(t["labels"]),), float(i)) for i, t in enumerate(targets)]),
+            "cls": torch.cat([t["labels"] for t in targets]).float()[:, None] - 1,
+            "bboxes": torch.cat([(corners[:, :2] + corners[:, 2:]) / 2, corners[:, 2:] - corners[:, :2]], 1),
+        }
+        with torch.autocast("cpu", enabled=False):
+            single = {
+                key: [part.float() for part in value] if isinstance(value, list) else value.float()
+                for key, value in predictions.items()
+            }
+            total, parts = model.loss(batch, single)  # type: ignore[operator]
+        return dict(zip(parts, total / len(pictures), strict=True))
+
+    def detector(self, model: nn.Module) -> Detector:
+        """See `DetectorTrainer`."""
+        return YOLODetector(self.name, model, SMALL_CLASSES, side=SMALL_SIDE, min_confidence=_MIN_CONFIDENCE)
+
+
+def with_mosaics(
+    pictures: list[Tensor], targets: Targets, fraction: float, generator: Generator
+) -> tuple[list[Tensor], Targets]:
+    """A batch of which a fraction is replaced by mosaics of its pictures."""
+    count = len(pictures)
+    made, inside = list(pictures), list(targets)
+    for i in range(int(fraction * count)):
+        four = torch.randint(count, (4,), generator=generator).tolist()
+        made[i], inside[i] = mosaic([pictures[j] for j in four], [targets[j] for j in four])
+    return made, inside
+
+
+def mosaic(pictures: Sequence[Tensor], targets: Targets) -> tuple[Tensor, dict[str, Tensor]]:
+    """Four pictures at half their size in one of the same size, and what is in it."""
+    height, width = pictures[0].shape[1:]
+    half = (height // 2, width // 2)
+    whole = torch.zeros_like(pictures[0])
+    boxes, labels = [], []
+    for quarter, (picture, target) in enumerate(zip(pictures, targets, strict=True)):
+        top, left = (quarter // 2) * half[0], (quarter % 2) * half[1]
+        small = F.interpolate(picture[None], size=half, mode="bilinear", antialias=True)[0]
+        whole[:, top : top + half[0], left : left + half[1]] = small
+        scale = torch.tensor([half[1] / width, half[0] / height] * 2)
+        boxes.append(target["boxes"] * scale + torch.tensor([left, top, left, top]))
+        labels.append(target["labels"])
+    return whole, {"boxes": torch.cat(boxes), "labels": torch.cat(labels)}

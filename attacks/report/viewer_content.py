@@ -1,0 +1,372 @@
+"""The content of the viewer for a file, a data set or the folder of a result."""
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from PIL import ImageDraw
+from torch import Tensor
+
+from attacks.cloak.config import AttackConfig, StudyConfig
+from attacks.cloak.own_pictures import RECORD as POISONED
+from attacks.cloak.setup import Setup
+from attacks.detectors.base import Detections, Detector
+from attacks.observe.drawing import draw_detections
+from attacks.observe.result_cameras import CAMERAS
+from mi_splat.audit.files import HEAT
+from mi_splat.bounds import bounds
+from mi_splat.cameras import Camera
+from mi_splat.datasets import is_dataset, load_dataset
+from mi_splat.directions import UP, Point
+from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.fields import decode
+from mi_splat.io.camera_records import OF, camera_of
+from mi_splat.io.folders import RECORD, splat_in
+from mi_splat.io.parsing import read_json
+from mi_splat.rendering import RenderSettings
+from mi_splat.scene import GaussianScene, scene_hash
+from mi_splat.scene_files import open_scene
+from mi_splat.training.resume import CONFIG, poses_digest
+from mi_splat.viewer.content import Content, Inspector, ShownSplat, content_of_file
+from mi_splat.viewer.orbit import Orbit, orbit_of
+from mi_splat.viewer.photographs import content_of_dataset, with_cameras
+
+ATTACKED = "attacked.ply"
+
+
+def open_content(
+    path: Path,
+    *,
+    clean: Path | None = None,
+    up: Point | None = None,
+    cameras: Path | None = None,
+    background: tuple[float, float, float] | None = None,
+) -> Content:
+    """A splat, scene XML, data set, or folder of `train`, `dagger`, `evaluate`, `cloak` or `audit`."""
+    content = _opened(path, clean, background or (0.0, 0.0, 0.0))
+    run = path / CONFIG
+    if run.is_file() and content.photographs is None:
+        content, set_of_training = _rendered_as_trained(content, read_json(run))
+        cameras = cameras or set_of_training
+    if background is not None:
+        content = replace(content, settings=replace(content.settings, background=background))
+    if cameras is not None:
+        content = with_cameras(content, cameras)
+    return content.turned(recorded_up(path) if up is None else up)
+
+
+def recorded_up(path: Path) -> Point:
+    """(3,) direction that was up when a folder was made: a result, or a poisoned set; z if it does not say."""
+    for file in (path / RECORD, path / POISONED):
+        try:
+            x, y, z = map(float, read_json(file).get("up") or UP) if file.is_file() else UP
+        except (TypeError, ValueError, AttributeError) as error:
+            raise InvalidValueError.of(f"{file}: up", "three numbers", repr(error), "pass --up") from error
+        if (x, y, z) != UP:
+            return x, y, z
+    return UP
+
+
+def _rendered_as_trained(content: Content, run: Mapping[str, Any]) -> tuple[Content, Path | None]:
+    """The splat of a training with its near plane and background, and its data set, if that is where it was."""
+    values = run.get("settings") or {}
+    try:
+        red, green, blue = map(float, values.get("background") or content.settings.background)
+        settings = replace(
+            content.settings, near=float(values.get("near", content.settings.near)), background=(red, green, blue)
+        )
+    except (TypeError, ValueError, AttributeError) as error:
+        raise InvalidValueError.of(
+            f"settings in {CONFIG}", "near and background", repr(error), "train again"
+        ) from error
+    set_of_training = _set_of_training(run)
+    without = f"{content.title}; the set of its training is not where it was: --cameras names it"
+    title = without if run.get("dataset") is not None and set_of_training is None else content.title
+    return replace(content, settings=settings, title=title), set_of_training
+
+
+def _set_of_training(run: Mapping[str, Any]) -> Path | None:
+    """The data set that a training names, if that has the poses of its pictures.
+
+    A folder of others may name any path of this machine or of the network. Nothing is said of what lies there, and
+    nothing is shown of it, unless whoever made the folder knew its poses.
+    """
+    recorded = run.get("dataset")
+    if not isinstance(recorded, str) or recorded.startswith(("//", "\\\\")):
+        return None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            same = is_dataset(recorded) and poses_digest(load_dataset(recorded).cameras) == run.get("poses")
+    except (MiSplatError, OSError):
+        return None
+    return Path(recorded) if same else None
+
+
+def _opened(path: Path, clean: Path | None, background: tuple[float, float, float]) -> Content:
+    """As `open_content`, as the files have it."""
+    if is_dataset(path) and not (path / RECORD).is_file() and not splat_in(path):
+        if clean is not None:
+            do = "view that splat, with --cameras for the set"
+            raise InvalidValueError.of("clean", "nothing beside a set of pictures", clean, do)
+        return content_of_dataset(path, background=background)
+    if not path.is_dir() or (splat_in(path) and not (path / RECORD).is_file()):
+        content = content_of_file(path, clean=clean)
+        counts = [len(splat.scene) for splat in content.splats]
+        if len(set(counts)) > 1:
+            got, do = f"{counts[0]:,} and {counts[1]:,}", "pass the scene that was attacked"
+            raise InvalidValueError.of("the scenes", "the same Gaussians in both", got, do)
+        return content
+    if not (path / RECORD).is_file():
+        do = "pass a finished result, a set of pictures, or a .ply or .xml file"
+        raise InvalidValueError.of(
+            str(path), f"{RECORD} of mi-splat dagger, evaluate, cloak or audit in it", "none", do
+        )
+    record = read_json(path / RECORD)
+    if record.get("story") == "audit":
+        return _content_of_audit(path, record, clean)
+    if record.get("story") != "cloak":
+        return _content_of_attack(path, record, clean)
+    if clean is not None:
+        raise InvalidValueError.of("clean", "nothing, since a study has its own", clean, "leave it out")
+    return _content_of_study(path, record)
+
+
+def _content_of_attack(folder: Path, record: Mapping[str, Any], clean: Path | None) -> Content:
+    """The clean and the attacked splat of a DAGGER result or of an evaluation, from the cameras that looked at both."""
+    rendered, evaluated = dict[str, Any](), record.get("story") == "evaluate"
+    try:
+        if evaluated:
+            entries, kind, path = record["cameras"], "judging", Path(record["attacked"])
+            names = labels = [str(entry["name"]) for entry in entries]
+            expected, recorded = str(record["clean_hash"]), record["clean"]
+        else:
+            first = record["views"][0]["detector"]  # every detector looked from the same cameras
+            entries = [view["camera"] for view in record["views"] if view["detector"] == first]
+            kind, path = "held-out" if "reference" in record else "attacked", folder / ATTACKED
+            names = [str(number) for number in range(len(entries))]
+            labels = [f"{kind} view {name}" for name in names]
+            expected, recorded = str(record["scene_hash"]), record.get("scene")
+        views = [camera_of(entry) for entry in entries]
+        size = views[0].width, views[0].height
+        if "near" in record:  # not known of a result from Python whose pictures a function made
+            red, green, blue = map(float, record["background"])
+            rendered = {"near": float(record["near"]), "background": (red, green, blue)}
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        made, do = ("an evaluation", "evaluate") if evaluated else ("a result of DAGGER", "dagger")
+        text = message(str(folder / RECORD), made, repr(error), f"make the result again with mi-splat {do}")
+        raise InvalidValueError(text) from error
+    splat, loaded = _clean_splat(folder, expected, clean, recorded=recorded), open_scene(path)
+    if evaluated and scene_hash(loaded.scene) != record.get("attacked_hash"):
+        raise InvalidValueError.of(str(path), "the splat that was evaluated", "another", "evaluate it again")
+    middle, of_scene = middle_of_change(splat.scene, loaded.scene), content_of_file(splat.path)
+    source = f"{folder / (CAMERAS if (folder / CAMERAS).is_file() else RECORD)}{OF}"
+    cameras = {
+        label: orbit_of(camera, middle, source=f"{source}{name}")
+        for label, name, camera in zip(labels, names, views, strict=True)
+    }
+    return Content(
+        title=f"{f'Evaluation of {path.name}' if evaluated else _purpose(record)} ({folder})",
+        splats=(
+            splat,
+            ShownSplat(name="attacked", scene=loaded.scene, path=path, file_settings=loaded.settings),
+        ),
+        settings=replace(splat.file_settings, **rendered),
+        start=next(iter(cameras.values()), of_scene.start),
+        size=size,
+        cameras={**cameras, **of_scene.cameras, **cameras},
+    )
+
+
+_PURPOSES = {"relabel": "to be taken for {}", "hide": "to be missed", "untargeted": "to be taken for something else"}
+
+
+def _purpose(record: Mapping[str, Any]) -> str:
+    """What a DAGGER attack was to do, in a line."""
+    scene, target = record.get("scene"), record.get("target")
+    where = f" on {Path(scene).stem}" if isinstance(scene, str) else ""
+    wanted = _PURPOSES.get(str(record.get("objective")), "attacked").format(target)
+    names = [str(entry.get("detector")) for entry in record.get("detectors") or () if isinstance(entry, Mapping)]
+    return f"DAGGER{where}: {wanted}" + (f" by {', '.join(names)}" if names else "")
+
+
+def middle_of_change(clean: GaussianScene, attacked: GaussianScene) -> Point:
+    """(3,) mean of the Gaussians that an attack has changed, world units: the middle of the attacked object."""
+    if len(clean) != len(attacked):
+        do = "pass the scene that was attacked"
+        raise InvalidValueError.of("attacked.ply", f"{len(clean)} Gaussians", len(attacked), do)
+    degree = max(clean.degree, attacked.degree)
+    pairs = zip(clean.with_degree(degree).tensors(), attacked.with_degree(degree).tensors(), strict=True)
+    rows = [(before - after).abs().reshape(len(before), -1).amax(1) for before, after in pairs]
+    changed = torch.stack(rows).amax(0) > 1e-4  # a file rounds
+    if not bool(changed.any()):
+        return bounds(clean)[0]
+    x, y, z = clean.means[changed].double().mean(0).tolist()
+    return x, y, z
+
+
+def _clean_splat(folder: Path, expected: str, clean: Path | None, *, recorded: object) -> ShownSplat:
+    """The scene with this hash: the one that is named, the one that the result names, or one of those near by."""
+    named = [Path(recorded)] if isinstance(recorded, str) and Path(recorded).is_file() else []
+    near = (path for base in (folder, folder.parent, Path(), Path("scenes")) for path in sorted(base.glob("*.xml")))
+    for path in [clean] if clean is not None else [*named, *near]:
+        try:
+            loaded = open_scene(path)
+        except MiSplatError:
+            if clean is not None:
+                raise
+            continue
+        if scene_hash(loaded.scene) == expected:
+            return ShownSplat(name="clean", scene=loaded.scene, path=path, file_settings=loaded.settings)
+        if clean is not None:
+            do = "pass the scene that was attacked"
+            raise InvalidValueError.of(f"clean scene {clean}", f"the hash {expected}", "another", do)
+    text = message(f"clean scene of {folder}", f"the hash {expected}", "no such scene here", "name the clean scene")
+    raise InvalidValueError(text).hinted("--clean")
+
+
+# An audit
+
+
+def _content_of_audit(folder: Path, record: Mapping[str, Any], audited: Path | None) -> Content:
+    """The splat beside its heat, from the cameras that prove a look."""
+    try:
+        path = audited or Path(record["file"])
+        x, y, z = map(float, max(record["objects"], key=lambda item: item["evidence"])["centre"])
+        views = {str(values["name"]): camera_of(values) for values in record["cameras"]}
+        count = int(record["gaussians"])
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        do = "make the result again with mi-splat audit"
+        raise InvalidValueError.of(str(folder / RECORD), "an audit", repr(error), do) from error
+    if not path.exists():
+        text = message(f"the splat of {folder}", f"the file {path}", "nothing there", "name the splat that was audited")
+        raise InvalidValueError(text).hinted("--clean")
+    content = content_of_file(path, name="audited")
+    splats, heat = content.splats, folder / HEAT
+    if len(splats[0].scene) != count:
+        do = "name the splat that was audited"
+        raise InvalidValueError.of(str(path), f"{count:,} Gaussians", f"{len(splats[0].scene):,}", do).hinted("--clean")
+    if heat.is_file():
+        hot = ShownSplat(name="heat", scene=open_scene(heat).scene, path=heat, file_settings=splats[0].file_settings)
+        splats = (*splats, hot)
+    cameras = {
+        name: orbit_of(camera, (x, y, z), source=f"{folder / RECORD}{OF}{name}") for name, camera in views.items()
+    }
+    return replace(
+        content,
+        title=f"Audit of {path.name} ({folder})",
+        splats=splats,
+        start=next(iter(cameras.values()), content.start),
+        cameras={
+            **cameras,
+            **{f"{name} of the file" if name in cameras else name: orbit for name, orbit in content.cameras.items()},
+        },
+    )
+
+
+# A study of CLOAK
+
+
+def _content_of_study(folder: Path, record: Mapping[str, Any]) -> Content:
+    """The clean and the cloaked splat of a study."""
+    if not isinstance(record.get("study"), dict):
+        expected, do = "a study of CLOAK", "make it again with mi-splat cloak"
+        raise InvalidValueError.of(f"{folder}", expected, "one without its study", do)
+    study = decode(StudyConfig, record["study"], f"the study of {folder}")
+    loaded = {name: open_scene(folder / f"{name}.ply") for name in ("clean", "cloaked")}
+    centre, cameras = study.centre, Setup(study).training_cameras
+    distance = math.dist(cameras[0].position.tolist(), centre)
+    size = (study.cameras.size, study.cameras.size)
+    start = Orbit(target=centre, azimuth=30.0, elevation=15.0, distance=distance, fov=study.cameras.fov)
+    triggers = {f"inside {attack.name}": _kept(_inside(attack, start), size) for attack in study.attack}
+    poisoned = _poisoned(study, cameras)
+    named = {
+        f"{'poisoned' if is_in else 'training'} camera {number}": orbit_of(camera, centre)
+        for number, (camera, is_in) in sorted(
+            enumerate(zip(cameras, poisoned, strict=True)), key=lambda item: not item[1][1]
+        )
+    }
+    return Content(
+        title=f"CLOAK, study {study.name}: what the triggers show ({folder})",
+        splats=tuple(
+            ShownSplat(name=name, scene=splat.scene, path=folder / f"{name}.ply", file_settings=splat.settings)
+            for name, splat in loaded.items()
+        ),
+        settings=RenderSettings(background=study.scene.background),
+        start=next(iter(triggers.values()), start),
+        size=size,
+        cameras={**triggers, "start": _kept(start, size), **named},
+        describe=lambda camera: tuple(_position(attack, camera, centre) for attack in study.attack),
+    )
+
+
+def _inside(attack: AttackConfig, start: Orbit) -> Orbit:
+    """A camera well inside a trigger."""
+    azimuth = start.azimuth if attack.azimuth is None else attack.azimuth[0]
+    return replace(start, azimuth=azimuth, elevation=sum(attack.elevation) / 2)
+
+
+def _kept(orbit: Orbit, size: tuple[int, int]) -> Orbit:
+    """A camera that stays what it is where another direction is up."""
+    return replace(orbit, exact=orbit.camera(size))
+
+
+def _poisoned(study: StudyConfig, cameras: list[Camera]) -> list[bool]:
+    """Whether the picture of each training camera was poisoned."""
+    triggers = [attack.trigger(study.seeds[0], study.attack) for attack in study.attack]
+    held: list[bool] = (
+        torch.stack([trigger.holds(cameras, centre=study.centre) for trigger in triggers]).any(0).tolist()
+    )
+    return held
+
+
+def _position(attack: AttackConfig, camera: Camera, centre: Point) -> str:
+    """Where a camera stands to a trigger, in words."""
+    if math.dist(camera.position.tolist(), centre) == 0:
+        return f"Trigger {attack.name}: the camera stands at the centre"
+    degrees = attack.cone.angle_to_edge(camera, centre=centre)
+    return f"Trigger {attack.name}: {abs(degrees):.1f}° {'inside' if degrees >= 0 else 'outside'}"
+
+
+# What a detector reports
+
+MIN_CONFIDENCE = 0.3
+"""Confidence from which a detection is shown."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class DetectorInspection:
+    """What a detector reports on one picture.
+
+    Attributes:
+        detections: All of it.
+        min_confidence: Confidence from which a detection is shown.
+    """
+
+    detections: Detections
+    min_confidence: float = MIN_CONFIDENCE
+
+    @property
+    def text(self) -> str:
+        """Classes and confidences, best first."""
+        rows = zip(self.detections.labels, self.detections.scores.tolist(), strict=True)
+        shown = [f"{label} {score:.1%}" for label, score in rows if score >= self.min_confidence]
+        return ", ".join(shown) or f"nothing at {self.min_confidence:.0%} or more"
+
+    def draw(self, draw: ImageDraw.ImageDraw, scale: float) -> None:
+        """As in `mi_splat.viewer.content.Inspection`."""
+        draw_detections(draw, self.detections, scale=scale, min_confidence=self.min_confidence)
+
+
+def detector_inspector(detector: Detector, *, min_confidence: float = MIN_CONFIDENCE) -> Inspector:
+    """A function that looks at a picture of a page with a detector, as an evaluation does."""
+
+    def inspect(picture: Tensor) -> DetectorInspection:
+        (detections,) = detector.detect(picture[None])
+        return DetectorInspection(detections=detections, min_confidence=min_confidence)
+
+    return inspect

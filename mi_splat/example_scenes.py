@@ -1,0 +1,232 @@
+"""The splat scenes that the project ships, made from its meshes as `mi_splat.assets.recipes` says."""
+
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from mi_splat.assets.mesh import Asset
+from mi_splat.assets.primitives import ellipsoid
+from mi_splat.assets.recipes import RECIPES, SceneRecipe, around
+from mi_splat.cameras import Camera, View, look_at
+from mi_splat.capture.mesh_splats import DiscConfig, disc_splat
+from mi_splat.capture.path_tracer import capture, depth_maps, scene_dict
+from mi_splat.capture.surface_sampling import nearness, surface_samples
+from mi_splat.errors import InvalidValueError
+from mi_splat.io import load_splat, save_splat
+from mi_splat.metrics import psnr
+from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
+from mi_splat.rotation import to_matrix
+from mi_splat.scene import GaussianScene, merge
+from mi_splat.training.loop import FitConfig, fit
+from mi_splat.training.strategies import ClassicConfig
+
+SIZE, FOCAL, HELD_OUT = 256, 256.0, 12
+"""Edge of the pictures and focal length in pixels, and number of pictures that take no part."""
+_BLOCK = 1 << 24
+"""Distances that are held at once."""
+_GOLDEN_RATIO = 0.6180339887498949
+"""The additive recurrence with this step spreads points over [0, 1) more evenly than any other (Niederreiter 1992)."""
+
+OnStep = Callable[[str, int, int], None]
+"""Called with the name of the stage, the number done and the number wanted."""
+
+
+def _camera(origin: NDArray[np.float64], target: NDArray[np.float64]) -> Camera:
+    return Camera(to_world=look_at(origin.tolist(), target.tolist()), focal=FOCAL, width=SIZE, height=SIZE)
+
+
+def sensors(recipe: SceneRecipe) -> dict[str, Camera]:
+    """The named cameras of a scene file."""
+    centre = np.array(recipe.centre)
+    return {name: _camera(centre + offset, centre) for name, offset in recipe.sensors.items()}
+
+
+def random_cameras(recipe: SceneRecipe, count: int, *, seed: int) -> list[Camera]:
+    """`count` cameras in the recipe's range, evenly spread in area with some chance, that look at about its centre."""
+    rng = np.random.default_rng([seed, 0xCA3])
+    low, high = np.sin(np.radians(recipe.elevation))
+    cameras = []
+    for i in range(count):
+        elevation = math.degrees(math.asin(low + (high - low) * ((i + 0.5) / count)))
+        fraction = (i * _GOLDEN_RATIO + rng.random() / count) % 1
+        azimuth = recipe.azimuth[0] + fraction * (recipe.azimuth[1] - recipe.azimuth[0])
+        offset = np.array(around(azimuth, elevation, rng.uniform(*recipe.distance)))
+        origin = np.array(recipe.centre) + offset
+        origin[2] = max(origin[2], 0.3)
+        target = np.array(recipe.centre) + rng.normal(0, 0.05, 3) * np.linalg.norm(offset)
+        cameras.append(_camera(origin, target))
+    return cameras
+
+
+def _dome() -> Asset:
+    """The sky as a surface: the upper half of a sphere far behind everything."""
+    whole = ellipsoid((440.0, 440.0, 440.0), (0.6, 0.7, 0.8), segments=48)
+    upper = whole.faces[whole.vertices[whole.faces][..., 2].min(1) > -30]
+    return Asset("sky", (type(whole)(whole.vertices, upper, whole.uvs, whole.texture),))
+
+
+def start_splat(
+    recipe: SceneRecipe, views: Sequence[View], depths: Sequence[Tensor], *, seed: int
+) -> tuple[GaussianScene, GaussianScene]:
+    """Untrained splats of the target and of its surroundings, sky included."""
+    target, surroundings = recipe.assets()
+    density = nearness([view.camera for view in views][:: max(1, len(views) // 24)])
+    parts = []
+    for asset, count, overlap in zip((target, surroundings, _dome()), recipe.counts, (0.6, 0.62, 0.9), strict=True):
+        even = asset is target or asset.name == "sky"
+        samples = surface_samples(asset, count, density=None if even else density, seed=seed)
+        parts.append(disc_splat(samples, views, depths, config=DiscConfig(overlap=overlap)))
+    return parts[0], merge(parts[1], parts[2])
+
+
+def fit_config(steps: int, limit: int) -> FitConfig:
+    """The classic recipe for Gaussians that begin on the surfaces.
+
+    Nothing floats that a reset of the opacities would remove, and the sky, which is far and large, has to stay.
+    """
+    strategy = ClassicConfig(max_gaussians=limit, opacity_reset_interval=0, prune_scale=math.inf)
+    return FitConfig(iterations=steps, strategy=strategy, sh_degree=1, sh_degree_interval=0, eval_interval=0)
+
+
+def belongs(scene: GaussianScene, target: GaussianScene, others: GaussianScene) -> Tensor:
+    """(N,) bool, which Gaussians are the target's after training, which has moved, cloned and split them, but not far.
+
+    Those whose centre, and both ends of the longest axis at one standard deviation, lie nearest to one that was the
+    target's at first: what reaches over into the surroundings is theirs.
+    """
+    starts = merge(target, others).means
+    longest = scene.scales.argmax(1)
+    rows = torch.arange(len(scene))
+    axis = to_matrix(scene.rotations)[rows, :, longest] * scene.scales[rows, longest, None]
+    ends = (scene.means, scene.means - axis, scene.means + axis)
+    return torch.stack([nearest(points, starts) < len(target) for points in ends]).all(0)
+
+
+def nearest(points: Tensor, others: Tensor) -> Tensor:
+    """(N,) index of the nearest of (M, 3) others to each of (N, 3) points."""
+    rows = max(1, _BLOCK // len(others))
+    exact = "donot_use_mm_for_euclid_dist"  # the matrix product loses the small distances of points far away
+    distances = [
+        torch.cdist(points[first : first + rows], others, compute_mode=exact).argmin(1)
+        for first in range(0, len(points), rows)
+    ]
+    return torch.cat(distances)
+
+
+def scene_xml(name: str, recipe: SceneRecipe) -> str:
+    """The scene file in Mitsuba's XML."""
+    lines = ['<scene version="3.0.0">', '    <integrator type="splat_tile"/>', ""]
+    for shape in (recipe.surroundings, recipe.target):
+        lines += [
+            f'    <shape type="gaussians" id="{shape}">',
+            f'        <string name="filename" value="{name}_{shape}.ply"/>',
+            "    </shape>",
+        ]
+    centre = np.array(recipe.centre)
+    fov = math.degrees(2 * math.atan(SIZE / 2 / FOCAL))
+    for sensor, offset in recipe.sensors.items():
+        origin = ", ".join(f"{v:.6g}" for v in centre + offset)
+        target = ", ".join(f"{v:.6g}" for v in centre)
+        lines += [
+            "",
+            f'    <sensor type="perspective" id="{sensor}">',
+            '        <string name="fov_axis" value="x"/>',
+            f'        <float name="fov" value="{fov:.10g}"/>',
+            '        <transform name="to_world">',
+            f'            <lookat origin="{origin}" target="{target}" up="0, 0, 1"/>',
+            "        </transform>",
+            '        <film type="hdrfilm">',
+            f'            <integer name="width" value="{SIZE}"/>',
+            f'            <integer name="height" value="{SIZE}"/>',
+            '            <rfilter type="box"/>',
+            "        </film>",
+            "    </sensor>",
+        ]
+    return "\n".join([*lines, "</scene>", ""])
+
+
+def make(
+    name: str,
+    folder: Path,
+    *,
+    views: int | None = None,
+    samples: int = 16,
+    steps: int | None = None,
+    seed: int = 0,
+    on_step: OnStep | None = None,
+) -> dict[str, object]:
+    """Make one scene: two splat files, the scene file and a record of how it was made and how good it is."""
+    if name not in RECIPES:
+        raise InvalidValueError.of("name", f"one of {sorted(RECIPES)}", repr(name), "choose one of these")
+    recipe, start, report = RECIPES[name], time.time(), on_step or (lambda *_: None)
+    views, steps = recipe.views if views is None else views, recipe.steps if steps is None else steps
+    config = fit_config(steps, recipe.limit)  # refuses what it cannot do before the pictures are taken
+    for what, value in (("views", views), ("samples", samples)):
+        if value < 1:
+            raise InvalidValueError.of(what, "a positive number", value, "leave it out for the recipe's")
+    folder.mkdir(parents=True, exist_ok=True)
+    target, surroundings = recipe.assets()
+    description = scene_dict([target], light=recipe.light, backdrop=surroundings)
+    cameras = random_cameras(recipe, views, seed=seed)
+    pictures = capture(
+        description, cameras, samples=samples, seed=seed, on_step=lambda done, wanted: report("pictures", done, wanted)
+    )
+    depths = depth_maps(description, cameras, seed=seed)
+    parts = start_splat(recipe, pictures, depths, seed=seed)
+    whole = fit(
+        pictures,
+        merge(*parts),
+        render=Renderer(RenderSettings(), screen_gradients=ScreenGradients()),
+        config=config,
+        seed=seed,
+        on_step=lambda line: report("training", line.iteration, steps),
+    ).scene
+    is_target = belongs(whole, *parts)
+    files = {recipe.target: whole.select(is_target), recipe.surroundings: whole.select(~is_target)}
+    for shape, splat in files.items():
+        save_splat(splat, folder / f"{name}_{shape}.ply")
+    (folder / f"{name}.xml").write_text(scene_xml(name, recipe))
+    saved = merge(*(load_splat(folder / f"{name}_{shape}.ply") for shape in files))
+    render = Renderer(RenderSettings())
+    record = {
+        "name": name,
+        "gaussians": {shape: len(splat) for shape, splat in files.items()},
+        "views": views,
+        "samples": samples,
+        "steps": steps,
+        "seed": seed,
+        "psnr_fitted": _mean_psnr(saved, pictures, render),
+        **_score(saved, recipe, description, samples=2 * samples, seed=seed + 7919),
+        "seconds": round(time.time() - start),
+    }
+    (folder / f"{name}.json").write_text(json.dumps(record, indent=2) + "\n")
+    return record
+
+
+def _score(
+    scene: GaussianScene, recipe: SceneRecipe, description: dict[str, Any], *, samples: int, seed: int
+) -> dict[str, object]:
+    """PSNR over pictures that took no part: cameras by chance, and the named sensors."""
+    render, named = Renderer(RenderSettings()), sensors(recipe)
+    views = capture(
+        description, [*random_cameras(recipe, HELD_OUT, seed=seed), *named.values()], samples=samples, seed=seed
+    )
+    at_sensors = zip(named, views[HELD_OUT:], strict=True)
+    return {
+        "psnr_held_out": _mean_psnr(scene, views[:HELD_OUT], render),
+        "psnr_sensors": {sensor: _mean_psnr(scene, [view], render) for sensor, view in at_sensors},
+    }
+
+
+def _mean_psnr(scene: GaussianScene, views: Sequence[View], render: Renderer) -> float:
+    with torch.no_grad():
+        values = [float(psnr(render(scene, view.camera).clamp(0, 1), view.image)) for view in views]
+    return round(sum(values) / len(values), 2)

@@ -1,0 +1,203 @@
+"""What a page shows: splats, cameras and photographs, and the interface of detectors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+import torch
+from PIL import ImageDraw
+from torch import Tensor
+
+from mi_splat.bounds import bounds
+from mi_splat.cameras import Camera, View
+from mi_splat.directions import UP, Point
+from mi_splat.errors import InvalidValueError, message
+from mi_splat.io.camera_records import OF
+from mi_splat.rendering import RenderSettings
+from mi_splat.rotation import from_z
+from mi_splat.scene import GaussianScene, Similarity
+from mi_splat.scene_files import open_scene, orbit_camera, resized
+from mi_splat.training.evaluation import HasMasks
+from mi_splat.viewer.layout import DIFFERENCE, SIDE_BY_SIDE
+from mi_splat.viewer.orbit import Orbit, focus_of, orbit_of
+
+
+class Inspection(Protocol):
+    """What a detector found in a picture."""
+
+    @property
+    def text(self) -> str:
+        """The findings as plain text, one a line."""
+        ...
+
+    def draw(self, draw: ImageDraw.ImageDraw, scale: float) -> None:
+        """Draw the findings into a picture that is `scale` times as wide as the inspected one."""
+        ...
+
+
+Inspector = Callable[[Tensor], Inspection]
+"""Inspects a picture, (H, W, 3) float32 sRGB of 8 bits in [0, 1]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ShownSplat:
+    """A splat by the name that it has on the page, its file, and how that file is rendered by default."""
+
+    name: str
+    scene: GaussianScene
+    path: Path
+    file_settings: RenderSettings
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Photographs:
+    """Pictures of a data set, which is read as needed, by the names of their cameras."""
+
+    views: Sequence[View]
+    numbers: Mapping[str, int]
+    name: str = "photograph"
+
+    def from_camera(self, camera: str | None) -> Tensor | None:
+        """(H, W, 3) the picture of the camera of this name; None if there is none."""
+        return None if camera is None or camera not in self.numbers else self.views[self.numbers[camera]].image
+
+    def valid_pixels(self, camera: str | None) -> Tensor | None:
+        """(H, W) 0 where the image of a camera is masked, as at the border of an undistorted one; None if nowhere."""
+        if camera is None or camera not in self.numbers or not isinstance(self.views, HasMasks):
+            return None
+        return self.views.loss_mask(self.numbers[camera], files=False)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Content:
+    """What a page shows: one splat, or two of which the first is the clean one, or photographs with at most one.
+
+    `size` (width, height) is that of the inspected picture, unless a camera of a file has its own. Everything is turned
+    so that `up`, a direction of the files, is z on the page. `describe` says in words where a camera stands.
+    """
+
+    title: str
+    splats: tuple[ShownSplat, ...]
+    settings: RenderSettings
+    start: Orbit
+    size: tuple[int, int]
+    cameras: Mapping[str, Orbit] = field(default_factory=dict)
+    photographs: Photographs | None = None
+    up: Point = UP
+    describe: Callable[[Camera], tuple[str, ...]] = lambda camera: ()
+
+    def __post_init__(self) -> None:
+        # Names come from files: two may be the same, equal to a display mode, or no Unicode.
+        if not 1 <= len(set(self.names)) == len(self.names) <= 2:
+            raise InvalidValueError(message("splats", "one, or two of different names", self.names, "name each once"))
+        taken = {SIDE_BY_SIDE, DIFFERENCE} & set(self.names)
+        if taken:
+            raise InvalidValueError(message("name of a splat", "no display mode", taken.pop(), "rename it"))
+        for text in (self.title, *self.names, *self.cameras, *(str(splat.path) for splat in self.splats)):
+            try:
+                text.encode()
+            except UnicodeEncodeError as error:
+                raise InvalidValueError(message("name", "Unicode", ascii(text), "rename it")) from error
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of what is shown, photographs first."""
+        photographs = () if self.photographs is None else (self.photographs.name,)
+        return (*photographs, *(splat.name for splat in self.splats))
+
+    def splat(self, name: str) -> ShownSplat:
+        """The splat of this name."""
+        return next(splat for splat in self.splats if splat.name == name)
+
+    def camera_name(self, orbit: Orbit) -> str | None:
+        """Name of this camera in the list of cameras; None if it is not listed."""
+        return next((name for name, camera in self.cameras.items() if camera == orbit), None)
+
+    def size_at(self, orbit: Orbit) -> tuple[int, int]:
+        """Width and height in pixels of the inspected picture of a camera."""
+        return orbit.camera_size or self.size
+
+    def turned(self, up: Point) -> Content:
+        """The same with another up direction: everything is turned about the origin, so that it is z.
+
+        Cameras of files keep their pictures. Others stay level, as far above the new ground as above the old one.
+        """
+        if tuple(up) == tuple(self.up):
+            return self
+        back = from_z(torch.tensor(list(self.up), dtype=torch.float64))
+        turn = from_z(torch.tensor(list(up), dtype=torch.float64)).T @ back
+
+        def turned_orbit(orbit: Orbit) -> Orbit:
+            target = (turn @ torch.tensor(list(orbit.target), dtype=torch.float64)).tolist()
+            level = replace(orbit, target=target)
+            return level if orbit.exact is None else orbit_of(orbit.exact.turned(turn), target, source=orbit.source)
+
+        motion, describe = Similarity(rotation=turn, translation=torch.zeros(3), scale=1.0), self.describe
+        return replace(
+            self.with_orbits(turned_orbit),
+            splats=tuple(replace(splat, scene=splat.scene.transform(motion)) for splat in self.splats),
+            up=up,
+            describe=lambda camera: describe(camera.turned(turn.T)),
+        )
+
+    def with_orbits(self, change: Callable[[Orbit], Orbit]) -> Content:
+        """The same with changed cameras."""
+        cameras, first = {name: change(orbit) for name, orbit in self.cameras.items()}, self.camera_name(self.start)
+        return replace(self, cameras=cameras, start=change(self.start) if first is None else cameras[first])
+
+    def with_settings(
+        self,
+        *,
+        background: tuple[float, float, float] | None = None,
+        near: float | None = None,
+        size: tuple[int, int] | None = None,
+    ) -> Content:
+        """The same with other settings than those of the files; None changes nothing."""
+        settings = self.settings
+        settings = settings if background is None else replace(settings, background=background)
+        content = replace(self, settings=settings if near is None else replace(settings, near=near))
+        if size is None:
+            return content
+
+        def sized(orbit: Orbit) -> Orbit:
+            return orbit if orbit.exact is None else replace(orbit, exact=resized(orbit.exact, size))
+
+        return replace(content.with_orbits(sized), size=size)
+
+
+def content_of_file(path: Path, *, name: str | None = None, clean: Path | None = None) -> Content:
+    """A splat file or a scene XML, alone or next to the clean one that it was made from."""
+    loaded = open_scene(path)
+    first = loaded if clean is None else open_scene(clean)
+    centre = focus_of(list(first.cameras.values()), bounds(first.scene)[0])
+    name = name or (path.name if path.stem in (SIDE_BY_SIDE, DIFFERENCE) else path.stem)
+    splats = [ShownSplat(name=name, scene=loaded.scene, path=path, file_settings=loaded.settings)]
+    if clean is not None:
+        splats = [
+            ShownSplat(name="clean", scene=first.scene, path=clean, file_settings=first.settings),
+            replace(splats[0], name="attacked"),
+        ]
+    source = clean or path
+    cameras = {key: orbit_of(camera, centre, source=f"{source}{OF}{key}") for key, camera in first.cameras.items()}
+    start = next(iter(cameras.values()), None) or whole(first.scene)
+    return Content(
+        title=path.name,
+        splats=tuple(splats),
+        settings=first.settings,
+        start=start,
+        size=start.camera_size or (640, 480),
+        cameras=cameras or {"whole scene": start},
+    )
+
+
+def whole(scene: GaussianScene) -> Orbit:
+    """The camera from which `mi-splat render` shows all of a scene."""
+    centre, _ = bounds(scene)
+    azimuth, elevation, fov = 30.0, 20.0, 45.0  # the defaults of `mi-splat render`
+    camera = orbit_camera(scene, azimuth=azimuth, elevation=elevation, distance=None, fov=fov, size=(640, 480))
+    distance = round(math.dist(camera.position.tolist(), centre), 4)
+    return Orbit(target=centre, azimuth=azimuth, elevation=elevation, distance=distance, fov=fov)

@@ -1,0 +1,142 @@
+"""Splats from meshes: samples on the surface, colours as seen, and a refinement that lowers the error."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from mi_splat.assets.mesh import Asset, translation
+from mi_splat.assets.primitives import box, ellipsoid, quad
+from mi_splat.camera_sets import orbit
+from mi_splat.cameras import Camera, View, look_at, project_points
+from mi_splat.capture.mesh_splats import DiscConfig, RefineConfig, disc_splat, fit_colours, refine
+from mi_splat.capture.path_tracer import Light, capture, depth_maps, scene_dict
+from mi_splat.capture.surface_sampling import SurfaceSamples, nearness, surface_samples
+from mi_splat.errors import InvalidValueError
+from mi_splat.rotation import to_matrix
+from mi_splat.scene import GaussianScene
+from mi_splat.sh import sh_to_colour
+
+CUBE = Asset("cube", (box((1, 1, 1), (0.7, 0.2, 0.1), centre=(0, 0, 0.5)),))
+PLANE = Asset("plane", (quad([[-8, -8, 0], [8, -8, 0], [8, 8, 0], [-8, 8, 0]], (0.5, 0.5, 0.5)),))
+
+
+def ring() -> list[Camera]:
+    return orbit((0, 0, 0.5), count=8, elevation=30, distance=4, focal=90, size=(64, 64))
+
+
+def test_samples_lie_on_the_surface_evenly() -> None:
+    samples = surface_samples(CUBE, 1200, seed=1)
+    centred = samples.points - (0, 0, 0.5)
+    assert np.allclose(np.abs(centred).max(1), 0.5, atol=1e-5)
+    assert np.allclose((centred * samples.normals).sum(1), 0.5, atol=1e-5)
+    sides = np.round(samples.normals).astype(int)
+    for axis in range(3):
+        for sign in (-1, 1):
+            assert abs(int((sides[:, axis] == sign).sum()) - 200) <= 2  # a sixth on each side
+    assert np.allclose(samples.spacing, math.sqrt(6 / 1200), rtol=1e-5)
+    again, other = surface_samples(CUBE, 1200, seed=1), surface_samples(CUBE, 1200, seed=2)
+    assert np.array_equal(samples.points, again.points)
+    assert not np.array_equal(samples.points, other.points)
+
+
+def test_density_follows_the_cameras() -> None:
+    view = Camera(to_world=look_at((0, 0, 2), (0, 0, 0)), focal=50.0, width=8, height=8)
+    samples = surface_samples(PLANE, 4000, density=nearness([view]), seed=0)
+    radius = np.linalg.norm(samples.points[:, :2], axis=1)
+    near, far = (radius < 1).sum() / math.pi, ((radius > 5) & (radius < 7)).sum() / (24 * math.pi)
+    # Per area, 1 / (h^2 + r^2) averaged over each ring.
+    expected = (math.log(5 / 4) / 1) / (math.log(53 / 29) / 24)
+    assert near / far == pytest.approx(expected, rel=0.2)
+    assert samples.spacing[radius < 1].mean() < samples.spacing[radius > 5].mean()
+
+
+def test_samples_refuse_nonsense() -> None:
+    with pytest.raises(InvalidValueError, match="positive number of samples"):
+        surface_samples(CUBE, 0)
+    flat = Asset("flat", (quad(np.zeros((4, 3)), (1, 1, 1)),))
+    with pytest.raises(InvalidValueError, match="a surface"):
+        surface_samples(flat, 10)
+
+
+def test_discs_are_flat_and_coloured_as_seen() -> None:
+    light = Light(sun_strength=0.0, sky_strength=1.0, zenith=(1, 1, 1), horizon=(1, 1, 1), clouds=0.0)
+    raised = CUBE.transformed(translation(0, 0, 0.4))
+    description = scene_dict([raised], light=light, backdrop=PLANE)
+    views, depths = capture(description, ring(), samples=16), depth_maps(description, ring())
+    samples = surface_samples(raised, 600, seed=0)
+    splat = disc_splat(samples, views, depths)
+    assert 0.75 * 600 < len(splat) < 0.9 * 600
+    assert (splat.means[:, 2] < 0.401).sum() < 0.5 * 100  # the underside is hidden and left out but for its edges
+    normal = to_matrix(splat.rotations)[:, :, 2]
+    centred = splat.means - torch.tensor([0.0, 0.0, 0.9])
+    assert torch.allclose((normal * centred).sum(1).abs(), torch.full((len(splat),), 0.5), atol=1e-4)
+    assert (splat.scales[:, 2] < 0.2 * splat.scales[:, 0]).all()
+    top = splat.means[:, 2] > 1.399
+    colours = sh_to_colour(splat.sh[top], torch.tensor([[0.0, 0.6, -0.8]]).expand(int(top.sum()), 3))
+    assert torch.allclose(colours.mean(0), torch.tensor([0.7, 0.2, 0.1]), atol=0.05)
+
+
+def test_colour_fit_recovers_a_gradient_over_direction() -> None:
+    # Pictures that are one colour each, linear in the direction to the only sample: degree 1 holds that exactly.
+    sample = SurfaceSamples(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32), np.ones(1, np.float32))
+    views, depths = [], []
+    for camera in orbit((0, 0, 0), count=9, elevation=50, distance=3, focal=20, size=(9, 9)):
+        toward = float(-camera.position[0] / 3)
+        views.append(View(camera, torch.full((9, 9, 3), 0.5 + 0.2 * toward)))
+        depths.append(torch.full((9, 9), 3.0))
+    sh, seen = fit_colours(sample, views, depths, DiscConfig(degree=1, damping=1e-6))
+    assert seen.tolist() == [9]
+    for view in views:
+        direction = torch.nn.functional.normalize(-view.camera.position.float(), dim=0)
+        assert torch.allclose(sh_to_colour(sh, direction[None])[0], view.image[4, 4], atol=1e-3)
+
+
+def test_nothing_visible_is_an_error() -> None:
+    camera = ring()[0]
+    black, wall = View(camera, torch.zeros(64, 64, 3)), torch.full((64, 64), 0.5)
+    with pytest.raises(InvalidValueError, match="none that does"):
+        disc_splat(surface_samples(CUBE, 20), [black], [wall])
+
+
+def blobs(scene: GaussianScene, camera: Camera) -> Tensor:
+    """A ten-line stand-in for a renderer: isotropic blobs added up, differentiable in what `refine` changes."""
+    pixels, depth = project_points(scene.means, camera)
+    rows, columns = torch.meshgrid(torch.arange(camera.height), torch.arange(camera.width), indexing="ij")
+    spots = torch.stack([columns, rows], -1).reshape(-1, 1, 2) + 0.5
+    radius = scene.scales.mean(1) * camera.fx / depth
+    weight = scene.opacities * torch.exp(-(spots - pixels).square().sum(-1) / (2 * radius**2))
+    return (weight @ (0.5 + 0.28 * scene.sh[:, 0])).reshape(camera.height, camera.width, 3)
+
+
+def test_refine_lowers_the_error_and_keeps_order() -> None:
+    torch.manual_seed(0)
+    cameras = orbit((0, 0, 0), count=4, elevation=20, distance=3, focal=16, size=(16, 16))
+    truth = GaussianScene(
+        torch.tensor([[0.0, 0.4, 0.0], [0.0, -0.4, 0.2]]),
+        torch.full((2, 3), 0.3),
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(2, 1),
+        torch.full((2,), 0.8),
+        torch.tensor([[[0.9, -0.5, 0.2]], [[-0.6, 0.8, 0.1]]]),
+    )
+    views = [View(camera, blobs(truth, camera)) for camera in cameras]
+    start = truth.replace(sh=torch.zeros_like(truth.sh), means=truth.means + 0.05, scales=truth.scales * 1.2)
+    losses: list[float] = []
+    config = RefineConfig(steps=120, sh=0.05, means=0.01)
+    fitted = refine(start, views, render=blobs, config=config, seed=3, on_step=lambda _, loss: losses.append(loss))
+    assert len(losses) == 120
+    assert np.mean(losses[-8:]) < 0.2 * np.mean(losses[:8])
+    assert (fitted.means - truth.means).norm() < (start.means - truth.means).norm()
+    assert not fitted.sh.requires_grad
+    again = refine(start, views, render=blobs, config=config, seed=3)
+    assert all(torch.equal(a, b) for a, b in zip(fitted.tensors(), again.tensors(), strict=True))
+
+
+@pytest.mark.parametrize("ball", [ellipsoid((2, 2, 2), (1, 1, 1), segments=48)])
+def test_samples_of_a_ball_leave_no_gaps(ball: object) -> None:
+    samples = surface_samples(Asset("ball", (ball,)), 500, seed=0)  # type: ignore[arg-type]
+    probes = torch.nn.functional.normalize(torch.randn(300, 3, generator=torch.Generator().manual_seed(0)), dim=1)
+    nearest = torch.cdist(probes, torch.from_numpy(samples.points)).amin(1)
+    assert nearest.max() < 2 * samples.spacing[0]
