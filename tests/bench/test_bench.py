@@ -18,6 +18,7 @@ from attacks.detectors.registry import DETECTORS
 from attacks.observe.rows import read_rows
 from attacks.studies import attack as attack_kind
 from mi_splat.errors import InvalidValueError
+from mi_splat.interrupts import INTERRUPTED
 from mi_splat.io.manifest import write_manifest
 from mi_splat.ledger import engines
 from tests.project.layers import ROOT
@@ -173,7 +174,7 @@ def test_a_killed_run_goes_on(suite: Path, out: Path, monkeypatch: pytest.Monkey
     store = str(suite.parent / "second")
     monkeypatch.setattr(attack_kind, "run", killed)
     words = ("--store", store, "--columns", "one_view")
-    assert bench(suite, "again", *words) == cli.INTERRUPTED
+    assert bench(suite, "again", *words) == INTERRUPTED
     assert not (suite.parent / "again" / "row.json").exists()
 
     def counted(*given: Any) -> Any:

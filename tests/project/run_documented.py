@@ -23,6 +23,7 @@ import torch
 
 from attacks import cli
 from mi_splat import GaussianScene, load_splat, save_splat
+from mi_splat.interrupts import INTERRUPTED
 from mi_splat.rotation import to_matrix
 from mi_splat.scene import Similarity, merge
 from mi_splat.sh import colour_to_dc
@@ -244,7 +245,7 @@ def _wait(command: Sequence[str], folder: Path, until: str | None = None) -> Non
             until = None
     status = process.wait()
     alarm.cancel()
-    if status not in (0, cli.INTERRUPTED) or until is not None:
+    if status not in (0, INTERRUPTED) or until is not None:
         raise CommandError(f"{shlex.join(command)}: exit status {status}\n{printed[-600:]}")
 
 

@@ -17,6 +17,14 @@ if TYPE_CHECKING:
 
 def run(config: WalkConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, int]]:
     """A chain of numbers, which is the same however often it was interrupted."""
+    try:
+        return _walked(config, inputs, out)
+    except KeyboardInterrupt:
+        (out.partial / "interrupted").write_text("")
+        raise
+
+
+def _walked(config: WalkConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, int]]:
     kept = out.partial / "kept"
     with (out.kept.parents[1] / "runs").open("a") as runs:
         runs.write(f"{out.kept.name}\n")
@@ -29,11 +37,7 @@ def run(config: WalkConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[s
         if config.trouble == "eat":
             eaten = bytearray(b"x") * 400_000_000
             number += len(eaten)
-        try:
-            time.sleep(config.seconds)
-        except KeyboardInterrupt:
-            (out.partial / "interrupted").write_text("")
-            raise
+        time.sleep(config.seconds)
         step, number = step + 1, (number * 6364136223846793005 + 1) % (1 << 64)
         (out.partial / "new").write_text(f"{step} {number}")
         os.replace(out.partial / "new", kept)
