@@ -5,33 +5,22 @@
 
 import dataclasses
 import math
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from mi_splat._lazy import Previewed
+from mi_splat.camera_forms import MOST, parse_form
 from mi_splat.cameras import Camera, orbit_pose, sizes_of
 from mi_splat.datasets.transforms import read_cameras
 from mi_splat.errors import InvalidValueError
 
-FORMS = "hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE or a transforms .json file"
-MOST = 100_000
-"""Cameras of the largest set."""
 MARGIN = 1.05
 """How much farther away cameras are than would just show the whole of what they look at."""
 HELD_OUT_START = 67.0
 """Azimuth of the first held-out camera in degrees, so that these are not where the others are."""
 _GOLDEN = 180.0 * (3.0 - math.sqrt(5.0))
 """The golden angle, degrees."""
-
-_COUNT, _ANGLE = r"(?P<count>\d{1,99})", r"(?P<angle>[-+]?\d{1,3}(?:\.\d*)?)"
-_PATTERNS = {
-    "hemisphere": re.compile(_COUNT),
-    "orbit": re.compile(f"{_COUNT}@{_ANGLE}"),
-    "cap": re.compile(f"{_COUNT}@{_ANGLE}"),
-    "grid": re.compile(r"(?P<count>\d{1,99})x(?P<rows>\d{1,99})"),
-}
 
 
 class CameraList(Previewed, list[Camera]):
@@ -188,7 +177,7 @@ def camera_set(
     """The cameras that a text describes."""
     if spec.lower().endswith(".json"):
         return read_cameras(Path(spec), size)
-    kind, numbers = _parse(spec)
+    kind, numbers = parse_form(spec)
     count, angle = int(numbers["count"]), float(numbers.get("angle", 0.0))
     distance, focal = _positive("distance", distance), _positive("focal", focal)
     if kind == "orbit":
@@ -210,7 +199,7 @@ def held_out_set(
     if spec.lower().endswith(".json"):
         do = "capture the file of the test cameras into a folder of its own"
         raise InvalidValueError.of("test cameras", f"a set by name beside {spec}", "a file", do)
-    kind, numbers = _parse(spec)
+    kind, numbers = parse_form(spec)
     angle = float(numbers.get("angle", 0.0))
     distance, focal = _positive("distance", distance), _positive("focal", focal)
     if kind == "orbit":
@@ -227,25 +216,6 @@ def _between(others: int, count: int) -> list[float]:
     if count <= others:
         return [360 * (0.5 + i * others // count) / others for i in range(count)]
     return [180 / math.lcm(others, count) + 360 * i / count for i in range(count)]
-
-
-def _parse(spec: str) -> tuple[str, dict[str, str]]:
-    """The kind of a set and its numbers as text, in range."""
-    kind, _, rest = spec.partition(":")
-    match = _PATTERNS[kind].fullmatch(rest) if kind in _PATTERNS else None
-    if match is None:
-        raise InvalidValueError.of("cameras", FORMS, repr(spec), "write one of these forms")
-    numbers = match.groupdict()
-    total = int(numbers["count"]) * int(numbers.get("rows", 1))
-    if not 1 <= total <= MOST:
-        raise InvalidValueError.of(f"cameras {spec}", f"1 to {MOST} cameras", total, "change the number")
-    angle = float(numbers.get("angle", 0.0))
-    highest = 90.0 if kind != "cap" else 89.9
-    if not -90 <= angle <= highest:
-        raise InvalidValueError.of(
-            f"cameras {spec}", f"an elevation from -90 to {highest:g} degrees", angle, "change it"
-        )
-    return kind, numbers
 
 
 def _positive(name: str, value: float) -> float:

@@ -62,10 +62,11 @@ def printable(text: str) -> str:
 
     Names in files may hold anything. New lines and tabs stay.
     """
-    if text.isascii() and text.isprintable():
-        return text
-    return "".join(
-        repr(sign)[1:-1] if unicodedata.category(sign) in _UNSEEN and sign not in "\n\t" else sign for sign in text
+    return "\n".join(
+        line
+        if line.isascii() and line.isprintable()
+        else "".join(repr(c)[1:-1] if unicodedata.category(c) in _UNSEEN and c != "\t" else c for c in line)
+        for line in text.split("\n")
     )
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +14,9 @@ from mi_splat import variant
 from mi_splat._lazy import Previewed
 from mi_splat.bounds import bounds, near_plane
 from mi_splat.cameras import Camera, orbit_pose
-from mi_splat.errors import InvalidValueError, MiSplatError, listed
+from mi_splat.errors import InvalidValueError, MiSplatError, listed, message
 from mi_splat.io import SplatFileError, load_splat
-from mi_splat.io.errors import path_name
+from mi_splat.io.errors import SplatFileWarning, path_name
 from mi_splat.io.scene_parts import check_scene_file
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, merge
@@ -102,11 +103,11 @@ def values_of(loaded: Any, path: str | Path, *, among: Literal["nothing", "surfa
         scene=scene,
         objects={name: slice(start, end) for name, start, end in zip(shapes.names, ends[:-1], ends[1:], strict=True)},
         cameras=cameras,
-        settings=_settings_of(loaded.integrator(), near_plane(scene, tuple(cameras.values()))),
+        settings=_settings_of(loaded.integrator(), near_plane(scene, tuple(cameras.values())), path),
     )
 
 
-def _settings_of(integrator: Any, near: float) -> RenderSettings:
+def _settings_of(integrator: Any, near: float, path: str | Path) -> RenderSettings:
     """Render settings of a scene's integrator; `near` where the file states none."""
     if type(integrator).__name__ == "SplatRay":
         return RenderSettings(
@@ -118,6 +119,11 @@ def _settings_of(integrator: Any, near: float) -> RenderSettings:
             linear=integrator.linear,
         )
     if type(integrator).__name__ != "SplatTile":
+        if type(integrator).__name__ != "BasicVolumetricPrimitiveRadianceFieldIntegrator":
+            got = f"{integrator.class_name()}, which shows splats as grey lumps in Mitsuba"
+            do = 'they are drawn with splat_tile here: write <integrator type="splat_tile"/>'
+            text = message(str(path), "the integrator splat_tile or splat_ray", got, do)
+            warnings.warn(text, SplatFileWarning, stacklevel=4)
         return RenderSettings(near=near)
     return RenderSettings(
         background=integrator.background,

@@ -1,17 +1,19 @@
-"""What all adapters to classifiers share: a frozen network, and how pictures of any size are brought to it."""
+"""What all adapters to classifiers share: a frozen network, pictures brought to it, and rows of what it says."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import torch
 from torch import Tensor, nn
 from torchvision.transforms import InterpolationMode
 from torchvision.transforms.functional import center_crop, normalize, resize
 
+from attacks.classifiers.base import Classifier
 from attacks.detectors.base import check_images
 from attacks.detectors.weights import FrozenModel, fingerprint
 from mi_splat.errors import InvalidValueError, nearest
@@ -125,3 +127,15 @@ def class_number(classifier: Any, name: str, what: str = "class") -> int:
         do = nearest(name, classes, "choose one of them")
         raise InvalidValueError.of(f"{what} of {classifier.name}", f"one of {shown}", repr(name), do)
     return classes.index(name)
+
+
+def classified(classifier: Classifier, pictures: Iterable[Tensor], label: str) -> list[dict[str, Any]]:
+    """A row for each picture: `view`, its position; `classifier`; `top1`; `right`; `confidence` in the true class."""
+    true, rows = class_number(classifier, label, "label"), list[dict[str, Any]]()
+    for view, picture in enumerate(pictures):
+        with torch.no_grad():
+            confidence = torch.softmax(classifier.scores(picture[None])[0].double(), 0)
+        top1 = classifier.classes[int(confidence.argmax())]
+        row = {"view": view, "classifier": classifier.name, "top1": top1}
+        rows.append({**row, "right": top1 == label, "confidence": float(confidence[true])})
+    return rows

@@ -1,7 +1,8 @@
 """The command line: `mi-splat COMMAND ...`, also `python -m attacks COMMAND ...`.
 
-A command is a module with its options, a dataclass, and what it does, `run(options)`. Options are parsed before torch
-and Mitsuba are imported, which `run` does where it needs them, so that `--help` answers at once.
+A command is a module with its options, a dataclass, and what it does, `run(options)`. Options are parsed, and
+checked by `check_inputs(options)` in a module that has it, before torch and Mitsuba are imported, so that `--help` and
+wrong paths are answered at once.
 """
 
 from __future__ import annotations
@@ -39,7 +40,6 @@ GROUPS: dict[str, dict[str, str]] = {
         "capture": "render training images of a mesh scene",
         "prepare": "estimate the cameras of photographs or of a video, as a training set",
         "train": "train a splat on images with cameras",
-        "example-scenes": "make one of the shipped splat scenes again",
     },
     "attack": {
         "dagger": "perturb one object of a splat so that a detector misreads it (DAGGER)",
@@ -63,13 +63,11 @@ GROUPS: dict[str, dict[str, str]] = {
         "doctor": "check the installation, and say how to fix it",
         "detectors": "list the detectors and their classes; download third-party ones",
         "classifiers": "list the classifiers; download third-party ones",
-        "train-detector": "train one of the project's small detectors",
-        "evaluate-detector": "mAP, recall and false positives of detectors on held-out images",
     },
 }
 """What each command does, by task; a name with a flag is a mode of a command, with options of its own."""
 COMMANDS = {name: summary for group in GROUPS.values() for name, summary in group.items()}
-OF_SPLATS = ("capture", "prepare", "train", "render", "select", "info", "audit", "convert", "example-scenes")
+OF_SPLATS = ("capture", "prepare", "train", "render", "select", "info", "audit", "convert")
 """Commands whose modules are in `mi_splat.cli`; those of the others are here."""
 WITHOUT_TORCH = ("classifiers", "detectors", "doctor", "info", "rows", "study")
 """Commands that do without torch, or with most of what they are asked."""
@@ -151,6 +149,8 @@ def _dispatch(words: list[str]) -> int:
     options = parse(name, rest)
     check_names(options)
     module = module_of(name)
+    if hasattr(module, "check_inputs"):
+        module.check_inputs(options)
     if name not in WITHOUT_TORCH:
         import_at_once("torch")
     with running_command(given):

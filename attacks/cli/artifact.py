@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from attacks.cli.options import check_result_folder
 from mi_splat.cli.console import progress, show_result
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import ResultOptions
@@ -29,6 +30,11 @@ class ArtifactOptions(ResultOptions):
     out: Folder = Path("out/artifact")
     whole: bool = False
     """Copy splats and pictures, too, so that others can score the splats again."""
+
+
+def check_inputs(options: ArtifactOptions) -> None:
+    """Raise unless the folder may be a result."""
+    check_result_folder(options.result)
 
 
 def run(options: ArtifactOptions) -> None:

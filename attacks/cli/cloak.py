@@ -7,6 +7,7 @@ from attacks.cli.options import Detectors, Workers, chosen_workers
 from mi_splat.cli.console import follow, limit_threads, progress, show_json, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Folder, Seed
 
 EXAMPLES = (
@@ -40,6 +41,12 @@ class CloakOptions(JsonOptions):
     """Processes that do steps side by side; None is one for each core if memory allows; 0 does all in this one."""
     forecast: bool = False
     """Check everything, say what the study would take, and do nothing."""
+
+
+def check_inputs(options: CloakOptions) -> None:
+    """Raise unless the study exists."""
+    if not options.study.is_file():
+        raise InvalidValueError.of("study", "a TOML file", f"no file {options.study}", "check the path")
 
 
 def run(options: CloakOptions) -> None:

@@ -65,8 +65,8 @@ def run(options: DaggerOptions) -> None:
     from mi_splat.scene_files import open_scene
     from mi_splat.selection.select import doubts, require_visible
 
-    check_new_folder(options.out, force=options.force)
     check_no_input_in(options.out, options.scene)
+    check_new_folder(options.out, force=options.force)
     limit_threads()
     config = options.config
     with progress("loading the scene and the detector", total=config.restarts * (config.steps + 1)) as advance:

@@ -62,8 +62,8 @@ def run(options: DaggerEotOptions) -> None:
     from mi_splat.io.folders import check_new_folder
     from mi_splat.scene_files import open_scene
 
-    check_new_folder(options.out, force=options.force)
     check_no_input_in(options.out, options.scene)
+    check_new_folder(options.out, force=options.force)
     limit_threads()
     config = options.config
     checkpoint = Checkpoint(path=options.checkpoint or options.out.with_name(f"{options.out.name}.checkpoint"))

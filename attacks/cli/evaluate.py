@@ -68,8 +68,8 @@ def run(options: EvaluateOptions) -> None:
     from mi_splat.scene_files import open_scene
     from mi_splat.selection.select import doubts
 
-    check_new_folder(options.out, force=options.force)
     check_no_input_in(options.out, options.clean, options.attacked)
+    check_new_folder(options.out, force=options.force)
     confidence = options.min_confidence
     with progress("loading") as advance:
         clean, attacked = open_scene(options.clean), open_scene(options.attacked)

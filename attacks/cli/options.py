@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from mi_splat.cli.flags import Flag, Positional, Unprefixed
 from mi_splat.cli.options import CameraOptions, ResultOptions
+from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Called, Fraction, above, at_least, between
 from mi_splat.selection.config import Selection
 
@@ -17,8 +18,6 @@ ClassName = Annotated[str, Called("CLASS")]
 Confidence = Annotated[Fraction, Called("CONFIDENCE")]
 PositiveRadius = Annotated[float, above(0, "units of the splat file", "5 is the paper's"), Called("RADIUS")]
 Seeds = Annotated[int, at_least(1), Called("COUNT")]
-Processes = Annotated[int, between(0, 1024)]
-Threads = Annotated[int, between(1, 1024)]
 Workers = Annotated[int, between(0, 1024, "processes")]
 _WORKER = 2e9
 """Bytes of memory that a process takes which trains or attacks."""
@@ -30,6 +29,14 @@ def chosen_workers(asked: int | None) -> int:
         return asked
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, min(cores, int(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / _WORKER)))
+
+
+def check_result_folder(folder: Path) -> None:
+    """Raise unless a command may have written its result there."""
+    if not any(folder.glob("*.json")):
+        got = "one without a result" if folder.is_dir() else f"a file; pass {folder.parent}" if folder.is_file() else ""
+        expected = "a folder that a command of mi-splat has written"
+        raise InvalidValueError.of(str(folder), expected, got or "nothing there", "check the path")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -83,8 +83,8 @@ def run(options: PoisonOptions) -> None:
 
     kind = KINDS[options.kind]
     _check_device(options.device, options.kind)
-    check_new_folder(options.out, force=options.force, record=RECORD)
     check_no_input_in(options.out, options.dataset, options.splat)
+    check_new_folder(options.out, force=options.force, record=RECORD)
     work = kind.begun(options.poison, options.seed, options.device)
     with progress("reading the set"):
         views = load_dataset(options.dataset, split="train", downscale=options.downscale)

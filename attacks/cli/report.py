@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from attacks.cli.options import check_result_folder
 from attacks.rate import FIXED
 from attacks.report.charts import need_packages
 from attacks.report.wording import plural
@@ -30,7 +31,7 @@ SEE_ALSO = ("view", "evaluate", "dagger", "cloak")
 class ReportOptions(JsonOptions):
     """Write one page of results: pictures, curves with intervals, controls, warnings, settings, and how to repeat it.
 
-    Takes folders that mi-splat dagger, study, evaluate, evaluate-detector, compare, detect,
+    Takes folders that mi-splat dagger, study, evaluate, compare, detect,
     cloak, audit, train and poison have written. The page is one file without a script, and asks nothing of any network.
     """
 
@@ -47,14 +48,20 @@ class ReportOptions(JsonOptions):
     """Replace the page if it is there."""
 
 
+def check_inputs(options: ReportOptions) -> None:
+    """Raise unless there are folders that may be results."""
+    if not options.results:
+        raise InvalidValueError.of("results", "one folder or more", "none", "name what a command has written")
+    for folder in options.results:
+        check_result_folder(folder)
+
+
 def run(options: ReportOptions) -> None:
     """Read the results and write the page."""
     from attacks.report.page import ENDINGS, write_page
     from attacks.report.results import read_section
     from mi_splat.io.folders import check_new_file
 
-    if not options.results:
-        raise InvalidValueError.of("results", "one folder or more", "none", "name what a command has written")
     check_new_file(options.out, ENDINGS, force=options.force)
     need_packages()
     with progress("reading", total=len(options.results)) as advance:

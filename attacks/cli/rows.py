@@ -21,7 +21,7 @@ class RowsOptions(JsonOptions):
     """Show the rows of a result: a line for each splat, view and detector, from which every figure is counted.
 
     Without --csv or --json it says which columns there are and what they mean. Takes a folder that mi-splat dagger,
-    evaluate, evaluate-detector, cloak or study has written.
+    evaluate, cloak or study has written.
     """
 
     result: Positional[Folder]

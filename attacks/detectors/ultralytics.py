@@ -3,8 +3,10 @@
 Its licence is AGPL-3.0, which is stricter than that of this project: read it before you build on this module.
 """
 
+import atexit
 import os
 import re
+import shutil
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -32,10 +34,9 @@ from mi_splat.errors import install
 os.environ.setdefault("YOLO_OFFLINE", "true")
 os.environ.setdefault("YOLO_AUTOINSTALL", "false")
 os.environ.setdefault("YOLO_VERBOSE", "false")
-os.environ.setdefault(
-    "YOLO_CONFIG_DIR", str(Path(tempfile.gettempdir()) / f"mi-splat-yolo-{getattr(os, 'getuid', int)()}")
-)
-Path(os.environ["YOLO_CONFIG_DIR"]).mkdir(parents=True, exist_ok=True)
+if "YOLO_CONFIG_DIR" not in os.environ:  # a folder of its own: one with a name that others can guess may be theirs
+    os.environ["YOLO_CONFIG_DIR"] = tempfile.mkdtemp(prefix="mi-splat-yolo-")
+    atexit.register(shutil.rmtree, os.environ["YOLO_CONFIG_DIR"], ignore_errors=True)
 
 _open, _save = Image.open, torch.save
 try:

@@ -267,7 +267,7 @@ def rows(result: str | Path, table: str = ROWS) -> pl.DataFrame:
     """
     path = Path(result) / f"{table}{SUFFIX}"
     if not path.is_file():
-        do = "pass a folder that mi-splat dagger, evaluate, evaluate-detector, cloak or study has written"
+        do = "pass a folder that mi-splat dagger, evaluate, cloak or study has written"
         raise InvalidValueError.of(str(result), f"a result with {path.name}", "none", do)
     return read_rows(path)
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from attacks.classifiers.base import Classifier
-from attacks.classifiers.looking import classified
+from attacks.classifiers.frozen import classified
 from attacks.classifiers.registry import load_classifier
 from attacks.cloak.kinds.parts import SET, Pose, StepConfig
 from attacks.cloak.kinds.rendering import settings_of

@@ -8,6 +8,7 @@ import importlib.util
 import io
 import math
 import re
+import warnings
 from collections.abc import Iterator
 from typing import Any
 
@@ -73,7 +74,8 @@ def svg(chart: Chart, name: str) -> str:
         "font.family": ["DejaVu Sans"],
         **dict.fromkeys(("text.color", "axes.labelcolor", "xtick.color", "ytick.color", "axes.edgecolor"), _INK),
     }
-    with matplotlib.rc_context():
+    with matplotlib.rc_context(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # the browser has other fonts: text stays text
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(style)
         figure = Figure(figsize=DOME_SIZE if chart.dome else SIZE, layout="constrained")

@@ -14,6 +14,7 @@ from attacks.report.charts import legend, svg, values_of
 from attacks.report.section import Section
 from attacks.report.wording import capital, listed
 from attacks.tables import Table
+from mi_splat.errors import printable
 from mi_splat.io.documents import save_text
 from mi_splat.io.folders import check_new_file
 from mi_splat.io.picture_files import load_picture
@@ -33,19 +34,21 @@ def write_page(sections: Sequence[Section], path: Path, *, title: str | None = N
 
 
 def page_text(sections: Sequence[Section], *, title: str | None = None) -> str:
-    """The page as HTML; the same sections give the same text."""
+    """The page as HTML; the same sections give the same text, in which nothing is left that a terminal would obey."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
     template = environment.from_string(resources.files("attacks.report").joinpath("page.html").read_text("utf-8"))
-    return template.render(
-        title=title or usual_title(sections),
-        parts=[
-            {"name": name, **_part(number, section)}
-            for number, (name, section) in enumerate(zip(names(sections), sections, strict=True), start=1)
-        ],
-        comparisons=list(comparisons(sections)),
-        version=importlib.metadata.version("mi-splat"),
+    return printable(
+        template.render(
+            title=title or usual_title(sections),
+            parts=[
+                {"name": name, **_part(number, section)}
+                for number, (name, section) in enumerate(zip(names(sections), sections, strict=True), start=1)
+            ],
+            comparisons=list(comparisons(sections)),
+            version=importlib.metadata.version("mi-splat"),
+        )
     )
 
 

@@ -8,7 +8,6 @@ from typing import Any
 from attacks.bench.row import figures as bench_figures
 from attacks.cloak.own_pictures import RECORD as POISONED
 from attacks.dagger.figures import figures as attack_figures
-from attacks.detectors.evaluation import figures as detector_figures
 from attacks.report.checking import Figures, Result
 from attacks.report.rescoring import Rescoring
 from attacks.report.section import Section
@@ -19,6 +18,7 @@ from attacks.report.stories import (
     bench,
     cloak,
     evaluation,
+    pictures,
     poison_study,
     poisoned,
     renderers,
@@ -27,7 +27,6 @@ from attacks.report.stories import (
     training,
     variations,
 )
-from attacks.report.stories.detectors import held_out, pictures
 from attacks.report.wording import sentence, versions_of
 from attacks.studies.poison_figures import figures as poison_figures
 from attacks.studies.result import figures as study_figures
@@ -72,7 +71,6 @@ STORIES = (
     Story(name="evaluate", read=evaluation.read, figures=evaluation.figures),
     Story(name="compare", read=renderers.read),
     Story(name="detect", read=pictures.read),
-    Story(name="evaluate-detector", read=held_out.read, figures=detector_figures),
     Story(name="dagger-sanity", read=sanity.read),
     Story(name="train", read=training.read, file=METRICS),
     Story(name="poison", read=poisoned.read, file=POISONED),

@@ -9,8 +9,7 @@ import numpy as np
 import torch
 
 from attacks.testing.promises import Contract, expect
-from mi_splat.audit.lint.findings import Severity
-from mi_splat.audit.lint.rules import RULES, Rule, Stored
+from mi_splat.audit.lint.rules import RULES, Rule, Severity, Stored
 from mi_splat.io.loaded import Loaded
 from mi_splat.rotation import normalise
 from mi_splat.scene import GaussianScene

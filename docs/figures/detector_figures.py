@@ -1,22 +1,22 @@
 """Writes figures of detectors into cards and docs/detectors.md: `python docs/figures/detector_figures.py [FILE ...]`.
 
-Each FILE is a result.json of `mi-splat evaluate-detector`; the figures of each detector in it are put beside its card,
-or into docs/tables/detectors where it has none. Then the cards and the picture are written anew from what is there.
-Sentences that name figures are not; read them again.
+Each FILE is a result.json of scenes/recipes/evaluate_detectors.py; the figures of each detector in it are put beside
+its card, or into docs/tables/detectors where it has none. Then the cards and the picture are written anew from what
+is there. Sentences that name figures are not; read them again.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from attacks.detectors.evaluation import CONDITIONS
-from attacks.detectors.training.config import PATH_TRACED
-from attacks.report.stories.detectors.held_out import bins_of, compared, detailed, documents
-from attacks.tables import Table
+from attacks.detectors.catalogue import SMALL_CLASSES
+from attacks.rate import Rate
+from attacks.report.wording import listed, number, pooled
+from attacks.tables import Table, cell
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,6 +40,18 @@ PICTURE = ROOT / "docs" / "images" / "detectors_recall.png"
 _BEGIN, _END = "<!-- written by `docs/figures/detector_figures.py` -->", "<!-- end -->"
 USUAL_CONFIDENCE = 0.5
 """Confidence from which detections count where nothing else is said."""
+PATH_TRACED, SPLAT_RENDERS, EMPTY = "path traced", "splat renders", "background: "
+WITH_OBJECTS = (PATH_TRACED, SPLAT_RENDERS)
+UNITS = {
+    "elevation": "degrees",
+    "distance": "diagonals of the object",
+    "size": "of the picture's side",
+    "brightness": "mean luma",
+    "sun_elevation": "degrees",
+    "sun_strength": "irradiance",
+}
+"""How objects are seen, and in what that is measured."""
+_MOST_OTHERS = 8
 _DRAWN = ("elevation", "distance", "size", "brightness")
 
 
@@ -53,7 +65,8 @@ def read_figures(path: Path) -> dict[str, Any]:
 def put_away(path: Path) -> None:
     """Put the figures of one result where they are kept."""
     record = json.loads(path.read_text())
-    for figures in documents(record):
+    for detector, values in record["detectors"].items():
+        figures = {"detector": detector, "confidence": record["confidence"], **values}
         kept = {**figures, **{name: record[name] for name in ("pictures", "versions", "commit")}}
         name, usual = figures["detector"], figures["confidence"] == USUAL_CONFIDENCE
         if usual and name in CARDS:
@@ -63,6 +76,96 @@ def put_away(path: Path) -> None:
         suffix = "" if usual else f"_{round(100 * figures['confidence']):02d}"
         TABLES.mkdir(parents=True, exist_ok=True)
         (TABLES / f"{name}{suffix}.json").write_text(json.dumps(kept, indent=1) + "\n")
+
+
+def compared(several: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
+    """Precision, false positives, and recall by elevation, a detector a row."""
+    sets = [name for name in WITH_OBJECTS if any(name in figures["sets"] for figures in several)]
+    rows = []
+    for figures in several:
+        totals, street = figures["false_positives"], figures["sets"].get(f"{EMPTY}street", {})
+        wrong = (totals.get("with objects"), street.get("false_positives"), totals.get("without objects"))
+        means = (number(figures["sets"].get(name, {}).get("map"), ".3f") for name in sets)
+        rows.append((_name(figures), *means, *map(_per_picture, wrong)))
+    heads = ("with objects", "of streets without", "without any")
+    head = ("detector", *(f"mAP, {name}" for name in sets), *(f"false positives, pictures {which}" for which in heads))
+    yield Table(caption="Precision, and false positives per picture", head=head, rows=tuple(rows))
+    for title, group, members in (
+        *((f"objects, {name}", "all", (name,)) for name in sets),
+        (f"cars, {listed(sets)}", "car", sets),
+    ):
+        recalls = [(_name(figures), _recall_by(figures, members, "elevation", group)) for figures in several]
+        lines = tuple((name, *map(cell, rates)) for name, rates in recalls if rates)
+        if lines:
+            caption = f"Found by elevation in degrees: {title}"
+            yield Table(caption=caption, head=("detector", *bins_of(several[0], "elevation")), rows=lines)
+
+
+def detailed(figures: Mapping[str, Any], of: str = "") -> Iterator[Table]:
+    """The tables of one detector: by class, false positives, recall by how objects are seen, and other classes."""
+    sets = figures["sets"]
+    by_class = [
+        (name, label, number(part["ap"][label], ".3f"), cell(rate), _often(part["reported_as"].get(label, {})))
+        for name, part in sets.items()
+        for label, rate in part.get("found", {}).items()
+    ]
+    if by_class:
+        head = ("pictures", "objects", "average precision", "found", "else reported on them")
+        yield Table(caption=f"{of}By class", head=head, rows=tuple(by_class))
+    parts = {name: part["false_positives"] for name, part in sets.items()}
+    parts |= {f"together, {name}": part for name, part in figures["false_positives"].items()}
+    wrong = [
+        (name, _per_picture(part), cell(part["pictures_with"]), _often(part["by_class"]))
+        for name, part in parts.items()
+    ]
+    heads = ("pictures", "per picture (95 % Poisson interval)", "pictures with any", "by class")
+    yield Table(caption=f"{of}False positives", head=heads, rows=tuple(wrong))
+    seen = [name for name in sets if "found_by" in sets[name] and name in WITH_OBJECTS]
+    for condition, unit in UNITS.items():
+        columns = {f"objects, {name}": _recall_by(figures, (name,), condition) for name in seen}
+        columns = {**columns, "cars": _recall_by(figures, seen, condition, "car")}
+        columns = {name: rates for name, rates in columns.items() if rates}
+        if columns:
+            rows = zip(bins_of(figures, condition), *(map(cell, rates) for rates in columns.values()), strict=True)
+            caption = f"{of}Found by {condition.replace('_', ' ')}, {unit}"
+            yield Table(caption=caption, head=("seen", *columns), rows=tuple(rows))
+    others = [(name, _often(part["other_classes"])) for name, part in sets.items() if part["other_classes"]]
+    if others:
+        caption = f"{of}Classes reported that no object here has, the most frequent"
+        yield Table(caption=caption, head=("pictures", "classes"), rows=tuple(others))
+
+
+def bins_of(figures: Mapping[str, Any], condition: str) -> list[str]:
+    """Names of the bins of a condition, for instance "0 to 15" and "6 or more"."""
+    parts = (part["found_by"].get(condition) for part in figures["sets"].values() if "found_by" in part)
+    bins = next(part["all"] for part in parts if part)
+    return [f"{b['from']:g} or more" if b["to"] is None else f"{b['from']:g} to {b['to']:g}" for b in bins]
+
+
+def _name(figures: Mapping[str, Any]) -> str:
+    known = len(SMALL_CLASSES) - len(figures.get("lacks", ()))
+    of = "" if known == len(SMALL_CLASSES) else f", {known} of {len(SMALL_CLASSES)} classes"
+    return f"{figures['detector']} at {figures['confidence']:g}{of}"
+
+
+def _recall_by(figures: Mapping[str, Any], names: Sequence[str], condition: str, group: str = "all") -> list[Rate]:
+    """Recall by the bins of a condition, of some sets together; empty where no set knows it."""
+    sets = [figures["sets"].get(name, {}).get("found_by", {}).get(condition, {}).get(group, ()) for name in names]
+    return [pooled(map(Rate.of, parts)) for parts in zip(*filter(None, sets), strict=True)]
+
+
+def _per_picture(part: Mapping[str, Any] | None) -> str:
+    """False positives per picture with their count and 95 % Poisson interval."""
+    if part is None:
+        return "-"
+    low, high = part["interval"]
+    return f"{part['per_picture']:.2f} ({part['number']:,} in {part['pictures']:,}; {low:.2f} to {high:.2f})"
+
+
+def _often(counts: Mapping[str, int]) -> str:
+    """The most frequent labels with their counts."""
+    often = sorted(counts.items(), key=lambda item: -item[1])[:_MOST_OTHERS]
+    return ", ".join(f"{label} {count}" for label, count in often if count) or "-"
 
 
 def in_markdown(tables: Iterable[Table]) -> str:
@@ -110,13 +213,13 @@ def draw_recall(several: Sequence[Mapping[str, Any]]) -> Figure:
 
     figure = Figure(figsize=(11, 3.1), dpi=100, layout="constrained")
     for axes, condition in zip(figure.subplots(1, len(_DRAWN), sharey=True), _DRAWN, strict=True):
-        for number, figures in enumerate(several):
+        for line, figures in enumerate(several):
             bins = figures["sets"][PATH_TRACED]["found_by"].get(condition, {}).get("all", [])
             name = f"{figures['detector']} at {figures['confidence']:g}"
-            draw_line(axes, bins, name, shift=0.06 * (number - (len(several) - 1) / 2))
-        names = [name.replace(" or more", "+").replace(" to ", "-") for name in bins_of(condition)]
+            draw_line(axes, bins, name, shift=0.06 * (line - (len(several) - 1) / 2))
+        names = [name.replace(" or more", "+").replace(" to ", "-") for name in bins_of(several[0], condition)]
         axes.set_xticks(range(len(names)), names, fontsize=7)
-        axes.set(xlabel=f"{condition}, {CONDITIONS[condition].unit}", ylim=(-0.02, 1.02))
+        axes.set(xlabel=f"{condition}, {UNITS[condition]}", ylim=(-0.02, 1.02))
         axes.grid(alpha=0.3)
     first = figure.axes[0]
     first.set_ylabel("recall at IoU 0.5")

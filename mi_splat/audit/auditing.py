@@ -11,10 +11,18 @@ import torch
 from torch import Tensor
 
 from mi_splat.audit.edits import edit_of
-from mi_splat.audit.evidence import cover_heat, heat_of, pair_of, split_of
+from mi_splat.audit.evidence import BLOCKED, Cover, cover_heat, cover_of, heat_of, middle_of, pair_of, split_of
+from mi_splat.audit.explanations import (
+    Scores,
+    angles_between,
+    cameras_of_look,
+    explain,
+    look_amounts,
+    piece_scores,
+    reachable,
+    shape_of,
+)
 from mi_splat.audit.frames import SOLID, Frame, Target, frame_of, targets, whole
-from mi_splat.audit.occluders import BLOCKED, Cover, cover_of, middle_of
-from mi_splat.audit.regions import shape_of
 from mi_splat.audit.results import EXCESS, SUSPICION, Audit, Look, ObjectAudit, Occluder, Pair, Region, vector
 from mi_splat.audit.rooms import cameras_within, free_positions
 from mi_splat.audit.surfaces import (
@@ -27,15 +35,6 @@ from mi_splat.audit.surfaces import (
     elements,
     in_sight,
     sight,
-)
-from mi_splat.audit.switches import (
-    Scores,
-    angles_between,
-    cameras_of_look,
-    explain,
-    look_amounts,
-    piece_scores,
-    reachable,
 )
 from mi_splat.cameras import Camera, as_cameras, project_points
 from mi_splat.directions import Point

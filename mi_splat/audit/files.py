@@ -13,10 +13,21 @@ from torch import Tensor
 
 from mi_splat.audit.lint.checking import Lint
 from mi_splat.audit.lint.cost import overdraw_picture
-from mi_splat.audit.results import COVERED, EXCESS, SUSPICION, Audit, Look, ObjectAudit, Pair
-from mi_splat.audit.summary import directions_in_words, summary
+from mi_splat.audit.pictures import SHOWS, PictureAudit
+from mi_splat.audit.results import (
+    COVERED,
+    EXCESS,
+    SUSPICION,
+    Audit,
+    Look,
+    ObjectAudit,
+    Pair,
+    directions_in_words,
+    summary,
+)
 from mi_splat.bounds import near_plane
 from mi_splat.cameras import Camera
+from mi_splat.datasets import Dataset
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json
@@ -29,6 +40,55 @@ from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import resized
 from mi_splat.selection.masks import save_mask
 from mi_splat.sh import colour_to_dc, dc_to_colour
+
+MOST_NAMED = 8
+"""Pictures of a set that are named in a line."""
+
+
+def document_of_pictures(judged: PictureAudit, views: Dataset, count: int) -> dict[str, Any]:
+    """An audit of pictures as JSON can hold it."""
+    amounts = judged.amounts.tolist()
+    files = [str(views.frames[number].path) for number in judged.numbers.tolist()]
+    shown = [Path(file).name for file, amount in zip(files, amounts, strict=True) if amount > SHOWS]
+    more = f" and {len(shown) - MOST_NAMED} more" if len(shown) > MOST_NAMED else ""
+    names = ", ".join(shown[:MOST_NAMED])
+    line = f"{len(shown)} of {len(files)} pictures show what the others contradict: {names}{more}"
+    rest = f"{len(files)} of the {count} pictures of the set were compared; nothing is said of the others"
+    values = document(judged.audit)
+    return {
+        **values,
+        "summary": [*values["summary"], *([line] if shown else []), *([rest] if len(files) < count else [])],
+        "pictures_in_set": count,
+        "views": [
+            {"picture": file, "amount": amount, "contradicts": amount > SHOWS}
+            for file, amount in zip(files, amounts, strict=True)
+        ],
+    }
+
+
+def write_pictures(
+    judged: PictureAudit,
+    views: Dataset,
+    folder: str | os.PathLike[str],
+    *,
+    account: dict[str, Any],
+    source: str,
+    force: bool = False,
+) -> list[Path]:
+    """Write the files of an audit of pictures into a new folder, whole or not at all."""
+    longer = max(max(camera.width, camera.height) for camera in views.cameras)
+    shown = dataclasses.replace(views, downscale=views.downscale * max(1, longer // PICTURE))
+
+    def show(pair: Pair) -> NDArray[np.uint8]:
+        return beside([shown[int(judged.numbers[number])].image for number in pair.numbers])
+
+    target = Path(folder)
+    with new_folder(target, force=force) as temporary:
+        pairs = save_pairs(judged.audit, temporary, show)
+        record = {"story": "audit", "file": source, **account, **pairs}
+        save_json({**record, **origin()}, temporary / RECORD)
+    return [target / name for name in (RECORD, *(picture["file"] for picture in pairs["pictures"]))]
+
 
 PAIR, HEAT, MASK, OVERDRAW = "pair.png", "heat.ply", "mask.npy", "overdraw.png"
 HEAT_PICTURE = "heat.png"

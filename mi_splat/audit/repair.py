@@ -17,10 +17,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.audit.occluders import AIR, FLOOR
+from mi_splat.audit.evidence import AIR, FLOOR
+from mi_splat.audit.explanations import angles_between
 from mi_splat.audit.results import SUSPICION, Audit, ObjectAudit
 from mi_splat.audit.surfaces import AROUND
-from mi_splat.audit.switches import angles_between
 from mi_splat.bounds import near_plane
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene

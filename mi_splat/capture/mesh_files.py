@@ -2,8 +2,6 @@
 
 import io
 import logging
-import struct
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,12 +31,6 @@ COARSE = 1e-3
 
 _TURNS: dict[Front, float] = {"+x": 0.0, "-x": 180.0, "+y": -90.0, "-y": 90.0}
 """Degrees about z that turn a front to +x."""
-
-# What trimesh raises for files that are broken in one way or another; NameError, where it assumes an element.
-_BROKEN = (
-    *(OSError, ValueError, LookupError, TypeError, AttributeError, NotImplementedError, ArithmeticError, EOFError),
-    *(AssertionError, NameError, RecursionError, MemoryError, SyntaxError, struct.error, zlib.error),
-)
 
 
 class MeshFileError(MiSplatError):
@@ -103,7 +95,7 @@ def _surfaces(path: Path) -> tuple[list[Surface], list[str], list[str]]:
         surfaces = [
             coloured(piece, placed, path, notes, fault=faults.append, remark=remarks.append) for piece, placed in pieces
         ]
-    except _BROKEN as error:
+    except Exception as error:
         raise _not_finite(path, error) from error
     if notes.float32:
         remarks += _too_coarse(pieces, surfaces)
@@ -132,7 +124,7 @@ def _pieces(path: Path) -> tuple[list[tuple[Any, NDArray[np.float64]]], MeshFile
         placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
     except GltfError as error:
         raise MeshFileError(str(error)) from error
-    except _BROKEN as error:
+    except Exception as error:
         got = " ".join(str(error).split())[:160] or type(error).__name__
         raise MeshFileError.of(str(path), "a mesh that can be read", got, "export it again") from error
     geometries = [(scene.geometry[name], np.asarray(matrix, np.float64)) for matrix, name in placed]

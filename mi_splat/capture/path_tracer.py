@@ -7,6 +7,7 @@ picture, on any number of threads.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -30,7 +31,6 @@ from mi_splat.capture.mitsuba_meshes import (
     shapes,
     tracing_variant,
 )
-from mi_splat.capture.passes import PASSES, pass_samples, sampler_type
 from mi_splat.errors import InvalidValueError
 from mi_splat.plugins.sensor import sensor_dict
 
@@ -44,6 +44,9 @@ _BANDS_APART = 0x9E3779B9
 
 NEAR = 0.01
 """Distance in world units up to which a camera sees nothing."""
+
+PASSES = 2
+"""The most passes of one picture; seeds of pictures are so many apart."""
 
 __all__ = [
     "Light",
@@ -65,6 +68,31 @@ _Depths = TypeVar("_Depths", NDArray[Any], Tensor)
 
 OnStep = Callable[[int, int], None]
 """Called after each picture with the number finished and the number wanted."""
+
+
+def pass_samples(samples: int) -> tuple[int, ...]:
+    """Samples of each pass, which sum up to `samples` (1 or more): as equal as `fits_grid` allows."""
+    if samples < PASSES:
+        return (samples,)
+    half = samples // PASSES
+    first = [count for count in range(half, 0, -1) if fits_grid(count)]
+    exact = (count for count in first if fits_grid(samples - count))
+    chosen = next(exact, first[0])
+    return chosen, samples - chosen
+
+
+def fits_grid(samples: int) -> bool:
+    """Whether Mitsuba's multi-jittered sampler takes so many samples, and rounds none up.
+
+    Its grid has floor(sqrt(n)) rows that are all full.
+    """
+    return samples % math.isqrt(samples) == 0
+
+
+def sampler_type(samples: int) -> str:
+    """Name of the Mitsuba sampler that takes exactly so many samples with the least noise."""
+    # Correlated multi-jittered (Kensler 2013): at 16 and 64 samples per pixel 6 dB less noise than independent ones.
+    return "multijitter" if fits_grid(samples) else "independent"
 
 
 def _sensor(

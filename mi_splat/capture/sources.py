@@ -4,23 +4,25 @@ import hashlib
 import math
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from mi_splat.assets import ASSETS, build
 from mi_splat.assets.ground import Kind, square_of_ground
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.recipes import RECIPES
+from mi_splat.cameras import Camera
 from mi_splat.capture.mesh_files import SUFFIXES, LoadedMesh, load_mesh
 from mi_splat.capture.mitsuba_meshes import read_environment
 from mi_splat.capture.path_tracer import Light, PathTracer, scene_dict
 from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
-from mi_splat.capture.working_frame import WorkingFrame, working_frame
 from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.io.points import PointCloud
 from mi_splat.io.scene_parts import scene_parts
 
 SMALLEST, LARGEST = 1e-4, 1e6
@@ -35,6 +37,69 @@ GROUND_SIDE, GROUND_TILE = 6.5, 1.65
 
 _SPLATS = ("gaussians", "splat_tile")
 """Plugins of this project, which show splats and not meshes."""
+
+
+USUAL = 0.5, 50.0
+"""Radii of objects for which the world's own units do."""
+FARTHEST = 10.0
+"""Largest coordinate of an object's middle, in radii, for which the world's own origin does: rays then start at most a
+thousandth of the radius away from the surface."""
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorkingFrame:
+    """From world units to those of the path tracer: unit * (point - origin).
+
+    Mitsuba computes in float32 and starts secondary rays about 1e-4 (1 + largest coordinate) away from a surface, and
+    the project's own limits (welding, visibility of points, the near clip) are in metres. A very small, large or
+    distant object is therefore captured in a frame scaled by a power of two, and written in the world's units.
+
+    Attributes:
+        unit: Working units in one world unit, a power of two.
+        origin: Point of the world that lies at the working origin.
+    """
+
+    unit: float = 1.0
+    origin: Point = (0.0, 0.0, 0.0)
+
+    @property
+    def is_world(self) -> bool:
+        """Whether this is the world's own frame."""
+        return self == WorkingFrame()
+
+    def asset(self, asset: Asset) -> Asset:
+        """An asset of the world in this frame."""
+        if self.is_world:
+            return asset
+        matrix = np.diag([self.unit] * 3 + [1.0])
+        matrix[:3, 3] = -self.unit * np.asarray(self.origin)
+        return asset.transformed(matrix)
+
+    def camera(self, camera: Camera) -> Camera:
+        """A camera of the world in this frame."""
+        if self.is_world:
+            return camera
+        pose = camera.to_world.clone()
+        pose[:3, 3] = self.unit * (pose[:3, 3] - torch.tensor(self.origin, dtype=pose.dtype))
+        return replace(camera, to_world=pose)
+
+    def in_world(self, cloud: PointCloud) -> PointCloud:
+        """Points of this frame in the world."""
+        if self.is_world:
+            return cloud
+        points = cloud.points.double() / self.unit + torch.tensor(self.origin, dtype=torch.float64)
+        return replace(cloud, points=points.float())
+
+
+def working_frame(centre: Point, radius: float) -> WorkingFrame:
+    """The frame for an object: the world's own where that is good enough."""
+    far = max(map(abs, centre)) > FARTHEST * radius
+    usual = USUAL[0] <= radius <= USUAL[1]
+    # A power of two changes no digit of a coordinate.
+    unit = 1.0 if usual else 2.0 ** (1 - math.floor(math.log2(radius)))
+    return WorkingFrame(unit=unit, origin=centre if far else (0.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -54,12 +119,12 @@ class CaptureSource:
     """
 
     scene: dict[str, Any] | Path
-    centre: tuple[float, float, float]
+    centre: Point
     radius: float
     assets: tuple[Asset, ...]
     digest: str
     frame: WorkingFrame = field(default_factory=WorkingFrame)
-    world_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    world_offset: Point = (0.0, 0.0, 0.0)
     warnings: tuple[str, ...] = ()
 
 
@@ -97,7 +162,7 @@ def _recipe(name: str) -> CaptureSource:
     return source_of(*recipe.assets(), recipe.light, centre=recipe.centre)
 
 
-def source_of(target: Asset, surroundings: Asset, light: Light, *, centre: tuple[float, float, float]) -> CaptureSource:
+def source_of(target: Asset, surroundings: Asset, light: Light, *, centre: Point) -> CaptureSource:
     """An object in its surroundings."""
     return CaptureSource(
         scene=scene_dict([target], light=light, backdrop=surroundings),
@@ -184,18 +249,18 @@ def _xml(path: Path) -> CaptureSource:
     return CaptureSource(scene=path, centre=centre, radius=radius, assets=(), digest=digest, warnings=warnings)
 
 
-def _extent(asset: Asset) -> tuple[tuple[float, float, float], float]:
+def _extent(asset: Asset) -> tuple[Point, float]:
     """Middle and radius of an asset's box."""
     return _middle(asset.bounds.astype(np.float64))
 
 
-def _middle(bounds: NDArray[np.float64]) -> tuple[tuple[float, float, float], float]:
+def _middle(bounds: NDArray[np.float64]) -> tuple[Point, float]:
     """Middle and half diagonal of a (2, 3) box."""
     x, y, z = (float(value) for value in bounds.mean(0))
     return (x, y, z), math.dist(*bounds.tolist()) / 2
 
 
-def _far_away(path: Path, centre: tuple[float, float, float], radius: float) -> tuple[str, ...]:
+def _far_away(path: Path, centre: Point, radius: float) -> tuple[str, ...]:
     """A warning if a Mitsuba scene lies so far from the origin that its pictures suffer."""
     away = max(map(abs, centre)) / radius
     if away <= FAR_XML:

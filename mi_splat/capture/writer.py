@@ -4,39 +4,46 @@ Picture i depends on the scene, its camera, the settings and seed + i alone, so 
 interruptions is what one run would have left. The files that list the pictures come last.
 """
 
+import hashlib
+import importlib.metadata
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-import torch
-from numpy.typing import NDArray
-from torch import Tensor
 
-from mi_splat.assets.mesh import Asset, Floats
-from mi_splat.cameras import Camera, View
-from mi_splat.capture.mesh_splats import DiscConfig, fit_colours
-from mi_splat.capture.passes import PASSES
-from mi_splat.capture.path_tracer import NEAR, PathTracer, check_camera, tracing_variant
-from mi_splat.capture.record import Inputs, capture_record, claim_folder
+from mi_splat import provenance
+from mi_splat.cameras import Camera
+from mi_splat.capture.path_tracer import NEAR, PASSES, PathTracer, check_camera, tracing_variant
 from mi_splat.capture.settings import CaptureSettings
-from mi_splat.capture.sources import CaptureSource
-from mi_splat.capture.surface_sampling import nearness, surface_samples
-from mi_splat.capture.working_frame import WorkingFrame
+from mi_splat.capture.sources import CaptureSource, WorkingFrame
+from mi_splat.capture.surface_points import surface_points
 from mi_splat.datasets.dataset import Dataset
 from mi_splat.datasets.frames import Frame
 from mi_splat.datasets.transforms import POINTS, WORLD_OFFSET
 from mi_splat.datasets.writing import IMAGES, list_colmap, list_transforms, make_folder, picture_name
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.documents import save_png
+from mi_splat.io.atomic import is_temporary, sweep_temporary
+from mi_splat.io.documents import save_json, save_png
+from mi_splat.io.fields import Fields
 from mi_splat.io.locks import locked_folder
+from mi_splat.io.parsing import DocumentReader
 from mi_splat.io.picture_files import PictureFileError, check_pixels, load_picture
-from mi_splat.io.points import PointCloud, load_points, save_points, to_bytes
-from mi_splat.sh import sh_to_colour
+from mi_splat.io.points import load_points, save_points, to_bytes
 
 _GREY = (0.5, 0.5, 0.5)
+
+RECORD = "capture.json"
+"""File in the folder of a capture that holds its settings."""
+PICTURES = 2
+"""Version of the code that makes pictures: raise it when it makes others of the same input."""
+
+_RECORD = DocumentReader(expected="the record of a capture", do="choose a new folder")
+
+Inputs = Mapping[str, Mapping[str, Any]]
+"""What the user asked for, as JSON can hold it: names and values under "scene" and under "cameras"."""
 
 OnStep = Callable[[int, int], None]
 """Called after each picture with the number on the disk and the number wanted."""
@@ -176,67 +183,87 @@ def _is_complete(path: Path, camera: Camera, alpha: bool) -> bool:
     return picture.size == (camera.width, camera.height) and picture.mode == ("RGBA" if alpha else "RGB")
 
 
-COLOUR_VIEWS = 24
-"""Pictures from which points take their colours."""
-OVERSAMPLING, MAX_OVERSAMPLING = 2, 12
-"""How many samples are laid for each point wanted at first, and at most: some of a surface is hidden."""
+def capture_record(
+    source: CaptureSource,
+    listing: Mapping[str, Sequence[tuple[str, Camera]]],
+    settings: CaptureSettings,
+    inputs: Inputs | None = None,
+) -> dict[str, Any]:
+    """Everything that the pictures depend on, as JSON can hold it."""
+    poses = hashlib.sha256()
+    for name, camera in (entry for part in listing.values() for entry in part):
+        numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.to_world.flatten().tolist()]
+        digits = " ".join(f"{value + 0.0:.9f}" for value in numbers)  # the last digits differ between machines
+        poses.update(f"{name} {camera.width} {camera.height} {digits}\n".encode())
+    return {
+        "version": provenance.versions().get("mi-splat", "unknown"),
+        "scene": source.digest,
+        "cameras": poses.hexdigest(),
+        **{split: len(part) for split, part in listing.items()},
+        "samples": settings.samples,
+        "seed": settings.seed,
+        "alpha": settings.rgba,
+        "points": settings.points,
+        "near": settings.near,
+        "pictures": PICTURES,
+        "mitsuba": importlib.metadata.version("mitsuba"),
+        "world_offset": list(source.world_offset),
+        "inputs": {kind: dict(values) for kind, values in (inputs or {}).items()},
+    }
 
 
-def surface_points(
-    tracer: PathTracer, assets: Sequence[Asset], views: Sequence[View], *, count: int = 20_000, seed: int = 0
-) -> PointCloud:
-    """At most `count` points that the pictures show, in the colours that they show.
-
-    Without assets, the points are where rays through the pictures' pixels meet the scene. Of one asset, they lie evenly
-    on it. Of more, half of them do so on the first, and the rest is spread over the others, denser near the cameras.
-    """
-    rows = np.linspace(0, len(views) - 1, min(COLOUR_VIEWS, len(views)))
-    chosen = [views[i] for i in sorted({round(row) for row in rows})]
-    hits = [tracer.surface(view.camera, seed=seed + number) for number, view in enumerate(chosen)]
-    if not any(bool((distance > 0).any()) for _, distance in hits):
-        raise InvalidValueError.of("cameras", "a view of the scene", "nothing but sky", "move or turn them")
-    if not assets:
-        points = torch.cat([met[distance > 0] for met, distance in hits])
-        colours = torch.cat([view.image[distance > 0] for view, (_, distance) in zip(chosen, hits, strict=True)])
-        return _rows_of(points, colours, np.random.default_rng([seed, 0x9C]).permutation(len(points))[:count])
-    depths, (first, *others) = [distance for _, distance in hits], assets
-    if not others:
-        return _visible_points(first, chosen, depths, count, seed=seed)
-    rest = Asset("rest", tuple(mesh for asset in others for mesh in asset.meshes))
-    near = nearness([view.camera for view in chosen])
-    halves = [
-        _visible_points(first, chosen, depths, count // 2, seed=seed),
-        _visible_points(rest, chosen, depths, count - count // 2, density=near, seed=seed),
-    ]
-    return PointCloud(*(torch.cat([getattr(half, name) for half in halves]) for name in ("points", "colours")))
+def claim_folder(folder: Path, wanted: dict[str, Any]) -> str:
+    """Write the record of a new capture, or check that the folder's record is the same."""
+    make_folder(folder)
+    for subfolder in (folder, folder / "images"):
+        sweep_temporary(subfolder)
+    file = folder / RECORD
+    if not file.exists():
+        others = sorted(path.name for path in folder.iterdir() if not is_temporary(path.name))
+        if others:
+            got, do = f"{others[0]} in it and no {RECORD}", "choose a new folder"
+            raise InvalidValueError.of(str(folder), "an empty folder or that of a capture", got, do)
+        save_json(wanted, file)
+        return str(wanted["version"])
+    stored = _RECORD.read_json(file)
+    inputs = Fields(stored, str(file), InvalidValueError, _RECORD.do).object("inputs", {})
+    for kind in inputs.values:
+        inputs.object(kind)
+    if changed := differences(stored, wanted):
+        do = "choose a new folder, or the same settings to go on"
+        raise InvalidValueError.of(str(file), "the settings of this capture", "; ".join(changed), do)
+    return str(stored.get("version", "unknown"))
 
 
-def _visible_points(
-    asset: Asset,
-    views: Sequence[View],
-    depths: Sequence[Tensor],
-    count: int,
-    *,
-    density: Callable[[Floats], Floats] | None = None,
-    seed: int,
-) -> PointCloud:
-    """At most `count` points on an asset that the pictures show."""
-    laid = OVERSAMPLING * max(count, 1)
-    while True:
-        samples = surface_samples(asset, laid, density=density, seed=seed)
-        sh, times_seen = fit_colours(samples, views, depths, DiscConfig(degree=0))
-        rows = np.flatnonzero(times_seen.numpy() > 0)
-        if len(rows) >= count or laid >= MAX_OVERSAMPLING * count:
-            break
-        laid = min(MAX_OVERSAMPLING * count, round(1.1 * laid * count / max(len(rows), 1)) + 1)
-    # Samples follow the surface, so leaving them out at equal steps keeps the rest even.
-    kept = np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(np.int64)
-    points = torch.from_numpy(samples.points)
-    # Colours of degree 0 are the same from everywhere.
-    return _rows_of(points, sh_to_colour(sh, torch.zeros_like(points)), rows[kept])
+def differences(stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
+    """What differs between the record of a folder and the one wanted, in words; empty if the pictures are the same."""
+    plain = ("train", "test", "samples", "seed", "alpha", "points", "near", "pictures", "mitsuba")
+    changed = [f"{key} {stored.get(key)!r}, now {wanted[key]!r}" for key in plain if stored.get(key) != wanted[key]]
+    same_scene = stored.get("scene") == wanted["scene"]
+    same_counts = (stored.get("train"), stored.get("test")) == (wanted["train"], wanted["test"])
+    for key, unnamed in (("scene", True), ("cameras", same_scene and same_counts)):
+        if stored.get(key) == wanted[key]:
+            continue
+        if asked := _asked(stored, wanted, key):
+            changed += asked
+        elif unnamed:
+            changed.append(_unknown(key, stored, wanted))
+    return changed
 
 
-def _rows_of(points: Tensor, colours: Tensor, rows: NDArray[np.int64]) -> PointCloud:
-    """The cloud of some rows of (P, 3) points and colours."""
-    index = torch.from_numpy(rows)
-    return PointCloud(points[index], colours[index].clamp(0, 1))
+def _asked(stored: Mapping[str, Any], wanted: Mapping[str, Any], key: str) -> list[str]:
+    """What was asked for otherwise, of the scene or of the cameras."""
+    before, now = (record.get("inputs", {}).get(key, {}) for record in (stored, wanted))
+    names = [name for name in {**now, **before} if name in before and before.get(name) != now.get(name)]
+    return [f"{name} {before.get(name)!r}, now {now.get(name)!r}" for name in names]
+
+
+def _unknown(key: str, stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
+    """The words for a difference in content alone."""
+    what = {"scene": "another scene", "cameras": "other cameras"}[key]
+    where = {"scene": "what its files hold", "cameras": "their poses or lenses"}[key]
+    versions = stored.get("version"), wanted["version"]
+    upgrade = (
+        f", or how version {versions[1]} reads them, where {versions[0]} began" if versions[0] != versions[1] else ""
+    )
+    return f"{what} ({where}{upgrade})"

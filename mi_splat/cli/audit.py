@@ -88,8 +88,8 @@ def run(options: AuditOptions) -> int:
 
     folders = _folders(options)
     for folder in folders.values():
-        check_new_folder(folder, force=options.force)
         check_no_input_in(folder, *options.files, options.against)
+        check_new_folder(folder, force=options.force)
     if options.sarif is not None:
         check_not_input(options.sarif, *options.files, options.against)
         check_new_file(options.sarif, ENDINGS, force=options.force)
@@ -226,7 +226,7 @@ def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str
 
 def _audited_pictures(path: Path, folder: Path | None, options: AuditOptions) -> dict[str, Any]:
     """Audit a set of pictures, and say what it found."""
-    from mi_splat.audit.picture_files import document_of_pictures, write_pictures
+    from mi_splat.audit.files import document_of_pictures, write_pictures
     from mi_splat.audit.pictures import STEPS, audit_pictures
     from mi_splat.datasets import load_dataset
 

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from mi_splat.bounds import bounds, culled_in_view, near_plane, nothing_in_view
-from mi_splat.camera_sets import FORMS, camera_set, framing
+from mi_splat.camera_forms import FORMS
+from mi_splat.camera_sets import camera_set, framing
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.cli.console import warn
 from mi_splat.cli.options import CameraOptions, axis_name

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from mi_splat import provenance
+from mi_splat.camera_forms import parse_form
 from mi_splat.capture.settings import CaptureSettings, MeshSettings, SurroundingsSettings
 from mi_splat.cli.console import progress, show_result, warn
 from mi_splat.cli.flags import Positional, Unprefixed
@@ -17,9 +18,8 @@ from mi_splat.fields import Called, Folder, Length, between
 
 if TYPE_CHECKING:
     from mi_splat.cameras import Camera
-    from mi_splat.capture.record import Inputs
     from mi_splat.capture.sources import CaptureSource
-    from mi_splat.capture.writer import WrittenCapture
+    from mi_splat.capture.writer import Inputs, WrittenCapture
 
 
 EXAMPLES = (
@@ -69,9 +69,15 @@ SIZE, FOV = (256, 256), 45.0
 """Size in pixels and field of view in degrees that are taken where none are given."""
 
 
+def check_inputs(options: CaptureOptions) -> None:
+    """Raise unless the cameras are a file, or a set that can be made."""
+    if not options.cameras.lower().endswith(".json"):
+        parse_form(options.cameras)
+
+
 def run(options: CaptureOptions) -> None:
     """Capture, or go on with a capture, and say what was written."""
-    from mi_splat.capture.record import RECORD
+    from mi_splat.capture.writer import RECORD
     from mi_splat.io.folders import own_folder
 
     with own_folder(options.out, RECORD):

@@ -8,7 +8,7 @@ from mi_splat.cli.console import follow, progress, show_result, warn
 from mi_splat.cli.flags import Positional, Unprefixed
 from mi_splat.cli.options import JsonOptions, check_no_input_in
 from mi_splat.fields import Folder
-from mi_splat.preparation.config import PrepareConfig
+from mi_splat.preparation.config import PreparationError, PrepareConfig
 
 EXAMPLES = (
     "prepare my_photos --out out/desk",
@@ -38,6 +38,13 @@ class PrepareOptions(JsonOptions):
     """Replace an older set in --out."""
     config: Unprefixed[PrepareConfig] = field(default_factory=PrepareConfig)
     """How large the pictures are, and how many."""
+
+
+def check_inputs(options: PrepareOptions) -> None:
+    """Raise unless the source exists."""
+    if not options.source.exists():
+        expected, do = "a folder of images, or a video", "check the path"
+        raise PreparationError.of(str(options.source), expected, "no such file", do)
 
 
 def run(options: PrepareOptions) -> None:

@@ -87,12 +87,31 @@ class Index:
 def _read(path: Path) -> list[list[Any]]:
     """Identity, kind, identities of those before, labels, code and key of every job of a plan."""
     lines: list[list[Any]] = _READER.read_json_value(path)
-    if not isinstance(lines, list) or not all(isinstance(line, list) and len(line) == 6 for line in lines):
+    if not isinstance(lines, list) or not all(map(_is_line, lines)):
         raise _READER.broken(str(path), "another document")
-    for *_, key in lines:
+    known = {line[0] for line in lines}
+    for _, _, before, _, _, key in lines:
         if key:
             checked_key(key)
+        if not known.issuperset(before):
+            raise _READER.broken(str(path), "a job that reads another, which is missing")
     return lines
+
+
+def _is_line(line: Any) -> bool:
+    if not (isinstance(line, list) and len(line) == 6):
+        return False
+    identity, kind, before, labels, code, key = line
+    texts = [identity, kind, code, key, *(text for part in (before, labels) if isinstance(part, list) for text in part)]
+    return isinstance(before, list) and isinstance(labels, list) and all(isinstance(text, str) for text in texts)
+
+
+def _code_of(kind: str) -> str:
+    """Digest of the code of a kind; empty if there is no such kind any more."""
+    try:
+        return code_digest(kind)
+    except ModuleNotFoundError:
+        return ""
 
 
 def _keys(plans: Iterable[Path]) -> dict[str, tuple[str, str]]:
@@ -149,7 +168,7 @@ def status(store: Store, name: str) -> list[Entry]:
     others = sorted(other for other in path.parent.glob("*.json") if other != path)
     known = _keys([*others, path])  # what another plan has done, this one knows
     coded = {identity: known.get(identity, ("", "")) for identity, *_ in lines}
-    keys = {name: coded[name][1] if code_digest(kind) == coded[name][0] else "" for name, kind, *_ in lines}
+    keys = {name: coded[name][1] if _code_of(kind) == coded[name][0] else "" for name, kind, *_ in lines}
     earlier = {identity: before for identity, _, before, *_ in lines}
 
     @functools.cache

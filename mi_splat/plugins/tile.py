@@ -30,6 +30,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
+import mitsuba as mi
 
 from mi_splat.bounds import near_plane
 from mi_splat.errors import InvalidValueError
@@ -129,7 +130,7 @@ def integrator_class(variant: str) -> Any:
                 raise InvalidValueError.of("develop", "True", develop, "take the picture that render() returns")
             sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
             with dr.suspend_grad():
-                shapes = GaussianShapes(scene)
+                shapes = _shapes(scene)
                 self._follow(scene, shapes)
                 cached = self._picture(shapes, sensor)
                 return _develop(cached.picture, cached.camera.size, alpha=self.alpha, linear=self.linear)
@@ -155,3 +156,12 @@ def integrator_class(variant: str) -> Any:
 
     _develop = develop
     return SplatTile
+
+
+def _shapes(scene: Any) -> GaussianShapes:
+    """The shapes of a scene; why it is refused is logged, too, as `mi.render` raises no more than "(see above)"."""
+    try:
+        return GaussianShapes(scene)
+    except InvalidValueError as error:
+        mi.Log(mi.LogLevel.Warn, str(error))
+        raise

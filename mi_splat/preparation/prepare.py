@@ -47,15 +47,13 @@ def prepare(
     on the sheet and in the record, and not in images/.
     """
     check_new_folder(out, force=force, record=RECORD)
-    if reconstruct is None:
-        check_colmap()
     is_video = not source.is_dir()
-    if not source.exists():
-        raise PreparationError.of(str(source), "a folder of pictures, or a video", "no such file", "check it")
     if is_video:
         check_video(source)
     else:
         pictures_in(source, config.max_pictures)
+    if reconstruct is None:
+        check_colmap()
     with new_folder(out, force=force, record=RECORD) as root:
         images = root / IMAGES
         images.mkdir()
@@ -98,7 +96,7 @@ def not_placed(record: Mapping[str, Any]) -> list[str]:
     reasons = [
         f"{row['source']} ({row['features']} features, overlaps with {row['overlaps']} pictures)" for row in unplaced
     ]
-    return reasons + [f"{name} (cannot be read)" for name in record["broken"]]
+    return reasons + [f"{name} ({reason})" for name, reason in record["broken"].items()]
 
 
 def _parts(root: Path) -> dict[str, Part]:

@@ -4,22 +4,18 @@ import ast
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from attacks import cli
-from mi_splat import example_scenes
 from mi_splat.assets import recipes
 from mi_splat.assets.recipes import RECIPES
 from mi_splat.cameras import project_box
-from mi_splat.errors import InvalidValueError
-from mi_splat.example_scenes import SIZE, belongs, make, nearest, random_cameras, scene_xml, sensors
 from mi_splat.io import load_splat
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.scene_files import read_scene
+from scenes.recipes.example_scenes import SIZE, belongs, make, random_cameras, scene_xml, sensors
 
 SCENES = Path(__file__).parents[2] / "scenes"
 
@@ -87,38 +83,6 @@ def test_asset_seeds_are_kept_out_of_training() -> None:
     assert all(isinstance(number, int) and number >= 900_000 for number in numbers)
 
 
-def test_unknown_recipe(tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError, match="name: expected one of"):
-        make("moon", tmp_path)
-    for given in ({"steps": 0}, {"views": 0}, {"samples": 0}):
-        with pytest.raises(InvalidValueError):
-            make("stop_sign", tmp_path, **given)  # type: ignore[arg-type]
-    assert not list(tmp_path.iterdir())
-
-
-def test_the_command_hands_its_options_on_and_prints_the_record(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    record = {"seconds": 3, "psnr_fitted": 31.5, "psnr_held_out": 29.25}
-    calls: list[dict[str, Any]] = []
-
-    def fake(name: str, folder: Path, **given: Any) -> dict[str, object]:
-        given.pop("on_step")("pictures", 1, 2)
-        calls.append({"name": name, "folder": folder, **given})
-        return dict(record)
-
-    monkeypatch.setattr("mi_splat.example_scenes.make", fake)
-    words = ["example-scenes", "stop_sign", "--out", str(tmp_path), "--views", "5", "--samples", "2", "--steps", "7"]
-    assert cli.main([*words, "--seed", "3", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == record
-    assert cli.main(["example-scenes", "car_street"]) == 0
-    assert "31.5 dB on the pictures fitted to, 29.25 dB on others" in capsys.readouterr().out
-    assert calls == [
-        {"name": "stop_sign", "folder": tmp_path, "views": 5, "samples": 2, "steps": 7, "seed": 3},
-        {"name": "car_street", "folder": Path("scenes"), "views": None, "samples": 16, "steps": None, "seed": 0},
-    ]
-
-
 def _needles(means: list[list[float]], length: float = 0.01, *, upright: bool = False) -> GaussianScene:
     count = len(means)
     half = math.sqrt(0.5)
@@ -141,10 +105,8 @@ def test_what_reaches_over_belongs_to_the_surroundings() -> None:
     assert belongs(short, plate, post).tolist() == [True]
 
 
-def test_nearest_is_the_same_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    generator = torch.Generator().manual_seed(1)
-    points, others = torch.rand(50, 3, generator=generator), torch.rand(20, 3, generator=generator)
-    whole = nearest(points, others)
-    assert torch.equal(whole, torch.cdist(points.double(), others.double()).argmin(1))
-    monkeypatch.setattr(example_scenes, "_BLOCK", 60)
-    assert torch.equal(nearest(points, others), whole)
+@pytest.mark.slow
+def test_the_recipe_makes_a_scene(tmp_path: Path) -> None:
+    record = make("stop_sign", tmp_path, views=2, samples=1, steps=1)
+    assert {path.suffix for path in tmp_path.iterdir()} == {".ply", ".xml", ".json"}
+    assert json.loads((tmp_path / "stop_sign.json").read_text()) == record

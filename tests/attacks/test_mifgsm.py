@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.classifiers.looking import classified
+from attacks.classifiers.frozen import classified
 from attacks.poisons.base import PicturePoison
 from attacks.poisons.config import FilterConfig, MIFGSMConfig
 from attacks.poisons.decoy import Decoy

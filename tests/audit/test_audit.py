@@ -15,13 +15,11 @@ from torch import Tensor
 from attacks import cli
 from mi_splat.audit import Audit, Occluder, audit
 from mi_splat.audit import surfaces as seen_surfaces
-from mi_splat.audit.agreement import Profiles
-from mi_splat.audit.evidence import cover_heat, split_of
+from mi_splat.audit.evidence import cover_heat, cover_of, split_of
+from mi_splat.audit.explanations import Profiles, shape_of
 from mi_splat.audit.frames import Target, frame_of, targets
 from mi_splat.audit.lint import cost
-from mi_splat.audit.occluders import cover_of
-from mi_splat.audit.regions import shape_of
-from mi_splat.audit.summary import headline
+from mi_splat.audit.results import headline
 from mi_splat.audit.surfaces import Sight, cameras_around, lattice
 from mi_splat.cameras import Camera, look_at
 from mi_splat.errors import InvalidValueError

@@ -20,9 +20,8 @@ from mi_splat import load_splat, save_splat
 from mi_splat.audit.lint import cost
 from mi_splat.audit.lint.checking import Lint, binned_quantile, fill_ratio, lint_file, lint_scene
 from mi_splat.audit.lint.cost import overdraw_picture, worst_overdraw
-from mi_splat.audit.lint.findings import SHOWN
 from mi_splat.audit.lint.gltf import validate
-from mi_splat.audit.lint.rules import RULES, Rule, Stored
+from mi_splat.audit.lint.rules import RULES, SHOWN, Rule, Stored
 from mi_splat.cameras import Camera, look_at
 from mi_splat.io import SplatFileError
 from mi_splat.io.fields import Fields

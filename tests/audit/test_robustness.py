@@ -8,8 +8,8 @@ import torch
 from mi_splat.audit import auditing, frames, rooms
 from mi_splat.audit.auditing import audit, looked_at
 from mi_splat.audit.frames import frame_of, targets, whole
+from mi_splat.audit.results import summary
 from mi_splat.audit.rooms import free_positions
-from mi_splat.audit.summary import summary
 from mi_splat.audit.surfaces import cameras_around, in_sight
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene import merge

@@ -14,13 +14,15 @@ from mi_splat.assets.primitives import box, ellipsoid, quad, sheet
 from mi_splat.cameras import Camera, look_at, orbit_pose, project_points
 from mi_splat.capture import path_tracer
 from mi_splat.capture.mitsuba_meshes import FEW_PICTURES, MANY_PICTURES, tracing_variant
-from mi_splat.capture.passes import PASSES, pass_samples, sampler_type
 from mi_splat.capture.path_tracer import (
+    PASSES,
     Light,
     PathTracer,
     capture,
     corner_normals,
     depth_maps,
+    pass_samples,
+    sampler_type,
     scene_dict,
     to_linear,
     to_srgb,

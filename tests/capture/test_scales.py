@@ -13,8 +13,7 @@ from torch import Tensor
 from attacks import cli
 from mi_splat.cameras import Camera
 from mi_splat.capture.mesh_files import load_mesh
-from mi_splat.capture.sources import open_source
-from mi_splat.capture.working_frame import WorkingFrame, working_frame
+from mi_splat.capture.sources import WorkingFrame, open_source, working_frame
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import MiSplatError
 from mi_splat.metrics import psnr

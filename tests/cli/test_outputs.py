@@ -36,7 +36,6 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     ),
     "compare": (["compare", "a.ply"], "{}", ("mi_splat.comparison.compare.compare",)),
     "select": (["select", "a.ply", "--cluster", "1"], "{}/a.npy", ("mi_splat.cli.cameras.choose",)),
-    "example-scenes": (["example-scenes", "stop_sign"], "{}", ("mi_splat.example_scenes.make",)),
     "dagger": (["dagger", "a.ply", "--cluster", "1"], "{}", ("attacks.dagger.attack.attack",)),
     "study": (["study", "run", "attacks.toml"], "{}", ("attacks.studies.dagger.DaggerWork",)),
     "dagger --sanity": (["dagger", "--sanity", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger_sanity._case",)),
@@ -49,8 +48,6 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     "cloak": (["cloak", "study.toml"], "{}", ("attacks.cloak.study.run_study",)),
     "detect": (["detect", "a.ply"], "{}", ("attacks.cli.names.load_detectors",)),
     "evaluate": (["evaluate", "a.ply", "b.ply"], "{}", ("attacks.cli.names.load_detectors",)),
-    "train-detector": (["train-detector"], "{}", ("attacks.detectors.training.dataset.made",)),
-    "evaluate-detector": (["evaluate-detector"], "{}", ("attacks.detectors.training.dataset.made",)),
 }
 """Words of each command that writes, what its --out is in a folder, and what must not be reached."""
 STUDY = 'name = "s"\n[[attack]]\nname = "above"\nelevation = [40, 90]\n'
@@ -122,8 +119,6 @@ def test_a_read_only_folder_is_seen_before_any_work(
 def test_a_folder_of_something_else_is_refused(
     name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if name == "example-scenes":
-        pytest.skip("it adds files of its own name to a folder, and says so in its help")
     words, _, work = COMMANDS[name]
     (folder / "album").mkdir()
     (folder / "album" / "wedding.jpg").write_text("dear")
@@ -138,8 +133,6 @@ def test_a_folder_of_something_else_is_refused(
 def test_a_folder_that_another_process_works_in_is_refused(
     name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if name == "example-scenes":
-        pytest.skip("it goes on with nothing")
     words, _, work = COMMANDS[name]
     forbid(work, monkeypatch)
     with taken(folder / "out"):

@@ -31,7 +31,7 @@ from mi_splat.assets.primitives import sheet
 from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import View
 from mi_splat.capture.path_tracer import tracing_variant
-from mi_splat.capture.surface_sampling import surface_samples
+from mi_splat.capture.surface_points import surface_samples
 from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError

@@ -8,14 +8,12 @@ from pathlib import Path
 import pytest
 
 from attacks.detectors import DETECTORS, load_detector
-from attacks.detectors.training.config import BACKGROUNDS, EMPTY
-from attacks.report.stories.detectors.held_out import compared
-from tests.detectors.made import evaluated
+from scenes.recipes.detector_pictures import BACKGROUNDS, EMPTY
 
 ROOT = Path(__file__).resolve().parents[2]
 WRITER = runpy.run_path(str(ROOT / "docs" / "figures" / "detector_figures.py"))
 """The program that writes the tables."""
-read_figures, card_of = WRITER["read_figures"], WRITER["card_of"]
+read_figures, card_of, compared = WRITER["read_figures"], WRITER["card_of"], WRITER["compared"]
 CARDS: dict[str, tuple[Path, Path]] = WRITER["CARDS"]
 
 
@@ -56,13 +54,14 @@ def test_new_figures_find_their_place(tmp_path: Path, monkeypatch: pytest.Monkey
     namespace = WRITER["put_away"].__globals__
     monkeypatch.setitem(namespace, "CARDS", {"fasterrcnn_small": (card, card)})
     monkeypatch.setitem(namespace, "TABLES", tmp_path / "tables")
-    record, _ = evaluated("fasterrcnn_small", "other")
+    sets: dict[str, object] = {"path traced": {"pictures": 3}}
+    record = {"detectors": {name: {"sets": sets} for name in ("fasterrcnn_small", "other")}}
     for confidence in (0.5, 0.3):
         made: dict[str, object] = {"pictures": {}, "versions": {}, "commit": None}
         (tmp_path / "result.json").write_text(json.dumps({**record, **made, "confidence": confidence}))
         WRITER["put_away"](tmp_path / "result.json")
     kept = json.loads(card.read_text())
     assert kept["history"] == [1]
-    assert kept["held_out"]["sets"] == record["detectors"]["fasterrcnn_small"]["sets"]
+    assert kept["held_out"]["sets"] == sets
     names = ["fasterrcnn_small_30.json", "other.json", "other_30.json"]
     assert sorted(path.name for path in (tmp_path / "tables").iterdir()) == names

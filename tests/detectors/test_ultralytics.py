@@ -14,19 +14,15 @@ from torch import Tensor, nn
 from attacks.detectors import DetectorError, load_detector
 from attacks.detectors.base import Detector
 from attacks.detectors.catalogue import COCO_CLASSES, SMALL_CLASSES
-from attacks.detectors.training.config import TrainConfig
-from attacks.detectors.training.loop import Training
 from tests.detectors.contract import (
     each_picture_has_its_own_gradient,
     holds_the_protocol,
     pictures,
     slope_is_the_gradient,
 )
-from tests.detectors.made import drawn
 
 try:
     from attacks.detectors import ultralytics
-    from attacks.detectors.training.yolo import YOLOTrainer, mosaic, with_mosaics
 except DetectorError as error:  # ultralytics is not installed, or not usable without some system library
     pytest.skip(str(error), allow_module_level=True)
 
@@ -224,45 +220,3 @@ def test_other_libraries_stay_as_they_are(tmp_path: Path) -> None:
     (tmp_path / "broken.png").write_bytes(b"no picture")
     with pytest.raises(UnidentifiedImageError):
         Image.open(tmp_path / "broken.png")
-
-
-# Training
-
-
-@pytest.mark.slow
-def test_training_lowers_the_loss_and_goes_on_to_the_bit(tmp_path: Path) -> None:
-    config = TrainConfig(
-        epochs=5, batch=4, learning_rate=2e-3, low_resolution=96, low_resolution_fraction=1.0, seed=3, warm_up=0.01
-    )
-    samples = [drawn((20, 24, 76, 72), label=1 + i % 2) for i in range(8)]
-    straight = Training(config, YOLOTrainer())
-    losses = [sum(straight.run_epoch(samples).values()) for _ in range(3)]
-    straight.save(tmp_path)
-    losses.append(sum(straight.run_epoch(samples).values()))
-    assert losses[-1] < 0.8 * losses[0]
-    resumed = Training.resume(tmp_path, config, YOLOTrainer())
-    resumed.run_epoch(samples)
-    for name, value in straight.model.state_dict().items():
-        assert torch.equal(value, resumed.model.state_dict()[name]), name
-
-
-def test_a_mosaic_holds_four_pictures_at_half_size() -> None:
-    colours = torch.tensor([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
-    pictures = [colour[:, None, None].expand(3, 32, 48) for colour in colours]
-    targets = [{"boxes": torch.tensor([[4.0, 2, 40, 30]]), "labels": torch.tensor([i + 1])} for i in range(4)]
-    whole, target = mosaic(pictures, targets)
-    for index, colour in enumerate(colours):
-        part = whole[:, 16 * (index // 2) : 16 * (index // 2) + 16, 24 * (index % 2) : 24 * (index % 2) + 24]
-        assert torch.allclose(part, colour[:, None, None].expand_as(part))
-    assert target["labels"].tolist() == [1, 2, 3, 4]
-    assert target["boxes"][3].tolist() == [26, 17, 44, 31]
-
-
-def test_a_fraction_of_a_batch_becomes_mosaics() -> None:
-    pictures = [torch.full((3, 16, 16), i / 4) for i in range(4)]
-    targets = [{"boxes": torch.zeros(0, 4), "labels": torch.zeros(0, dtype=torch.int64)} for _ in range(4)]
-    made, labels = with_mosaics(pictures, targets, 0.5, torch.Generator().manual_seed(0))
-    assert len(made) == len(labels) == 4
-    assert all(torch.equal(made[i], pictures[i]) for i in (2, 3))
-    same, _ = with_mosaics(pictures, targets, 0.0, torch.Generator().manual_seed(0))
-    assert all(torch.equal(a, b) for a, b in zip(same, pictures, strict=True))

@@ -19,11 +19,6 @@ from safetensors.torch import save_file
 from attacks.cloak.config import read_study
 from attacks.dagger import checkpoint as eot_checkpoint
 from attacks.dagger.image_budget import ImagePrice
-from attacks.detectors.catalogue import CARD, GRAPH, WEIGHTS
-from attacks.detectors.graphs import packages
-from attacks.detectors.graphs.files import load_graph_model, read_graph_model, topology
-from attacks.detectors.graphs.network import GraphNetwork
-from attacks.detectors.training.loop import Training
 from attacks.detectors.weights import apply_weights, read_weights
 from attacks.observe.rows import frame_of, packed, read_rows, rows_bytes
 from attacks.report.checking import check_result, read_result
@@ -31,12 +26,11 @@ from attacks.report.results import STORIES, read_section, story_of
 from attacks.search import START, SearchState, Step
 from attacks.studies import study_file
 from mi_splat.capture.gltf import gltf_notes
-from mi_splat.capture.record import claim_folder
+from mi_splat.capture.writer import claim_folder
 from mi_splat.datasets.pictures import read_mask, read_picture
 from mi_splat.datasets.transforms import read_cameras, read_world_offset
 from mi_splat.errors import MiSplatError
 from mi_splat.io.camera_records import describe, recorded_cameras
-from mi_splat.io.documents import save_json
 from mi_splat.io.points import load_points
 from mi_splat.io.splat_files import load_splat, save_splat
 from mi_splat.scene_files import open_scene
@@ -44,12 +38,9 @@ from mi_splat.selection.masks import load_mask, save_mask
 from mi_splat.training.checkpoints import load_state, save_state
 from mi_splat.training.loop import Progress, TrainState
 from mi_splat.training.strategies import FixedConfig
-from tests.detectors.graphs.graphs import files, ints, node, placeholder, string
-from tests.detectors.graphs.packages import TOPOLOGY, toy
-from tests.detectors.graphs.packages import WEIGHTS as TOY_WEIGHTS
-from tests.detectors.test_training import PLAIN, Noting
 from tests.fakes import camera
 from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SCENE_NAMES, SOG, Document
+from tests.fuzz.folders import clean, links, plan_with_keys, write_among_links
 from tests.io.format_files import tame_scene, valid
 from tests.io.test_picture_files import many_scans
 from tests.report.results import MAKERS
@@ -114,48 +105,6 @@ _CAPTURE |= {"alpha": True, "points": 0, "near": None, "pictures": 1, "mitsuba":
 _CAPTURE |= {"inputs": {"scene": {"object": "car"}, "cameras": {"count": 3}}}
 
 
-def _card(folder: Path) -> Path:
-    save_file({"half": torch.zeros(1, 2), "axes": torch.zeros(2, dtype=torch.int32)}, folder / WEIGHTS)
-    (folder / GRAPH).write_bytes(topology(TOPOLOGY))
-    save_json(packages.card_of(toy("toy"), folder, "here"), folder / CARD)
-    return folder / CARD
-
-
-def _graph_files() -> tuple[bytes, bytes]:
-    nodes = [
-        placeholder("x", (1, 6, 6, 2)),
-        node("y", "_FusedConv2D", ["x", "k", "b"], strides=ints(1, 2, 2, 1), padding=string("SAME"), fused_ops=_FUSED),
-        node("p", "Pad", ["y", "amounts"]),
-        node("r", "Reshape", ["p", "shape"]),
-        node("t", "Transpose", ["r", "order"]),
-        node("s", "StridedSlice", ["t", "from", "to", "by"], begin_mask={"i": "1"}, shrink_axis_mask={"i": "2"}),
-        node("u", "ResizeBilinear", ["x", "side"], half_pixel_centers={"b": True}),
-        node("m", "Mean", ["u", "axes"], keep_dims={"b": False}),
-        node("z", "AddV2", ["s", "m"]),
-    ]
-    whole = {"amounts": [[0, 0], [1, 0], [1, 0], [0, 0]], "shape": [4, 4, 2], "order": [2, 0, 1], "side": [4, 4]}
-    whole |= {"from": [0, 1, 0], "to": [2, 2, 2], "by": [1, 1, 2], "axes": [0, 1, 2]}
-    constants: dict[str, Any] = {name: np.array(value, np.int32) for name, value in whole.items()}
-    constants |= {"k": np.ones((3, 3, 2, 2), np.float32), "b": np.zeros(2, np.float32)}
-    return files(nodes, constants, ["z"])
-
-
-_FUSED = {"list": {"s": ["Qmlhc0FkZA==", "UmVsdTY="]}}
-
-
-def _graph(folder: Path) -> Path:
-    model, weights = _graph_files()
-    save_file(dict(read_graph_model(model, weights).constants), folder / WEIGHTS)
-    (folder / GRAPH).write_bytes(topology(model))
-    return folder / GRAPH
-
-
-def _run_graph(path: Path) -> None:
-    network = GraphNetwork(load_graph_model(path.with_name(GRAPH), path.with_name(WEIGHTS)))
-    with torch.no_grad():
-        network(*(torch.zeros(shape) for shape in network.inputs.values()))
-
-
 def _weights(name: str, folder: Path) -> Path:
     state = torch.nn.Linear(3, 2).state_dict()
     (save_file if name.endswith(".safetensors") else torch.save)(state, folder / name)
@@ -183,17 +132,6 @@ def _search(folder: Path) -> Path:
     kept = eot_checkpoint.KeptSearch(search=search, price=price, seconds=1.0)
     eot_checkpoint.save_state(kept, folder / "s.checkpoint", key="key")
     return folder / "s.checkpoint"
-
-
-def _detector_training(folder: Path) -> Path:
-    training = Training(PLAIN, Noting())
-    training.history = [{"epoch": 0, "named": 0.5}]
-    training.save(folder)
-    return folder / "checkpoint.safetensors"
-
-
-def _resume(path: Path) -> None:
-    Training.resume(path.parent, PLAIN, Noting())
 
 
 def _result(name: str) -> Kind:
@@ -273,25 +211,11 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     capture = _written("capture.json", lambda: _CAPTURE)
     claim = Kind(make=capture, read=lambda path: claim_folder(path.parent, dict(_CAPTURE)), document=PLAIN_JSON)
     yield "record of a capture", claim
-    check = partial(packages.check_files, toy("toy"))
-    yield "detector card", Kind(make=_card, read=lambda path: check(path.parent), document=PLAIN_JSON)
-    yield "graph", Kind(make=_graph, read=_run_graph, document=PLAIN_JSON)
-    yield (
-        "constants",
-        Kind(make=lambda folder: _graph(folder).with_name(WEIGHTS), read=_run_graph, document=SAFETENSORS),
-    )
-    convert = Kind(
-        make=_written("model.json", lambda: TOPOLOGY),
-        read=lambda path: read_graph_model(path.read_bytes(), TOY_WEIGHTS),
-        document=PLAIN_JSON,
-    )
-    yield "model", convert
     for name in ("w.safetensors", "w.pth"):
         document = SAFETENSORS if name.endswith("tensors") else None
         yield f"weights {name}", Kind(make=partial(_weights, name), read=_apply, document=document)
     yield "training", Kind(make=_training, read=load_state, document=CHECKPOINT)
     yield "search", Kind(make=_search, read=partial(eot_checkpoint.load_state, key="key"), document=CHECKPOINT)
-    yield "training of a detector", Kind(make=_detector_training, read=_resume, document=CHECKPOINT)
     for name in MAKERS:
         yield f"result {name}", _result(name)
     yield "result.json of an artifact", _artifact("result.json")
@@ -306,6 +230,8 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     yield "mask", Kind(make=_mask, read=lambda path: load_mask(path, tame_scene(20, 1)))
     yield from ((f"picture {name}", Kind(make=partial(_picture, name), read=_see)) for name in ("p.png", "p.jpg"))
     yield "picture of JPEG scans", Kind(make=_scans, read=_see)
+    yield "keys", Kind(make=plan_with_keys, read=clean, document=PLAIN_JSON)
+    yield "links", Kind(make=links, read=write_among_links, document=PLAIN_JSON)
     parts = (".xml", ".json", "_roadside.ply", "_stop_sign.ply")
     yield "scene XML", Kind(make=_copied(*(f"scenes/stop_sign{part}" for part in parts)), read=open_scene)
     yield "names in a scene XML", Kind(make=_beside_code_and_pipe, read=_open_without_code, document=SCENE_NAMES)

@@ -79,7 +79,10 @@ def test_what_is_placed_is_a_set_and_the_rest_is_listed(tmp_path: Path) -> None:
 
     assert record == json.loads((out / "prepare.json").read_text())
     assert [row["points"] for row in record["pictures"]] == [40] * 9 + [0]
-    assert not_placed(record) == ["IMG 9.png (7 features, overlaps with 0 pictures)", "IMG 4.png (cannot be read)"]
+    assert not_placed(record) == [
+        "IMG 9.png (7 features, overlaps with 0 pictures)",
+        f"IMG 4.png ({record['broken']['IMG 4.png']})",
+    ]
     names = {path.name for path in (out / "images").iterdir()}
     assert names == {row["name"] for row in record["pictures"] if row["part"] != "none"}
     assert not list(tmp_path.glob(".*"))
@@ -91,6 +94,11 @@ def test_what_is_placed_is_a_set_and_the_rest_is_listed(tmp_path: Path) -> None:
     assert right - left == TILE[0] - 1  # one picture, the last
     inside = sheet[-TILE[1] : -40, left + 8 : right - 8]
     assert np.ptp(inside, axis=-1).max() == 0  # and it is grey
+
+
+def test_the_input_is_looked_at_before_pycolmap_is_asked_for(tmp_path: Path) -> None:
+    with pytest.raises(PreparationError, match="at least 3 pictures"):
+        prepare(photographs(tmp_path / "photos", 2), tmp_path / "set", PrepareConfig(), told=silent)
 
 
 def test_photographs_are_turned_shrunk_and_named_safely(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ FAST = {
 }
 """Commands that are run by `make commands`, for every change."""
 NIGHTLY = {
-    *("cloak", "doctor", "evaluate-detector", "view", "python"),
+    *("cloak", "doctor", "view", "python"),
     "dagger --sanity",
     *("study run pairs", "study run eot_pairs", "study run cloak"),
 }
@@ -190,7 +190,6 @@ TINY: dict[str, dict[str, Change]] = {
     "evaluate": {"--cameras": fewer_cameras(2), "--size": to("64"), "--pictures": to("1")},
     "view": {"--views": to("2", "1"), "--no-open": to()},
     "dagger --sanity": {"--seeds": to("1"), "--steps": to("11"), "--surrogate": to("none")},
-    "evaluate-detector": {"--pictures": to("2"), "--splats": to("0"), "--backgrounds.scenes": to("1")},
 }
 """Name of a command to what is changed in it, so that it takes seconds; what counts is that it runs."""
 

@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import tomllib
 
 from attacks.cli import COMMANDS, command_of, parse
 from attacks.cli.doctor import REGISTRIES
 from tests.browser import CHROMIUM
 from tests.project.documented_commands import BENCHMARKS, FAST, NIGHTLY, ROOT, Line, blocks, lines, pages
-from tests.project.test_extras import PROJECT
+from tests.project.test_extras import PROJECT, tomllib
 from tests.warm import Warm
 
 LINES = list(lines())
@@ -88,7 +87,7 @@ def test_the_reference_names_the_modules_that_there_are() -> None:
     assert len(named) == len(set(named))
     full = {**modules("mi_splat"), **modules("attacks")}
     assert not set(named) - set(full)
-    insides = r"attacks\.(cli\b.*|__main__)|mi_splat\.(_lazy|assets|example_scenes|mitsuba_setup|view_freezing|\w+\..*)"
+    insides = r"attacks\.(cli\b.*|__main__)|mi_splat\.(_lazy|assets|mitsuba_setup|view_freezing|\w+\..*)"
     unnamed = [name for name, holds in full.items() if holds and not re.fullmatch(insides, name)]
     assert not set(unnamed) - set(named)
 

@@ -72,6 +72,12 @@ elevation = [60, 90]
 """
 
 
+def test_notice_names_extras_that_exist() -> None:
+    named = set(re.findall(r'extra "(\w+)"', (ROOT / "NOTICE").read_text("utf-8")))
+    assert named
+    assert named <= set(PROJECT["optional-dependencies"])
+
+
 @pytest.mark.parametrize(
     ("extra", "words"),
     [

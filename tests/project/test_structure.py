@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hatchling.builders.sdist import SdistBuilder
 
 from tests.project.layers import DIAGRAM, LAYERS, PACKAGES, ROOT, circle, diagram, edges, layer_of, modules
 from tests.warm import Warm
@@ -237,6 +238,12 @@ def test_wheel_holds_the_weights_and_their_card(wheel: Path) -> None:
     sizes = {info.filename: info.file_size for info in zipfile.ZipFile(wheel).infolist()}
     assert 0 < sizes["attacks/detectors/fasterrcnn_small.safetensors"] <= 12_000_000
     assert any(name.startswith("attacks/detectors/") and name.endswith(".md") for name in sizes)
+
+
+def test_sdist_holds_no_weights_under_another_licence() -> None:
+    names = [file.relative_path for file in SdistBuilder(str(ROOT)).recurse_included_files()]
+    assert any(name.startswith("scenes/") for name in names)
+    assert not [name for name in names if name.startswith("scenes/detectors/")]
 
 
 def test_wheel_works_outside_a_checkout(wheel: Path, tmp_path: Path) -> None:

@@ -249,11 +249,13 @@ def test_bad_integrators_say_why(properties: str) -> None:
         mi.load_string(scene_xml("", properties))
 
 
-def test_meshes_beside_splats_are_refused() -> None:
+def test_meshes_beside_splats_are_refused_and_the_log_says_why(capfd: pytest.CaptureFixture[str]) -> None:
     loaded = mi.load_string(scene_xml('<shape type="sphere" id="ball"/>'))
     with pytest.raises((RuntimeError, InvalidValueError)) as caught:
         mi.render(loaded)
     assert "gaussians shapes only" in str(caught.value) + str(caught.value.__cause__)
+    log = capfd.readouterr()
+    assert 'use the integrator "splat_ray"' in log.out + log.err
 
 
 def test_other_sensors_are_refused() -> None:

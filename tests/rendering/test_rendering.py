@@ -1,6 +1,7 @@
 """Renderer as a torch function: batches, bad input, sizes, and memory."""
 
 import math
+import re
 import resource
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import torch
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError
-from mi_splat.io import SplatFileError, save_splat
+from mi_splat.io import SplatFileError, SplatFileWarning, save_splat
 from mi_splat.rendering import Method, Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import ATTRIBUTES, GaussianScene, merge
 from mi_splat.scene_files import read_scene
@@ -164,6 +165,14 @@ def test_a_scene_is_its_file(tmp_path: Path) -> None:
     reference, _ = oracle.render(loaded.scene, loaded.cameras["front"], background=(0.1, 0.2, 0.3), near=0.5)
     picture = Renderer(loaded.settings)(loaded.scene, loaded.cameras["front"])
     torch.testing.assert_close(picture.double(), torch.from_numpy(reference), atol=1e-4, rtol=0)
+
+
+def test_the_integrator_path_is_warned_of(tmp_path: Path) -> None:
+    for name in ("a.ply", "b.ply"):
+        save_splat(oracle.random_scene(3, degree=0, seed=1), tmp_path / name)
+    (tmp_path / "scene.xml").write_text(re.sub(r"(?s)<integrator.*</integrator>", '<integrator type="path"/>', SCENE))
+    with pytest.warns(SplatFileWarning, match=r"expected the integrator splat_tile or splat_ray, got PathIntegrator"):
+        read_scene(tmp_path / "scene.xml")
 
 
 def test_cameras_beyond_what_float32_bears_are_named(tmp_path: Path) -> None:

@@ -34,7 +34,6 @@ from tests.audit.accounts import account, look
 from tests.cloak.test_own_pictures import BALL, write_set
 from tests.dagger import test_sanity
 from tests.dagger.toy import quick
-from tests.detectors.made import evaluated
 from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
 from tests.project.documented_commands import ROOT
 
@@ -116,15 +115,6 @@ def write_sanity(folder: Path) -> Path:
     ]
     more = {"selection": {"object": "thing"}, "cameras": [describe("front", camera())]}
     write_findings(findings, Runs(test_sanity.case()), folder, scene="toy.xml", near=0.3, background=[0, 0, 1], **more)
-    return folder
-
-
-def write_detector(folder: Path, *names: str) -> Path:
-    """What `mi-splat evaluate-detector` leaves behind, by the library's own code on made-up detections."""
-    folder.mkdir(parents=True)
-    record, looked = evaluated(*names)
-    save_json({**record, "data": "out/data", **provenance.origin()}, folder / "result.json")
-    looked.write(folder)
     return folder
 
 
@@ -274,7 +264,6 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "evaluate": write_evaluation,
     "compare": write_comparison,
     "detect": write_detections,
-    "evaluate-detector": write_detector,
     "train": write_training,
     "poison": write_poisoned,
 }

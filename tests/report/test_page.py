@@ -2,6 +2,7 @@
 
 import json
 import re
+import unicodedata
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
@@ -132,6 +133,14 @@ def test_nothing_is_asked_for_and_there_is_no_script(evil: bool, text: str) -> N
     assert not re.search(r"url\((?!#)|@import", (text if not evil else "").partition("</style>")[0])
 
 
+def test_what_a_terminal_would_obey_is_written_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    hostile = "\x1b[31mred\x07\u202edesrever\u2028\x9b"
+    monkeypatch.setitem(evil_section.__globals__, "EVIL", hostile)
+    text = page_text([evil_section(), evil_section()], title=hostile)
+    assert text.count(r"\x1b[31mred\x07\u202edesrever\u2028\x9b") >= 30
+    assert not {sign for sign in text if unicodedata.category(sign) in ("Cc", "Cf", "Cs", "Zl", "Zp")} - {"\n", "\t"}
+
+
 def test_what_a_result_says_is_shown_as_it_is() -> None:
     page = Reader(page_text([evil_section()], title=EVIL))
     assert page.words.count(EVIL) >= 15
@@ -240,7 +249,7 @@ def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["judged", "--out", "old.html"], "--force"),
         (["judged", "--out", "none/page.html"], "make the folder first"),
         (["nothing", "--out", "page.html"], "check the path"),
-        (["judged", "empty", "--out", "page.html"], "empty: expected a folder that one of mi-splat dagger,"),
+        (["judged", "empty", "--out", "page.html"], "empty: expected a folder that a command of mi-splat has written"),
         (["judged/result.json", "--out", "page.html"], "pass judged"),
     ],
 )

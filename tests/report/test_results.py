@@ -27,7 +27,6 @@ from tests.report.results import (
     rate,
     write_cloak,
     write_dagger,
-    write_detector,
 )
 
 
@@ -224,33 +223,13 @@ def test_what_detectors_report(folders: dict[str, Path]) -> None:
     assert [row[0] for row in each.rows] == [f"a.ply from orbit-{view}" for view in (0, 1, 0, 1)]
 
 
-def test_a_detector_s_figures(folders: dict[str, Path]) -> None:
-    section = read_section(folders["evaluate-detector"])
-    assert section.headline.rate == Rate(successes=2, total=4)
-    assert section.control is not None
-    assert section.control.rate == Rate(successes=2, total=16)
-    assert "Few objects (path traced; car)" in words_of(section)
-    values = {figure.label: figure.words for figure in section.figures}
-    assert values["mean average precision at an overlap of 0.5, path traced"] == "0.500"
-    assert values["false positives per picture, pictures without objects"].startswith("0.12 (2 in 16; ")
-    chart = next(chart for chart in section.charts if chart.title.endswith("by elevation"))
-    assert [point.y for point in chart.lines[0].points] == [0.5]
-
-
-def test_detectors_side_by_side(tmp_path: Path) -> None:
-    section = read_section(write_detector(tmp_path / "x", "one", "two"))
-    assert section.title == "one and two at 0.5"
-    assert section.headline.words == "50\u00a0%"
-    assert [line.name for line in section.charts[0].lines] == ["one", "two"]
-
-
 def test_a_page_calls_only_figures_of_attacks_attacks(folders: dict[str, Path]) -> None:
     pytest.importorskip("jinja2", reason="pages need the extra report")
     pytest.importorskip("matplotlib", reason="pages need the extra report")
-    page = page_text([read_section(folders[name]) for name in ("evaluate-detector", "cloak")])
+    page = page_text([read_section(folders[name]) for name in ("detect", "cloak")])
     assert page.count('<p class="role">Result</p>') == 1
     assert page.count('<p class="role">Attack</p>') == 1
-    assert f"folder <code>{folders['evaluate-detector']}</code>" in page
+    assert f"folder <code>{folders['detect']}</code>" in page
 
 
 def test_detectors_are_counted_apart_from_classifiers(folders: dict[str, Path]) -> None:

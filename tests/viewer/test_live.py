@@ -6,6 +6,7 @@ import signal
 import threading
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,7 +48,9 @@ def beginning() -> GaussianScene:
 
 
 def trained(folder: Path, live: LiveTraining | None = None) -> Fit:
-    hooks = {} if live is None else {"on_start": live.begin, "on_step": live.note, "hold": live.hold}
+    hooks: dict[str, Any] = {}
+    if live is not None:
+        hooks = {"on_start": live.begin, "on_step": live.note, "hold": live.hold}
     _, views = views_of()
     config = dataclasses.replace(CONFIG, iterations=STEPS)
     return train(views, beginning(), folder, render=watching(), config=config, held_out=views[:2], **hooks)

@@ -23,18 +23,17 @@ from torchvision.ops import batched_nms
 from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.catalogue import (
     COCO_CLASSES,
-    GRAPH,
     NPM_DETECTORS,
     OPEN_IMAGES_CLASSES,
     OPEN_IMAGES_LABELS,
-    WEIGHTS,
     DetectorError,
     weights_of,
 )
-from attacks.detectors.graphs.files import load_graph_model
+from attacks.detectors.graphs.graph import read_graph_model
 from attacks.detectors.graphs.network import GraphNetwork
-from attacks.detectors.graphs.packages import check_files
-from attacks.detectors.weights import FrozenModel, fingerprint
+from attacks.detectors.graphs.packages import read_files
+from attacks.detectors.graphs.tflite import read_tflite
+from attacks.detectors.weights import FrozenModel
 
 _MOST = 100
 """Detections in one picture."""
@@ -216,12 +215,6 @@ class GraphDetector(FrozenModel):
         self._family = family
 
     @property
-    def fingerprint(self) -> str:
-        """See `Detector`. The graph belongs to it; with the published one it is that of the weights, as ever."""
-        published = self.name in NPM_DETECTORS and self.model.digest == NPM_DETECTORS[self.name].graph
-        return fingerprint(self.model.state_dict(), "" if published else self.model.digest)
-
-    @property
     def min_confidence(self) -> float:
         """See `Detector`."""
         return self._family.min_confidence
@@ -255,32 +248,11 @@ class GraphDetector(FrozenModel):
 
 def load(name: str, weights: Path | None = None) -> GraphDetector:
     """A detector that was got with `mi-splat detectors --get`."""
+    detector, family = NPM_DETECTORS[name], FAMILIES[name]
     path = weights_of(name) if weights is None else Path(weights)
-    if weights is None and not path.is_file():
-        do = f"get it: mi-splat detectors --get {name} (npm, {NPM_DETECTORS[name].megabytes:g} MB)"
-        raise DetectorError.of(f"weights of {name}", f"a file {path}", "nothing there", do)
-    if not path.is_file():
-        raise DetectorError.of(f"weights {path}", "a file", "nothing there", "check the path")
-    if path.name != WEIGHTS:
-        raise DetectorError.of(f"weights {path}", f"the {WEIGHTS} of a folder", path.name, "pass that file")
-    check_files(NPM_DETECTORS[name], path.parent)
-    family = FAMILIES[name]
-    network = GraphNetwork(load_graph_model(path.with_name(GRAPH), path), family.outputs)
-    _check_fits(name, network, family)
-    return GraphDetector(name, network, family, NPM_DETECTORS[name].classes)
-
-
-def _check_fits(name: str, network: GraphNetwork, family: Family) -> None:
-    """Raise unless a graph takes and gives what its family does."""
-    what, do = f"graph of {name}", "get the detector again"
-    taken = tuple(family.prepare(torch.zeros(1, 3, family.side, family.side)).shape)
-    if list(network.inputs.values()) != [taken]:
-        raise DetectorError.of(what, f"one input of {taken}", list(network.inputs.values()), do)
-    given = " and ".join(str(shape) for shape in network.shapes)
-    try:
-        boxes, scores = family.decode(tuple(torch.zeros(shape) for shape in network.shapes))
-        fits = boxes.shape == (len(scores), 4) and scores.shape[1] == len(NPM_DETECTORS[name].classes)
-    except (RuntimeError, ValueError, IndexError):
-        fits = False
-    if not fits:
-        raise DetectorError.of(what, f"outputs of its family, in {', '.join(family.outputs[:2])}", given, do)
+    if path.name != detector.files[-1].name:
+        do = "pass that file"
+        raise DetectorError.of(f"weights {path}", f"{detector.files[-1].name} of a folder", path.name, do)
+    content = read_files(detector, path.parent)
+    graph = read_graph_model(*content) if len(content) == 2 else read_tflite(content[0][detector.start :])
+    return GraphDetector(name, GraphNetwork(graph, family.outputs), family, detector.classes)

@@ -10,8 +10,8 @@ from attacks.audits.disagreement import Seen
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section
 from attacks.report.wording import plural, sentence, settings
 from attacks.tables import Table
+from mi_splat.audit.evidence import BLOCKED
 from mi_splat.audit.files import AGAINST
-from mi_splat.audit.occluders import BLOCKED
 from mi_splat.audit.results import Vector
 
 _ELSEWHERE = (

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.audit.lint.cost import SIZE, Overdraw, worst_overdraw
-from mi_splat.audit.lint.findings import Finding
 from mi_splat.audit.lint.gltf import validate
-from mi_splat.audit.lint.rules import Stored, findings_of
+from mi_splat.audit.lint.rules import Finding, Stored, findings_of
 from mi_splat.errors import listed
 from mi_splat.io.camera_records import describe
 from mi_splat.io.errors import SplatFileError

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from mi_splat.audit.lint.findings import Finding
+from mi_splat.audit.lint.rules import Finding
 from mi_splat.audit.surfaces import lattice
 from mi_splat.bounds import near_plane_of
 from mi_splat.cameras import Camera, look_at

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mi_splat.audit.lint.findings import Finding, Severity
+from mi_splat.audit.lint.rules import Finding, Severity
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.fields import Fields
 from mi_splat.io.formats.glb import COMPONENTS, Glb

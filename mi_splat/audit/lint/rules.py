@@ -4,16 +4,58 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.attributes import LARGEST
-from mi_splat.audit.lint.findings import Finding, Severity
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.loaded import Arrays, Loaded
 from mi_splat.registry import Registry
 from mi_splat.sh import band, degree_of, even_directions
+
+Severity = Literal["error", "warning", "note"]
+"""An error breaks a file or a renderer, a warning is hardly ever wanted, a note is no fault."""
+
+SHOWN = 100
+"""So many rows a finding lists; it counts all of them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One thing that a rule found.
+
+    Attributes:
+        rule: Its name in docs/audit_lint.md.
+        severity: How bad it is.
+        reason: What is wrong with it, in a plain sentence.
+        rows: Numbers of the first Gaussians that it is about, in the order of the file; none if it is about all.
+        count: How many Gaussians it is about.
+    """
+
+    rule: str
+    severity: Severity
+    reason: str
+    rows: tuple[int, ...] = ()
+    count: int = 0
+
+    @classmethod
+    def of(cls, rule: str, severity: Severity, reason: str, mask: NDArray[np.bool_]) -> Finding:
+        """A finding about some rows."""
+        rows = np.flatnonzero(mask)
+        return cls(rule=rule, severity=severity, reason=reason, rows=tuple(rows[:SHOWN].tolist()), count=len(rows))
+
+    def document(self) -> dict[str, Any]:
+        """As JSON can hold it."""
+        return {
+            "rule": self.rule,
+            "severity": self.severity,
+            "reason": self.reason,
+            "rows": list(self.rows),
+            "count": self.count,
+        }
+
 
 Mask = NDArray[np.bool_]
 

@@ -1,5 +1,6 @@
 """Each operation of the reader against its definition, with tensors kept as the graph has them and otherwise."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -7,38 +8,72 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 
+from attacks.detectors.graphs.graph import GraphModel, Node
 from attacks.detectors.graphs.network import GraphNetwork
 from attacks.detectors.graphs.operations import OPERATIONS
-from tests.detectors.graphs.graphs import (
-    Array,
-    convolved,
-    ints,
-    model,
-    node,
-    placeholder,
-    pooled,
-    resized,
-    string,
-    strings,
-)
 
+Array = NDArray[Any]
 RNG = np.random.default_rng(7)
-PICTURE = RNG.normal(size=(2, 5, 6, 3)).astype(np.float32)
+PICTURE, OTHER = RNG.normal(size=(2, 2, 5, 6, 3)).astype(np.float32)
 KERNEL = RNG.normal(size=(3, 3, 3, 4)).astype(np.float32)
 SMALL = RNG.normal(size=(3, 2, 3, 2)).astype(np.float32)
-BIAS = RNG.normal(size=4).astype(np.float32)
-BIASES = RNG.normal(size=6).astype(np.float32)
+BIAS, BIASES = RNG.normal(size=4).astype(np.float32), RNG.normal(size=6).astype(np.float32)
 ROW = RNG.normal(size=3).astype(np.float32)
-OTHER = RNG.normal(size=(2, 5, 6, 3)).astype(np.float32)
 
 
 def whole(*values: int) -> Array:
     return np.array(values, np.int32)
 
 
-def number(value: float) -> Array:
-    return np.full((), value, np.float32)
+def number(value: float, dtype: type = np.float32) -> Array:
+    return np.full((), value, dtype)
+
+
+def padded(picture: Array, kernel: tuple[int, int], stride: int, same: bool, value: float) -> tuple[Array, list[int]]:
+    """A picture with TensorFlow's padding, and how many rows and columns come out."""
+    sizes, pads = [], []
+    for size, reach in zip(picture.shape[1:3], kernel, strict=True):
+        outputs = math.ceil(size / stride) if same else math.ceil((size - reach + 1) / stride)
+        missing = max((outputs - 1) * stride + reach - size, 0) if same else 0
+        sizes.append(outputs)
+        pads.append((missing // 2, missing - missing // 2))
+    return np.pad(picture, ((0, 0), *pads, (0, 0)), constant_values=value), sizes
+
+
+def windows(picture: Array, kernel: tuple[int, int], stride: int, *, same: bool, value: float = 0.0) -> Array:
+    """(B, rows, columns, h, w, C): what each output pixel sees."""
+    around, (rows, columns) = padded(picture, kernel, stride, same, value)
+    seen = np.lib.stride_tricks.sliding_window_view(around, kernel, axis=(1, 2))[:, ::stride, ::stride]
+    return seen[:, :rows, :columns].transpose(0, 1, 2, 4, 5, 3)
+
+
+def convolved(picture: Array, kernel: Array, stride: int, *, same: bool, depthwise: bool) -> Array:
+    """Convolution of (B, H, W, C) with (h, w, C, outputs)."""
+    seen = windows(picture, (kernel.shape[0], kernel.shape[1]), stride, same=same)
+    if not depthwise:
+        return np.einsum("byxhwc,hwco->byxo", seen, kernel)
+    each = np.einsum("byxhwc,hwcm->byxcm", seen, kernel)
+    return each.reshape(*each.shape[:3], -1)
+
+
+def resized(picture: Array, rows: int, columns: int, *, centres: bool) -> Array:
+    """Bilinear interpolation, pixel by pixel."""
+
+    def source(index: int, size: int, wanted: int) -> float:
+        return max((index + 0.5) * size / wanted - 0.5, 0.0) if centres else index * size / wanted
+
+    result = np.zeros((len(picture), rows, columns, picture.shape[-1]))
+    for row in range(rows):
+        for column in range(columns):
+            y, x = source(row, picture.shape[1], rows), source(column, picture.shape[2], columns)
+            y0, x0 = int(y), int(x)
+            y1, x1 = min(y0 + 1, picture.shape[1] - 1), min(x0 + 1, picture.shape[2] - 1)
+            upper = picture[:, y0, x0] * (1 - x + x0) + picture[:, y0, x1] * (x - x0)
+            lower = picture[:, y1, x0] * (1 - x + x0) + picture[:, y1, x1] * (x - x0)
+            result[:, row, column] = upper * (1 - y + y0) + lower * (y - y0)
+    return result
 
 
 @dataclass(frozen=True)
@@ -48,191 +83,132 @@ class Case:
     op: str
     expected: Callable[[Array], Any]
     constants: tuple[Array, ...] = ()
-    attributes: Mapping[str, Any] = field(default_factory=dict)
-    first: bool = True
+    settings: Mapping[str, Any] = field(default_factory=dict)
     outputs: int = 1
 
 
-def picture_case(stride: int, dilation: int, padding: str, **more: Any) -> dict[str, Any]:
-    return {
-        "strides": ints(1, stride, stride, 1),
-        "dilations": ints(1, dilation, dilation, 1),
-        "padding": string(padding),
-        "data_format": string("NHWC"),
-        **more,
-    }
+def around(stride: int, padding: str, **more: Any) -> dict[str, Any]:
+    return {"strides": (1, stride, stride, 1), "padding": padding, **more}
 
 
-def convolution(stride: int, dilation: int, padding: str) -> Case:
-    def expected(x: Array) -> Array:
-        return convolved(x, KERNEL, stride, dilation, same=padding == "SAME", depthwise=False)
+def convolution(stride: int, padding: str, *, depthwise: bool) -> Case:
+    op, kernel = ("DepthwiseConv2dNative", SMALL) if depthwise else ("Conv2D", KERNEL)
+    same = padding == "SAME"
+    return Case(
+        op,
+        lambda x: convolved(x, kernel, stride, same=same, depthwise=depthwise),
+        (kernel,),
+        around(stride, padding),
+    )
 
-    return Case("Conv2D", expected, (KERNEL,), picture_case(stride, dilation, padding))
 
-
-def depthwise(stride: int, dilation: int, padding: str) -> Case:
-    def expected(x: Array) -> Array:
-        return convolved(x, SMALL, stride, dilation, same=padding == "SAME", depthwise=True)
-
-    return Case("DepthwiseConv2dNative", expected, (SMALL,), picture_case(stride, dilation, padding))
+def fused(*names: str, depthwise: bool, activation: Callable[[Array], Array]) -> Case:
+    op, kernel, bias = ("FusedDepthwiseConv2dNative", SMALL, BIASES) if depthwise else ("_FusedConv2D", KERNEL, BIAS)
+    return Case(
+        op,
+        lambda x: activation(convolved(x, kernel, 2, same=True, depthwise=depthwise) + bias),
+        (kernel, bias),
+        around(2, "SAME", fused_ops=("BiasAdd", *names)),
+    )
 
 
 def max_pool(stride: int, padding: str) -> Case:
-    def expected(x: Array) -> Array:
-        return pooled(x, 3, stride, same=padding == "SAME")
-
-    return Case("MaxPool", expected, (), {**picture_case(stride, 1, padding), "ksize": ints(1, 3, 3, 1)})
-
-
-def fused(*names: str, activation: Callable[[Array], Array]) -> Case:
-    def expected(x: Array) -> Array:
-        return activation(convolved(x, KERNEL, 2, 1, same=True, depthwise=False) + BIAS)
-
-    attributes = picture_case(2, 1, "SAME", fused_ops=strings(*names), leakyrelu_alpha={"f": 0.3})
-    return Case("_FusedConv2D", expected, (KERNEL, BIAS), attributes)
+    return Case(
+        "MaxPool",
+        lambda x: windows(x, (3, 3), stride, same=padding == "SAME", value=-np.inf).max((3, 4)),
+        settings=around(stride, padding, ksize=(1, 3, 3, 1)),
+    )
 
 
-def resize(rows: int, columns: int, *, corners: bool, centres: bool) -> Case:
-    def expected(x: Array) -> Array:
-        return resized(x, rows, columns, corners=corners, centres=centres)
-
-    attributes = {"align_corners": {"b": corners}, "half_pixel_centers": {"b": centres}}
-    return Case("ResizeBilinear", expected, (whole(rows, columns),), attributes)
-
-
-def sliced(begin: tuple[int, ...], end: tuple[int, ...], step: tuple[int, ...], **masks: int) -> dict[str, Any]:
-    return {
-        "constants": (whole(*begin), whole(*end), whole(*step)),
-        "attributes": {k: {"i": str(v)} for k, v in masks.items()},
-    }
+def resize(rows: int, columns: int, *, centres: bool) -> Case:
+    return Case(
+        "ResizeBilinear",
+        lambda x: resized(x, rows, columns, centres=centres),
+        (whole(rows, columns),),
+        {"half_pixel_centers": centres},
+    )
 
 
 CASES = [
-    *(convolution(s, d, p) for s, d in ((1, 1), (2, 1), (1, 2)) for p in ("SAME", "VALID")),
-    *(depthwise(s, d, p) for s, d in ((1, 1), (2, 1), (1, 2)) for p in ("SAME", "VALID")),
-    fused("BiasAdd", activation=lambda y: y),
-    fused("BiasAdd", "Relu", activation=lambda y: np.maximum(y, 0)),
-    fused("BiasAdd", "Relu6", activation=lambda y: np.clip(y, 0, 6)),
-    fused("BiasAdd", "Elu", activation=lambda y: np.where(y > 0, y, np.expm1(y))),
-    fused("BiasAdd", "Sigmoid", activation=lambda y: 1 / (1 + np.exp(-y))),
-    fused("BiasAdd", "LeakyRelu", activation=lambda y: np.where(y > 0, y, 0.3 * y)),
-    Case(
-        "FusedDepthwiseConv2dNative",
-        lambda x: np.maximum(convolved(x, SMALL, 2, 1, same=True, depthwise=True) + BIASES, 0),
-        (SMALL, BIASES),
-        picture_case(2, 1, "SAME", fused_ops=strings("BiasAdd", "Relu")),
-    ),
+    *(convolution(s, p, depthwise=d) for s in (1, 2) for p in ("SAME", "VALID") for d in (False, True)),
+    fused(depthwise=False, activation=lambda y: y),
+    fused("Relu", depthwise=True, activation=lambda y: np.maximum(y, 0)),
+    fused("Relu6", depthwise=False, activation=lambda y: np.clip(y, 0, 6)),
     *(max_pool(s, p) for s in (1, 2) for p in ("SAME", "VALID")),
-    resize(10, 12, corners=False, centres=False),
-    resize(10, 12, corners=False, centres=True),
-    resize(9, 11, corners=True, centres=False),
-    resize(3, 4, corners=False, centres=True),
-    resize(3, 4, corners=False, centres=False),
+    *(resize(*size, centres=centres) for size in ((10, 12), (3, 4)) for centres in (False, True)),
     Case("Add", lambda x: x + ROW, (ROW,)),
-    Case("AddV2", lambda x: ROW + x, (ROW,), first=False),
-    Case("Add", lambda x: x + OTHER, (OTHER,)),
-    Case("Sub", lambda x: OTHER - x, (OTHER,), first=False),
+    Case("AddV2", lambda x: x + OTHER, (OTHER,)),
     Case("Mul", lambda x: x * np.float32(3), (number(3),)),
     Case("Mul", lambda x: x * OTHER[:, :1, :1], (OTHER[:, :1, :1],)),
-    Case("Equal", lambda x: x == PICTURE[:, :, :, 1:2], (PICTURE[:, :, :, 1:2],)),
-    Case("FloorDiv", lambda x: np.floor(x / np.float32(0.3)), (number(0.3),)),
-    Case("FloorMod", lambda x: x - 2 * np.floor(x / 2), (number(2),)),
     Case("Relu", lambda x: np.maximum(x, 0)),
     Case("Relu6", lambda x: np.clip(x, 0, 6)),
-    Case("LeakyRelu", lambda x: np.where(x > 0, x, 0.1 * x), attributes={"alpha": {"f": 0.1}}),
+    Case("LeakyRelu", lambda x: np.where(x > 0, x, 0.1 * x), settings={"alpha": 0.1}),
     Case("Sigmoid", lambda x: 1 / (1 + np.exp(-x))),
     Case("Identity", lambda x: x),
-    Case("Cast", lambda x: np.trunc(x).astype(np.int32), attributes={"DstT": {"type": "DT_INT32"}}),
+    Case("Cast", lambda x: np.trunc(x).astype(np.int32), settings={"DstT": "DT_INT32"}),
     Case("Transpose", lambda x: x.transpose(3, 0, 2, 1), (whole(3, 0, 2, 1),)),
-    Case("Mean", lambda x: x.mean((1, 2), keepdims=True), (whole(1, 2),), {"keep_dims": {"b": True}}),
+    Case("Mean", lambda x: x.mean((1, 2), keepdims=True), (whole(1, 2),), {"keep_dims": True}),
     Case("Mean", lambda x: x.mean((1, -1)), (whole(1, -1),)),
-    Case("ConcatV2", lambda x: np.concatenate([x, OTHER], 3), (OTHER, np.array(-1, np.int32))),
-    Case("ConcatV2", lambda x: np.concatenate([x, OTHER], 1), (OTHER, np.array(1, np.int32))),
+    *(
+        Case("ConcatV2", lambda x, a=axis: np.concatenate([x, OTHER], a), (OTHER, number(axis, np.int32)))
+        for axis in (-1, 1)
+    ),
     Case("Pad", lambda x: np.pad(x, ((0, 0), (1, 2), (0, 3), (0, 1))), (whole(0, 0, 1, 2, 0, 3, 0, 1).reshape(4, 2),)),
     Case(
         "PadV2",
         lambda x: np.pad(x, ((1, 0), (1, 2), (0, 3), (0, 0)), constant_values=-5),
-        (whole(1, 0, 1, 2, 0, 3, 0, 0).reshape(4, 2), np.array(-5, np.float32)),
+        (whole(1, 0, 1, 2, 0, 3, 0, 0).reshape(4, 2), number(-5)),
     ),
-    Case("SplitV", lambda x: (x[:, :2], x[:, 2:]), (whole(2, -1), np.array(1, np.int32)), outputs=2),
-    Case("SplitV", lambda x: (x[..., :1], x[..., 1:]), (whole(1, 2), np.array(-1, np.int32)), outputs=2),
+    Case("SplitV", lambda x: (x[:, :2], x[:, 2:]), (whole(2, -1), number(1, np.int32)), outputs=2),
+    Case("SplitV", lambda x: (x[..., :1], x[..., 1:]), (whole(1, 2), number(-1, np.int32)), outputs=2),
     Case("Reshape", lambda x: x.reshape(2, 30, 3), (whole(2, -1, 3),)),
-    Case("ExpandDims", lambda x: x[:, :, None], (np.array(2, np.int32),)),
-    Case("ExpandDims", lambda x: x[..., None], (np.array(-1, np.int32),)),
-    Case(
-        "StridedSlice", lambda x: x[:, 1:5:2, :4], **sliced((7, 1, 0), (7, 5, 4), (1, 2, 1), begin_mask=1, end_mask=1)
-    ),
-    Case(
-        "StridedSlice",
-        lambda x: x[:, 2, :, -1],
-        **sliced((0, 2, 0, -1), (0, 3, 6, 0), (1, 1, 1, 1), begin_mask=1, end_mask=1, shrink_axis_mask=10),
-    ),
-    Case("GatherV2", lambda x: x[:, [[4, 0], [1, 1]]], (whole(4, 0, 1, 1).reshape(2, 2), np.array(1, np.int32))),
-    Case(
-        "TopKV2",
-        lambda x: (-np.sort(-x, -1)[..., :2], np.argsort(-x, -1)[..., :2]),
-        (np.array(2, np.int32),),
-        outputs=2,
-    ),
 ]
+IDS = [f"{number}-{case.op}" for number, case in enumerate(CASES)]
 
 
 def build(case: Case, *, moved: bool) -> tuple[GraphNetwork, torch.Tensor]:
     """The case as a graph; if `moved`, its input comes channels first and is transposed, so it is kept otherwise."""
-    constants = {f"c{i}": value for i, value in enumerate(case.constants)}
+    constants = {f"c{i}": torch.from_numpy(np.array(value)) for i, value in enumerate(case.constants)}
+    nodes = {name: Node("Const") for name in (*constants, "perm")}
     shape = PICTURE.transpose(0, 3, 1, 2).shape if moved else PICTURE.shape
-    nodes = [placeholder("x", shape)]
-    source = "x"
-    if moved:
-        constants["perm"] = whole(0, 2, 3, 1)
-        nodes.append(node("turned", "Transpose", ["x", "perm"]))
-        source = "turned"
-    names = list(constants)[: len(case.constants)]
-    inputs = [source, *names] if case.first else [*names, source]
-    nodes.append(node("y", case.op, inputs, **case.attributes))
-    outputs = ["y"] if case.outputs == 1 else [f"y:{i}" if i else "y" for i in range(case.outputs)]
+    nodes |= {"x": Node("Placeholder", settings={"shape": shape}), "turned": Node("Transpose", ("x", "perm"))}
+    nodes["y"] = Node(case.op, ("turned" if moved else "x", *constants), case.settings)
+    model = GraphModel(nodes, {**constants, "perm": torch.tensor([0, 2, 3, 1])})
     picture = torch.from_numpy(PICTURE)
-    return GraphNetwork(model(nodes, constants, outputs)), picture.permute(0, 3, 1, 2) if moved else picture
+    outputs = [f"y:{i}" if i else "y" for i in range(case.outputs)]
+    return GraphNetwork(model, outputs), picture.permute(0, 3, 1, 2) if moved else picture
 
 
 @pytest.mark.parametrize("moved", [False, True], ids=["channels-last", "moved"])
-@pytest.mark.parametrize("number", range(len(CASES)), ids=[f"{i}-{case.op}" for i, case in enumerate(CASES)])
-def test_operation_is_what_its_definition_says(number: int, moved: bool) -> None:
-    case = CASES[number]
+@pytest.mark.parametrize("case", CASES, ids=IDS)
+def test_operation_is_what_its_definition_says(case: Case, moved: bool) -> None:
     network, picture = build(case, moved=moved)
     wanted = case.expected(PICTURE)
-    wanted = wanted if isinstance(wanted, tuple) else (wanted,)
     computed = network(picture)
-    assert len(computed) == len(wanted)
-    for one, other in zip(computed, wanted, strict=True):
+    for one, other in zip(computed, wanted if isinstance(wanted, tuple) else (wanted,), strict=True):
         assert tuple(one.shape) == other.shape
         np.testing.assert_allclose(one.numpy(), other, rtol=2e-5, atol=2e-5)
 
 
-@pytest.mark.parametrize("number", range(len(CASES)), ids=[f"{i}-{case.op}" for i, case in enumerate(CASES)])
-def test_gradient_is_that_of_the_definition(number: int) -> None:
+@pytest.mark.parametrize("case", [case for case in CASES if case.op != "Cast"], ids=lambda case: case.op)
+def test_gradient_is_that_of_the_definition(case: Case) -> None:
     """The change along a random direction, by central differences of the definition in float64."""
-    case = CASES[number]
-    if case.op in ("Equal", "FloorDiv", "Cast"):
-        return
     network, picture = build(case, moved=True)
     picture = picture.clone().requires_grad_(True)
-    weights = [torch.randn(tuple(one.shape)) for one in network(picture)]
-    kept = [i for i, one in enumerate(network(picture)) if one.is_floating_point()]
-    torch.stack([(network(picture)[i] * weights[i]).sum() for i in kept]).sum().backward()  # type: ignore[no-untyped-call]
-    assert picture.grad is not None
+    results = network(picture)
+    weights = [torch.randn(tuple(result.shape)) for result in results]
+    total = torch.stack([(a * b).sum() for a, b in zip(results, weights, strict=True)]).sum()
+    (gradient,) = torch.autograd.grad(total, picture)
     direction = np.random.default_rng(1).normal(size=PICTURE.shape)
 
     def value(step: float) -> float:
         values = case.expected(PICTURE.astype(np.float64) + step * direction)
         values = values if isinstance(values, tuple) else (values,)
-        return float(sum((values[i] * weights[i].numpy()).sum() for i in kept))
+        return float(sum((a * b.numpy()).sum() for a, b in zip(values, weights, strict=True)))
 
-    slope = (value(1e-6) - value(-1e-6)) / 2e-6
-    analytic = float((picture.grad.permute(0, 2, 3, 1).numpy() * direction).sum())
-    assert analytic == pytest.approx(slope, rel=2e-3, abs=2e-3)
+    analytic = float((gradient.permute(0, 2, 3, 1).numpy() * direction).sum())
+    assert analytic == pytest.approx((value(1e-6) - value(-1e-6)) / 2e-6, rel=2e-3, abs=2e-3)
 
 
 def test_every_operation_has_a_case() -> None:
-    tested = {case.op for case in CASES} | {"SparseToDense"}  # of constants alone: see test_network.py
-    assert tested == set(OPERATIONS)
+    assert {case.op for case in CASES} | {"SparseToDense"} == set(OPERATIONS)  # of constants alone: test_network.py

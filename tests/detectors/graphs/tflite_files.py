@@ -1,4 +1,4 @@
-"""A small TFLite file with all operations that are read, written by the schema package; a setting can be wrong."""
+"""A small TFLite file with all operations that are read, written by the schema package."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -7,7 +7,7 @@ import flatbuffers
 import numpy as np
 import tflite
 
-from tests.detectors.graphs.graphs import Array
+from tests.detectors.graphs.test_operations import Array
 
 SHAPES: Mapping[str, tuple[int, ...]] = {
     "picture": (1, 6, 7, 2),
@@ -23,25 +23,11 @@ SHAPES: Mapping[str, tuple[int, ...]] = {
     "rows": (1, 12, 3),
     "all": (1, 24, 3),
 }
-SETTINGS: Mapping[str, Any] = {
-    "names": list(SHAPES),
-    "type of bias": tflite.TensorType.FLOAT32,
-    "shape of bias": (3,),
-    "activation": tflite.ActivationFunctionType.NONE,
-    "second operation": tflite.BuiltinOperator.CONV_2D,
-    "options of the second": tflite.BuiltinOptions.Conv2DOptions,
-    "input of the last": 10,
-    "outputs": [11],
-}
-"""What `tiny` writes unless it is told otherwise."""
 
 
-def tiny(seed: int = 0, **changes: Any) -> bytes:
-    """The file; `changes` are settings that differ from `SETTINGS`, with underscores for spaces."""
-    unknown = {key.replace("_", " ") for key in changes} - SETTINGS.keys()
-    assert not unknown, unknown
-    settings = {**SETTINGS, **{key.replace("_", " "): value for key, value in changes.items()}}
-    draw = np.random.default_rng(seed)
+def tiny() -> bytes:
+    """The file."""
+    draw = np.random.default_rng(0)
     data: dict[str, Array] = {
         "half": draw.normal(size=(1, 3, 3, 4)).astype(np.float16),
         "depth bias": draw.normal(size=4).astype(np.float32),
@@ -49,38 +35,27 @@ def tiny(seed: int = 0, **changes: Any) -> bytes:
         "bias": draw.normal(size=3).astype(np.float32),
         "shape": np.array([1, 12, 3], np.int32),
     }
-    types = {"half": tflite.TensorType.FLOAT16, "shape": tflite.TensorType.INT32, "bias": settings["type of bias"]}
+    types = {"half": tflite.TensorType.FLOAT16, "shape": tflite.TensorType.INT32}
     builder = flatbuffers.Builder(0)
     buffers = [_table(builder, "Buffer")]
     buffers += [
         _table(builder, "Buffer", Data=builder.CreateNumpyVector(v.view(np.uint8).ravel())) for v in data.values()
     ]
     tensors = []
-    for (key, shape), name in zip(SHAPES.items(), settings["names"], strict=True):
-        shape = settings["shape of bias"] if key == "bias" else shape
+    for key, shape in SHAPES.items():
         number = list(data).index(key) + 1 if key in data else 0
-        parts = {"Name": builder.CreateString(name), "Shape": builder.CreateNumpyVector(np.array(shape, np.int32))}
+        parts = {"Name": builder.CreateString(key), "Shape": builder.CreateNumpyVector(np.array(shape, np.int32))}
         tensors.append(_table(builder, "Tensor", Buffer=number, Type=types.get(key, 0), **parts))
     operators = [
         _operator(builder, 0, [1], [2]),
         _operator(builder, 1, [0, 2, 3], [4], _convolution(builder, "DepthwiseConv2DOptions", 2, DepthMultiplier=2)),
-        _operator(
-            builder,
-            2,
-            [4, 5, 6],
-            [7],
-            (settings["options of the second"], _convolution(builder, "Conv2DOptions", 1)[1]),
-        ),
-        _operator(
-            builder, 3, [7, 7], [8], _options(builder, "AddOptions", FusedActivationFunction=settings["activation"])
-        ),
+        _operator(builder, 2, [4, 5, 6], [7], _convolution(builder, "Conv2DOptions", 1)),
+        _operator(builder, 3, [7, 7], [8], _options(builder, "AddOptions")),
         _operator(builder, 4, [8, 9], [10]),
-        _operator(
-            builder, 5, [10, settings["input of the last"]], [11], _options(builder, "ConcatenationOptions", Axis=1)
-        ),
+        _operator(builder, 5, [10, 10], [11], _options(builder, "ConcatenationOptions", Axis=1)),
     ]
     known = tflite.BuiltinOperator
-    kinds = [known.DEQUANTIZE, known.DEPTHWISE_CONV_2D, settings["second operation"]]
+    kinds = [known.DEQUANTIZE, known.DEPTHWISE_CONV_2D, known.CONV_2D]
     kinds += [known.ADD, known.RESHAPE, known.CONCATENATION]
     codes = [
         _table(
@@ -97,7 +72,7 @@ def tiny(seed: int = 0, **changes: Any) -> bytes:
         "SubGraph",
         Tensors=_vector(builder, tensors),
         Inputs=builder.CreateNumpyVector(np.array([0], np.int32)),
-        Outputs=builder.CreateNumpyVector(np.array(settings["outputs"], np.int32)),
+        Outputs=builder.CreateNumpyVector(np.array([11], np.int32)),
         Operators=_vector(builder, operators),
     )
     vectors = {"OperatorCodes": codes, "Subgraphs": [graph], "Buffers": buffers}

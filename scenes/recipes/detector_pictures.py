@@ -1,15 +1,21 @@
-"""Labelled pictures for the small detectors: which objects, seen from where, in what light, in front of what.
+"""Labelled images for the small detectors: `python -m scenes.recipes.detector_pictures`.
 
-They are path traced, or renders of splats, or show no object at all, so that whatever is reported there is a false
-positive. All pictures of scene n of a split are a pure function of (configuration, n): nothing depends on the order or
-the process in which they are made.
+They are path traced, or renderings of splats, or show no object at all, so that whatever is reported there is a false
+positive. All images of scene n of a set are a pure function of (set, n). What is missing in the folder is made.
 """
 
+from __future__ import annotations
+
+import argparse
 import contextlib
+import hashlib
 import math
+import multiprocessing
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -17,35 +23,27 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from torch import Tensor
 
-from attacks.detectors.catalogue import SMALL_CLASSES
-from attacks.detectors.training.config import (
-    BACKGROUNDS,
-    SPLITS,
-    BackgroundConfig,
-    PictureSetConfig,
-    SplatConfig,
-)
-from attacks.detectors.training.surroundings import backdrop, of_kind, scatter
+from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_SIDE
 from mi_splat.assets import build, street
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.assets.primitives import ellipsoid
 from mi_splat.cameras import Camera, RenderFn, View, orbit_pose, project_points
-from mi_splat.capture.mesh_splats import DiscConfig, RefineConfig, disc_splat, refine
 from mi_splat.capture.mitsuba_meshes import FEW_PICTURES, tracing_variant
-from mi_splat.capture.path_tracer import (
-    Light,
-    capture,
-    daylight,
-    depth_maps,
-    in_front,
-    scene_dict,
-    shapes,
-)
-from mi_splat.capture.surface_sampling import nearness, surface_samples
+from mi_splat.capture.path_tracer import Light, capture, daylight, depth_maps, in_front, scene_dict, shapes
+from mi_splat.capture.surface_points import nearness, surface_samples
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import check_choice
+from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, merge
+from scenes.recipes.detector_surroundings import of_kind, random_surroundings, scatter
+from scenes.recipes.disc_splats import DiscConfig, RefineConfig, disc_splat, refine
+
+SPLITS = {"train": (0, 100_000), "validation": (300_000, 400_000), "held-out": (500_000, 600_000)}
+"""Half-open ranges of asset seeds; also what separates the splits' cameras, lights and surroundings."""
+BACKGROUNDS = ("street", "park", "room", "ground", "random")
+"""Kinds of surroundings without any object."""
+PATH_TRACED, SPLAT_RENDERS, EMPTY = "path traced", "splat renders", "background: "
+"""Names of the held-out sets; that of a set without objects ends with its kind."""
 
 Mask = NDArray[np.bool_]
 _TRIES, _WELL_VISIBLE = 4, 0.5
@@ -60,16 +58,63 @@ _OBJECT_RADIUS = 2.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ViewingConditions:
-    """How one object in one picture is seen.
+class SplatSettings:
+    """How a splat is made of a scene: path-traced views, Gaussians, steps of refinement, and renderings of it."""
+
+    views: int = 16
+    samples: int = 12
+    objects: int = 12_000
+    surroundings: int = 30_000
+    sky: int = 1_500
+    steps: int = 100
+    pictures: int = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PictureSet:
+    """Scenes of one kind.
 
     Attributes:
-        elevation: Degrees above the horizontal plane, of the camera as seen from the centre of the object's box.
-        distance: World units from the camera to that centre.
-        extent: World units, diagonal of the object's box.
-        sun_elevation: Degrees above the horizon; None where the light is not known.
-        sun_strength: Irradiance of the sun on a surface that faces it; None where the light is not known.
+        split: Key of `SPLITS`.
+        scenes: Number of scenes.
+        first: Number of the first one.
+        seed: Seed of everything that is random.
+        size: Width and height, pixels.
+        shots: Images of each scene.
+        samples: Samples per pixel.
+        empty: Fraction of scenes without any object.
+        pair: Fraction of scenes with two objects.
+        street: Fraction of scenes in the surroundings of `mi_splat.assets.street.backdrop`, which has no street.
+        least_visible: Objects of which less than this fraction can be seen are not labelled.
+        elevation: Lowest and highest elevation of the cameras, degrees.
+        focus: Classes that take turns as a scene's first object.
+        around: Kind in `BACKGROUNDS` of every scene's surroundings; None draws them as `street` says.
+        farthest: Longest distance of a camera from what it looks at, metres; None is any distance.
+        objects: Whether there are objects; without them, `around` is shown alone.
+        splat: How the scenes are made into splats, which are rendered; None path traces them.
     """
+
+    split: str = "train"
+    scenes: int
+    first: int = 0
+    seed: int = 0
+    size: int = SMALL_SIDE
+    shots: int = 3
+    samples: int = 6
+    empty: float = 0.06
+    pair: float = 0.3
+    street: float = 0.5
+    least_visible: float = 0.15
+    elevation: tuple[float, float] = (0.0, 90.0)
+    focus: tuple[str, ...] = SMALL_CLASSES
+    around: str | None = None
+    farthest: float | None = None
+    objects: bool = True
+    splat: SplatSettings | None = None
+
+
+class ViewingConditions(NamedTuple):
+    """How an object is seen: camera elevation (degrees), distance and box diagonal (metres), and the sun, if known."""
 
     elevation: float
     distance: float
@@ -117,7 +162,7 @@ class LabelledPicture:
     conditions: tuple[ViewingConditions, ...] = ()
 
 
-def random_scene(config: PictureSetConfig, number: int) -> PictureScene:
+def random_scene(config: PictureSet, number: int) -> PictureScene:
     """Scene `number` of a configuration."""
     low, high = SPLITS[config.split]
     rng = np.random.default_rng([config.seed, low, number])
@@ -136,7 +181,7 @@ def random_scene(config: PictureSetConfig, number: int) -> PictureScene:
         around = street.backdrop(int(rng.integers(low, high)))
         around = Asset(around.name, (*around.meshes, *scatter(rng, radius))) if rng.random() < 0.5 else around
     else:
-        around = backdrop(rng, radius)
+        around = random_surroundings(rng, radius)
     return PictureScene(tuple(assets), around, light)
 
 
@@ -166,7 +211,7 @@ def _radius(asset: Asset) -> float:
     return float(np.linalg.norm((high - low)[:2])) / 2
 
 
-def framing_camera(points: Floats, rng: Generator, config: PictureSetConfig, *, smallest: float = 0.2) -> Camera:
+def framing_camera(points: Floats, rng: Generator, config: PictureSet, *, smallest: float = 0.2) -> Camera:
     """A camera in which the longer side of the box around some points is a fraction of the image's side."""
     size = config.size
     low, high = points.min(0), points.max(0)
@@ -200,7 +245,7 @@ class SceneRenderer:
         scene: The same as a Mitsuba scene for the variant of few pictures.
     """
 
-    def __init__(self, config: PictureSetConfig, number: int) -> None:
+    def __init__(self, config: PictureSet, number: int) -> None:
         """Build scene `number`."""
         self._config = config
         self.contents = random_scene(config, number)
@@ -288,22 +333,21 @@ def _solid(outline: Mask) -> bool:
     return len(rows) >= _LEAST_SOLID * side**2
 
 
-def scene_pictures(config: PictureSetConfig, number: int) -> list[LabelledPicture]:
-    """The pictures of scene `number`."""
+def scene_pictures(config: PictureSet, number: int) -> list[LabelledPicture]:
+    """The images of scene `number`."""
+    if not config.objects:
+        return background_pictures(config, number)
+    if config.splat is not None:
+        return splat_pictures(config, number, config.splat, render=Renderer())
     with tracing_variant(FEW_PICTURES):
         renderer = SceneRenderer(config, number)
         cameras = [renderer.choose_camera() for _ in range(config.shots)]
         return [renderer.label(camera, renderer.render(camera).image) for camera in cameras]
 
 
-def background_pictures(kind: str, number: int, config: BackgroundConfig) -> list[LabelledPicture]:
-    """The pictures of background `number` of a kind, a pure function of its arguments; none has a label.
-
-    Cameras look at a point near the origin from 4 to 7 metres, from elevations of 0 to 90 degrees and all azimuths,
-    with a field of view of 22 to 60 degrees, as in the pictures with objects.
-    """
-    check_choice("kind", kind, BACKGROUNDS)
-    low, high = SPLITS[config.split]
+def background_pictures(config: PictureSet, number: int) -> list[LabelledPicture]:
+    """Surroundings seen from where cameras stand in the images with objects, without any label."""
+    kind, (low, high) = str(config.around), SPLITS[config.split]
     rng = np.random.default_rng([config.seed, low, number, 2 + BACKGROUNDS.index(kind)])
     around = of_kind(kind, int(rng.integers(low, high)), rng, _OBJECT_RADIUS)
     with tracing_variant(FEW_PICTURES):
@@ -328,7 +372,7 @@ def background_camera(rng: Generator, size: int) -> Camera:
 
 
 def splat_pictures(
-    scenes: PictureSetConfig, number: int, config: SplatConfig, *, render: RenderFn
+    scenes: PictureSet, number: int, config: SplatSettings, *, render: RenderFn
 ) -> list[LabelledPicture]:
     """Labelled renders of a splat of one scene; the labels are those of the meshes it was made from."""
     renderer = SceneRenderer(replace(scenes, samples=config.samples), number)
@@ -343,7 +387,7 @@ def splat_pictures(
 
 
 def splat_of(
-    scene: dict[str, Any], contents: PictureScene, views: Sequence[View], config: SplatConfig, render: RenderFn
+    scene: dict[str, Any], contents: PictureScene, views: Sequence[View], config: SplatSettings, render: RenderFn
 ) -> GaussianScene:
     """A splat of a path-traced scene: objects, surroundings and sky."""
     cameras = [view.camera for view in views]
@@ -362,3 +406,101 @@ def splat_of(
     if config.steps == 0:
         return whole
     return refine(whole, views, render=render, config=RefineConfig(steps=config.steps))
+
+
+def training_sets(scale: float = 1.0) -> tuple[list[PictureSet], list[PictureSet]]:
+    """What a detector is trained on, and by which the best epoch is chosen; `scale` makes all of it smaller."""
+
+    def of(scenes: int, **settings: Any) -> PictureSet:
+        return PictureSet(scenes=math.ceil(scale * scenes), **settings)
+
+    def empty(scenes: int, **settings: Any) -> list[PictureSet]:
+        return [of(scenes, objects=False, around=kind, **settings) for kind in BACKGROUNDS]
+
+    splat = SplatSettings(views=12, samples=6, objects=8000, surroundings=20_000, steps=80, pictures=8)
+    streets: dict[str, Any] = {"around": "street", "farthest": 9.0}
+    training = [
+        of(1200),
+        of(240, seed=1, empty=0.4, street=1.0),
+        of(240, seed=3, elevation=(50, 90), focus=("car", "train", *SMALL_CLASSES), street=0.7),
+        of(200, seed=4, **streets),
+        of(40, seed=2, splat=splat),
+        of(16, seed=5, splat=splat, **streets),
+        *empty(24, shots=6),
+        of(48, seed=1, objects=False, around="street", shots=6),
+        of(24, seed=2, objects=False, around="street", samples=16),
+    ]
+    validation = [of(40, split="validation"), *empty(12, split="validation", shots=2)]
+    return training, validation
+
+
+def held_out_sets(
+    *, pictures: int = 80, splats: int = 32, backgrounds: int = 12, samples: int = 24
+) -> dict[str, PictureSet]:
+    """What detectors are scored on: numbers of scenes."""
+    scored = PictureSet(split="held-out", scenes=pictures, samples=samples)
+    sets = {
+        PATH_TRACED: scored,
+        SPLAT_RENDERS: replace(scored, scenes=splats, first=10_000, splat=SplatSettings()),  # none of the others
+        **{
+            f"{EMPTY}{kind}": replace(scored, scenes=backgrounds, shots=2, objects=False, around=kind)
+            for kind in BACKGROUNDS
+        },
+    }
+    return {name: members for name, members in sets.items() if members.scenes}
+
+
+def made(folder: Path, sets: Sequence[PictureSet], *, processes: int = 2) -> list[list[LabelledPicture]]:
+    """The images of some sets; those that are missing in the folder are made first."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [
+        [(folder / f"{_digest(members)}-{number}.pt", members, number) for number in _numbers(members)]
+        for members in sets
+    ]
+    missing = [file for part in files for file in part if not file[0].is_file()]
+    if processes and missing:
+        with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+            list(pool.map(_make, *zip(*missing, strict=True)))
+    else:
+        for file in missing:
+            _make(*file)
+    return [[picture for path, _, _ in part for picture in _read(path)] for part in files]
+
+
+def _numbers(members: PictureSet) -> range:
+    return range(members.first, members.first + members.scenes)
+
+
+def _digest(members: PictureSet) -> str:
+    return hashlib.sha256(repr(replace(members, scenes=0, first=0)).encode()).hexdigest()[:16]
+
+
+def _make(path: Path, members: PictureSet, number: int) -> None:
+    pictures = [
+        (picture.image, picture.boxes, picture.labels, [tuple(seen) for seen in picture.conditions])
+        for picture in scene_pictures(members, number)
+    ]
+    torch.save(pictures, path.with_suffix(".part"))
+    path.with_suffix(".part").replace(path)
+
+
+def _read(path: Path) -> list[LabelledPicture]:
+    return [
+        LabelledPicture(image, boxes, labels, tuple(ViewingConditions(*seen) for seen in conditions))
+        for image, boxes, labels, conditions in torch.load(path, weights_only=True)
+    ]
+
+
+def main() -> None:
+    """Make the training and validation images."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=Path("out/detector-data"))
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--scale", type=float, default=1.0, help="fraction of the scenes")
+    options = parser.parse_args()
+    training, validation = training_sets(options.scale)
+    made(options.data, [*training, *validation], processes=options.processes)
+
+
+if __name__ == "__main__":
+    main()

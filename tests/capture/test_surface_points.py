@@ -5,19 +5,17 @@ import math
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from mi_splat.assets.mesh import Asset, translation
 from mi_splat.assets.primitives import box, ellipsoid, quad
 from mi_splat.camera_sets import orbit
-from mi_splat.cameras import Camera, View, look_at, project_points
-from mi_splat.capture.mesh_splats import DiscConfig, RefineConfig, disc_splat, fit_colours, refine
+from mi_splat.cameras import Camera, View, look_at
 from mi_splat.capture.path_tracer import Light, capture, depth_maps, scene_dict
-from mi_splat.capture.surface_sampling import SurfaceSamples, nearness, surface_samples
+from mi_splat.capture.surface_points import SurfaceSamples, fit_colours, nearness, surface_samples
 from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import to_matrix
-from mi_splat.scene import GaussianScene
 from mi_splat.sh import sh_to_colour
+from scenes.recipes.disc_splats import disc_splat
 
 CUBE = Asset("cube", (box((1, 1, 1), (0.7, 0.2, 0.1), centre=(0, 0, 0.5)),))
 PLANE = Asset("plane", (quad([[-8, -8, 0], [8, -8, 0], [8, 8, 0], [-8, 8, 0]], (0.5, 0.5, 0.5)),))
@@ -87,56 +85,15 @@ def test_colour_fit_recovers_a_gradient_over_direction() -> None:
         toward = float(-camera.position[0] / 3)
         views.append(View(camera, torch.full((9, 9, 3), 0.5 + 0.2 * toward)))
         depths.append(torch.full((9, 9), 3.0))
-    sh, seen = fit_colours(sample, views, depths, DiscConfig(degree=1, damping=1e-6))
+    sh, seen = fit_colours(sample, views, depths, degree=1, damping=1e-6)
     assert seen.tolist() == [9]
     for view in views:
         direction = torch.nn.functional.normalize(-view.camera.position.float(), dim=0)
         assert torch.allclose(sh_to_colour(sh, direction[None])[0], view.image[4, 4], atol=1e-3)
 
 
-def test_nothing_visible_is_an_error() -> None:
-    camera = ring()[0]
-    black, wall = View(camera, torch.zeros(64, 64, 3)), torch.full((64, 64), 0.5)
-    with pytest.raises(InvalidValueError, match="none that does"):
-        disc_splat(surface_samples(CUBE, 20), [black], [wall])
-
-
-def blobs(scene: GaussianScene, camera: Camera) -> Tensor:
-    """A ten-line stand-in for a renderer: isotropic blobs added up, differentiable in what `refine` changes."""
-    pixels, depth = project_points(scene.means, camera)
-    rows, columns = torch.meshgrid(torch.arange(camera.height), torch.arange(camera.width), indexing="ij")
-    spots = torch.stack([columns, rows], -1).reshape(-1, 1, 2) + 0.5
-    radius = scene.scales.mean(1) * camera.fx / depth
-    weight = scene.opacities * torch.exp(-(spots - pixels).square().sum(-1) / (2 * radius**2))
-    return (weight @ (0.5 + 0.28 * scene.sh[:, 0])).reshape(camera.height, camera.width, 3)
-
-
-def test_refine_lowers_the_error_and_keeps_order() -> None:
-    torch.manual_seed(0)
-    cameras = orbit((0, 0, 0), count=4, elevation=20, distance=3, focal=16, size=(16, 16))
-    truth = GaussianScene(
-        torch.tensor([[0.0, 0.4, 0.0], [0.0, -0.4, 0.2]]),
-        torch.full((2, 3), 0.3),
-        torch.tensor([[1.0, 0, 0, 0]]).repeat(2, 1),
-        torch.full((2,), 0.8),
-        torch.tensor([[[0.9, -0.5, 0.2]], [[-0.6, 0.8, 0.1]]]),
-    )
-    views = [View(camera, blobs(truth, camera)) for camera in cameras]
-    start = truth.replace(sh=torch.zeros_like(truth.sh), means=truth.means + 0.05, scales=truth.scales * 1.2)
-    losses: list[float] = []
-    config = RefineConfig(steps=120, sh=0.05, means=0.01)
-    fitted = refine(start, views, render=blobs, config=config, seed=3, on_step=lambda _, loss: losses.append(loss))
-    assert len(losses) == 120
-    assert np.mean(losses[-8:]) < 0.2 * np.mean(losses[:8])
-    assert (fitted.means - truth.means).norm() < (start.means - truth.means).norm()
-    assert not fitted.sh.requires_grad
-    again = refine(start, views, render=blobs, config=config, seed=3)
-    assert all(torch.equal(a, b) for a, b in zip(fitted.tensors(), again.tensors(), strict=True))
-
-
-@pytest.mark.parametrize("ball", [ellipsoid((2, 2, 2), (1, 1, 1), segments=48)])
-def test_samples_of_a_ball_leave_no_gaps(ball: object) -> None:
-    samples = surface_samples(Asset("ball", (ball,)), 500, seed=0)  # type: ignore[arg-type]
+def test_samples_of_a_ball_leave_no_gaps() -> None:
+    samples = surface_samples(Asset("ball", (ellipsoid((2, 2, 2), (1, 1, 1), segments=48),)), 500, seed=0)
     probes = torch.nn.functional.normalize(torch.randn(300, 3, generator=torch.Generator().manual_seed(0)), dim=1)
     nearest = torch.cdist(probes, torch.from_numpy(samples.points)).amin(1)
     assert nearest.max() < 2 * samples.spacing[0]

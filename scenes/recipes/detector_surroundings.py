@@ -127,7 +127,7 @@ def scatter(rng: Generator, radius: float) -> list[Mesh]:
     return meshes
 
 
-def backdrop(rng: Generator, radius: float) -> Asset:
+def random_surroundings(rng: Generator, radius: float) -> Asset:
     """Random surroundings of objects that reach `radius` metres from the origin."""
     meshes = scatter(rng, radius)
     if rng.random() < 0.9:
@@ -150,4 +150,4 @@ def of_kind(kind: str, seed: int, rng: Generator, radius: float) -> Asset:
         return street.room(seed, size=CLEARANCE + 2)
     if kind == "ground":
         return street.plain(seed)
-    return backdrop(rng, radius)
+    return random_surroundings(rng, radius)

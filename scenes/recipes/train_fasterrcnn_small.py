@@ -1,12 +1,12 @@
-"""How `fasterrcnn_small` is trained by the loop of `attacks.detectors.training.loop`, and its head start.
+"""Trains `fasterrcnn_small`: `python -m scenes.recipes.train_fasterrcnn_small --out out/detector`.
 
-The head start is to classify objects that are cut out of the training pictures. A step of detector training sees some
-ten objects and spends most of its time on where they are; here a step sees 64 for the same price, so that features that
-tell the classes apart come much sooner.
+Before the first epoch the backbone learns to classify objects that are cut out of the training images. A step of
+detector training sees some ten objects and spends most of its time on where they are; here a step sees 64 for the same
+price, so that features that tell the classes apart come much sooner.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F  # noqa: N812
@@ -19,13 +19,12 @@ from attacks.detectors import fasterrcnn_small
 from attacks.detectors.base import Detector
 from attacks.detectors.catalogue import BACKGROUND, SMALL_CLASSES, SMALL_SIDE
 from attacks.detectors.torchvision import RCNNDetector
-from attacks.detectors.training.config import TrainConfig
-from attacks.detectors.training.loop import DetectorTrainer, Targets
-from attacks.detectors.training.pictures import LabelledPicture
+from scenes.recipes.detector_pictures import LabelledPicture
+from scenes.recipes.detector_training import Targets, TrainConfig, main
 
 _USUAL_SAMPLER, _FINAL_SAMPLER = (32, 0.5), (96, 0.25)
-"""Boxes a picture that the box head learns from, and the largest fraction of them with an object."""
-SIDE = 96
+"""Boxes an image that the box head learns from, and the largest fraction of them with an object."""
+_SIDE = 96
 """Pixels of the side of a cut-out."""
 _BATCH, _RATE = 64, 2e-3
 """Cut-outs a step, and the highest learning rate."""
@@ -33,18 +32,16 @@ _BACKGROUND_FRACTION = 1 / 9
 _MARGIN = (0.95, 1.5)
 
 
-class FasterRCNNTrainer(DetectorTrainer):
-    """The small Faster R-CNN; in its last epochs the box head learns from more boxes, fewer of them with an object."""
-
-    name = "fasterrcnn_small"
+class FasterRCNNTrainer:
+    """In the last epochs the box head learns from more boxes, fewer of them with an object."""
 
     def build(self) -> nn.Module:
-        """See `DetectorTrainer`."""
+        """The network with random weights."""
         model: nn.Module = fasterrcnn_small.build()
         return model
 
     def begin_epoch(self, model: nn.Module, *, side: int | None, final: bool) -> None:
-        """See `DetectorTrainer`."""
+        """Set the image side and the sampler of boxes."""
         assert isinstance(model, FasterRCNN)
         model.transform.min_size = (side or SMALL_SIDE,)
         model.roi_heads.fg_bg_sampler = BalancedPositiveNegativeSampler(*(_FINAL_SAMPLER if final else _USUAL_SAMPLER))
@@ -52,34 +49,27 @@ class FasterRCNNTrainer(DetectorTrainer):
     def losses(
         self, model: nn.Module, pictures: list[Tensor], targets: Targets, generator: Generator
     ) -> dict[str, Tensor]:
-        """As in `DetectorTrainer`: the library's own."""
+        """The library's own."""
         losses: dict[str, Tensor] = model(pictures, targets)
         return losses
 
-    def pretrain(
-        self,
-        model: nn.Module,
-        samples: Sequence[LabelledPicture],
-        config: TrainConfig,
-        on_step: Callable[[int, int, float], None] | None,
-    ) -> float | None:
-        """As in `DetectorTrainer`: stem and stages classify cut-outs; the learning rate rises and falls once."""
+    def pretrain(self, model: nn.Module, pictures: Sequence[LabelledPicture], config: TrainConfig) -> None:
+        """Stem and stages classify cut-outs; the learning rate rises and falls once."""
         backbone, steps = model.backbone, config.pretraining
         assert isinstance(backbone, fasterrcnn_small.Backbone)
         torch.manual_seed(config.seed)
-        generator = torch.Generator().manual_seed(config.seed)
+        generator = Generator().manual_seed(config.seed)
         classifier = nn.Linear(sum(backbone.widths), len(SMALL_CLASSES) + 1)
         parameters = [*backbone.stem.parameters(), *backbone.stages.parameters(), *classifier.parameters()]
         optimiser = torch.optim.AdamW(parameters, lr=_RATE, weight_decay=0.05)
         backbone.train()
-        right = 0.0
         for step in range(steps):
             done = step / steps
             factor = done / 0.1 if done < 0.1 else 0.5 * (1 + math.cos(math.pi * (done - 0.1) / 0.9))
             optimiser.param_groups[0]["lr"] = _RATE * max(factor, 0.01)
-            pictures, names = cut_outs(samples, _BATCH, generator)
-            with torch.autocast("cpu", torch.bfloat16, enabled=config.mixed_precision):
-                x = backbone.stem(pictures.contiguous(memory_format=torch.channels_last))
+            images, names = cut_outs(pictures, _BATCH, generator)
+            with torch.autocast("cpu", torch.bfloat16):
+                x = backbone.stem(images.contiguous(memory_format=torch.channels_last))
                 pooled = []
                 for stage in backbone.stages:
                     x = stage(x)
@@ -90,20 +80,15 @@ class FasterRCNNTrainer(DetectorTrainer):
             loss.backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(parameters, 5.0)
             optimiser.step()
-            keep = 1 - 1 / min(step + 1, max(steps // 10, 1))
-            right = keep * right + (1 - keep) * float((scores.argmax(1) == names).float().mean())
-            if on_step is not None:
-                on_step(step + 1, steps, right)
-        return right
 
     def detector(self, model: nn.Module) -> Detector:
-        """See `DetectorTrainer`."""
+        """The network behind the `Detector` interface."""
         assert isinstance(model, FasterRCNN)
-        return RCNNDetector(self.name, model, (BACKGROUND, *SMALL_CLASSES))
+        return RCNNDetector("fasterrcnn_small", model, (BACKGROUND, *SMALL_CLASSES))
 
 
 def cut_outs(samples: Sequence[LabelledPicture], count: int, generator: Generator) -> tuple[Tensor, Tensor]:
-    """(count, 3, SIDE, SIDE) squares of pictures, most around an object, and (count,) labels, 0 for none."""
+    """(count, 3, 96, 96) squares of pictures, most around an object, and (count,) labels, 0 for none."""
     pictures, regions, names = [], [], []
     for i in torch.randint(len(samples), (count,), generator=generator).tolist():
         sample = samples[i]
@@ -117,7 +102,7 @@ def cut_outs(samples: Sequence[LabelledPicture], count: int, generator: Generato
         regions.append(box)
         names.append(name)
     whole = torch.stack(pictures).permute(0, 3, 1, 2).float() / 255
-    cut = roi_align(whole, [r[None] for r in regions], SIDE, sampling_ratio=2, aligned=True)
+    cut = roi_align(whole, [r[None] for r in regions], _SIDE, sampling_ratio=2, aligned=True)
     mirrored = torch.rand((count, 1, 1, 1), generator=generator) < 0.5
     cut = torch.where(mirrored, cut.flip(3), cut)
     gain = 0.65 + 0.7 * torch.rand((count, 1, 1, 1), generator=generator)
@@ -145,3 +130,7 @@ def _anywhere(sample: LabelledPicture, a: float, b: float, c: float) -> tuple[Te
         if float(shared) > 0.1 * float(torch.minimum((taken[2:] - taken[:2]).prod(), torch.tensor(side * side))):
             return _around(taken, a, b, c), int(label)
     return box, 0
+
+
+if __name__ == "__main__":
+    main(FasterRCNNTrainer(), TrainConfig(), __doc__)

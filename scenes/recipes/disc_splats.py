@@ -1,7 +1,7 @@
 """Splats from meshes: flat Gaussians on the surface, coloured from path-traced pictures and refined against them.
 
-`surface_samples` spreads points over an asset, denser where cameras are near; `disc_splat` lays a disc on each and fits
-its colour to the pictures in which it is visible; `refine` improves all attributes through a renderer.
+`disc_splat` lays a disc on each of some points of a surface and fits its colour to the pictures in which it is visible;
+`refine` improves all attributes through a renderer.
 """
 
 import math
@@ -12,13 +12,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import RenderFn, View, project_points
-from mi_splat.capture.surface_sampling import SurfaceSamples
+from mi_splat.cameras import RenderFn, View
+from mi_splat.capture.surface_points import SurfaceSamples, fit_colours
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.parameters import activate, to_raw_parameters
 from mi_splat.rotation import from_matrix
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import sh_basis
 
 OnStep = Callable[[int, float], None]
 """Called after each step of `refine` with its number and its loss."""
@@ -75,50 +74,14 @@ def _frames(normals: Tensor) -> Tensor:
     return torch.stack([first, torch.linalg.cross(normals, first), normals], dim=2)
 
 
-def _observe(samples: SurfaceSamples, view: View, depth: Tensor, tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Samples in one view: (N,) weight of each (0 where hidden), (N, 3) its colour, (N, 3) direction to it."""
-    points, normals = torch.from_numpy(samples.points), torch.from_numpy(samples.normals)
-    camera = view.camera
-    pixels, forward = project_points(points, camera)
-    offset = points - camera.position.to(points)
-    distance = offset.norm(dim=1)
-    direction = offset / distance[:, None]
-    column, row = pixels[:, 0].floor().long(), pixels[:, 1].floor().long()
-    inside = (forward > 0.05) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
-    column, row = column.clamp(0, camera.width - 1), row.clamp(0, camera.height - 1)
-    surface = depth[row, column]
-    facing = (direction * normals).sum(1).abs()
-    slack = tolerance * distance + 0.02 + 0.5 * distance / camera.fx / facing.clamp(min=0.08)
-    sky = surface <= 0  # nothing else there: only what lies beyond every surface, the dome, can be seen
-    visible = inside & torch.where(sky, distance > 60, (distance - surface).abs() < slack)
-    return visible * facing.clamp(min=0.05), view.image[row, column], direction
-
-
-def fit_colours(
-    samples: SurfaceSamples, views: Sequence[View], depths: Sequence[Tensor], config: DiscConfig
-) -> tuple[Tensor, Tensor]:
-    """Least-squares SH of each sample over the views that see it, by ridge regression (Hoerl and Kennard 1970)."""
-    count, size = len(samples.points), (config.degree + 1) ** 2
-    left = torch.zeros(count, size, size)
-    right = torch.zeros(count, size, 3)
-    seen = torch.zeros(count)
-    for view, depth in zip(views, depths, strict=True):
-        weight, colour, direction = _observe(samples, view, depth, config.tolerance)
-        basis = sh_basis(direction, config.degree)
-        left += (weight[:, None] * basis)[:, :, None] * basis[:, None]
-        right += (weight[:, None] * basis)[:, :, None] * (colour - 0.5)[:, None]
-        seen += weight > 0
-    ridge = torch.full((size,), config.damping)
-    ridge[0] = 1e-4
-    return torch.linalg.solve(left + torch.diag(ridge), right), seen
-
-
 def disc_splat(
     samples: SurfaceSamples, views: Sequence[View], depths: Sequence[Tensor], *, config: DiscConfig | None = None
 ) -> GaussianScene:
     """A splat of flat discs on the samples that at least one view sees; the others are left out."""
     config = config or DiscConfig()
-    sh, seen = fit_colours(samples, views, depths, config)
+    sh, seen = fit_colours(
+        samples, views, depths, degree=config.degree, damping=config.damping, tolerance=config.tolerance
+    )
     keep = seen > 0
     if not keep.any():
         raise InvalidValueError.of("views", "pictures that show the surface", "none that does", "move cameras")

@@ -1,4 +1,4 @@
-"""How `yolov8n_small` is trained by the loop of `attacks.detectors.training.loop`, with the losses of ultralytics."""
+"""Trains `yolov8n_small`, with the losses of ultralytics: `python -m scenes.recipes.train_yolov8n_small`."""
 
 from collections.abc import Sequence
 
@@ -8,8 +8,9 @@ from torch import Generator, Tensor, nn
 
 from attacks.detectors.base import Detector
 from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_SIDE
-from attacks.detectors.training.loop import DetectorTrainer, Targets
 from attacks.detectors.ultralytics import YOLODetector, build
+from scenes.recipes.detector_pictures import LabelledPicture
+from scenes.recipes.detector_training import Targets, TrainConfig, main
 
 _MIN_CONFIDENCE = 0.001
 """Confidence of detections that count in an average precision."""
@@ -17,27 +18,28 @@ _MOSAIC_FRACTION = 0.5
 """Fraction of a batch that is made of four pictures each, but for the last epochs."""
 
 
-class YOLOTrainer(DetectorTrainer):
+class YOLOTrainer:
     """The small YOLOv8. A cell learns from every picture, so four pictures in one teach four times as much."""
-
-    name = "yolov8n_small"
 
     def __init__(self) -> None:
         self._side: int | None = None
         self._mosaic_fraction = _MOSAIC_FRACTION
 
     def build(self) -> nn.Module:
-        """See `DetectorTrainer`."""
+        """The network with random weights."""
         return build("n", len(SMALL_CLASSES))
 
     def begin_epoch(self, model: nn.Module, *, side: int | None, final: bool) -> None:
-        """See `DetectorTrainer`; the last epochs have no mosaics."""
+        """Set the image side; the last epochs have no mosaics."""
         self._side, self._mosaic_fraction = side, 0.0 if final else _MOSAIC_FRACTION
+
+    def pretrain(self, model: nn.Module, pictures: Sequence[LabelledPicture], config: TrainConfig) -> None:
+        """Nothing is done."""
 
     def losses(
         self, model: nn.Module, pictures: list[Tensor], targets: Targets, generator: Generator
     ) -> dict[str, Tensor]:
-        """As in `DetectorTrainer`: the library's three, per picture."""
+        """The library's three, per image."""
         pictures, targets = with_mosaics(pictures, targets, self._mosaic_fraction, generator)
         planes = torch.stack(pictures)
         height, width = planes.shape[2:]
@@ -60,8 +62,8 @@ class YOLOTrainer(DetectorTrainer):
         return dict(zip(parts, total / len(pictures), strict=True))
 
     def detector(self, model: nn.Module) -> Detector:
-        """See `DetectorTrainer`."""
-        return YOLODetector(self.name, model, SMALL_CLASSES, side=SMALL_SIDE, min_confidence=_MIN_CONFIDENCE)
+        """The network behind the `Detector` interface."""
+        return YOLODetector("yolov8n_small", model, SMALL_CLASSES, side=SMALL_SIDE, min_confidence=_MIN_CONFIDENCE)
 
 
 def with_mosaics(
@@ -90,3 +92,8 @@ def mosaic(pictures: Sequence[Tensor], targets: Targets) -> tuple[Tensor, dict[s
         boxes.append(target["boxes"] * scale + torch.tensor([left, top, left, top]))
         labels.append(target["labels"])
     return whole, {"boxes": torch.cat(boxes), "labels": torch.cat(labels)}
+
+
+if __name__ == "__main__":
+    usual = TrainConfig(pretraining=0, epochs=24, batch=16, low_resolution_fraction=0.54, final_fraction=0.13)
+    main(YOLOTrainer(), usual, __doc__)

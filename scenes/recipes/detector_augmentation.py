@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Generator, Tensor
 
-from attacks.detectors.training.pictures import LabelledPicture
+from scenes.recipes.detector_pictures import LabelledPicture
 
 _MIN_SIDE, _MIN_VISIBLE = 5.0, 0.3
 

@@ -1,1 +1,0 @@
-"""How the two small detectors that the project ships are trained, on its own pictures."""

@@ -1,0 +1,511 @@
+"""Does one set of directions, the same for all of a surface, explain how its colours change?
+
+The score of a set of directions on a cell of surface is the change of its mean colour, from inside to outside, times
+the share of the variance that this explains; changes that point everywhere cancel out. Of an object it is the geometric
+mean of two numbers: the mean over all of its surface, and that over its six highest cells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from mi_splat.audit.results import excess
+from mi_splat.audit.surfaces import Elements, Sight, basis, lattice
+
+_SIMPLER = {"cone": 0.0, "complement": 0.02, "sector": 0.05}
+"""Overlap that a form has to gain over a simpler one."""
+_WIDTHS = torch.arange(6, 91, 2, dtype=torch.float64)
+_SECTOR_WIDTHS = torch.arange(10, 171, 8, dtype=torch.float64)
+_ELEVATIONS = torch.arange(0, 91, 6, dtype=torch.float64)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Shape:
+    """A set of directions in the frame of the splat; see `mi_splat.audit.results.Region`."""
+
+    axis: Tensor
+    half_width: float
+    elevation: tuple[float, float] | None
+    complement: bool
+    overlap: float
+
+
+def shape_of(directions: Tensor, shown: Tensor, up: Tensor | None) -> Shape:
+    """The form that overlaps most with the cameras that see a look."""
+    shapes = [_cone(directions, shown, complement=False), _cone(directions, ~shown, complement=True)]
+    gains = [shapes[0].overlap, shapes[1].overlap - _SIMPLER["complement"]]
+    if up is not None:
+        shapes.append(_sector(directions, shown, up))
+        gains.append(shapes[2].overlap - _SIMPLER["sector"])
+    return shapes[max(range(len(gains)), key=gains.__getitem__)]
+
+
+def overlaps(sets: Tensor, shown: Tensor) -> Tensor:
+    """(T,) intersection over union of (T, K) sets of cameras with one."""
+    return (sets & shown).sum(1) / (sets | shown).sum(1).clamp(min=1)
+
+
+def _cone(directions: Tensor, inside: Tensor, *, complement: bool) -> Shape:
+    axis = functional.normalize(directions[inside].sum(0), dim=0)
+    holds = angles_between(axis[None], directions) <= _WIDTHS[:, None]
+    overlap = overlaps(~holds if complement else holds, ~inside if complement else inside)
+    best = int(overlap.argmax())
+    return Shape(
+        axis=axis,
+        half_width=float(_WIDTHS[best]),
+        elevation=None,
+        complement=complement,
+        overlap=float(overlap[best]),
+    )
+
+
+def _sector(directions: Tensor, shown: Tensor, up: Tensor) -> Shape:
+    local = directions @ basis(up)
+    elevation = local[:, 2].clamp(-1, 1).asin().rad2deg()
+    azimuth = torch.atan2(local[:, 1], local[:, 0]).rad2deg()
+    middle = local[shown, :2].sum(0)
+    middle = middle / middle.norm().clamp(min=1e-12)
+    turn = (azimuth - torch.atan2(middle[1], middle[0]).rad2deg() + 180) % 360 - 180
+    wedges = turn.abs() <= _SECTOR_WIDTHS[:, None]
+    low, high = torch.combinations(_ELEVATIONS, 2).unbind(1)
+    bands = (elevation >= low[:, None]) & (elevation <= high[:, None])
+    overlap = overlaps((wedges[:, None] & bands[None]).flatten(0, 1), shown)
+    best = int(overlap.argmax())
+    wedge, band = divmod(best, len(low))
+    return Shape(
+        axis=basis(up)[:, :2] @ middle,
+        half_width=float(_SECTOR_WIDTHS[wedge]),
+        elevation=(float(low[band]), float(high[band])),
+        complement=False,
+        overlap=float(overlap[best]),
+    )
+
+
+# Do faces that look different ways change from the same directions?
+#
+# Gloss moves with the normal, and chance in the coefficients of single Gaussians has no common direction. A hidden
+# appearance has one for all of the surface. Two numbers of a set of directions say so, both less a multiple of what
+# chance would make of them, by how cells of surface differ:
+#
+# - shift: how far the mean colour of what faces along one normal changes from inside to outside (sRGB): the geometric
+#   mean of that over all of the surface, and of that without the face, of the six main ones, that has most of it.
+# - fade: the share of its contrast that is gone inside, without the face that speaks most for it. Gloss adds to the
+#   colours of surface with one normal and leaves their contrast; a hidden appearance replaces them.
+
+NORMALS = 40
+"""Groups of normals, about 15 degrees around."""
+_SHIFT_ERRORS, _FADE_ERRORS = 3.0, 4.0
+"""Standard errors, between cells of surface, that are taken off."""
+_ROUNDS = 6
+"""Rounds in which colours of pieces and what is common to a group of normals are fitted in turn."""
+_LEAST_LOOKS, _LEAST_CELLS, _LEAST_FADE_CELLS = 6, 2.5, 8.0
+"""Looks at a cell on each side, and cells by weight, of a group of normals and of all: of fewer nothing is said."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Profiles:
+    """How pieces of surface change with the camera.
+
+    Attributes:
+        cell: (E,) int64 cell of each piece.
+        normals: (C, 3) mean unit normals of the cells.
+        pieces: (C,) pieces of each.
+        looks: (E, K, 6): what a camera sees of a piece less its own mean colour, 0 where it does not see it; how much
+            more of its own contrast to its group of normals that has, times the square of the contrast; that square;
+            whether it is seen.
+    """
+
+    cell: Tensor
+    normals: Tensor
+    pieces: Tensor
+    looks: Tensor
+
+    @classmethod
+    def of(cls, moments: Tensor, normals: Tensor, cell: Tensor) -> Profiles:
+        """Profiles of pieces."""
+        seen, colours = moments[..., :1], moments[..., 1:4]
+        group, looks = _group_of(normals), moments[..., 0].sum(1, keepdim=True)
+        count = torch.zeros(NORMALS, moments.shape[1], 1).index_add_(0, group, seen).clamp(min=1)
+        common = torch.zeros(NORMALS, moments.shape[1], 3)
+        own = (colours * seen).sum(1) / looks
+        for _ in range(_ROUNDS):
+            common = torch.zeros_like(common).index_add_(0, group, (colours - own[:, None]) * seen) / count
+            own = ((colours - common[group]) * seen).sum(1) / looks
+        members = torch.bincount(group, minlength=NORMALS)[:, None].clamp(min=1)
+        contrast = own - (torch.zeros(NORMALS, 3).index_add_(0, group, own) / members)[group]
+        change = (colours - own[:, None]) * seen
+        fade = ((change - common[group] * seen) * contrast[:, None]).sum(-1, keepdim=True)
+        energy = contrast.square().sum(-1)[:, None, None] * seen
+        cells = int(cell.max()) + 1
+        return cls(
+            cell=cell,
+            normals=functional.normalize(torch.zeros(cells, 3).index_add_(0, cell, normals), dim=1),
+            pieces=torch.bincount(cell, minlength=cells).float(),
+            looks=torch.cat([change, fade, energy, seen], -1),
+        )
+
+    def of_cells(self) -> Tensor:
+        """(C, K, 6) sums of the looks at each cell."""
+        return self._by_cell(self.looks)
+
+    def parted(self, sides: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]], rows: int) -> tuple[Tensor, Tensor]:
+        """(C, T, 6) sums inside and outside of sets of cameras that differ from piece to piece, so many at a time."""
+        parts = [sides(part, self.looks[part]) for part in torch.split(torch.arange(len(self.looks)), rows)]
+        inside, outside = (self._by_cell(torch.cat(values)) for values in zip(*parts, strict=True))
+        return inside, outside
+
+    def _by_cell(self, values: Tensor) -> Tensor:
+        return torch.zeros(len(self.pieces), *values.shape[1:]).index_add_(0, self.cell, values)
+
+    def shifts(self, inside: Tensor, outside: Tensor) -> Tensor:
+        """(T,) float64 shift of each set of cameras, sRGB."""
+        first, second = inside[..., 5], outside[..., 5]
+        able = (first >= _LEAST_LOOKS) & (second >= _LEAST_LOOKS)
+        change = inside[..., :3] / first.clamp(min=1)[..., None] - outside[..., :3] / second.clamp(min=1)[..., None]
+        weight = _weight(first, second) * able
+        sums = torch.zeros(NORMALS, *weight.shape[1:], 9, dtype=torch.float64)
+        sums.index_add_(0, _group_of(self.normals), _terms(weight, change))
+        mean, error, cells = _estimate(sums)
+        size = (mean.square().sum(-1) / 3).sqrt() - _SHIFT_ERRORS * (error / 3).sqrt()
+        pieces = torch.zeros(NORMALS, weight.shape[1], dtype=torch.float64)
+        pieces.index_add_(0, _group_of(self.normals), (able * self.pieces[:, None]).double())
+        size = size.clamp(min=0) * (cells >= _LEAST_CELLS) * pieces
+        faces = torch.zeros(6, weight.shape[1], dtype=torch.float64)
+        faces.index_add_(0, face_of(lattice(NORMALS, -90.0, 90.0)), size)
+        total = faces.sum(0)
+        return (total * (total - faces.amax(0)).clamp(min=0)).sqrt() / pieces.sum(0).clamp(min=1)
+
+    def fades(self, inside: Tensor, outside: Tensor) -> Tensor:
+        """(T,) float64 share of the contrast that changes between the sides of each set of cameras, as in `shifts`."""
+        first, second = inside[..., 4], outside[..., 4]
+        able = (first > 0) & (second > 0)
+        change = inside[..., 3] / first.clamp(min=1e-9) - outside[..., 3] / second.clamp(min=1e-9)
+        sums = torch.zeros(6, *first.shape[1:], 5, dtype=torch.float64)
+        sums.index_add_(0, face_of(self.normals), _terms(_weight(first, second) * able, change[..., None]))
+        total = sums.sum(0)
+        mean, error, cells = _estimate(total - sums)
+        size = mean[..., 0] * total[..., 1].sign() - _FADE_ERRORS * error.sqrt()
+        return (size.clamp(min=0) * (cells > _LEAST_FADE_CELLS)).amin(0)
+
+
+def face_of(normals: Tensor) -> Tensor:
+    """(E,) int64 which of six sides (E, 3) normals face along."""
+    axis = normals.abs().argmax(1)
+    return 2 * axis + (normals.gather(1, axis[:, None])[:, 0] > 0)
+
+
+def _group_of(normals: Tensor) -> Tensor:
+    return (normals @ lattice(NORMALS, -90.0, 90.0).float().T).argmax(1)
+
+
+def _weight(first: Tensor, second: Tensor) -> Tensor:
+    return first * second / (first + second).clamp(min=1e-9)
+
+
+def _terms(weight: Tensor, value: Tensor) -> Tensor:
+    """(C, T, 3 + 2 D) float64 terms of which sums over cells make a mean of (C, T, D) values and its error."""
+    weight, value = weight.double()[..., None], value.double()
+    squares = weight.square()
+    terms = [weight, weight * value, squares, squares * value, squares * value.square().sum(-1, keepdim=True)]
+    return torch.cat(terms, -1)
+
+
+def _estimate(sums: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """(..., D) mean, (...) the square of its standard error over all D, and (...) cells by weight."""
+    size = (sums.shape[-1] - 3) // 2
+    weight, squares = sums[..., 0].clamp(min=1e-12), sums[..., size + 1]
+    mean = sums[..., 1 : size + 1] / weight[..., None]
+    cross = (mean * sums[..., size + 2 : 2 * size + 2]).sum(-1)
+    spread = (sums[..., -1] - 2 * cross + mean.square().sum(-1) * squares).clamp(min=0) / weight.square()
+    cells = weight.square() / squares.clamp(min=1e-20)
+    return mean, spread * cells / (cells - 1).clamp(min=0.5), cells
+
+
+INSIDE, OUTSIDE = 3.0, 8.0
+"""Degrees at the edge of a cone that count as neither: a look may change there as it likes."""
+_COSINES = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+ANGLES = len(_COSINES)
+"""Sets of angles of incidence; they come before the mirrored directions."""
+_MIRROR_AXES, _MIRROR_WIDTHS = 52, (30.0, 45.0, 60.0, 75.0, 90.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rays:
+    """How each camera sees each piece of surface.
+
+    Attributes:
+        cosines: (E, K) of the angle of incidence.
+        mirrored: (E, K, 3) unit vectors in which a mirror would reflect the view.
+    """
+
+    cosines: Tensor
+    mirrored: Tensor
+
+
+def rays_of(view: Sight, positions: Tensor, normals: Tensor) -> Rays:
+    """How the cameras see pieces of surface at (E, 3) positions with (E, 3) normals."""
+    eyes = torch.stack([camera.position for camera in view.cameras]).float()
+    views = functional.normalize(eyes - positions[:, None], dim=-1)
+    cosines = (views * normals[:, None]).sum(-1)
+    return Rays(cosines=cosines, mirrored=2 * cosines[..., None] * normals[:, None] - views)
+
+
+def incidence_sides(cosines: Tensor) -> tuple[Tensor, Tensor]:
+    """(E, ANGLES, K) float32 cameras inside and outside of each set of angles of incidence."""
+    limits = torch.tensor(_COSINES)[:, None]
+    return (cosines[:, None] > limits + 0.03).float(), (cosines[:, None] < limits - 0.06).float()
+
+
+def gloss_sides(cosines: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor]:
+    """(E, R, K) float32 cameras inside and outside of each set of angles of incidence, and of mirrored directions."""
+    turned = (mirrored @ lattice(_MIRROR_AXES, -90.0, 90.0).float().T).transpose(1, 2)
+    insides, outsides = ([side] for side in incidence_sides(cosines))
+    for width in _MIRROR_WIDTHS:
+        insides.append((turned > math.cos(math.radians(width - INSIDE))).float())
+        outsides.append((turned < math.cos(math.radians(width + OUTSIDE))).float())
+    return torch.cat(insides, 1), torch.cat(outsides, 1)
+
+
+NOISE = 0.03
+"""sRGB by which clean surface may differ from camera to camera."""
+HALF_WIDTHS = (20.0, 27.0, 35.0, 43.0, 51.0, 60.0, 70.0)
+"""Degrees from the axis of a cone to its edge."""
+AXES = 110
+"""Axes of cones all around."""
+LEAST_SEEN = 3
+"""Cameras on each side of the edge that have to see a piece of surface."""
+MOST_PIECES = 2500
+"""Pieces of surface on which sets of directions are compared, evenly taken of all."""
+_VOTES = 3
+"""Rounds of votes on which cameras see a look, at most."""
+_CHUNK = 256
+_CELL, _CELL_ELEMENTS, _CELLS = 6, 6, 6
+"""Side of a cell in voxels, pieces that it has at least, and cells that count."""
+
+Sides = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+"""From (E,) rows and (E, K, 5) their moments to (E, T, 5) sums inside and outside of T sets of cameras."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Bank:
+    """Sets of directions to try.
+
+    Attributes:
+        axes: (T, 3) float64 unit vectors.
+        half_widths: (T,) float64 degrees.
+    """
+
+    axes: Tensor
+    half_widths: Tensor
+
+    def sides(self, directions: Tensor) -> tuple[Tensor, Tensor]:
+        """(T, K) float32, which directions are inside of each set, and which outside; those at its edge are neither."""
+        angles = angles_between(self.axes, directions)
+        inside = angles < self.half_widths[:, None] - INSIDE
+        return inside.float(), (angles > self.half_widths[:, None] + OUTSIDE).float()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scores:
+    """How well each explanation fits an object.
+
+    Attributes:
+        direction: Score of the best set of directions.
+        incidence: Score of the best angle between surface and view.
+        mirror: Score of the best set of mirrored directions.
+        shift: Of the set of directions that has most of it; see `mi_splat.audit.explanations`.
+        fade: The same, less the most that a set of angles of incidence has.
+        axis: (3,) of the best set of directions.
+        half_width: Its, in degrees.
+    """
+
+    direction: float
+    incidence: float
+    mirror: float
+    shift: float
+    fade: float
+    axis: Tensor
+    half_width: float
+
+    @property
+    def excess(self) -> float:
+        """What gloss does not explain."""
+        return excess(self.direction, self.incidence, self.mirror, self.shift, self.fade)
+
+
+def angles_between(first: Tensor, second: Tensor) -> Tensor:
+    """(A, B) float64 degrees between (A, 3) and (B, 3) unit vectors."""
+    return (first.double() @ second.double().T).clamp(-1, 1).acos().rad2deg()
+
+
+def bank() -> Bank:
+    """Cones of all half widths about axes all around."""
+    axes = lattice(AXES, -90.0, 90.0)
+    widths = torch.tensor(HALF_WIDTHS, dtype=torch.float64)
+    return Bank(axes=axes.repeat_interleave(len(widths), 0), half_widths=widths.repeat(AXES))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Split:
+    """Pieces of surface parted by sets of cameras.
+
+    Attributes:
+        change: (..., 3) mean colour inside less that outside.
+        weight: (...) how much each change is known, 0 where too few cameras see one side.
+        whole: (...) variance of the colours times their number.
+        valid: (...) bool, whether enough cameras see both sides.
+    """
+
+    change: Tensor
+    weight: Tensor
+    whole: Tensor
+    valid: Tensor
+
+    @classmethod
+    def of(cls, inside: Tensor, outside: Tensor) -> Split:
+        """Part pieces, given the (..., 5) sums of their moments over the cameras inside and outside."""
+        count_in, count_out = inside[..., 0], outside[..., 0]
+        count = (count_in + count_out).clamp(min=1)
+        mean_in = inside[..., 1:4] / count_in.clamp(min=1)[..., None]
+        mean_out = outside[..., 1:4] / count_out.clamp(min=1)[..., None]
+        valid = (count_in >= LEAST_SEEN) & (count_out >= LEAST_SEEN)
+        squares = (inside[..., 1:4] + outside[..., 1:4]).square().sum(-1)
+        whole = inside[..., 4] + outside[..., 4] - squares / count + count * 3 * NOISE**2
+        weight = count_in * count_out / count * valid
+        return cls(change=mean_in - mean_out, weight=weight, whole=whole, valid=valid)
+
+    def scores(self) -> Tensor:
+        """(...) score of each piece by itself, 0 where it is not valid."""
+        squares = self.change.square().sum(-1)
+        return (squares / 3).sqrt() * self.weight * squares / self.whole.clamp(min=1e-9)
+
+
+def cells_of(pieces: Elements) -> Tensor:
+    """(E,) int64 cell of each piece, by its position and the axis that it faces along."""
+    voxel = (pieces.positions / (_CELL * pieces.size)).floor().long()
+    voxel = voxel - voxel.amin(0)
+    sizes = voxel.amax(0) + 1
+    number = ((voxel[:, 0] * sizes[1] + voxel[:, 1]) * sizes[2] + voxel[:, 2]) * 6 + face_of(pieces.normals)
+    cell: Tensor = torch.unique(number, return_inverse=True)[1]
+    return cell
+
+
+def set_scores(moments: Tensor, cell: Tensor, sides: Sides) -> Tensor:
+    """(T,) score of each set of cameras on an object."""
+    sums, able = torch.zeros(0), 0
+    for rows in torch.split(torch.arange(len(moments)), _CHUNK):
+        split = Split.of(*sides(rows, moments[rows]))
+        valid = split.valid.float()[..., None]
+        terms = [split.weight[..., None] * split.change, split.weight[..., None], split.whole[..., None] * valid, valid]
+        if not len(sums):
+            sums = torch.zeros(int(cell.max()) + 1, split.valid.shape[1], 6)
+        sums.index_add_(0, cell[rows], torch.cat(terms, -1))
+        able += int(split.valid.any(1).sum())
+    weight, count = sums[..., 3].clamp(min=1e-9), sums[..., 5]
+    squares = (sums[..., :3] / weight[..., None]).square().sum(-1)
+    score = (squares / 3).sqrt() * squares * weight / sums[..., 4].clamp(min=1e-9)
+    score = torch.where(count >= _CELL_ELEMENTS, score, 0.0)
+    highest = score.topk(min(_CELLS, len(score)), dim=0).values.sum(0) / _CELLS
+    return ((score * count).sum(0) / max(able, 1) * highest).sqrt()
+
+
+def explain(pieces: Elements, view: Sight) -> Scores:
+    """Score how well sets of directions explain the colours of an object, and how well gloss would."""
+    judged = pieces.judged.nonzero()[:, 0]
+    judged = judged[torch.linspace(0, len(judged) - 1, min(len(judged), MOST_PIECES)).round().long()]
+    cell = torch.unique(cells_of(pieces)[judged], return_inverse=True)[1]
+    moments = pieces.moments[judged]
+    rays = rays_of(view, pieces.positions[judged], pieces.normals[judged])
+    sets = bank()
+    cones = sets.sides(view.directions)
+
+    def by_direction(rows: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
+        flat = part.transpose(0, 1).reshape(part.shape[1], -1)
+        inside, outside = ((side @ flat).reshape(len(side), len(rows), 5).transpose(0, 1) for side in cones)
+        return inside, outside
+
+    def by_incidence(cosines: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
+        inside, outside = incidence_sides(cosines)
+        return torch.bmm(inside, part), torch.bmm(outside, part)
+
+    def by_gloss(rows: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
+        inside, outside = gloss_sides(rays.cosines[rows], rays.mirrored[rows])
+        return torch.bmm(inside, part), torch.bmm(outside, part)
+
+    direct, rivals = set_scores(moments, cell, by_direction), set_scores(moments, cell, by_gloss)
+    profiles = Profiles.of(moments, pieces.normals[judged], cell)
+    at_cells = profiles.of_cells()
+    parted = [torch.einsum("ckx,tk->ctx", at_cells, side) for side in cones]
+    by_angle = profiles.parted(lambda rows, part: by_incidence(rays.cosines[rows], part), _CHUNK)
+    fade = float(profiles.fades(*parted).max() - profiles.fades(*by_angle).max())
+    incidence, mirror = float(rivals[:ANGLES].max()), float(rivals[ANGLES:].max())
+    best = int(direct.argmax())
+    return Scores(
+        direction=float(direct[best]),
+        incidence=incidence,
+        mirror=mirror,
+        shift=float(profiles.shifts(*parted).max()),
+        fade=max(0.0, fade),
+        axis=sets.axes[best],
+        half_width=float(sets.half_widths[best]),
+    )
+
+
+def sums_by_side(moments: Tensor, shown: Tensor) -> tuple[Tensor, Tensor]:
+    """(E, 5) sums of (E, K, 5) moments over the cameras that see a look, and over those that do not."""
+    inside = shown.float()
+    return torch.einsum("ekc,k->ec", moments, inside), torch.einsum("ekc,k->ec", moments, 1 - inside)
+
+
+def piece_scores(pieces: Elements, shown: Tensor) -> Tensor:
+    """(E,) score of each piece, 0 where it is not judged."""
+    return Split.of(*sums_by_side(pieces.moments, shown)).scores() * pieces.judged
+
+
+def look_amounts(pieces: Elements, shown: Tensor) -> Tensor:
+    """(K,) how much of a look each camera sees, by the mean of the pieces' scores, from 0 (none) to 1."""
+    inside, outside = sums_by_side(pieces.moments, shown)
+    base = outside[:, 1:4] / outside[:, :1].clamp(min=1)
+    change = inside[:, 1:4] / inside[:, :1].clamp(min=1) - base
+    projection = torch.einsum("ekc,ec->ek", pieces.moments[..., 1:4] - base[:, None], change)
+    weight = (piece_scores(pieces, shown) / change.square().sum(1).clamp(min=1e-6))[:, None] * pieces.moments[..., 0]
+    return (projection * weight).sum(0) / (change.square().sum(1)[:, None] * weight).sum(0).clamp(min=1e-12)
+
+
+def reachable(pieces: Elements, view: Sight) -> Tensor:
+    """(E,) bool, whether some cone has enough of the cameras that see a piece inside and outside."""
+    inside, outside = bank().sides(view.directions)
+    seen = pieces.moments[..., 0]
+    able = torch.zeros(len(seen), dtype=torch.bool)
+    for rows in torch.split(torch.arange(len(seen)), _CHUNK):
+        counts = [seen[rows] @ side.T >= LEAST_SEEN for side in (inside, outside)]
+        able[rows] = (counts[0] & counts[1]).any(1)
+    return able
+
+
+def cameras_of_look(pieces: Elements, view: Sight, scores: Scores) -> Tensor:
+    """(K,) bool, which cameras see the look: a set of any form, begun with the best cone.
+
+    Each piece votes for the side whose mean colour is nearer to what the camera sees, by its score.
+    """
+    shown = angles_between(scores.axis[None], view.directions)[0] < scores.half_width + (OUTSIDE - INSIDE) / 2
+    for _ in range(_VOTES):
+        inside, outside = sums_by_side(pieces.moments, shown)
+        mean_in = inside[:, 1:4] / inside[:, :1].clamp(min=1)
+        mean_out = outside[:, 1:4] / outside[:, :1].clamp(min=1)
+        change = mean_in - mean_out
+        weight = Split.of(inside, outside).scores() * pieces.judged / change.square().sum(1).clamp(min=1e-6)
+        seen = pieces.moments[..., 0]
+        colours = pieces.moments[..., 1:4]
+        votes = ((colours - ((mean_in + mean_out) / 2)[:, None]) * change[:, None]).sum(-1) * seen
+        voted = torch.einsum("ek,e->k", votes, weight) > 0
+        if not LEAST_SEEN <= int(voted.sum()) <= len(voted) - LEAST_SEEN:
+            break
+        shown = voted
+    return shown
