@@ -99,18 +99,6 @@ class Step:
     restart: int = 0
     share: float = 0.0
 
-    @property
-    def done(self) -> int:
-        """Number of the step, for `mi_splat.progress`."""
-        return self.index
-
-    @property
-    def figures(self) -> dict[str, float]:
-        """What was measured, for `mi_splat.progress`; those of another run have its number in their names."""
-        judged = {} if self.score == NOT_JUDGED else {"score": self.score}
-        run = f" of run {self.restart + 1}" if self.restart else ""
-        return {f"{name}{run}": value for name, value in {"loss": self.loss, **judged, "share": self.share}.items()}
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Outcome:

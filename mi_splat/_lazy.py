@@ -27,7 +27,7 @@ def attach(
 class Previewed:
     """A value that a notebook shows as small pictures and a line of facts, its `repr`.
 
-    What draws them lies above all values, in the module `previews` of the package of the class. It is imported when a
+    What draws them lies above all values, in the module `cards` of the package of the class. It is imported when a
     notebook asks. So it is no part of the code that results depend on.
     """
 
@@ -35,4 +35,4 @@ class Previewed:
 
     def _repr_html_(self) -> str:
         kind = next(kind for kind in type(self).__mro__ if Previewed in kind.__bases__)
-        return str(importlib.import_module(f"{kind.__module__.partition('.')[0]}.previews").html(self))
+        return str(importlib.import_module(f"{kind.__module__.partition('.')[0]}.cards").html(self))

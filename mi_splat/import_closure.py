@@ -1,7 +1,8 @@
 """The code that a piece of work runs, as a digest: results that are kept belong to it.
 
 Who lists by hand the files that a result depends on forgets one. So the digest is of everything that a module imports,
-and what that imports: docstrings, comments and annotations apart, with the versions of the packages of others.
+and what that imports: docstrings, comments, annotations, errors and names of modules apart, with the versions of other
+packages. So a module may be moved, and a message reworded.
 """
 
 import ast
@@ -28,8 +29,8 @@ def code_digest(*modules: str, alone: tuple[str, ...] = ()) -> str:
     that are imported when they are needed.
     """
     total = hashlib.sha256(f"python {sys.version_info[0]}.{sys.version_info[1]}".encode())
-    for name in sorted({*closure(*modules), *alone}):
-        total.update(f"\n{name} {_module(name).code}".encode())
+    for code in sorted(_module(name).code for name in {*closure(*modules), *alone}):
+        total.update(f"\n{code}".encode())
     for package, version in _versions(closure(*modules)):
         total.update(f"\n{package} {version}".encode())
     return total.hexdigest()[:16]
@@ -79,7 +80,7 @@ class _Module:
 def _module(name: str) -> _Module:
     file = _file(name)
     assert file is not None
-    tree = _Stripped().visit(ast.parse(file.read_text("utf-8")))
+    tree = ast.parse(file.read_text("utf-8"))
     modules, names, texts, tables = list[str](), list[tuple[str, str]](), list[str](), list[tuple[str, Any]]()
     # A package may import its names when they are asked for; who asks for one is followed by `_imported`.
     when_asked = set[ast.AST]()
@@ -96,7 +97,7 @@ def _module(name: str) -> _Module:
                     tables.append((str(key.value), tuple(element.value for element in constants)))
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in when_asked:
             texts += [node.value] if "." in node.value else []
-    code = hashlib.sha256(ast.dump(tree).encode()).hexdigest()
+    code = hashlib.sha256(ast.dump(_Stripped().visit(tree)).encode()).hexdigest()
     return _Module(code, tuple(modules), tuple(names), tuple(texts), tuple(tables))
 
 
@@ -131,7 +132,20 @@ def _versions(names: tuple[str, ...]) -> Iterator[tuple[str, str]]:
 
 
 class _Stripped(ast.NodeTransformer):
-    """Takes out what no result depends on: docstrings, annotations, and imports for type checkers alone."""
+    """Takes out what no result depends on: docstrings, annotations, errors, and where our own modules lie."""
+
+    def visit_ImportFrom(self, node: ast.ImportFrom) -> ast.ImportFrom:
+        """What is imported from a module of ours, wherever that lies."""
+        return ast.ImportFrom("", node.names) if _file(str(node.module)) is not None else node
+
+    def visit_Constant(self, node: ast.Constant) -> ast.Constant:
+        """The name of a module in a table, likewise."""
+        is_module = isinstance(node.value, str) and "." in node.value and _file(node.value) is not None
+        return ast.Constant(None) if is_module else node
+
+    def visit_Raise(self, node: ast.Raise) -> ast.Raise:
+        """No result comes of an error."""
+        return ast.Raise()
 
     def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
         """A docstring, of a value too, is a constant that nobody uses."""

@@ -308,7 +308,6 @@ EXTRAS = {
     "meshes": ("trimesh",),
     "report": ("jinja2", "matplotlib"),
     "robots": ("mujoco",),
-    "tensorboard": ("tensorboard",),
     "tflite": ("tflite",),
     "transformers": ("transformers",),
     "usd": ("pxr",),

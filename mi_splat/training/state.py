@@ -50,17 +50,6 @@ class Progress:
     count: int
     held_out: Scores | None = None
 
-    @property
-    def done(self) -> int:
-        """Steps done, for `mi_splat.progress`."""
-        return self.iteration
-
-    @property
-    def figures(self) -> dict[str, float]:
-        """What was measured, for `mi_splat.progress`."""
-        scores = {} if self.held_out is None else {"psnr": self.held_out.psnr, "ssim": self.held_out.ssim}
-        return {"loss": self.loss, "gaussians": self.count, **scores}
-
 
 class TrainState:
     """Everything that the rest of a training run depends on.

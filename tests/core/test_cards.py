@@ -3,11 +3,10 @@
 import dataclasses
 import html
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pytest
 import torch
@@ -15,11 +14,11 @@ import torch
 from attacks import DaggerConfig, attack, judge, relabel
 from attacks.cloak.poisoning import Poisoning, poison
 from attacks.cloak.triggers import Elevation
-from mi_splat import previews
+from mi_splat import cards
 from mi_splat.audit.lint.checking import lint_scene
 from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import View
-from mi_splat.cards import HEIGHT, Pictures, card, picture
+from mi_splat.cards import HEIGHT, Pictures, image
 from mi_splat.comparison.compare import CompareConfig, compare
 from mi_splat.comparison.methods import Method
 from mi_splat.errors import InvalidValueError, counted, listed, one_line
@@ -56,7 +55,7 @@ def values() -> dict[str, tuple[Any, int]]:
         "Camera": (cameras[0], 0),
         "CameraList": (cameras, 0),
         "View": (views[0], 1),
-        "PoisonedViews": (poisoned.views, 4),
+        "PoisonedViews": (poisoned.views, 3),
         "Poisoned": (poisoned, 4),
         "Fit": (fit(views, scene, render=render, config=FitConfig(iterations=1, strategy=FixedConfig())), 1),
         "Comparison": (compared, 2),
@@ -83,7 +82,6 @@ def test_a_card_has_pictures_and_one_line_of_facts(shown: dict[str, tuple[Any, i
     assert html.escape(facts) in made
     assert "no picture" not in made
     assert len(pictures(made)) == count
-    assert count or "<svg" in made
     assert len(made) < 400_000
 
 
@@ -92,15 +90,15 @@ def test_a_scene_file_shows_its_cameras(variant: str) -> None:
     made = scene._repr_html_()
     assert len(pictures(made)) == min(4, len(scene.cameras))
     assert all(name in made for name in list(scene.cameras)[:4])
-    heights = [int(width) for width in re.findall(r'width="(\d+)" class', made)]
-    assert max(heights) <= 2 * HEIGHT
+    widths = [int(width) for width in re.findall(r'width="(\d+)" class', made)]
+    assert max(widths) <= 2 * HEIGHT
 
 
 def test_names_of_strangers_are_text(variant: str) -> None:
     scene = random_scene(3, 0)
     cameras = {HOSTILE: orbit((0, 0, 0), count=1, elevation=10, distance=5, focal=20, size=(16, 16))[0]}
     value = SplatScene(scene=scene, objects={HOSTILE: slice(0, 3)}, cameras=cameras, settings=RenderSettings())
-    for made in (value._repr_html_(), card(HOSTILE), picture(np.zeros((2, 2, 3)), HOSTILE)):
+    for made in (value._repr_html_(), image(np.zeros((2, 2, 3)), HOSTILE)):
         assert "<script" not in made
         assert "<img src=x" not in made
         assert "\x1b" not in made
@@ -113,43 +111,30 @@ def test_a_card_never_fails(shown: dict[str, tuple[Any, int]], monkeypatch: pyte
     def broken(*_: object) -> None:
         raise RuntimeError(HOSTILE)
 
-    monkeypatch.setattr(previews, "Renderer", broken)
+    monkeypatch.setattr(cards, "Renderer", broken)
     made = random_scene(3)._repr_html_()
     assert pictures(made) == []
     assert "GaussianScene(3 Gaussians" in made
     assert "no picture: RuntimeError" in made
     empty = dataclasses.replace(shown["Comparison"][0], pictures={})
-    assert pictures(previews.html(empty)) == []
+    assert pictures(cards.html(empty)) == []
 
 
-def test_looking_changes_nothing(variant: str) -> None:
-    code = """
-import mitsuba as mi
-mi.set_variant("scalar_rgb")
-from tests.gaussians import random_scene
-scene = random_scene(3)
-scene.means.requires_grad_(True)
-assert "<img" in scene._repr_html_()
-assert mi.variant() == "scalar_rgb", mi.variant()
-assert scene.means.requires_grad and scene.means.grad is None
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-
-
-def test_of_a_large_splat_what_covers_most_is_drawn() -> None:
-    scene = random_scene(50)
-    kept = previews.largest(scene, 10)
-    assert len(kept) == 10
-    ordered = scene.scales.sort(dim=1).values[:, 1:].prod(1) * scene.opacities
-    assert set(kept.opacities.tolist()) == set(scene.opacities[ordered.argsort()[-10:]].tolist())
-    assert previews.largest(scene, 50) is scene
+def test_looking_changes_no_variant_and_no_gradient(variant: str) -> None:
+    mi.set_variant("scalar_rgb")
+    scene = random_scene(3)
+    scene.means.requires_grad_(True)
+    assert "<img" in scene._repr_html_()
+    assert mi.variant() == "scalar_rgb"
+    assert scene.means.requires_grad
+    assert scene.means.grad is None
+    mi.set_variant(variant)
 
 
 def test_what_is_no_picture_is_refused() -> None:
-    with pytest.raises(InvalidValueError, match=r"picture: expected shape \(H, W, 3\), got \(2, 2\)"):
-        picture(np.zeros((2, 2)))
-    assert pictures(picture(torch.full((4, 4, 3), torch.nan)))
+    with pytest.raises(InvalidValueError, match=r"image: expected shape \(H, W, 3\), got \(2, 2\)"):
+        image(np.zeros((2, 2)))
+    assert pictures(image(torch.full((4, 4, 3), torch.nan)))
 
 
 def test_lines_and_lists_are_short() -> None:

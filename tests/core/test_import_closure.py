@@ -16,6 +16,8 @@ from toy.helper import double
 
 def run(number: int) -> int:
     """Doubles."""
+    if number < 0:
+        raise ValueError("a number below 0")
     if number > 2:
         from toy import late
         return late.LIMIT
@@ -73,6 +75,7 @@ def test_all_that_is_imported_belongs_to_it(toy: Path) -> None:
         ("entry.py", "  # twice", "", False),
         ("entry.py", "number: int", "number: float", False),
         ("helper.py", "-> int", "-> float", False),
+        ("entry.py", "a number below 0", "a positive number", False),
     ],
 )
 def test_what_changes_the_digest(file: str, old: str, new: str, changes: bool, toy: Path) -> None:
@@ -82,6 +85,14 @@ def test_what_changes_the_digest(file: str, old: str, new: str, changes: bool, t
     (toy / file).write_text(text.replace(old, new))
     forget()
     assert (code_digest("toy.entry") != before) is changes
+
+
+def test_a_module_that_is_moved_is_the_same_code(toy: Path) -> None:
+    before = code_digest("toy.entry")
+    (toy / "helper.py").rename(toy / "doubling.py")
+    (toy / "entry.py").write_text(ENTRY.replace("toy.helper", "toy.doubling"))
+    forget()
+    assert code_digest("toy.entry") == before
 
 
 def test_a_module_may_count_alone(toy: Path) -> None:

@@ -31,7 +31,6 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "sun",
             "scene",
             "placement",
-            "progress",
             "interrupts",
             "processes",
         )
@@ -61,7 +60,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "training": ("mi_splat.training",),
     "audit": ("mi_splat.audit",),
     "capture": ("mi_splat.capture",),
-    "notebooks": ("mi_splat.cards", "mi_splat.previews"),
+    "notebooks": ("mi_splat.cards",),
     "viewer": ("mi_splat.viewer",),
     "commands of mi_splat": ("mi_splat.cli",),
     "interfaces of attacks": (
@@ -76,7 +75,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "transformations": ("attacks.transformations",),
     "observation": ("attacks.observe",),
     "attacks": ("attacks.dagger", "attacks.cloak", "attacks.poisons", "attacks.audits"),
-    "notebooks of attacks": ("attacks.previews",),
+    "notebooks of attacks": ("attacks.cards",),
     "test kit": ("attacks.testing",),
     "studies": ("attacks.studies",),
     "scoreboard": ("attacks.bench",),
