@@ -15,9 +15,9 @@ from mi_splat._lazy import Previewed
 from mi_splat.bounds import bounds, near_plane
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError, MiSplatError, listed, message
-from mi_splat.io import SplatFileError, load_splat
-from mi_splat.io.errors import SplatFileWarning, path_name
+from mi_splat.io.errors import SplatFileError, SplatFileWarning, path_name
 from mi_splat.io.scene_parts import check_scene_file
+from mi_splat.io.splat_files import load_stored
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, merge
 
@@ -146,14 +146,16 @@ def _reason(error: RuntimeError, path: Path) -> MiSplatError:
 def open_scene(path: Path, device: str = "cpu") -> SplatScene:
     """The scene in `path`, to be rendered as detectors and PNG files want it: three channels, sRGB.
 
-    A bare splat file becomes a scene of one object without cameras, in front of black.
+    A bare splat file becomes a scene of one object without cameras, in front of black, drawn in the mode (plain or
+    antialiased) that the file says it was trained in.
     """
     if path.suffix.lower() == ".xml":
         loaded = read_scene(path)
         loaded = dataclasses.replace(loaded, settings=dataclasses.replace(loaded.settings, alpha=False, linear=False))
     else:
-        scene = load_splat(path)
-        settings = RenderSettings(near=near_plane(scene))
+        stored = load_stored(path).settle(str(path), "raise", stacklevel=2)
+        scene = stored.scene
+        settings = RenderSettings(near=near_plane(scene), antialiased=stored.is_antialiased)
         loaded = SplatScene(scene=scene, objects={path.stem: slice(0, len(scene))}, cameras={}, settings=settings)
     if device == "cpu":
         return loaded

@@ -99,14 +99,16 @@ def sh_to_colour(sh: Tensor, directions: Tensor) -> Tensor:
     return ((basis[..., None] * sh).sum(-2) + 0.5).clamp(min=0)
 
 
-def colour_to_dc(colour: Tensor) -> Tensor:
+def colour_to_dc(colour: _Values) -> _Values:
     """(..., 3) first SH coefficient of a Gaussian that has the sRGB `colour` (..., 3) from everywhere."""
-    return (colour - 0.5) / _C0
+    result: _Values = (colour - 0.5) / _C0
+    return result
 
 
-def dc_to_colour(dc: Tensor) -> Tensor:
+def dc_to_colour(dc: _Values) -> _Values:
     """(..., 3) sRGB colour of the first SH coefficient `dc` (..., 3), the inverse of `colour_to_dc`; not clamped."""
-    return dc * _C0 + 0.5
+    result: _Values = dc * _C0 + 0.5
+    return result
 
 
 def colours_by_direction(

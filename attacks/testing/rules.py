@@ -10,7 +10,7 @@ import torch
 
 from attacks.testing.promises import Contract, expect
 from mi_splat.audit.lint.rules import RULES, Rule, Severity, Stored
-from mi_splat.io.loaded import Loaded
+from mi_splat.io.loaded import Loaded, arrays_of
 from mi_splat.rotation import normalise
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import coefficient_count, colour_to_dc
@@ -73,7 +73,7 @@ def _cloud(count: int, degree: int) -> GaussianScene:
 
 
 def _stored(scene: GaussianScene, *, broken: bool = False) -> Stored:
-    loaded = Loaded.of(scene.detach().to("cpu"), np.array([1, 2] if broken else [], np.int64), "")
+    loaded = Loaded(arrays_of(scene), np.array([1, 2] if broken else [], np.int64), "")
     if broken:
         loaded.arrays["means"][1], loaded.arrays["scales"][2] = np.nan, -1.0
     return Stored.of(loaded)

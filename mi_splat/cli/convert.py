@@ -61,10 +61,10 @@ def run(options: ConvertOptions) -> None:
     """Convert, read the new file back, and say how it differs."""
     import torch
 
-    from mi_splat.io import load_splat
     from mi_splat.io.folders import check_new_file, check_not_input, check_writable, splat_in
-    from mi_splat.io.formats.encoded import Values, dropped_bands
-    from mi_splat.io.splat_files import write_splat_file
+    from mi_splat.io.formats.encoded import dropped_bands
+    from mi_splat.io.loaded import ranges
+    from mi_splat.io.splat_files import TAGGED, load_stored, write_splat_file
     from mi_splat.scene import merge
 
     suffix = format_to_write(str(options.out))  # a name that fits no format is told before a large file is read
@@ -78,16 +78,20 @@ def run(options: ConvertOptions) -> None:
     check_writable(options.out.parent)
     with progress(f"reading {', '.join(map(str, sources))}"):
         invalid: Literal["drop", "raise"] = "drop" if options.drop_invalid else "raise"
-        parts = [load_splat(source, on_invalid=invalid) for source in sources]
-        scene = options.placement.apply(merge(*parts))
+        parts = [load_stored(source).settle(str(source), invalid, stacklevel=1) for source in sources]
+        scene = options.placement.apply(merge(*(part.scene for part in parts)))
+    antialiased = all(part.is_antialiased for part in parts)
+    not_kept = ranges(list(dict.fromkeys(name for part in parts for name in part.unread)))
+    if any(part.is_antialiased for part in parts) and not (antialiased and suffix in TAGGED):
+        not_kept.append("that it was trained with antialiasing (render mode)")
     with progress(f"writing {options.out}"):
         kept = scene if options.sh_degree is None else scene.with_degree(min(options.sh_degree, scene.degree))
         options.out.parent.mkdir(parents=True, exist_ok=True)
-        encoded = write_splat_file(kept, options.out, spz_version=options.spz_version or 3)
-        reread = load_splat(options.out)
+        encoded = write_splat_file(kept, options.out, spz_version=options.spz_version or 3, antialiased=antialiased)
+        reread = load_stored(options.out).scene
     written = scene if encoded.order is None else scene.select(torch.from_numpy(encoded.order))
     changes = differences(written, reread)
-    losses = (*dropped_bands(Values.of(scene), kept.degree), *encoded.losses)
+    losses = (*dropped_bands(scene.sh.numpy(), kept.degree), *encoded.losses)
     sizes = sum(os.path.getsize(splat_in(source) or source) for source in sources), options.out.stat().st_size
     document = {
         "source": str(options.source),
@@ -101,6 +105,7 @@ def run(options: ConvertOptions) -> None:
         "reordered": encoded.order is not None,
         "largest_changes": changes,
         "lost": [dataclasses.asdict(loss) for loss in losses],
+        "not_kept": not_kept,
     }
     lines = [
         f"file            {options.out}, {sizes[1]:,} bytes",
@@ -110,6 +115,7 @@ def run(options: ConvertOptions) -> None:
         f"order           {'changed' if encoded.order is not None else 'kept'}",
         *(f"largest change  {name}: {value:.3g}" for name, value in changes.items()),
         *(f"lost: {loss}" for loss in losses),
+        *(f"not kept: {name}" for name in not_kept),
     ]
     show_result(document, *lines, as_json=options.json)
 

@@ -61,13 +61,17 @@ def run(options: InfoOptions) -> None:
 
 def _file_facts(path: Path, up: Up) -> dict[str, object]:
     """Facts about a splat file, which has no parts; Gaussians that are not valid are described and left out."""
-    from mi_splat.io.reading import load_arrays
+    from mi_splat.io.loaded import ranges
+    from mi_splat.io.splat_files import load_stored
 
+    stored = load_stored(path)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", SplatFileWarning)
-        splat = load_arrays(path, on_invalid="drop")
-    dropped = [str(item.message) for item in caught if issubclass(item.category, SplatFileWarning)]
-    return {"parts": None, **splat_facts(splat, up), "invalid": " ".join(dropped) or None}
+        splat = stored.settle(str(path), "drop", stacklevel=1).arrays
+    notes = [str(item.message) for item in caught if issubclass(item.category, SplatFileWarning)]
+    facts: dict[str, object] = {"parts": None, **splat_facts(splat, up)}
+    facts["mode"] = "antialiased" if stored.is_antialiased else "default"
+    return {**facts, "unread": ", ".join(ranges(stored.unread)) or None, "notes": " ".join(notes) or None}
 
 
 def _scene_file_facts(path: Path, up: Up) -> dict[str, object]:

@@ -91,7 +91,9 @@ def run(options: RenderOptions) -> None:
         mixed = _mixed_scene(options)
         loaded = open_scene(options.scene) if mixed is None else mixed.splats
         if options.method is not None:
-            loaded = dataclasses.replace(loaded, settings=dataclasses.replace(loaded.settings, method=options.method))
+            mode = loaded.settings.antialiased and options.method == "tile"
+            changed = dataclasses.replace(loaded.settings, method=options.method, antialiased=mode)
+            loaded = dataclasses.replace(loaded, settings=changed)
         if floats:
             loaded = dataclasses.replace(loaded, settings=dataclasses.replace(loaded.settings, linear=True))
         cameras = find_cameras(loaded, options.view)

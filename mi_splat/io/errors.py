@@ -33,6 +33,12 @@ _ADVICE = {
 _PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".heic", ".heif", ".avif")
 
 
+LFS_POINTER = b"version https://git-lfs"
+"""First bytes of the file that stands for a large one in a clone of Git without Git LFS."""
+LFS_ADVICE = ("a Git LFS pointer in place of the file", "run `git lfs pull` in the folder that it came from")
+"""What was found in place of a file, and what to do about it."""
+
+
 def path_name(value: object) -> str:
     """A path, as text or as `pathlib` has it, as text."""
     name = os.fspath(value) if isinstance(value, str | os.PathLike) else None

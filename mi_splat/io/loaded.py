@@ -6,7 +6,8 @@ import io
 import os
 import stat
 import warnings
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -31,6 +32,11 @@ FREE_GAUSSIANS = 65_536
 """So many Gaussians a compressed file may hold whatever its size; beyond them it needs one byte for each."""
 
 
+Notice = tuple[str, str, str]
+"""What was expected of a file, what was found, and what was made of it."""
+HIGHER_BANDS: Notice = ("SH of degree 0 to 3", "4", "the highest band was left out")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Loaded:
     """The content of a splat file.
@@ -39,28 +45,30 @@ class Loaded:
         arrays: All its Gaussians, unchecked.
         invalid: Rows that are not valid, in order.
         reason: What is wrong with the first of these.
+        is_antialiased: Whether it was trained with the 2D filter of Mip-Splatting, and is to be drawn with it.
+        notices: What is to be said about the reading.
+        unread: Names of properties and elements that a scene cannot hold.
     """
 
     arrays: Arrays
     invalid: NDArray[np.int64]
     reason: str
-
-    @classmethod
-    def of(cls, scene: GaussianScene, invalid: NDArray[np.int64], reason: str) -> Loaded:
-        """The content of a file made from a scene, whose memory is shared."""
-        arrays: Arrays = {name: value.numpy() for name, value in zip(ATTRIBUTES, scene.tensors(), strict=True)}
-        return cls(arrays, invalid, reason)
+    is_antialiased: bool = False
+    notices: tuple[Notice, ...] = ()
+    unread: tuple[str, ...] = ()
 
     @property
     def scene(self) -> GaussianScene:
         """All Gaussians as a scene, unchecked, whose memory is shared."""
         return as_scene(self.arrays)
 
-    def settle(self, path: str, on_invalid: Literal["raise", "drop"], *, stacklevel: int) -> Arrays:
-        """The arrays, after the Gaussians that are not valid were refused or dropped."""
+    def settle(self, path: str, on_invalid: Literal["raise", "drop"], *, stacklevel: int) -> Loaded:
+        """The content after its notices, and after the Gaussians that are not valid were refused or dropped."""
+        for expected, got, done in self.notices:
+            warnings.warn(message(path, expected, got, done), SplatFileWarning, stacklevel=stacklevel + 1)
         bad, count = self.invalid, len(self.arrays["means"])
         if not len(bad):
-            return self.arrays
+            return self
         which = ", ".join(str(row) for row in bad[:SHOWN].tolist()) + (", ..." if len(bad) > SHOWN else "")
         got = f"{len(bad)} of {count} that are not (rows {which}; in the first, {self.reason})"
         if on_invalid == "raise":
@@ -70,7 +78,24 @@ class Loaded:
         warnings.warn(text, SplatFileWarning, stacklevel=stacklevel + 1)
         keep = np.ones(count, np.bool_)
         keep[bad] = False
-        return {name: value[keep] for name, value in self.arrays.items()}
+        valid: Arrays = {name: value[keep] for name, value in self.arrays.items()}
+        return replace(self, arrays=valid, invalid=bad[:0], reason="", notices=())
+
+
+def ranges(names: Sequence[str]) -> list[str]:
+    """Names with a number at their end, which follow each other, as a range: a_0 to a_15."""
+    groups = dict[str, list[str]]()
+    for name in names:
+        groups.setdefault(name.rstrip("0123456789"), []).append(name)
+    return [group[0] if len(group) == 1 else f"{group[0]} to {group[-1]}" for group in groups.values()]
+
+
+def arrays_of(scene: GaussianScene) -> Arrays:
+    """The tensors of a scene as float32 arrays, whose memory is shared where it can be."""
+    import torch
+
+    values = (value.detach().to("cpu", torch.float32).numpy() for value in scene.tensors())
+    return dict(zip(ATTRIBUTES, values, strict=True))
 
 
 def as_scene(arrays: Arrays) -> GaussianScene:

@@ -15,6 +15,7 @@ from pathlib import Path
 from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 
 from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.io.errors import LFS_ADVICE, LFS_POINTER
 
 MOST_PIXELS = 50_000_000
 """Pixels that a picture may have unless more are allowed: cameras of 2026 take up to 50 million, as floats 600 MB."""
@@ -163,6 +164,8 @@ def _opened(source: Path | bytes, what: str, formats: Sequence[str]) -> Iterator
         do = "put the picture there or take it off the list"
         raise PictureFileError.of(what, "a picture", "no such file", do) from error
     except UnidentifiedImageError as error:
+        if _beginning(source).startswith(LFS_POINTER):
+            raise PictureFileError.of(what, "a picture", *LFS_ADVICE) from error
         if (kind := _of_phones(source)) is not None:
             do = "convert it, for instance with `magick mogrify -format jpg` (ImageMagick) or heif-convert (libheif)"
             raise PictureFileError.of(what, f"a picture as {', '.join(formats)}", kind, do) from error
@@ -176,14 +179,17 @@ def _opened(source: Path | bytes, what: str, formats: Sequence[str]) -> Iterator
 
 def _of_phones(source: Path | bytes) -> str | None:
     """HEIC or AVIF, if the file is a picture of these; its first box names its brand (ISO/IEC 23008-12)."""
-    if isinstance(source, bytes):
-        head = source[:12]
-    else:
-        with source.open("rb") as file:
-            head = file.read(12)
+    head = _beginning(source)
     if head[4:8] != b"ftyp":
         return None
     return {b"avi": "AVIF", b"hei": "HEIC", b"hev": "HEIC", b"mif": "HEIC", b"msf": "HEIC"}.get(head[8:11])
+
+
+def _beginning(source: Path | bytes) -> bytes:
+    if isinstance(source, bytes):
+        return source[:32]
+    with source.open("rb") as file:
+        return file.read(32)
 
 
 def check_pixels(what: str, width: int, height: int) -> None:

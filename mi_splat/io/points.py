@@ -13,9 +13,7 @@ from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.atomic import atomic_write, write_all
 from mi_splat.io.errors import SplatFileError, from_os_error
-from mi_splat.io.ply.blocks import Rows
-from mi_splat.io.ply.body import locate, read_rows
-from mi_splat.io.ply.header import Element, read_header
+from mi_splat.io.ply import read_header, read_rows
 
 _AXES, _CHANNELS = ("x", "y", "z"), ("red", "green", "blue")
 # Readers of other trainers ask for normals as well.
@@ -85,34 +83,20 @@ def load_points(path: str | os.PathLike[str]) -> PointCloud:
     try:
         with io.FileIO(name) as file:
             header = read_header(file, name)
-            element = next((element for element in header.elements if element.name == "vertex"), None)
-            columns = [] if element is None else [c.name for c in element.properties if not c.length_kind]
-            if element is None or not set(_AXES) <= set(columns):
-                got = ", ".join(columns) or "no element named vertex"
+            element = header.element("vertex")
+            kinds = {} if element is None else element.kinds()
+            if not set(_AXES) <= kinds.keys():
+                got = ", ".join(kinds) or "no element named vertex"
                 raise SplatFileError.of(name, "vertices with x, y and z", got, "export the points again")
-            locate(file, header, "vertex", name)  # the sizes are right before anything is allocated
-            coordinates = np.empty((element.count, 3), np.float32)
-            colours = np.full((element.count, 3), _GREY, np.float32)
-            scales = _colour_scales(element)
-
-            def take(first: int, rows: Rows) -> None:
-                here = slice(first, first + len(rows))
-                coordinates[here] = np.stack([rows[axis] for axis in _AXES], axis=1)
-                if scales:
-                    colours[here] = np.stack([rows[key] * scale for key, scale in scales.items()], axis=1)
-
-            read_rows(file, header, element, name, take)
+            rows = read_rows(file, header, "vertex", name)
     except OSError as error:
         raise from_os_error(name, "a PLY file that can be read", error) from error
+    coordinates = np.stack([rows[axis] for axis in _AXES], axis=1).astype(np.float32)
+    colours = np.full(coordinates.shape, _GREY, np.float32)
+    if set(_CHANNELS) <= kinds.keys():
+        scales = {key: 1.0 if kinds[key][0] == "f" else 1 / (256 ** int(kinds[key][1:]) - 1) for key in _CHANNELS}
+        colours[:] = np.stack([rows[key] * scale for key, scale in scales.items()], axis=1)
     try:
         return PointCloud(torch.from_numpy(coordinates), torch.from_numpy(colours))
     except InvalidValueError as error:
         raise SplatFileError.of(name, "points that are valid", str(error), "export the points again") from error
-
-
-def _colour_scales(element: Element) -> dict[str, float]:
-    """What each colour channel is multiplied with; empty if there are no colours."""
-    kinds = {c.name: c.kind for c in element.properties if c.name in _CHANNELS and not c.length_kind}
-    if len(kinds) < len(_CHANNELS):
-        return {}
-    return {name: 1.0 if kinds[name][0] == "f" else 1 / (256 ** int(kinds[name][1:]) - 1) for name in _CHANNELS}

@@ -1,26 +1,43 @@
-"""Loading and saving a splat in any of the formats: `load_splat` and `save_splat`."""
+"""Loading and saving a splat in any of the formats; torch comes with scenes, and not with arrays."""
 
+from __future__ import annotations
+
+import importlib
+import io
 import os
 import warnings
 from collections.abc import Callable
-from functools import partial
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from mi_splat.errors import message
+import numpy as np
+
+from mi_splat.attributes import LARGEST
+from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import atomic_write, write_all
-from mi_splat.io.errors import SplatLossWarning, path_name
-from mi_splat.io.formats.compressed_ply import write_compressed_ply
-from mi_splat.io.formats.detection import USD, format_to_write
-from mi_splat.io.formats.encoded import Encoded
-from mi_splat.io.formats.gltf import write_glb
-from mi_splat.io.formats.sog import write_sog
-from mi_splat.io.formats.splat32 import write_splat
-from mi_splat.io.formats.spz import write_spz
-from mi_splat.io.formats.usd import write_usd
-from mi_splat.io.loaded import as_scene
-from mi_splat.io.ply.splat import write_ply
-from mi_splat.io.reading import load_arrays
-from mi_splat.scene import GaussianScene, check_scene
+from mi_splat.io.errors import SplatFileError, SplatFileWarning, SplatLossWarning, from_os_error, path_name
+from mi_splat.io.folders import splat_in
+from mi_splat.io.formats.detection import HEAD, META, USD, format_to_read, format_to_write
+from mi_splat.io.loaded import Loaded, arrays_of, open_regular
+from mi_splat.io.ply import read_header
+
+if TYPE_CHECKING:
+    from mi_splat.io.formats.encoded import Encoded
+    from mi_splat.scene import GaussianScene
+
+_FORMATS = {
+    ".compressed.ply": ("mi_splat.io.formats.compressed_ply", "read_compressed_ply", "write_compressed_ply"),
+    ".glb": ("mi_splat.io.formats.gltf", "read_glb", "write_glb"),
+    ".spz": ("mi_splat.io.formats.spz", "read_spz", "write_spz"),
+    ".sog": ("mi_splat.io.formats.sog", "read_sog", "write_sog"),
+    META: ("mi_splat.io.formats.sog", "read_sog_folder", ""),
+    ".splat": ("mi_splat.io.formats.splat32", "read_splat", "write_splat"),
+    ".ksplat": ("mi_splat.io.formats.ksplat", "read_ksplat", ""),
+    **dict.fromkeys(USD, ("mi_splat.io.formats.usd", "read_usd", "write_usd")),
+}
+"""Module, reader and writer of each format but the PLY."""
+TAGGED = (".ply", ".compressed.ply", ".sog", ".spz")
+"""Formats that can say that a splat was trained with antialiasing."""
+_NEVER_EMPTY = (".glb", ".sog", ".splat")
 
 
 def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "drop"] = "raise") -> GaussianScene:
@@ -32,6 +49,8 @@ def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "dr
 
     Of a PLY, text and both byte orders, float and double and any order of properties are read; normals, further
     properties and further elements are passed over. Text, and vertices that carry lists, need the package plyfile.
+    A warning says what else there is to know: bands above degree 3 are left out, flat Gaussians of 2DGS become thin
+    ellipsoids, the splat was trained with antialiasing and is to be drawn with it.
 
     Args:
         path: A splat file; or a folder with one: of `mi-splat train` or `dagger`, or with the meta.json of a SOG.
@@ -47,7 +66,15 @@ def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "dr
             `on_invalid` is "raise".
         InvalidValueError: on_invalid is something else, or path is no path.
     """
-    return as_scene(load_arrays(path, on_invalid=on_invalid, stacklevel=2))
+    if on_invalid not in ("raise", "drop"):
+        raise InvalidValueError.of("on_invalid", "'raise' or 'drop'", repr(on_invalid), "pass one of the two")
+    name = path_name(path)
+    loaded = load_stored(name).settle(name, on_invalid, stacklevel=2)
+    if loaded.is_antialiased:
+        do = "draw it with RenderSettings(antialiased=True)"
+        text = message(name, "a splat for plain 3DGS rendering", "one that was trained with antialiasing", do)
+        warnings.warn(text, SplatFileWarning, stacklevel=2)
+    return loaded.scene
 
 
 def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
@@ -77,26 +104,63 @@ def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
         warnings.warn(text, SplatLossWarning, stacklevel=2)
 
 
+def load_stored(path: str | os.PathLike[str]) -> Loaded:
+    """All Gaussians of a file, valid or not, in its order, and which are not."""
+    name = splat_in(path_name(path)) or path_name(path)
+    try:
+        # Values that are not finite make NumPy warn where they are cast; each reader judges them at its end.
+        with open_regular(name) as file, np.errstate(all="ignore"):
+            suffix = format_to_read(name, os.pread(file.fileno(), HEAD, 0))
+            if suffix == ".ply":
+                return _read_ply(file, name)
+            module, function, _ = _FORMATS[suffix]
+            read: Callable[[io.FileIO, str], Loaded] = getattr(importlib.import_module(module), function)
+            return read(file, name)
+    except OSError as error:
+        raise from_os_error(name, "a splat file that can be read", error) from error
+
+
+def _read_ply(file: io.FileIO, path: str) -> Loaded:
+    """Read a PLY, compressed or not: its header says which."""
+    header = read_header(file, path)
+    vertex = header.element("vertex")
+    if vertex is not None and "packed_position" in vertex.kinds():
+        from mi_splat.io.formats.compressed_ply import read_compressed_ply
+
+        return read_compressed_ply(file, header, path)
+    from mi_splat.io.formats.gaussian_ply import read_splat
+
+    return read_splat(file, header, path)
+
+
 def write_splat_file(
-    scene: GaussianScene, path: str | os.PathLike[str], *, spz_version: Literal[2, 3, 4] = 3
+    scene: GaussianScene,
+    path: str | os.PathLike[str],
+    *,
+    spz_version: Literal[2, 3, 4] = 3,
+    antialiased: bool = False,
 ) -> Encoded:
-    """Like `save_splat`, but what is lost is returned and not warned of."""
+    """Like `save_splat`, but what is lost is returned and not warned of; formats of `TAGGED` keep `antialiased`."""
+    from mi_splat.io.formats.encoded import Encoded
+    from mi_splat.io.formats.gaussian_ply import write_splat
+    from mi_splat.scene import check_scene
+
     check_scene("scene", scene)
-    name = path_name(path)
-    suffix = format_to_write(name)
+    suffix = format_to_write(path_name(path))
+    if not len(scene) and suffix in _NEVER_EMPTY:
+        raise SplatFileError.of("scene", f"Gaussians for a {suffix} file", "none", "save it as a PLY")
+    arrays = arrays_of(scene)
+    if not all((np.abs(value) <= LARGEST).all() for value in arrays.values()):
+        expected = f"values that are finite in float32, up to {LARGEST:g}"
+        raise InvalidValueError.of("scene", expected, "others", "remove those Gaussians")
     if suffix == ".ply":
-        write_ply(scene, path)
+        write_splat(scene, path, antialiased=antialiased)
         return Encoded(b"", ())
-    encoded = write_spz(scene, spz_version) if suffix == ".spz" else _WRITERS[suffix](scene)
+    module, _, function = _FORMATS[suffix]
+    write: Callable[..., Encoded] = getattr(importlib.import_module(module), function)
+    more: dict[str, object] = {"antialiased": antialiased} if suffix in TAGGED else {}
+    more |= {"version": spz_version} if suffix == ".spz" else {"ending": suffix} if suffix in USD else {}
+    encoded = write(arrays, **more)
     with atomic_write(path) as file:
         write_all(file, memoryview(encoded.data))
     return encoded
-
-
-_WRITERS: dict[str, Callable[[GaussianScene], Encoded]] = {
-    ".compressed.ply": write_compressed_ply,
-    ".glb": write_glb,
-    ".sog": write_sog,
-    ".splat": write_splat,
-    **{ending: partial(write_usd, ending=ending) for ending in USD},
-}

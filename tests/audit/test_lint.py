@@ -27,10 +27,11 @@ from mi_splat.io import SplatFileError
 from mi_splat.io.fields import Fields
 from mi_splat.io.formats.glb import open_glb
 from mi_splat.io.loaded import Arrays
-from mi_splat.io.ply.rows import file_record
+from mi_splat.io.splat_files import write_splat_file
 from mi_splat.overdraw import overdraw
 from mi_splat.scene import GaussianScene, merge
 from tests.audit import scenes
+from tests.gaussians import splat_names
 
 COUNT = 60
 BY_NAME = {rule.name: rule for rule in RULES}
@@ -359,6 +360,13 @@ def test_a_gltf_that_is_refused_is_described(tmp_path: Path) -> None:
     assert lint.gaussians is None
 
 
+def test_the_render_mode_of_a_file_is_a_note(tmp_path: Path) -> None:
+    write_splat_file(cloud(), tmp_path / "a.ply", antialiased=True)
+    save_splat(cloud(), tmp_path / "b.ply")
+    assert "render-mode" in [finding.rule for finding in lint_file(tmp_path / "a.ply").findings]
+    assert "render-mode" not in [finding.rule for finding in lint_file(tmp_path / "b.ply").findings]
+
+
 # --- the command
 
 
@@ -366,8 +374,9 @@ def broken_ply(path: Path) -> Path:
     """Row 7 has no position, row 9 an infinite logit, which has a sigmoid."""
     save_splat(cloud(), path)
     head, _, body = path.read_bytes().partition(b"end_header\n")
-    rows = np.frombuffer(bytearray(body), file_record(9))
-    rows["means"][7, 0], rows["opacities"][9] = np.nan, np.inf
+    names = splat_names(1)
+    rows = np.frombuffer(bytearray(body), "<f4").reshape(-1, len(names))
+    rows[7, 0], rows[9, names.index("opacity")] = np.nan, np.inf
     path.write_bytes(head + b"end_header\n" + rows.tobytes())
     return path
 

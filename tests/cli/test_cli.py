@@ -228,7 +228,7 @@ def test_info_describes_a_splat(splat: Path, capsys: pytest.CaptureFixture[str])
     facts = json.loads(capsys.readouterr().out)
     assert facts["gaussians"] == 200
     assert facts["sh_degree"] == 1
-    assert facts["invalid"] is None
+    assert facts["notes"] is None
     assert facts["opacity"]["50%"] == pytest.approx(0.8, abs=1e-6)
     assert facts["bounds"][0][2] < facts["box"][0][2] < facts["middle"][2] < facts["box"][1][2] < facts["bounds"][1][2]
     assert 0 < facts["reach"] < 3
@@ -255,7 +255,7 @@ def test_info_counts_invalid_rows(splat: Path, capsys: pytest.CaptureFixture[str
     assert cli.main(["info", str(splat), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["gaussians"] == 199
-    assert "1 of 200" in facts["invalid"]
+    assert "1 of 200" in facts["notes"]
 
 
 def test_detectors_lists_classes_and_weights(capsys: pytest.CaptureFixture[str]) -> None:
@@ -294,4 +294,4 @@ def test_info_of_a_ply_needs_no_torch(tmp_path: Path) -> None:
     lines = done.stdout.splitlines()
     assert lines[-1] == "False"
     assert lines[2].split() == ["gaussians", "10,075"]
-    assert lines[-3].split() == ["hash", scene_hash(load_splat(path))]
+    assert lines[-5].split() == ["hash", scene_hash(load_splat(path))]

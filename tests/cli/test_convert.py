@@ -1,6 +1,8 @@
 """`mi-splat convert`, and other commands on splats that are no PLY."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -14,6 +16,7 @@ from mi_splat.cameras import Camera, look_at
 from mi_splat.io import load_splat, save_splat
 from mi_splat.placement import Up, turn_of
 from mi_splat.rendering import Renderer
+from tests.gaussians import ply_bytes, splat_names, splat_rows
 from tests.io.format_files import WRITTEN, assert_close, tame_scene
 
 
@@ -44,6 +47,27 @@ def test_convert_as_json(splat: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert [loss["what"] for loss in document["lost"]] == ["SH above degree 1 dropped"]
     assert 0 < document["largest_changes"]["means, world units"] < 0.01
     assert document["largest_changes"]["SH coefficients"] == pytest.approx(document["lost"][0]["largest"])
+
+
+def test_what_the_new_file_does_not_keep_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    labels = splat_rows(5, names=[*splat_names(0), "segment_id", *(f"obj_dc_{i}" for i in range(16)), "t"])
+    path = tmp_path / "in.ply"
+    path.write_bytes(ply_bytes(labels).replace(b"element", b"comment SplatRenderMode: mip\nelement", 1))
+    kept = "not kept: segment_id\nnot kept: obj_dc_0 to obj_dc_15\nnot kept: t"
+    assert cli.main(["convert", str(path), str(tmp_path / "a.sog")]) == 0
+    assert capsys.readouterr().out.endswith(f"{kept}\n")
+    assert cli.main(["convert", str(path), str(tmp_path / "a.splat"), "--json"]) == 0
+    assert "antialiasing" in json.loads(capsys.readouterr().out)["not_kept"][-1]
+    assert cli.main(["info", str(tmp_path / "a.sog"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["mode"] == "antialiased"
+
+
+def test_info_of_other_formats_needs_no_torch(tmp_path: Path) -> None:
+    for suffix in WRITTEN:
+        save_splat(tame_scene(5, 0), tmp_path / f"a{suffix}")
+    code = "import sys; from mi_splat.io.splat_files import load_stored; [load_stored(p) for p in sys.argv[1:]]"
+    code += "; sys.exit('torch' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code, *map(str, tmp_path.iterdir())], check=True)
 
 
 def test_a_file_that_is_there_is_replaced_only_by_force(splat: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -106,9 +106,9 @@ def test_a_module_may_count_alone(toy: Path) -> None:
 
 
 def test_what_is_loaded_by_a_whole_name_in_a_table_is_followed() -> None:
-    assert {"mi_splat.io.formats.ksplat", "mi_splat.io.formats.sog"} <= set(closure("mi_splat.io.reading"))
+    assert {"mi_splat.io.formats.ksplat", "mi_splat.io.formats.sog"} <= set(closure("mi_splat.io.splat_files"))
     assert "mi_splat.assets.elephant" in closure("mi_splat.assets")
-    assert "attacks.cloak.cleaning" not in closure("mi_splat.io.reading")
+    assert "attacks.cloak.cleaning" not in closure("mi_splat.io.splat_files")
 
 
 def test_a_module_that_is_not_there_is_named() -> None:

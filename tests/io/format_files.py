@@ -21,6 +21,7 @@ from mi_splat.io.formats.splat32 import write_splat
 from mi_splat.io.formats.spz import write_spz
 from mi_splat.io.formats.table import FORMATS
 from mi_splat.io.formats.usd import write_usd
+from mi_splat.io.loaded import arrays_of
 from mi_splat.rotation import multiply
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc, dc_to_colour
@@ -36,7 +37,7 @@ def valid(name: str) -> bytes:
     """A small valid file: 20 Gaussians of SH degree 1, or 40 of degree 2 for ksplat."""
     if name.endswith(".ksplat"):
         return gzip.decompress((DATA / f"{name}.gz").read_bytes())
-    scene = tame_scene(20, 1)
+    scene = arrays_of(tame_scene(20, 1))
     writers: dict[str, Callable[[], bytes]] = {
         "a.compressed.ply": lambda: write_compressed_ply(scene).data,
         "a.glb": lambda: write_glb(scene).data,

@@ -43,7 +43,9 @@ def test_a_full_disk_leaves_the_old_file(code: int, when: str, old: Path, monkey
         raise OSError(code, os.strerror(code))
 
     with monkeypatch.context() as patch:
-        patch.setattr("mi_splat.io.ply.splat.write_all" if when == "write" else f"mi_splat.io.atomic.os.{when}", fail)
+        patch.setattr(
+            "mi_splat.io.formats.gaussian_ply.write_all" if when == "write" else f"mi_splat.io.atomic.os.{when}", fail
+        )
         with pytest.raises(SplatFileError, match=rf"{old}: expected a file that can be written, got .+; .+"):
             save_splat(random_scene(7), old)
     assert old.read_bytes() == before

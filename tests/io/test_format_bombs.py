@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import zstandard
 
-from mi_splat.io.formats.sog_files import picture_bytes
+from mi_splat.io.formats.sog import picture_bytes
 from tests.io.format_files import gltf_with, rezipped, valid
 from tests.project.layers import ROOT
 

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from mi_splat.io import SplatFileError, SplatFileWarning, load_splat
 from mi_splat.scene import GaussianScene
 from tests.io.format_files import gltf_with, rezipped, valid
-from tests.io.test_faults import BODY, FACE, HEAD, LINE, TEXT_HEAD, with_elements
-from tests.io.test_plyfile import LISTS, ROWS, listed
+from tests.io.ply_files import BODY, FACE, HEAD, LINE, LISTS, ROWS, TEXT_HEAD, listed, with_elements
 
 MEMORY = 24 << 20
 
@@ -26,9 +25,9 @@ NAMES += [f"level{level}.ksplat" for level in range(3)]
 PLY = {
     "a.ply": HEAD + BODY,
     "faces.ply": with_elements(FACE, b"\0\0"),
-    "text.ply": TEXT_HEAD + LINE * 10,
-    "lists.ply": listed("binary_little_endian", "<", ROWS[:5], LISTS[:5]),
-    "lists_in_text.ply": listed("ascii", "", ROWS[:5], LISTS[:5]),
+    "text.ply": TEXT_HEAD + LINE * 40,
+    "lists.ply": listed("binary_little_endian", ROWS[:5], LISTS[:5]),
+    "lists_in_text.ply": listed("ascii", ROWS[:5], LISTS[:5]),
 }
 
 

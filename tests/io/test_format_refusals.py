@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mi_splat.io import SplatFileError, SplatFileWarning, load_splat, save_splat
-from mi_splat.io.formats.sog_files import picture_bytes
+from mi_splat.io.formats.sog import picture_bytes
 from mi_splat.io.formats.splat32 import RECORD
 from tests.io.format_files import gltf_with, rezipped, tame_scene, valid
 
@@ -47,7 +47,7 @@ BAD = {
     "many.spz": (spz_header(3, 2**32 - 1, 0, 12, 0), "at most 655.* bomb"),
     "short.spz": (spz_header(3, 9, 0, 12, 0, body=bytes(179)), "180 bytes for 9 Gaussians, got 179"),
     "long.spz": (spz_header(3, 9, 0, 12, 0, body=bytes(181)), "180 bytes for 9 Gaussians, got more"),
-    "axes.spz": (spz_header(3, 0, 0, 12, 2, body=struct.pack("<III", 0xADBE0003, 4, 8)), "RUB, RDF, LUF or LDB"),
+    "axes.spz": (spz_header(3, 0, 0, 12, 2, body=struct.pack("<III", 0xADBE0003, 4, 17)), "number up to 16, got 17"),
     "sh_range.spz": (spz_header(3, 0, 0, 12, 2, body=struct.pack("<III", 0xADBE0001, 4, 8)), "sh_quantization"),
     "truncated_extension.spz": (spz_header(3, 0, 0, 12, 2, body=b"1234"), "whole extension records"),
     "window.spz": (
@@ -175,7 +175,7 @@ def test_the_fourth_band_of_spz_is_left_out(tmp_path: Path) -> None:
     body = struct.pack("<9B4B3B4B", *bytes(9), 255, 0, 128, 255, 160, 160, 160, *bytes(3), 0xC0)
     rest = bytes(range(72))
     (tmp_path / "a.spz").write_bytes(spz_header(3, 1, 4, 12, 0, body=body + rest))
-    with pytest.warns(SplatFileWarning, match="SH of degree 0 to 3, got 4; the higher bands were left out"):
+    with pytest.warns(SplatFileWarning, match="SH of degree 0 to 3, got 4; the highest band was left out"):
         scene = load_splat(tmp_path / "a.spz")
     assert scene.degree == 3
     assert scene.rotations.tolist() == [[1, 0, 0, 0]]

@@ -1,5 +1,7 @@
 """What a format cannot hold is warned of with numbers, and nothing else is."""
 
+import gzip
+import struct
 import warnings
 from pathlib import Path
 from typing import Literal
@@ -10,12 +12,15 @@ import torch
 from mi_splat.cameras import Camera, look_at
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import SplatFileError, SplatFileWarning, SplatLossWarning, load_splat, save_splat
-from mi_splat.io.formats import half_turns
+from mi_splat.io.formats import axes
+from mi_splat.io.loaded import arrays_of, as_scene
 from mi_splat.io.points import load_points
-from mi_splat.io.splat_files import write_splat_file
+from mi_splat.io.splat_files import TAGGED, load_stored, write_splat_file
 from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene import LARGEST, GaussianScene, Similarity
-from mi_splat.sh import colour_to_dc
+from mi_splat.rotation import to_matrix
+from mi_splat.scene import LARGEST, GaussianScene, Similarity, scene_hash
+from mi_splat.scene_files import open_scene
+from mi_splat.sh import colour_to_dc, sh_to_colour
 from tests.gaussians import ply_bytes, random_scene, splat_rows
 from tests.io.format_files import WRITTEN, assert_close, gltf_with, tame_scene
 
@@ -87,13 +92,27 @@ def test_what_is_only_read_or_unknown_is_not_written(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("signs", [half_turns.X, half_turns.Y, half_turns.Z])
+@pytest.mark.parametrize("signs", [axes.X, (-1.0, 1.0, -1.0), axes.Z])
 def test_half_turns_are_rotations_without_rounding(signs: tuple[float, float, float]) -> None:
     scene = tame_scene(50, 3)
-    turned = half_turns.turned(scene, signs)
-    assert_close(turned, scene.transform(Similarity(torch.diag(torch.tensor(signs)), torch.zeros(3))), rotations=1e-3)
-    again = half_turns.turned(turned, signs)
-    assert all(torch.equal(one, two) for one, two in zip(again.tensors(), scene.tensors(), strict=True))
+    turned = axes.flipped(arrays_of(scene), signs)
+    wanted = scene.transform(Similarity(torch.diag(torch.tensor(signs)), torch.zeros(3)))
+    assert_close(as_scene(turned), wanted, rotations=1e-3)
+    assert scene_hash(as_scene(axes.flipped(turned, signs))) == scene_hash(scene)
+
+
+def test_mirrors_mirror_shapes_and_colours() -> None:
+    scene, signs = tame_scene(50, 3), (1.0, -1.0, 1.0)
+    mirrored, mirror = as_scene(axes.flipped(arrays_of(scene), signs)), torch.diag(torch.tensor(signs))
+    for one, two in ((scene, mirrored), (mirrored, scene)):
+        torch.testing.assert_close(mirror @ covariances(one) @ mirror, covariances(two))
+    rays = torch.nn.functional.normalize(scene.means, dim=1)
+    torch.testing.assert_close(sh_to_colour(scene.sh, rays), sh_to_colour(mirrored.sh, rays @ mirror))
+
+
+def covariances(scene: GaussianScene) -> torch.Tensor:
+    halves = to_matrix(scene.rotations) * scene.scales[:, None]
+    return halves @ halves.mT
 
 
 def test_names_do_not_overrule_the_content(tmp_path: Path) -> None:
@@ -141,22 +160,61 @@ def test_nodes_of_gltf_place_their_splats(tmp_path: Path) -> None:
     assert caught[0].filename == __file__
 
 
-def test_flags_of_spz(tmp_path: Path) -> None:
-    import gzip
-
-    write_splat_file(SCENE, tmp_path / "a.spz")
-    plain = bytearray(gzip.decompress((tmp_path / "a.spz").read_bytes()))
-    plain[14] |= 1
-    (tmp_path / "b.spz").write_bytes(gzip.compress(bytes(plain)))
-    with pytest.warns(SplatFileWarning, match="filter of Mip-Splatting") as caught:
-        assert_close(load_splat(tmp_path / "b.spz"), load_splat(tmp_path / "a.spz"))
+@pytest.mark.parametrize("suffix", TAGGED)
+def test_formats_that_can_keep_the_render_mode(suffix: str, tmp_path: Path) -> None:
+    write_splat_file(SCENE, tmp_path / f"plain{suffix}")
+    write_splat_file(SCENE, tmp_path / f"a{suffix}", antialiased=True)
+    with pytest.warns(SplatFileWarning, match=r"trained with antialiasing; draw it with RenderSettings") as caught:
+        assert_close(load_splat(tmp_path / f"a{suffix}"), load_splat(tmp_path / f"plain{suffix}"))
     assert caught[0].filename == __file__
-    plain[14] = 2  # an extension that names the axes of the PLY
-    (tmp_path / "c.spz").write_bytes(gzip.compress(bytes(plain) + b"\x03\x00\xbe\xad\x04\0\0\0\x06\0\0\0"))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        turned = half_turns.turned(load_splat(tmp_path / "a.spz"), half_turns.X)
-        assert_close(load_splat(tmp_path / "c.spz"), turned)
+    assert open_scene(tmp_path / f"a{suffix}").settings.antialiased
+    assert not open_scene(tmp_path / f"plain{suffix}").settings.antialiased
+
+
+@pytest.mark.parametrize(
+    ("comments", "expected"),
+    [
+        (["SplatRenderMode: mip"], True),
+        (["antialiased 1"], True),
+        (["postshot.anti_aliasing=1"], True),
+        (["  SPLATRENDERMODE:  MIP"], True),
+        (["SplatRenderMode: default"], False),
+        (["antialiased 1", "antialiased 0"], False),
+        (["SplatRenderMode: default", "antialiased 1"], True),
+        (["antialiased images were used"], False),
+    ],
+)
+def test_comments_that_name_the_render_mode(comments: list[str], expected: bool, tmp_path: Path) -> None:
+    head, body = ply_bytes(splat_rows(3)).split(b"element", 1)
+    lines = b"".join(b"comment " + comment.encode() + b"\n" for comment in comments)
+    (tmp_path / "a.ply").write_bytes(head + lines + b"element" + body)
+    assert load_stored(tmp_path / "a.ply").is_antialiased is expected
+
+
+AXES = ["", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF", "LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU",
+        "RBU"]  # fmt: skip
+
+
+@pytest.mark.parametrize("number", range(1, 17))
+@pytest.mark.parametrize("version", [3, 4])
+def test_the_axes_that_spz_can_name(number: int, version: Literal[3, 4], tmp_path: Path) -> None:
+    write_splat_file(SCENE, tmp_path / "a.spz", spz_version=version)
+    whole, name = (tmp_path / "a.spz").read_bytes(), AXES[number]
+    record = struct.pack("<III", 0xADBE0003, 4, number)
+    if version == 3:
+        plain = bytearray(gzip.decompress(whole))
+        plain[14] |= 2
+        whole = gzip.compress(bytes(plain) + record)
+    else:
+        (offset,) = struct.unpack_from("<I", whole, 16)
+        head = whole[:14] + bytes([whole[14] | 2]) + whole[15:16] + struct.pack("<I", offset + len(record))
+        whole = head + whole[20:offset] + record + whole[offset:]
+    (tmp_path / "b.spz").write_bytes(whole)
+    stored = load_splat(tmp_path / "a.spz").means * torch.tensor([1.0, -1, -1])  # the numbers in the file
+    ply = {letter: sign * stored[:, axis] for axis, letter in enumerate(name)
+           for sign in (1 if letter in "RDF" else -1,)}  # fmt: skip
+    right, down, front = (next(ply[letter] for letter in pair if letter in ply) for pair in ("RL", "DU", "FB"))
+    torch.testing.assert_close(load_splat(tmp_path / "b.spz").means, torch.stack([right, down, front], dim=1))
 
 
 # Large values: those on a map are read, what float32 cannot bear is refused by its row, renderers bear the rest
@@ -187,7 +245,7 @@ def test_values_that_are_too_large_are_refused_in_every_format(
     means = scene.means.clone()
     means[3, 1] = 2e9
     path = tmp_path / f"a.{ending}"
-    for module in ("mi_splat.io.formats.encoded", "mi_splat.scene"):
+    for module in ("mi_splat.io.splat_files", "mi_splat.scene"):
         monkeypatch.setattr(f"{module}.LARGEST", 1e12)  # a writer that does not know the limit
     far = GaussianScene.unchecked(means, *scene.tensors()[1:])
     with warnings.catch_warnings():

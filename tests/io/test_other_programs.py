@@ -23,7 +23,8 @@ import pytest
 import torch
 
 from mi_splat.io import load_splat, save_splat
-from mi_splat.io.formats import half_turns
+from mi_splat.io.formats import axes
+from mi_splat.io.loaded import arrays_of, as_scene
 from mi_splat.io.splat_files import write_splat_file
 from mi_splat.rotation import normalise, to_matrix
 from mi_splat.scene import GaussianScene, Similarity
@@ -63,7 +64,7 @@ def by_forge(path: Path, folder: Path) -> GaussianScene:
     (folder / "decoded.ply").write_bytes(converted["data"])
     scene = load_splat(folder / "decoded.ply")
     # It leaves the axes of SPZ (y up) as they are, where splat-transform and we turn to those of the PLY (y down).
-    return half_turns.turned(scene, half_turns.X) if path.suffix == ".spz" else scene
+    return as_scene(axes.flipped(arrays_of(scene), axes.X)) if path.suffix == ".spz" else scene
 
 
 def decoded_alike(path: Path, folder: Path, decode: Decode, **tolerances: float) -> GaussianScene:

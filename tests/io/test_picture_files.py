@@ -140,6 +140,11 @@ def test_pictures_of_phones_are_named_with_what_converts_them(brand: bytes, kind
         load_picture(b"\0\0\0\x1cftyp" + brand + bytes(16), "phone.jpg")
 
 
+def test_a_git_lfs_pointer_is_named() -> None:
+    with pytest.raises(PictureFileError, match="a Git LFS pointer in place of the file; run `git lfs pull`"):
+        load_picture(b"version https://git-lfs.github.com/spec/v1\noid sha256:aa\n", "photo.jpg")
+
+
 @pytest.mark.parametrize("kind", ["PNG", "WEBP"])
 def test_animations_are_refused(kind: str) -> None:
     data = saved(kind, save_all=True, append_images=[SQUARE.rotate(90)])

@@ -14,12 +14,18 @@ from mi_splat.errors import listed
 from mi_splat.io.camera_records import describe
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats.glb import open_glb
-from mi_splat.io.loaded import Arrays, Loaded, as_scene
-from mi_splat.io.reading import load_stored
+from mi_splat.io.loaded import Arrays, Loaded, arrays_of, as_scene
+from mi_splat.io.splat_files import load_stored
 from mi_splat.scene import GaussianScene
 
 FILL = 1000.0
 """`fillRatio` from which a splat is told: healthy ones have ones to hundreds, says splat-transform."""
+
+
+_RENDER_MODE = (
+    "The file says that it was trained with antialiasing (the 2D filter of Mip-Splatting). "
+    "A renderer that ignores this draws small Gaussians too thick."
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -78,12 +84,14 @@ def lint_file(path: Path) -> Lint:
 
 def lint_scene(scene: GaussianScene) -> Lint:
     """Check a scene."""
-    return _lint(Loaded.of(scene.detach().to("cpu"), np.empty(0, np.int64), ""), [])
+    return _lint(Loaded(arrays_of(scene), np.empty(0, np.int64), ""), [])
 
 
 def _lint(loaded: Loaded, findings: list[Finding]) -> Lint:
     stored = Stored.of(loaded)
     findings = [*findings, *(findings_of(stored) if len(stored.valid) else ())]
+    if loaded.is_antialiased:
+        findings.append(Finding(rule="render-mode", severity="note", reason=_RENDER_MODE))
     valid = (
         {name: value[stored.valid] for name, value in loaded.arrays.items()} if len(loaded.invalid) else loaded.arrays
     )

@@ -5,20 +5,27 @@ Means and log-scales take 11, 10 and 11 bits, a quaternion 2 bits for its larges
 (in the order w, x, y, z), colour and opacity 8 bits each, the other SH coefficients a byte each over -4 to 4.
 """
 
+import dataclasses
 import io
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.formats.encoded import Array, Encoded, Values, dc_of, outside, vanished
-from mi_splat.io.formats.quaternions import ROOT_HALF, drop_largest, restore_largest
-from mi_splat.io.loaded import Loaded, judged
-from mi_splat.io.ply.blocks import Rows
-from mi_splat.io.ply.body import locate, read_rows
-from mi_splat.io.ply.header import Element, Header
-from mi_splat.io.ply.rows import REST_COUNTS, rest_names
-from mi_splat.scene import GaussianScene
+from mi_splat.io.formats.encoded import (
+    ROOT_HALF,
+    Array,
+    Encoded,
+    Values,
+    drop_largest,
+    outside,
+    restore_largest,
+    vanished,
+)
+from mi_splat.io.formats.gaussian_ply import REST_COUNTS, is_antialiased, rest_names
+from mi_splat.io.loaded import Arrays, Loaded, judged
+from mi_splat.io.ply import Element, Header, header_bytes, read_rows
+from mi_splat.sh import colour_to_dc
 
 CHUNK = 256
 """Gaussians that share one range."""
@@ -47,7 +54,6 @@ def read_compressed_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
         if len(names) not in REST_COUNTS[1:] or rest.count != vertex.count:
             raise _bad(path, "9, 24 or 45 bytes of SH for each Gaussian", f"{len(names)} for {rest.count}")
         _check(rest, rest_names(len(names)), "u1", path)
-    locate(file, header, "vertex", path)  # the sizes are right before anything is allocated
     packed = _columns(file, header, vertex, _PACKED, np.uint32, path)
     ends = _columns(file, header, chunk, [*_RANGES, *_SCALES, *(_COLOURS if coloured else [])], np.float64, path)
     ends = ends[np.arange(vertex.count) // CHUNK]
@@ -56,17 +62,18 @@ def read_compressed_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
     scales = np.exp(_between(ends[:, 6:9], ends[:, 9:12], _unpack(packed[:, 2])))
     shown = _between(ends[:, 12:15], ends[:, 15:18], colours[:, :3]) if coloured else colours[:, :3]
     sh = np.empty((vertex.count, 1 + len(names) // 3, 3), np.float32)
-    sh[:, 0] = dc_of(shown)
+    sh[:, 0] = colour_to_dc(shown)
     if rest is not None:
         table = _columns(file, header, rest, rest_names(len(names)), np.uint8, path)
         sh[:, 1:] = _unpack_sh(table).reshape(len(table), 3, len(names) // 3).transpose(0, 2, 1)
-    return judged(means, scales, _unpack_rotations(packed[:, 1]), colours[:, 3], sh)
+    loaded = judged(means, scales, _unpack_rotations(packed[:, 1]), colours[:, 3], sh)
+    return dataclasses.replace(loaded, is_antialiased=is_antialiased(header))
 
 
-def write_compressed_ply(scene: GaussianScene) -> Encoded:
+def write_compressed_ply(arrays: Arrays, *, antialiased: bool = False) -> Encoded:
     """A scene as a compressed PLY; the Gaussians are sorted along a Morton curve, so that chunks are small in space."""
-    order = morton_order(Values.of(scene).means)
-    values = Values.of(scene, order)
+    order = morton_order(arrays["means"].astype(np.float64))
+    values = Values.of(arrays, order)
     parts = [(values.means, 3), (values.log_scales, 3), (values.colours, 3)]
     ranges = [_chunk_ranges(part) for part, _ in parts]
     means, logs, colours = (_fraction(part, ends) for (part, _), ends in zip(parts, ranges, strict=True))
@@ -87,11 +94,8 @@ def write_compressed_ply(scene: GaussianScene) -> Encoded:
     ]
     if rest.shape[1]:
         shape.append(("sh", len(order), "uchar", rest_names(rest.shape[1])))
-    lines = ["ply", "format binary_little_endian 1.0"]
-    for name, count, kind, columns in shape:
-        lines += [f"element {name} {count}", *(f"property {kind} {column}" for column in columns)]
-    head = "\n".join([*lines, "end_header", ""]).encode()
-    data = head + np.concatenate(ranges, axis=1).astype("<f4").tobytes() + packed.tobytes() + _pack_sh(rest).tobytes()
+    data = header_bytes(shape, antialiased=antialiased)
+    data += np.concatenate(ranges, axis=1).astype("<f4").tobytes() + packed.tobytes() + _pack_sh(rest).tobytes()
     losses = [
         *outside("SH clamped to -4..4", rest, -_SH_LIMIT, _SH_LIMIT, "of a coefficient"),
         *vanished(values.opacities, np.rint(values.opacities * _BYTE).astype(np.uint8)),
@@ -130,13 +134,8 @@ def _columns(
     file: io.FileIO, header: Header, element: Element, names: list[str], kind: type[np.generic], path: str
 ) -> Array:
     """(rows, names) values of an element."""
-    table = np.empty((element.count, len(names)), kind)
-
-    def take(first: int, rows: Rows) -> None:
-        for column, name in enumerate(names):
-            table[first : first + len(rows), column] = rows[name]
-
-    read_rows(file, header, element, path, take)
+    rows = read_rows(file, header, element.name, path)
+    table: Array = np.stack([rows[name] for name in names], axis=1).astype(kind)
     return table
 
 

@@ -4,10 +4,10 @@ import importlib.util
 import os
 
 from mi_splat.errors import install
-from mi_splat.io.errors import SplatFileError
+from mi_splat.io.errors import LFS_ADVICE, LFS_POINTER, SplatFileError
 from mi_splat.io.formats.table import FORMATS
 
-HEAD = 16
+HEAD = 32
 """First bytes of a file that `by_content` looks at."""
 
 META = "meta.json"
@@ -53,6 +53,8 @@ def format_to_read(path: str, head: bytes) -> str:
     """
     if os.path.basename(path).lower().endswith(_PROGRAMS):
         raise _unknown(path)
+    if head.startswith(LFS_POINTER):
+        raise SplatFileError.of(path, "a splat file", *LFS_ADVICE)
     named, marked = suffix_of(path), by_content(head)
     named = ".ply" if named == ".compressed.ply" else named
     if named is None and marked is None:

@@ -6,13 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
 
-from mi_splat.attributes import LARGEST
-from mi_splat.errors import InvalidValueError
-from mi_splat.scene import GaussianScene
-from mi_splat.sh import colour_to_dc, dc_to_colour, degree_of
+from mi_splat.io.loaded import Arrays
+from mi_splat.sh import dc_to_colour, degree_of
 
 Array = NDArray[np.floating]
 """Decoded values; float64 unless said otherwise."""
@@ -55,7 +52,7 @@ class Encoded:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Values:
-    """A scene's tensors as float64 NumPy arrays, for packing.
+    """The arrays of a scene in float64, for packing.
 
     Attributes:
         means: (N, 3) world units.
@@ -79,19 +76,13 @@ class Values:
         return degree_of(self.sh.shape[1])
 
     @classmethod
-    def of(cls, scene: GaussianScene, order: NDArray[np.int64] | None = None) -> Values:
+    def of(cls, arrays: Arrays, order: NDArray[np.int64] | None = None) -> Values:
         """The values of a scene, in another order of rows if one is given."""
-        kept = [value.detach().to("cpu", torch.float32).double() for value in scene.tensors()]
-        if not all(bool((value.abs() <= LARGEST).all()) for value in kept):
-            expected = f"values that are finite in float32, up to {LARGEST:g}"
-            raise InvalidValueError.of("scene", expected, "others", "remove those Gaussians")
-        if order is not None:
-            kept = [value[torch.from_numpy(order)] for value in kept]
+        kept = [value.astype(np.float64)[slice(None) if order is None else order] for value in arrays.values()]
         means, scales, rotations, opacities, sh = kept
-        logs = scales.clamp(min=float(np.finfo(np.float32).smallest_subnormal)).log()
-        rotations = rotations / torch.linalg.vector_norm(rotations, dim=1, keepdim=True)
-        colours = dc_to_colour(sh[:, 0])
-        return cls(*(value.numpy() for value in (means, logs, rotations, opacities, colours, sh)))
+        logs = np.log(np.maximum(scales, np.finfo(np.float32).smallest_subnormal))
+        rotations /= np.linalg.norm(rotations, axis=1, keepdims=True)
+        return cls(means, logs, rotations, opacities, dc_to_colour(sh[:, 0]), sh)
 
 
 def outside(what: str, values: Array, low: ArrayLike, high: ArrayLike, unit: str) -> list[Loss]:
@@ -114,13 +105,32 @@ def bytes_of(values: Array) -> NDArray[np.uint8]:
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
 
 
-def dc_of(colours: Array) -> Array:
-    """(N, 3) first SH coefficients of sRGB colours."""
-    dc: Array = colour_to_dc(torch.from_numpy(np.asarray(colours, np.float64))).numpy()
-    return dc
-
-
-def dropped_bands(values: Values, degree: int) -> list[Loss]:
+def dropped_bands(sh: Array, degree: int) -> list[Loss]:
     """The loss of the SH coefficients above a degree, as a list of one or none."""
-    rest = values.sh[:, (degree + 1) ** 2 :]
+    rest = sh[:, (degree + 1) ** 2 :]
     return outside(f"SH above degree {degree} dropped", rest, 0, 0, "of a coefficient")
+
+
+# Unit quaternions by their three smallest components, in an order that each format chooses. The largest one is made
+# positive and follows from the others, each of which lies within plus and minus `ROOT_HALF`.
+
+ROOT_HALF = 0.5**0.5
+"""The square root of one half."""
+
+_OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+
+
+def drop_largest(quaternions: Array) -> tuple[NDArray[np.int64], Array]:
+    """Index (N,) of the largest component in size, and the others (N, 3) in order, with the sign that makes it > 0."""
+    largest = np.abs(quaternions).argmax(axis=1)[:, None]
+    signs = np.where(np.take_along_axis(quaternions, largest, 1) < 0, -1.0, 1.0)
+    return largest[:, 0], np.take_along_axis(quaternions * signs, _OTHERS[largest[:, 0]], 1)
+
+
+def restore_largest(largest: NDArray[np.integer], others: Array) -> Array:
+    """(N, 4) unit quaternions, the inverse of `drop_largest`."""
+    quaternions = np.empty((len(others), 4))
+    np.put_along_axis(quaternions, _OTHERS[largest], others, 1)
+    missing = np.sqrt(np.maximum(0.0, 1.0 - (others**2).sum(axis=1)))
+    np.put_along_axis(quaternions, np.asarray(largest, np.int64)[:, None], missing[:, None], 1)
+    return quaternions

@@ -6,22 +6,19 @@ SH_DEGREE_l_COEF_n. The basis of SH is that of 3DGS. glTF's y points up where th
 by half a turn about z, as splat-transform does.
 """
 
+import dataclasses
 import io
-import warnings
 from collections.abc import Iterator
 
 import numpy as np
-import torch
+from numpy.typing import NDArray
 
-from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.errors import SplatFileError, SplatFileWarning
+from mi_splat.io.errors import SplatFileError
 from mi_splat.io.fields import Fields
-from mi_splat.io.formats import half_turns
+from mi_splat.io.formats import axes
 from mi_splat.io.formats.encoded import Array, Encoded, Values, bytes_of
 from mi_splat.io.formats.glb import Glb, glb_bytes, open_glb
-from mi_splat.io.loaded import Loaded, check_count, judged, read_whole
-from mi_splat.rotation import normalise, to_matrix
-from mi_splat.scene import GaussianScene, Similarity, merge
+from mi_splat.io.loaded import Arrays, Loaded, check_count, judged, read_whole
 
 EXTENSION = "KHR_gaussian_splatting"
 COLOUR_SPACE = "srgb_rec709_display"
@@ -59,14 +56,13 @@ def read_glb(file: io.FileIO, path: str) -> Loaded:
             check_count(total, len(data) // _LEAST_BYTES, path)
             if len(parts) == _MOST_PARTS:
                 raise SplatFileError.of(path, f"at most {_MOST_PARTS} splats", "more", "merge them")
-            parts.append(placed(_primitive(document, primitive, extensions.object(EXTENSION)), matrix, path))
+            parts.append(axes.placed(_primitive(document, primitive, extensions.object(EXTENSION)), matrix, path))
     if not parts:
         got = f"none, but {others} other primitives" if others else "none"
         raise SplatFileError.of(path, f"a primitive with {EXTENSION}", got, "export the splat again")
-    if others:
-        text = message(path, "splats only", f"{others} other primitives", "they were left out")
-        warnings.warn(text, SplatFileWarning, stacklevel=5)
-    return together(parts)
+    loaded = axes.together(parts)
+    notices = (("splats only", f"{others} other primitives", "they were left out"),) if others else ()
+    return dataclasses.replace(loaded, arrays=axes.flipped(loaded.arrays, axes.Z), notices=notices)
 
 
 def _primitive(document: Glb, primitive: Fields, extension: Fields) -> Loaded:
@@ -104,47 +100,22 @@ def _sh_name(degree: int, order: int) -> str:
     return f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{order}"
 
 
-def placed(part: Loaded, matrix: Array, path: str) -> Loaded:
-    """A part after a transform to axes whose y points up, and the turn from there to the axes of the PLY."""
-    scene = part.scene
-    if not np.array_equal(matrix, np.eye(4)):
-        if len(part.invalid):
-            raise SplatFileError.of(path, "valid Gaussians where they are turned or moved", part.reason, "repair it")
-        try:
-            scene = scene.transform(Similarity.from_matrix(torch.from_numpy(matrix), "transform"))
-        except InvalidValueError as error:
-            raise SplatFileError.of(path, "transforms that turn, move and resize", error, "export it again") from None
-    return Loaded.of(half_turns.turned(scene, half_turns.Z), part.invalid, part.reason)
-
-
-def together(parts: list[Loaded]) -> Loaded:
-    """All parts after each other."""
-    if len(parts) == 1:
-        return parts[0]
-    starts = np.cumsum([0, *(len(part.arrays["means"]) for part in parts[:-1])])
-    invalid = np.concatenate([part.invalid + start for part, start in zip(parts, starts, strict=True)])
-    return Loaded.of(merge(*(part.scene for part in parts)), invalid, next((p.reason for p in parts if p.reason), ""))
-
-
-def write_glb(scene: GaussianScene) -> Encoded:
+def write_glb(arrays: Arrays) -> Encoded:
     """A scene as a binary glTF; nothing is rounded.
 
     COLOR_0 is there for programs that draw points: linear light of the first SH coefficient, and the opacity.
     """
-    if not len(scene):
-        raise SplatFileError.of("scene", "Gaussians for a .glb file", "none", "save it as a PLY")
-    colours = Values.of(scene)
-    scene = half_turns.turned(scene.detach().to("cpu", torch.float32), half_turns.Z)
-    means, scales, rotations, opacities, sh = (value.numpy() for value in scene.tensors())
-    shown = np.concatenate([_linear(np.clip(colours.colours, 0, 1)), colours.opacities[:, None]], axis=1)
-    columns = {
+    values = Values.of(arrays)
+    means, scales, rotations, opacities, sh = axes.flipped(arrays, axes.Z).values()
+    shown = np.concatenate([_linear(np.clip(values.colours, 0, 1)), values.opacities[:, None]], axis=1)
+    columns: dict[str, NDArray[np.generic]] = {
         "POSITION": means,
         "COLOR_0": bytes_of(shown * 255),
         f"{EXTENSION}:ROTATION": rotations[:, [1, 2, 3, 0]],
         f"{EXTENSION}:SCALE": scales,
         f"{EXTENSION}:OPACITY": opacities[:, None],
     }
-    for degree in range(scene.degree + 1):
+    for degree in range(values.degree + 1):
         for order in range(2 * degree + 1):
             columns[_sh_name(degree, order)] = sh[:, degree**2 + order]
     extension = {
@@ -192,6 +163,10 @@ def _matrix(node: Fields) -> Array | None:
     x, y, z, w = node.numbers("rotation", 4, 4, (0, 0, 0, 1))
     if not 0.5 < w * w + x * x + y * y + z * z < 2:
         raise node.bad("rotation", "a unit quaternion", [x, y, z, w])
+    import torch
+
+    from mi_splat.rotation import normalise, to_matrix
+
     matrix = np.eye(4)
     turn = to_matrix(normalise(torch.tensor([w, x, y, z], dtype=torch.float64))).numpy()
     matrix[:3, :3] = turn * np.array(node.numbers("scale", 3, 3, (1, 1, 1)))

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.formats.encoded import Array, dc_of
+from mi_splat.io.formats.encoded import Array
 from mi_splat.io.loaded import Loaded, judged, read_whole
+from mi_splat.sh import colour_to_dc
 
 _HEADER_SIZE, _SECTION_SIZE, _MOST_SECTIONS = 4096, 1024, 4096
 _HEADER = struct.Struct("<BB2xII4xIH14xff")
@@ -106,7 +107,7 @@ def _gaussians(
         steps = section.steps or _DEFAULT_RANGES[level]
         means = (means - steps) * (section.block / 2 / steps) + _centres(data, section, path)
     sh = np.zeros((section.count, (degree + 1) ** 2, 3))
-    sh[:, 0] = dc_of(rows["colours"][:, :3] / 255.0)
+    sh[:, 0] = colour_to_dc(rows["colours"][:, :3] / 255.0)
     rest = rows["sh"].astype(np.float64)
     if level == 2:
         rest = bounds[0] + rest / 255 * (bounds[1] - bounds[0])

@@ -2,31 +2,39 @@
 
 Source: read-sog.ts and write-sog.ts of github.com/playcanvas/splat-transform, and the format's page in the PlayCanvas
 manual. Means are 16 bits over the range of sign(x) ln(1 + |x|), scales, first SH coefficients and other ones each an
-index into 256 numbers, quaternions three bytes and the index of the largest of w, x, y, z.
+index into 256 numbers, quaternions three bytes and the index of the largest of w, x, y, z. Sizes are read from the
+archive's directory and from the pictures' headers, before anything is decompressed.
 """
 
+import dataclasses
 import io
 import json
 import os
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.fields import Fields, parse
-from mi_splat.io.formats.encoded import Array, Encoded, Loss, Values, bytes_of, vanished
-from mi_splat.io.formats.quaternions import ROOT_HALF, drop_largest, restore_largest
-from mi_splat.io.formats.sog_files import (
-    Files,
-    archive_bytes,
-    archive_files,
-    folder_files,
-    picture_bytes,
-    read_picture,
+from mi_splat.io.formats.encoded import (
+    ROOT_HALF,
+    Array,
+    Encoded,
+    Loss,
+    Values,
+    bytes_of,
+    drop_largest,
+    restore_largest,
+    vanished,
 )
-from mi_splat.io.loaded import Loaded, check_count, judged, read_whole
-from mi_splat.scene import GaussianScene
+from mi_splat.io.loaded import Arrays, Loaded, check_count, judged, open_regular, read_whole
+from mi_splat.io.picture_files import PictureFileError, load_picture
 
 _META, _META_LIMIT = "meta.json", 1 << 20
 _COUNTS = (0, 3, 8, 15)
@@ -34,6 +42,15 @@ _COLUMNS = 64
 _TAG = 252
 _STEPS = 65_535
 _PICTURE_LIMIT = 1 << 30
+
+Files = Callable[[str, int], bytes]
+"""Bytes of the member `name`, which may have at most so many."""
+
+_MOST_MEMBERS = 64
+_END, _END64 = struct.Struct("<4s4H2LH"), b"PK\x06\x07"
+_MOST_PIXELS = 1 << 26
+_SPREAD = 1 << 16
+_AGAIN = "write or download it again"
 
 
 class _Picture(Protocol):
@@ -86,7 +103,8 @@ def _read(files: Files, size: int, path: str) -> Loaded:
     logs = low + (high - low) * ((coarse.astype(np.uint32) << 8 | fine) / _STEPS)
     means = np.sign(logs) * np.expm1(np.abs(logs))
     scales = np.exp(_look_up(parts["scales"], picture(parts["scales"], 1, 0, count)[:, :3]))
-    return judged(means, scales, _unpack_rotations(quaternions), colours[:, 3] / 255.0, sh)
+    loaded = judged(means, scales, _unpack_rotations(quaternions), colours[:, 3] / 255.0, sh)
+    return dataclasses.replace(loaded, is_antialiased=meta.values.get("model") == "antialiased")
 
 
 def _look_up(part: Fields, indices: NDArray[np.uint8]) -> Array:
@@ -113,15 +131,13 @@ def _rest(part: Fields, picture: _Picture, count: int) -> Array:
     return values
 
 
-def write_sog(scene: GaussianScene) -> Encoded:
+def write_sog(arrays: Arrays, *, antialiased: bool = False) -> Encoded:
     """A scene as a bundled SOG, in the scene's order.
 
     Up to 65,536 Gaussians each have SH of their own. Of more, similar ones share theirs: then the SH that changed most
     are among the losses.
     """
-    if not len(scene):
-        raise SplatFileError.of("scene", "Gaussians for a .sog file", "none", "save it as a PLY")
-    values = Values.of(scene)
+    values = Values.of(arrays)
     logs = np.sign(values.means) * np.log1p(np.abs(values.means))
     low, high = logs.min(axis=0), logs.max(axis=0)
     extent = high - low
@@ -139,7 +155,8 @@ def write_sog(scene: GaussianScene) -> Encoded:
     meta: dict[str, object] = {
         "version": 2,
         "asset": {"generator": "mi-splat"},
-        "count": len(scene),
+        "count": len(values.means),
+        **({"model": "antialiased"} if antialiased else {}),
         "means": {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]},
         "scales": {"codebook": scales.tolist(), "files": ["scales.webp"]},
         "quats": {"files": ["quats.webp"]},
@@ -260,3 +277,105 @@ def palette(rows: Array) -> tuple[Array, NDArray[np.int64]]:
 def _group_means(rows: Array, labels: NDArray[np.int64], groups: int) -> Array:
     counts = np.bincount(labels, minlength=groups)
     return np.stack([np.bincount(labels, column, groups) / counts for column in rows.T], axis=1)
+
+
+def archive_files(data: bytes, path: str) -> Files:
+    """The members of a zip archive."""
+    _check_directory(data, path)
+    try:
+        archive = zipfile.ZipFile(io.BytesIO(data))
+    except _ZIP_ERRORS as error:
+        raise SplatFileError.of(path, "a zip archive", str(error)[:100], _AGAIN) from None
+
+    def read(name: str, most: int) -> bytes:
+        try:
+            member = archive.getinfo(name)
+            if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise SplatFileError.of(f"{path}: {name}", "a stored or deflated member", "another", _AGAIN)
+            if member.file_size > most:
+                raise SplatFileError.of(f"{path}: {name}", f"at most {most} bytes", f"{member.file_size} bytes", _AGAIN)
+            with archive.open(member) as file:
+                plain = file.read(most + 1)
+        except KeyError:
+            got = ", ".join(archive.namelist())[:100] or "an empty archive"
+            raise SplatFileError.of(path, f"a member {name}", got, _AGAIN) from None
+        except _ZIP_ERRORS as error:
+            raise SplatFileError.of(f"{path}: {name}", "an intact member", str(error)[:100], _AGAIN) from None
+        if len(plain) > most:
+            raise SplatFileError.of(f"{path}: {name}", f"at most {most} bytes", "more", _AGAIN)
+        return plain
+
+    return read
+
+
+_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, struct.error,
+               OverflowError, OSError)  # fmt: skip
+
+
+def folder_files(folder: str) -> Files:
+    """The files in a folder, by plain names only."""
+
+    def read(name: str, most: int) -> bytes:
+        path = os.path.join(folder, name)
+        if os.path.basename(name) != name or name in ("", ".", ".."):
+            raise SplatFileError.of(folder, "plain names of pictures", repr(name[:60]), _AGAIN)
+        with open_regular(path) as file:
+            plain = file.read(most + 1)
+        if plain is None or len(plain) > most:
+            raise SplatFileError.of(path, f"at most {most} bytes", "more", _AGAIN)
+        return plain
+
+    return read
+
+
+def _check_directory(data: bytes, path: str) -> None:
+    """Raise unless the end of the archive claims a small directory, which zipfile reads as a whole."""
+    offset = data.rfind(b"PK\x05\x06", max(0, len(data) - _END.size - 0xFFFF))
+    if offset < 0 or len(data) - offset < _END.size:
+        raise SplatFileError.of(path, "a zip archive with its directory", "none: it is truncated", _AGAIN)
+    fields = _END.unpack_from(data, offset)
+    if fields[4] > _MOST_MEMBERS or fields[5] > _MOST_MEMBERS * 1024 or data[max(0, offset - 20) :][:4] == _END64:
+        got = f"{fields[4]} in {fields[5]} bytes"
+        raise SplatFileError.of(path, f"a zip archive of at most {_MOST_MEMBERS} members", got, _AGAIN)
+
+
+def read_picture(data: bytes, where: str, *, least: int, width: int | None = None) -> NDArray[np.uint8]:
+    """(H * W, 4) bytes of the pixels of a lossless WebP picture."""
+    size = webp_size(data)
+    if size is None:
+        raise SplatFileError.of(where, "a lossless WebP picture (VP8L)", repr(data[:16]), "export the SOG again")
+    pixels = size[0] * size[1]
+    if pixels < least or pixels > min(4 * least + _SPREAD, _MOST_PIXELS) or width not in (None, size[0]):
+        wanted = f"{least} to {min(4 * least + _SPREAD, _MOST_PIXELS)} pixels" + (f", {width} wide" if width else "")
+        raise SplatFileError.of(where, wanted, f"{size[0]} x {size[1]}", "export the SOG again")
+    try:
+        picture = load_picture(data, where, formats=("WEBP",))
+    except PictureFileError as error:
+        raise SplatFileError(str(error)).hinted(error.hint) from None
+    if picture.size != size:
+        raise SplatFileError.of(where, "an intact WebP picture", f"another size, {picture.size}", _AGAIN)
+    return np.asarray(picture.convert("RGBA")).reshape(-1, 4)
+
+
+def webp_size(data: bytes) -> tuple[int, int] | None:
+    """Width and height of a lossless WebP picture from its header (RFC 9649, section 3.4), None for other data."""
+    if len(data) < 25 or data[:4] != b"RIFF" or data[8:16] != b"WEBPVP8L" or data[20] != 0x2F:
+        return None
+    bits = int.from_bytes(data[21:25], "little")
+    return (bits & 0x3FFF) + 1, ((bits >> 14) & 0x3FFF) + 1
+
+
+def picture_bytes(values: NDArray[np.uint8]) -> bytes:
+    """A lossless WebP of (H, W, 4) bytes; colours under an alpha of zero are kept."""
+    buffer = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(values)).save(buffer, "WEBP", lossless=True, exact=True, quality=60, method=3)
+    return buffer.getvalue()
+
+
+def archive_bytes(members: dict[str, bytes]) -> bytes:
+    """A zip archive of members that are compressed already, the same bytes each time."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
+        for name, data in members.items():
+            archive.writestr(zipfile.ZipInfo(name), data)
+    return buffer.getvalue()

@@ -7,13 +7,12 @@ deviations, four bytes of colour and opacity, four bytes of the quaternion w, x,
 import io
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.formats.encoded import Array, Encoded, Values, bytes_of, dc_of, dropped_bands, outside, vanished
-from mi_splat.io.loaded import Loaded, judged, read_whole
-from mi_splat.scene import GaussianScene
+from mi_splat.io.formats.encoded import Array, Encoded, Values, bytes_of, dropped_bands, outside, vanished
+from mi_splat.io.loaded import Arrays, Loaded, judged, read_whole
+from mi_splat.sh import colour_to_dc
 
 RECORD = np.dtype([("means", "<f4", (3,)), ("scales", "<f4", (3,)), ("colours", "u1", (4,)), ("rotations", "u1", (4,))])
 """One Gaussian."""
@@ -34,23 +33,20 @@ def read_splat(file: io.FileIO, path: str) -> Loaded:
         rows["scales"],
         (rows["rotations"].astype(np.float64) - 128) / 128,
         rows["colours"][:, 3] / np.float64(255),
-        dc_of(rows["colours"][:, :3] / np.float64(255))[:, None],
+        colour_to_dc(rows["colours"][:, :3] / np.float64(255))[:, None],
     )
 
 
-def write_splat(scene: GaussianScene) -> Encoded:
+def write_splat(arrays: Arrays) -> Encoded:
     """A scene as a `.splat` file, in the scene's order."""
-    if not len(scene):
-        raise SplatFileError.of("scene", "Gaussians for a .splat file", "none", "save it as a PLY")
-    values = Values.of(scene)
-    rows = np.zeros(len(scene), RECORD)
-    rows["means"] = values.means
-    rows["scales"] = scene.scales.detach().to("cpu", torch.float32).numpy()
+    values = Values.of(arrays)
+    rows = np.zeros(len(values.means), RECORD)
+    rows["means"], rows["scales"] = arrays["means"], arrays["scales"]
     rows["colours"][:, :3] = bytes_of(values.colours * 255)
     rows["colours"][:, 3] = bytes_of(values.opacities * 255)
     rows["rotations"] = _pack_rotations(values.rotations)
     losses = [
-        *dropped_bands(values, 0),
+        *dropped_bands(values.sh, 0),
         *outside("colour clamped to 0..1", values.colours, 0, 1, "of full colour"),
         *vanished(values.opacities, rows["colours"][:, 3]),
     ]

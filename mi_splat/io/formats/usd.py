@@ -6,29 +6,26 @@ before halves (`positions`, `positionsh`). Where y points up, the scene is turne
 where z points up, y is made to before. Where a stage says how many metres a unit has, the splat comes in metres.
 """
 
+import dataclasses
 import io
 import math
 import os
 import struct
 import subprocess
 import sys
-import warnings
 import zipfile
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import torch
 
-from mi_splat.errors import message
-from mi_splat.io.errors import SplatFileError, SplatFileWarning
+from mi_splat.io.errors import SplatFileError
 from mi_splat.io.fields import Fields, parse
-from mi_splat.io.formats import half_turns, usd_child
+from mi_splat.io.formats import axes, usd_child
 from mi_splat.io.formats.detection import require_usd
-from mi_splat.io.formats.encoded import Array, Encoded, Values
-from mi_splat.io.formats.gltf import placed, together
-from mi_splat.io.loaded import FREE_GAUSSIANS, Loaded, judged
-from mi_splat.scene import GaussianScene
+from mi_splat.io.formats.encoded import Array, Encoded
+from mi_splat.io.loaded import FREE_GAUSSIANS, HIGHER_BANDS, Arrays, Loaded, Notice, judged
+from mi_splat.sh import degree_of
 
 _ANSWER_LIMIT = 1 << 22
 _Y_UP = {"Y": np.eye(4), "Z": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])}
@@ -68,18 +65,18 @@ def read_usd(file: io.FileIO, path: str) -> Loaded:
     if up not in _Y_UP or not 0 < metres < math.inf:
         raise SplatFileError.of(path, "y or z up, and a positive size of units", f"{up}, {metres:g}", "repair it")
     frame = np.diag([metres, metres, metres, 1.0]) @ _Y_UP[up]
+    notices: list[Notice] = []
     if others:
-        text = message(path, "visible splats only", f"{others} other prims", "they were left out")
-        warnings.warn(text, SplatFileWarning, stacklevel=5)
+        notices.append(("visible splats only", f"{others} other prims", "they were left out"))
     if any(part.whole("degree", 0, 99) > 3 for part in parts):
-        text = message(path, "SH of degree 0 to 3", "more", "the higher bands were left out")
-        warnings.warn(text, SplatFileWarning, stacklevel=5)
+        notices.append(HIGHER_BANDS)
     loaded: list[Loaded] = []
     for part in parts:
         matrix = np.array(part.numbers("matrix", 16, 16)).reshape(4, 4)
         gaussians, values = _gaussians(part, values)
-        loaded.append(placed(gaussians, frame @ matrix, path))
-    return together(loaded)
+        loaded.append(axes.placed(gaussians, frame @ matrix, path))
+    whole = axes.together(loaded)
+    return dataclasses.replace(whole, arrays=axes.flipped(whole.arrays, axes.Z), notices=tuple(notices))
 
 
 def _ask(path: str, link: Path, most: int) -> Fields:
@@ -109,14 +106,13 @@ def _gaussians(part: Fields, values: Array) -> tuple[Loaded, Array]:
     return judged(means, scales, quaternions[:, [3, 0, 1, 2]], opacities, sh[:, :16]), values
 
 
-def write_usd(scene: GaussianScene, ending: str) -> Encoded:
+def write_usd(arrays: Arrays, ending: str) -> Encoded:
     """A scene as an OpenUSD file with one prim, y up, one metre a unit; nothing is rounded."""
     require_usd(ending)
     from pxr import Sdf, Usd, UsdGeom, UsdVol, Vt
 
-    Values.of(scene)
-    turned = half_turns.turned(scene.detach().to("cpu", torch.float32), half_turns.Z)
-    means, scales, rotations, opacities, sh = (np.ascontiguousarray(value.numpy()) for value in turned.tensors())
+    turned = axes.flipped(arrays, axes.Z)
+    means, scales, rotations, opacities, sh = (np.ascontiguousarray(value) for value in turned.values())
     layer = Sdf.Layer.CreateAnonymous(".usdc" if ending == ".usdz" else ending)
     stage = Usd.Stage.Open(layer)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
@@ -129,9 +125,9 @@ def write_usd(scene: GaussianScene, ending: str) -> Encoded:
         "orientations": Vt.QuatfArray.FromNumpy(np.ascontiguousarray(rotations[:, [1, 2, 3, 0]])),
         "opacities": Vt.FloatArray.FromNumpy(opacities),
         "radiance:sphericalHarmonicsCoefficients": Vt.Vec3fArray.FromNumpy(sh.reshape(-1, 3)),
-        "radiance:sphericalHarmonicsDegree": scene.degree,
+        "radiance:sphericalHarmonicsDegree": degree_of(sh.shape[1]),
     }
-    if len(scene):
+    if len(means):
         reach = 3 * scales.max(axis=1, keepdims=True)
         extent = np.stack([(means - reach).min(axis=0), (means + reach).max(axis=0)])
         columns["extent"] = Vt.Vec3fArray.FromNumpy(extent.astype(np.float32))
