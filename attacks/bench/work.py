@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import polars as pl
 from attacks.bench.row import DEFENDED, KNOWS, Asked, write
 from attacks.bench.suite import ALL_VIEWS, CLOAK, COLUMNS, ONE_VIEW, TRANSFER, Suite
 from attacks.cloak.steps import ROW_NAMES, StudySteps
-from attacks.detectors.registry import DETECTORS, detector_spec, load_detector
+from attacks.detectors.registry import detector_spec, load_detector, use_weights
 from attacks.observe.conditions import OWN, check_condition
 from attacks.observe.rows import DEPTH, ROWS, SUFFIX, read_rows
 from attacks.studies.cloak import config_of
@@ -212,9 +212,3 @@ class BenchWork(Work):
 
 
 _ATTACKED = (ONE_VIEW, ALL_VIEWS)
-
-
-def use_weights(name: str, file: Path) -> None:
-    """Let a detector have other weights in this process."""
-    spec = detector_spec(name)
-    DETECTORS.own[name] = replace(spec, weights=lambda: file, load=lambda weights: spec.load(weights or file))

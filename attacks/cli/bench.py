@@ -101,7 +101,7 @@ def _bench(options: BenchOptions) -> int:
     )
     out = options.out or usual_folder(options)
     check_own_folder(out, ROW)
-    workers = 0 if options.weights else chosen_workers(options.workers)  # other processes do not know the file
+    workers = chosen_workers(options.workers)
     with own_folder(out, ROW), progress("preparing", total=work.size) as advance:
         told = follow(advance)
         store = options.store

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import json
+import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,6 +36,8 @@ from mi_splat.registry import Registry
 if TYPE_CHECKING:
     from attacks.detectors.base import Detector
 
+CHOSEN_WEIGHTS = "MI_SPLAT_WEIGHTS"
+"""Variable of the environment with the JSON of detectors and the files of their weights (`use_weights`)."""
 _DOWNLOADED = "not here; downloaded when first used, or name a file with --weights"
 
 
@@ -116,7 +120,21 @@ def load_detector(name: str, *, weights: Path | None = None, device: str = "cpu"
 
 def detector_spec(name: str) -> DetectorSpec:
     """The spec of a detector; nothing heavy is imported for those of this project."""
-    return DETECTORS.chosen(name)
+    spec = DETECTORS.chosen(name)
+    if file := _chosen_weights().get(name):
+        path = Path(file)
+        return replace(spec, weights=lambda: path, load=lambda weights: spec.load(weights or path))
+    return spec
+
+
+def use_weights(name: str, file: Path) -> None:
+    """Let a file take the place of a detector's usual weights, in this process and in those that it starts."""
+    os.environ[CHOSEN_WEIGHTS] = json.dumps({**_chosen_weights(), name: str(file.resolve())})
+
+
+def _chosen_weights() -> dict[str, str]:
+    chosen: dict[str, str] = json.loads(os.environ.get(CHOSEN_WEIGHTS, "{}"))
+    return chosen
 
 
 def as_detectors(detectors: Detector | str | Sequence[Detector | str]) -> tuple[Detector, ...]:

@@ -1,6 +1,8 @@
 """`mi-splat bench` with a tiny suite and toy detectors: what a row says, and what makes it be refused."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,7 @@ from attacks.bench.suite import SUITES, read_suite
 from attacks.bench.work import BenchWork
 from attacks.cli.bench import BenchOptions, rescored, usual_folder
 from attacks.detectors.catalogue import SMALL_WEIGHTS
-from attacks.detectors.registry import DETECTORS
+from attacks.detectors.registry import CHOSEN_WEIGHTS
 from attacks.observe.rows import read_rows
 from attacks.studies import attack as attack_kind
 from mi_splat.errors import InvalidValueError
@@ -155,11 +157,14 @@ def test_a_column_without_its_surrogates_is_not_filled(suite: Path) -> None:
 def test_weights_of_a_file_are_asked(suite: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "mine.safetensors"
     file.write_bytes(SMALL_WEIGHTS.read_bytes())
-    monkeypatch.setitem(DETECTORS.own, "fasterrcnn_small", DETECTORS["fasterrcnn_small"])
+    monkeypatch.setenv(CHOSEN_WEIGHTS, "{}")
     work = BenchWork(read_suite(str(suite)), "fasterrcnn_small", weights=file, columns=["one_view"])
     first = work.attempts[0]
     assert file in first.made[first.name].inputs.values()
     assert work.loaded.name == "fasterrcnn_small"
+    code = "from attacks.detectors.registry import detector_spec; print(detector_spec('fasterrcnn_small').weights())"
+    worker = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert worker.stdout.strip() == str(file), "processes that do jobs know the file"
 
 
 def test_a_killed_run_goes_on(suite: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
