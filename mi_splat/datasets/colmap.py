@@ -12,8 +12,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera
-from mi_splat.datasets import colmap_binary, colmap_text
-from mi_splat.datasets.colmap_model import MODELS, ONE_FOCAL, TWO_FOCALS, Lens, Model, Pose, unreadable
+from mi_splat.datasets.colmap_files import MODELS, ONE_FOCAL, TWO_FOCALS, Lens, Model, Pose, read_model, unreadable
 from mi_splat.datasets.distortion import Intrinsics
 from mi_splat.datasets.errors import DatasetError, DatasetWarning
 from mi_splat.datasets.frames import (
@@ -56,7 +55,7 @@ def read_colmap(
     if folder.name == "0" and others and root != folder:
         do = f"{folder} is read; to read another, pass its folder"
         warnings.warn(f"{folder.parent} has {len(others) + 1} models: {do}", DatasetWarning, stacklevel=3)
-    model = _read_model(cameras_file)
+    model = read_model(cameras_file)
     poses, source = _poses(model, cameras_file), _images_file(cameras_file)
     images, lenses = _images_folder(root, folder), _lenses(model, cameras_file)
     frames: dict[str, Frame] = {}
@@ -75,7 +74,7 @@ def read_colmap(
 
 def read_model_cameras(cameras_file: Path, split: Split | None = None) -> dict[str, Camera]:
     """The cameras of a model by the names of their pictures, which need not be there."""
-    model = _read_model(cameras_file)
+    model = read_model(cameras_file)
     lenses, source = _lenses(model, cameras_file), _images_file(cameras_file)
     poses, images = _poses(model, cameras_file), _images_folder(cameras_file.parent, cameras_file.parent)
     if split is not None:
@@ -107,19 +106,6 @@ def _lenses(model: Model, cameras_file: Path) -> dict[int, Intrinsics]:
 def _images_file(cameras_file: Path) -> Path:
     """The file of a model's poses, beside that of its cameras."""
     return cameras_file.with_name(f"images{cameras_file.suffix}")
-
-
-def _read_model(cameras_file: Path) -> Model:
-    """The model of which a cameras file is part, with the system's failures as errors of this package."""
-    read = colmap_binary.read_model if cameras_file.suffix == ".bin" else colmap_text.read_model
-    try:
-        return read(cameras_file.parent)
-    except FileNotFoundError as error:
-        do = "a model has three files: cameras, images, points3D"
-        raise DatasetError.of(str(error.filename), "a part of the model", "no such file", do) from error
-    except OSError as error:
-        got = error.strerror or str(error)
-        raise DatasetError.of(str(cameras_file), "a file that can be read", got, "check the path") from error
 
 
 def _images_folder(root: Path, folder: Path) -> Path:

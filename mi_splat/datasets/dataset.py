@@ -214,6 +214,7 @@ def load_dataset(
     Raises:
         DatasetError: The set is of neither kind, empty, or something in it is broken or cannot be undistorted, or more
             than a third of the pictures are missing.
+        PictureFileError: A picture cannot be read.
         SplatFileError: The point cloud beside transforms cannot be read.
         InvalidValueError: An argument is out of range.
     """

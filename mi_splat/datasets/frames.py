@@ -12,8 +12,9 @@ from torch import Tensor
 from mi_splat.cameras import Camera
 from mi_splat.datasets.distortion import Intrinsics, pinhole
 from mi_splat.datasets.errors import DatasetError, DatasetWarning
-from mi_splat.datasets.pictures import SUFFIXES, lies_on_its_side, picture_size
+from mi_splat.datasets.pictures import SUFFIXES, picture_size
 from mi_splat.errors import InvalidValueError
+from mi_splat.io.picture_files import lies_on_its_side
 
 Split = Literal["train", "test"]
 HELD_OUT = 8

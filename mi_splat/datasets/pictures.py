@@ -5,12 +5,10 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image
 from torch import Tensor
 
 from mi_splat.datasets.errors import DatasetError
-from mi_splat.io.picture_files import PictureFileError, load_picture, picture_header
-from mi_splat.io.picture_files import lies_on_its_side as _lies_on_its_side
+from mi_splat.io.picture_files import load_picture, picture_header
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff", ".PNG", ".JPG", ".JPEG")
 """What is appended, in this order, to the name of a picture that has no suffix."""
@@ -22,10 +20,7 @@ Pixels = NDArray[np.float32]
 
 def picture_size(path: Path, claimed: tuple[int, int] | None = None) -> tuple[int, int]:
     """Width and height of a picture, read off its header."""
-    try:
-        size, mode = picture_header(path)
-    except PictureFileError as error:
-        raise DatasetError(str(error)).hinted(error.hint) from error
+    size, mode = picture_header(path)
     if mode not in _MODES:
         raise DatasetError.of(str(path), "8 bits a channel", f"mode {mode}", "convert it to 8 bits")
     if claimed is not None and size != claimed:
@@ -34,19 +29,11 @@ def picture_size(path: Path, claimed: tuple[int, int] | None = None) -> tuple[in
     return size
 
 
-def lies_on_its_side(path: Path) -> bool:
-    """Whether a picture's EXIF orientation swaps its width and height."""
-    try:
-        return _lies_on_its_side(path)
-    except PictureFileError as error:
-        raise DatasetError(str(error)).hinted(error.hint) from error
-
-
 def read_picture(
     path: Path, *, downscale: int, background: tuple[float, float, float], upright: bool = False
 ) -> tuple[Tensor, Tensor | None]:
     """A picture over a background, and its alpha."""
-    picture = _decoded(path, upright)
+    picture = load_picture(path, upright=upright)
     has_alpha = "A" in picture.mode or "a" in picture.mode or "transparency" in picture.info
     values = np.asarray(picture.convert("RGBA" if has_alpha else "RGB"), np.float32) / np.float32(255)
     if not has_alpha:
@@ -58,7 +45,7 @@ def read_picture(
 
 def read_mask(path: Path, *, downscale: int) -> Tensor:
     """(H, W) float32 mask in [0, 1] from a picture in its grey values."""
-    values = np.asarray(_decoded(path).convert("L"), np.float32)[..., None] / np.float32(255)
+    values = np.asarray(load_picture(path).convert("L"), np.float32)[..., None] / np.float32(255)
     return torch.from_numpy(area_mean(values, downscale)[..., 0])
 
 
@@ -70,11 +57,3 @@ def area_mean(values: Pixels, factor: int) -> Pixels:
     squares = values[: height * factor, : width * factor].reshape(height, factor, width, factor, -1)
     means: Pixels = squares.mean((1, 3), dtype=np.float64).astype(np.float32)
     return means
-
-
-def _decoded(path: Path, upright: bool = False) -> Image.Image:
-    """The whole picture, decoded."""
-    try:
-        return load_picture(path, upright=upright)
-    except PictureFileError as error:
-        raise DatasetError(str(error)).hinted(error.hint) from error

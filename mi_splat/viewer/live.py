@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from mi_splat.datasets import Dataset, DatasetError
+from mi_splat.io.picture_files import PictureFileError
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.training.loop import Progress, TrainState
@@ -97,7 +98,7 @@ class LiveTraining(JobRunner):
         self.painter.exchange(SPLAT, GaussianScene.unchecked(*tensors))
         try:
             similarity, self._unreadable = self.painter.similarity(self.content.start), ""
-        except DatasetError as error:  # which ends the training if it needs that photograph itself
+        except (DatasetError, PictureFileError) as error:  # ends a training that needs the photograph
             similarity, self._unreadable = None, str(error)
         if similarity is not None:
             self._psnr.append((progress.iteration, similarity))

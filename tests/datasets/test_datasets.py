@@ -14,6 +14,7 @@ from PIL import Image
 
 from mi_splat.cameras import Camera, View, look_at, project_points
 from mi_splat.datasets import DatasetError, DatasetWarning, load_dataset, write_colmap, write_transforms
+from mi_splat.errors import MiSplatError
 from mi_splat.io.points import load_points, save_points
 from mi_splat.rotation import normalise, to_matrix
 from tests.datasets.sets import CLOUD, FORMATS, PROBES, TESTS, VIEWS, assert_same_camera, colmap_binary, view
@@ -314,7 +315,7 @@ def test_pictures_are_read_when_they_are_needed(tmp_path: Path) -> None:
     dataset = load_dataset(tmp_path)
     (tmp_path / "images" / "train_00002.png").unlink()
     assert torch.equal(dataset[1].image, VIEWS[1].image)
-    with pytest.raises(DatasetError, match=r"train_00002\.png.*no such file"):
+    with pytest.raises(MiSplatError, match=r"train_00002\.png.*no such file"):
         dataset[2]
     shutil.rmtree(tmp_path / "images")
     assert torch.equal(dataset[1].image, VIEWS[1].image)  # from memory
