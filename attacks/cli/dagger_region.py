@@ -55,7 +55,7 @@ def run(options: DaggerEotOptions) -> None:
     from attacks.cli.names import load_detectors
     from attacks.cli.summary import show_summary
     from attacks.dagger.attack import attack_views
-    from attacks.dagger.checkpoint import Checkpoint
+    from attacks.dagger.search import Checkpoint
     from attacks.dagger.views import ViewDistribution
     from mi_splat.cli.cameras import choose
     from mi_splat.io.camera_records import describe

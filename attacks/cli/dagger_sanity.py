@@ -19,8 +19,8 @@ from mi_splat.io.parsing import read_json
 from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
-    from attacks.dagger.sanity.checks import Finding
-    from attacks.dagger.sanity.runs import Case
+    from attacks.dagger.sanity_checks import Finding
+    from attacks.dagger.sanity_runs import Case
     from attacks.detectors.base import Detector
 
 
@@ -76,8 +76,8 @@ ATTACKS = 15
 
 def run(options: DaggerSanityOptions) -> int:
     """Make the checks."""
-    from attacks.dagger.sanity.checks import CHECKS, write_findings
-    from attacks.dagger.sanity.runs import Runs
+    from attacks.dagger.sanity_checks import CHECKS, write_findings
+    from attacks.dagger.sanity_runs import Runs
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder
 
     check_new_folder(options.out, force=options.force)
@@ -106,7 +106,7 @@ def run(options: DaggerSanityOptions) -> int:
 def _case(options: DaggerSanityOptions) -> tuple[Case, dict[str, Any]]:
     """What the options ask to check, and what the record has to say of it."""
     from attacks.cli.aims import chosen_object
-    from attacks.dagger.sanity.runs import Case
+    from attacks.dagger.sanity_runs import Case
     from attacks.objectives import relabel
     from attacks.studies.scenes import jittered
     from mi_splat.cli.cameras import choose

@@ -11,18 +11,15 @@ import hashlib
 import json
 import time
 from collections.abc import Sequence
-from typing import Any, TypeVar, overload
 
 import torch
 from torch import Generator
 
-from attacks.dagger.checkpoint import Checkpoint
 from attacks.dagger.config import Config, DaggerConfig, EotConfig
-from attacks.dagger.figures import counted
 from attacks.dagger.judging import Reports, clean_reports, judge, look
 from attacks.dagger.problem import Problem, check_detectors
-from attacks.dagger.result import Result
-from attacks.dagger.search import VALIDATION_SEED_OFFSET, OnStep, search_drawn, search_fixed
+from attacks.dagger.result import Result, counted
+from attacks.dagger.search import VALIDATION_SEED_OFFSET, Checkpoint, OnStep, search_drawn, search_fixed
 from attacks.dagger.views import View, ViewDistribution, fixed_views
 from attacks.detectors.base import Detections, Detector
 from attacks.detectors.registry import as_detectors
@@ -36,12 +33,10 @@ from mi_splat import provenance
 from mi_splat.cameras import Camera, RenderFn, as_cameras
 from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import several
 from mi_splat.io.camera_records import values_of
 from mi_splat.scene import GaussianScene, check_scene, scene_hash
 
 
-@overload
 def attack(
     scene: GaussianScene,
     mask: Mask,
@@ -51,41 +46,9 @@ def attack(
     *,
     render: RenderFn,
     config: DaggerConfig | None = None,
-    eps: None = None,
     up: Point = UP,
     on_step: OnStep | None = None,
-) -> Result: ...
-
-
-@overload
-def attack(
-    scene: GaussianScene,
-    mask: Mask,
-    cameras: Camera | Sequence[Camera],
-    detector: Detector | str | Sequence[Detector | str],
-    objective: Objective,
-    *,
-    render: RenderFn,
-    config: DaggerConfig | None = None,
-    eps: Sequence[float | Sequence[float]],
-    up: Point = UP,
-    on_step: OnStep | None = None,
-) -> list[Result]: ...
-
-
-def attack(
-    scene: GaussianScene,
-    mask: Mask,
-    cameras: Camera | Sequence[Camera],
-    detector: Detector | str | Sequence[Detector | str],
-    objective: Objective,
-    *,
-    render: RenderFn,
-    config: DaggerConfig | None = None,
-    eps: Sequence[float | Sequence[float]] | None = None,
-    up: Point = UP,
-    on_step: OnStep | None = None,
-) -> Result | list[Result]:
+) -> Result:
     """Attack one object of a scene in one view or many.
 
     Args:
@@ -97,53 +60,18 @@ def attack(
         objective: What the detector shall see, for instance `relabel("person")` or `hide()`.
         render: Any differentiable renderer.
         config: Budget, steps and seed; the paper's if None.
-        eps: Radii to attack with, one attack for each, in place of the configuration's: a curve in one call. Each is a
-            number for all attributes, or a number for each of them.
         up: (3,) direction that is up in the scene, for the azimuth and the elevation of each view.
         on_step: Called with every line of the trace as it happens; once it says so, the search ends with the best
             point so far.
 
     Returns:
-        What the attack did; with `eps` a list of it, in the order of the radii.
+        What the attack did.
 
     Raises:
         InvalidValueError: An argument is of another kind, the mask selects nothing, a view does not show the object,
             a detector does not know the target class, two have one name, or a gradient is not finite.
     """
-    configs = _of_radii(config or DaggerConfig(), eps)
-    detectors = as_detectors(detector)
-    results = [
-        _attack(scene, mask, cameras, detectors, objective, render=render, config=single, up=up, on_step=on_step)
-        for single in configs
-    ]
-    return results[0] if eps is None else results
-
-
-_Config = TypeVar("_Config", DaggerConfig, EotConfig)
-
-
-def _of_radii(config: _Config, eps: Sequence[float | Sequence[float]] | None) -> list[_Config]:
-    """A configuration for each radius, the one that is there if None; all are checked before the first attack."""
-    radii: Sequence[Any] = [config.eps] if eps is None else eps if isinstance(eps, Sequence) else several(eps)
-    if not len(radii):
-        raise InvalidValueError.of("eps", "at least one radius", "none", "leave it out, or name some")
-    return [dataclasses.replace(config, eps=several(radius)) for radius in radii]
-
-
-def _attack(
-    scene: GaussianScene,
-    mask: Mask,
-    cameras: Camera | Sequence[Camera],
-    detectors: tuple[Detector, ...],
-    objective: Objective,
-    *,
-    render: RenderFn,
-    config: DaggerConfig,
-    up: Point,
-    on_step: OnStep | None,
-) -> Result:
-    """One attack from fixed views."""
-    begun = time.perf_counter()
+    begun, config, detectors = time.perf_counter(), config or DaggerConfig(), as_detectors(detector)
     cameras = as_cameras(cameras)
     check_scene("scene", scene)
     check_objective(objective)
@@ -169,45 +97,16 @@ def _attack(
     return dataclasses.replace(result, origin=result.origin | origin, seconds=seconds, cpu_seconds=spent)
 
 
-@overload
 def attack_views(
     views: ViewDistribution,
     detectors: Detector | str | Sequence[Detector | str],
     objective: Objective,
     *,
     config: EotConfig | None = None,
-    eps: None = None,
     judged: ViewDistribution | None = None,
     checkpoint: Checkpoint | None = None,
     on_step: OnStep | None = None,
-) -> Result: ...
-
-
-@overload
-def attack_views(
-    views: ViewDistribution,
-    detectors: Detector | str | Sequence[Detector | str],
-    objective: Objective,
-    *,
-    config: EotConfig | None = None,
-    eps: Sequence[float | Sequence[float]],
-    judged: ViewDistribution | None = None,
-    checkpoint: None = None,
-    on_step: OnStep | None = None,
-) -> list[Result]: ...
-
-
-def attack_views(
-    views: ViewDistribution,
-    detectors: Detector | str | Sequence[Detector | str],
-    objective: Objective,
-    *,
-    config: EotConfig | None = None,
-    eps: Sequence[float | Sequence[float]] | None = None,
-    judged: ViewDistribution | None = None,
-    checkpoint: Checkpoint | None = None,
-    on_step: OnStep | None = None,
-) -> Result | list[Result]:
+) -> Result:
     """Attack one object so that it deceives from all views of a distribution, and judge that on held-out views.
 
     Args:
@@ -216,45 +115,20 @@ def attack_views(
             one is deceived. Their weights are known (white box).
         objective: What they shall see, for instance `relabel("person")` or `hide()`.
         config: Budget, steps, views and seeds.
-        eps: Radii to attack with, one attack for each, in place of the configuration's, as of `attack`. All attacks
-            see the same views.
         judged: Where the held-out views are drawn from, for instance with pictures that change; None is `views`.
-        checkpoint: Where to keep the search while it runs; one that is there is taken up again. It is of one search,
-            so not with `eps`.
+        checkpoint: Where to keep the search while it runs; one that is there is taken up again.
         on_step: Called with every line of the trace as it happens; once it says so, the search ends with the best
             point so far.
 
     Returns:
-        What the attack did, judged on the held-out views; with `eps` a list of it, in the order of the radii.
+        What the attack did, judged on the held-out views.
 
     Raises:
         InvalidValueError: An argument is of another kind, a detector does not know the target class, no view shows the
             object, or a gradient is not finite.
         CheckpointError: The checkpoint is one of another attack.
     """
-    configs, judged, detectors = _of_radii(config or EotConfig(), eps), judged or views, as_detectors(detectors)
-    if eps is not None and checkpoint is not None:
-        raise InvalidValueError.of(
-            "checkpoint", "none with eps", checkpoint.path, "keep each radius in a call of its own"
-        )
-    results = [
-        _attack_views(views, detectors, objective, config=single, judged=judged, checkpoint=checkpoint, on_step=on_step)
-        for single in configs
-    ]
-    return results[0] if eps is None else results
-
-
-def _attack_views(
-    views: ViewDistribution,
-    detectors: tuple[Detector, ...],
-    objective: Objective,
-    *,
-    config: EotConfig,
-    judged: ViewDistribution,
-    checkpoint: Checkpoint | None,
-    on_step: OnStep | None,
-) -> Result:
-    """One attack on a distribution of views."""
+    config, judged, detectors = config or EotConfig(), judged or views, as_detectors(detectors)
     check_objective(objective)
     check_detectors(detectors, objective)
     originals = _originals(views, detectors, config)

@@ -168,7 +168,7 @@ class EotConfig(Perturbation):
         sh_degree: Highest degree of the SH coefficients that may change, if SH may; the file gets it if it has less.
             0 changes a Gaussian's colour by the same from everywhere. None keeps the scene's own.
         image_psnr: PSNR that the pictures keep, dB, over the validation views; None asks for nothing. The search then
-            pays for the pictures' squared error (`attacks.dagger.image_budget`); the ball is a second bound.
+            pays for the pictures' squared error (`attacks.dagger.search`); the ball is a second bound.
         seed: Seed of the attack's views, of its validation views, and of the noise.
         judge_seed: Seed of the held-out views; another one.
 

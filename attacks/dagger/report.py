@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from attacks.dagger.config import EotConfig
-from attacks.dagger.figures import DRAWN, FIXED
 from attacks.dagger.judging import JudgedView, Seen
-from attacks.dagger.result import Result
+from attacks.dagger.result import DRAWN, FIXED, Result
 from attacks.observe.drawing import annotated, difference, listed, stacked
 from attacks.observe.result_cameras import CAMERAS, cameras_document
 from attacks.search import NOT_JUDGED
@@ -85,7 +84,7 @@ def _cameras(result: Result) -> dict[str, Any]:
 def summary(result: Result) -> dict[str, Any]:
     """The result as JSON can hold it; keys are explained in `Result` and in its configuration.
 
-    What can be counted is counted from the rows (`attacks.dagger.figures`).
+    What can be counted is counted from the rows (`attacks.dagger.result`).
     """
     config, image = result.config, result.image
     stated = {

@@ -4,20 +4,242 @@ The second is resumable to the bit; some views, no others, judge every few of it
 Robust Adversarial Examples", ICML 2018).
 """
 
+from __future__ import annotations
+
 import dataclasses
+import json
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
+import torch
+from safetensors.torch import save
 from torch import Generator
 
-from attacks.dagger.checkpoint import Checkpoint, KeptSearch, check_point, load_state, save_state
 from attacks.dagger.config import Config, DaggerConfig, EotConfig
-from attacks.dagger.image_budget import ImagePrice, fitted, stretched
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import View, ViewDistribution, batch_indices
 from attacks.optimisers.settings import SearchSettings
-from attacks.search import Evaluation, Hooks, Optimiser, Outcome, Parameters, SearchState, Step, Verdict, pgd
+from attacks.search import (
+    Ball,
+    Evaluation,
+    Hooks,
+    Optimiser,
+    OptimiserState,
+    Outcome,
+    Parameters,
+    SearchState,
+    Step,
+    Verdict,
+    pgd,
+)
+from mi_splat.errors import MiSplatError
+from mi_splat.io.documents import save_bytes
+from mi_splat.io.noted_tensors import NOTES, check_like, read_line, read_noted_tensors
+from mi_splat.io.parsing import DocumentReader
 from mi_splat.view_freezing import freeze_views
+
+FORMAT = 3
+_POINT, _BEST, _MEMORY = "point", "best", "memory "
+"""Groups of tensors; what an optimiser remembers has names of its own behind the last."""
+
+
+class CheckpointError(MiSplatError):
+    """A checkpoint that cannot be read, or that belongs to another attack."""
+
+
+_READER = DocumentReader(expected="a checkpoint", do="delete it, or pass another name", error=CheckpointError)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Checkpoint:
+    """Where a search is kept while it runs.
+
+    Attributes:
+        path: The file; removed when the search has ended.
+        every: Steps between two writings.
+    """
+
+    path: Path
+    every: int = 10
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class KeptSearch:
+    """A search between two steps, as its file holds it.
+
+    Attributes:
+        search: Where it is and what it remembers.
+        price: Of the pictures' squared error; None where it costs nothing.
+        seconds: Time spent so far.
+    """
+
+    search: SearchState
+    price: ImagePrice | None
+    seconds: float
+
+
+def save_state(kept: KeptSearch, path: Path, *, key: str) -> None:
+    """Write a search; the old checkpoint stays until the new one is on the disk."""
+    state = kept.search
+    remembered = {f"{_MEMORY}{name}": values for name, values in state.optimiser.tensors.items()}
+    groups = {_POINT: state.point, _BEST: state.best, **remembered}
+    tensors = {
+        f"{group}/{name}": value.detach().contiguous().clone()
+        for group, values in groups.items()
+        for name, value in values.items()
+    }
+    notes = {
+        "format": FORMAT,
+        "key": key,
+        "index": state.optimiser.index,
+        "numbers": dict(state.optimiser.numbers),
+        "best_line": None if state.best_line is None else dataclasses.asdict(state.best_line),
+        "price": None if kept.price is None else dataclasses.asdict(kept.price),
+        "trace": [dataclasses.asdict(line) for line in state.trace],
+        "seconds": kept.seconds,
+        "threads": torch.get_num_threads(),
+    }
+    packed = save(tensors, metadata={NOTES: json.dumps(notes)})
+    save_bytes(packed, path)
+
+
+def load_state(path: Path, *, key: str, device: torch.device | str = "cpu") -> KeptSearch | None:
+    """Read a search; None if there is none."""
+    if not path.exists():
+        return None
+    notes, tensors = read_noted_tensors(path, _READER)
+    if notes.values.get("format") != FORMAT or notes.values.get("key") != key:
+        raise _READER.broken(f"checkpoint {path}", "one of another", "one of this very attack")
+    groups: dict[str, Parameters] = {}
+    for key, value in tensors.items():
+        group, _, name = key.partition("/")
+        groups.setdefault(group, {})[name] = value.to(device)
+    point, best = groups.pop(_POINT, {}), groups.pop(_BEST, {})
+    check_like(best, point, f"{notes.where}, best", _READER)
+    for group, memory in groups.items():
+        if not group.startswith(_MEMORY):
+            raise _READER.broken(notes.where, f"tensors {group}", f"{_POINT}, {_BEST} and what begins with {_MEMORY}")
+        check_like(memory, point, f"{notes.where}, {group}", _READER)
+    numbers = notes.object("numbers")
+    line, price = notes.values.get("best_line"), notes.values.get("price")
+    search = SearchState(
+        point=point,
+        optimiser=OptimiserState(
+            index=notes.whole("index", 0, 1 << 31),
+            tensors={group.removeprefix(_MEMORY): memory for group, memory in groups.items()},
+            numbers={name: numbers.number(name) for name in numbers.values},
+        ),
+        best=best,
+        best_line=None if line is None else read_line(Step, notes.object("best_line")),
+        trace=tuple(read_line(Step, entry) for entry in notes.objects("trace")),
+    )
+    return KeptSearch(
+        search=search,
+        price=None if price is None else read_line(ImagePrice, notes.object("price")),
+        seconds=notes.number("seconds"),
+    )
+
+
+def check_point(state: SearchState, reference: Parameters, steps: int) -> None:
+    """Raise unless a search can go on from a state."""
+    check_like(state.point, reference, "checkpoint, point", _READER)
+    if state.optimiser.index > steps:
+        raise _READER.broken("checkpoint, index", state.optimiser.index, f"at most {steps} steps")
+
+
+# A budget in pictures: the attack on a distribution of views keeps their PSNR above a limit.
+#
+# A ball in the units of a file says little about what one sees: the same radius costs few decibels on a hidden Gaussian
+# and many on the bonnet. With a limit on the images the attacker pays for their squared error. The price is a Lagrange
+# multiplier, which is raised while the images are worse than the limit, and lowered while they are better. A point that
+# is worse than the limit is pulled towards the clean object before it may become the result; one that is better and
+# does not deceive everywhere may be stretched up to the limit.
+
+_DECAY = 0.8
+"""Share of the earlier errors in the decaying mean that the price follows."""
+
+_GAIN, _LOWEST, _HIGHEST = 20.0, 0.02, 100.0
+"""Change of the price's logarithm over a whole search whose error is e times the limit; bounds of the price in units of
+1 / limit."""
+
+_HALVINGS = 7
+"""Of the interval in which the factor of a perturbation is looked for."""
+
+_FARTHEST = 1.5
+"""Largest factor by which a perturbation is stretched."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImagePrice:
+    """What the mean squared error of the pictures costs the attacker.
+
+    Attributes:
+        limit: Largest mean squared error wanted, values in [0, 1].
+        weight: The multiplier: the loss is the detectors' plus `weight` times the error.
+        gain: Change of the weight's logarithm in a step whose error is e times the limit.
+        error: Decaying mean of the errors so far; None before the first step.
+    """
+
+    limit: float
+    weight: float
+    gain: float
+    error: float | None = None
+
+    @classmethod
+    def of(cls, psnr: float, *, steps: int) -> ImagePrice:
+        """The price at the beginning of a search: an error at the limit costs 1."""
+        limit = 10 ** (-psnr / 10)
+        return cls(limit=limit, weight=1 / limit, gain=_GAIN / steps)
+
+    @property
+    def now(self) -> float:
+        """What an error costs in the next step: more than the weight while errors are above the limit.
+
+        The weight alone follows the errors late, so that these would swing about the limit.
+        """
+        return self.weight * max(1.0, (self.error or 0.0) / self.limit)
+
+    def after(self, error: float) -> ImagePrice:
+        """The price after a step whose pictures had a mean squared error."""
+        mean = error if self.error is None else _DECAY * self.error + (1 - _DECAY) * error
+        excess = math.log(mean / self.limit) if mean > 0 else -1.0
+        weight = self.weight * math.exp(self.gain * max(-1.0, min(1.0, excess)))
+        bounded = max(_LOWEST, min(_HIGHEST, weight * self.limit)) / self.limit
+        return dataclasses.replace(self, weight=bounded, error=mean)
+
+
+def fitted(
+    parameters: Parameters, reference: Parameters, limit: float, error: Callable[[Parameters], float]
+) -> Parameters:
+    """The parameters, or the farthest point on the way to them from the reference whose error is within the limit."""
+    if error(parameters) <= limit:
+        return parameters
+    low, high = 0.0, 1.0
+    farthest = reference
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        point = {name: base + middle * (parameters[name] - base) for name, base in reference.items()}
+        if error(point) <= limit:
+            low, farthest = middle, point
+        else:
+            high = middle
+    return farthest
+
+
+def stretched(
+    parameters: Parameters, reference: Parameters, ball: Ball, limit: float, error: Callable[[Parameters], float]
+) -> Parameters:
+    """The farthest point beyond parameters on the line from the reference whose error is within the limit."""
+    farther = {name: base + _FARTHEST * (parameters[name] - base) for name, base in reference.items()}
+
+    def inside(point: Parameters) -> float:
+        return error(ball.project(point, reference))
+
+    return ball.project(fitted(farther, reference, limit, inside), reference)
+
 
 VALIDATION_SEED_OFFSET = 500_000_000
 """Added to the attack's seed for its validation views."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from attacks.bench.row import figures as bench_figures
 from attacks.cloak.own_pictures import RECORD as POISONED
-from attacks.dagger.figures import figures as attack_figures
+from attacks.dagger.result import figures as attack_figures
 from attacks.report.checking import Figures, Result
 from attacks.report.rescoring import Rescoring
 from attacks.report.section import Section

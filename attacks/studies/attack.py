@@ -17,9 +17,9 @@ import torch
 
 from attacks.aims import PluggedObjective
 from attacks.dagger.attack import attack, attack_views
-from attacks.dagger.checkpoint import Checkpoint
 from attacks.dagger.config import DaggerConfig, EotConfig
 from attacks.dagger.report import before_and_after, summary, write_files
+from attacks.dagger.search import Checkpoint
 from attacks.dagger.views import ViewDistribution
 from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.search import Step

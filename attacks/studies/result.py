@@ -11,7 +11,7 @@ from typing import Any
 import polars as pl
 
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.figures import verdict_figures
+from attacks.dagger.result import verdict_figures
 from attacks.observe.measures import AIMS, CLUSTERS, REPORTED, joint_views, transfer_measures, with_control
 from attacks.observe.rates import blocks_of, count
 from attacks.observe.rows import ATTACKED, ROWS, SUFFIX, column_of, frame_of, write_rows

@@ -271,26 +271,6 @@ def test_wrong_arguments_say_what_is_wrong() -> None:
         attack(scene, mask, [aside], DETECTOR, hide(), render=blobs)
 
 
-def test_radii_make_a_curve_of_attacks_in_one_call() -> None:
-    scene, mask = toy_scene()
-    config = DaggerConfig(steps=3, noise_draws=0, early_stop=False)
-    common = (scene, mask, camera(), ColourDetector(), relabel("person"))
-    curve = attack(*common, render=blobs, config=config, eps=[0.5, 2])
-    assert [result.config.eps for result in curve] == [(0.5,), (2.0,)]
-    for radius, result in zip((0.5, 2.0), curve, strict=True):
-        alone = attack(*common, render=blobs, config=dataclasses.replace(config, eps=(radius,)))
-        assert torch.equal(result.scene.sh, alone.scene.sh)
-        assert result.used["sh"] <= radius
-    assert curve[1].best.loss < curve[0].best.loss
-    both = dataclasses.replace(config, attributes=("sh", "means"))
-    (pair,) = attack(*common, render=blobs, config=both, eps=[(0.5, 0.1)])
-    assert pair.config.radius == {"sh": 0.5, "means": 0.1}
-    with pytest.raises(InvalidValueError, match="eps: expected at least one radius, got none"):
-        attack(*common, render=blobs, eps=[])
-    with pytest.raises(InvalidValueError, match="eps"):
-        attack(*common, render=blobs, eps=[1.0, -1.0], on_step=lambda step: pytest.fail("begun before all are checked"))
-
-
 @pytest.mark.skipif(not (variant.has_cuda() and torch.cuda.is_available()), reason="needs a GPU")
 @pytest.mark.parametrize("words", ["dagger", "dagger --region --held-out 4 --validation 2"])
 def test_a_gpu_finds_nearly_the_same_losses(words: str, tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ import torch
 from attacks import cli
 from attacks.budgets import Budget
 from attacks.dagger.attack import attack_views
-from attacks.dagger.checkpoint import Checkpoint
 from attacks.dagger.config import EotConfig
 from attacks.limits import NORM_NAMES, NormName
 from attacks.objectives import relabel, untargeted
@@ -27,7 +26,6 @@ from attacks.report.viewer_content import open_content
 from attacks.search import Parameters
 from attacks.transformations.config import PictureChanges, Transformations
 from mi_splat.attributes import Attribute
-from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.images import through_png
 from mi_splat.scene import ATTRIBUTES
@@ -135,21 +133,6 @@ def test_the_same_seeds_find_the_same_bits() -> None:
     first, second, other = quick(), quick(), quick(seed=5)
     assert torch.equal(first.scene.sh, second.scene.sh)
     assert not torch.equal(first.scene.sh, other.scene.sh)
-
-
-def test_radii_make_a_curve_of_attacks_on_the_same_views_in_one_call(tmp_path: Path) -> None:
-    views, config = toy_views(), EotConfig(**QUICK)
-    curve = attack_views(views, ColourDetector(), relabel("person"), config=config, eps=[0.5, 2])
-    assert [result.config.eps for result in curve] == [(0.5,), (2.0,)]
-    for radius, result in zip((0.5, 2.0), curve, strict=True):
-        assert torch.equal(result.scene.sh, quick(eps=(radius,)).scene.sh)
-        assert result.used["sh"] <= radius
-    assert curve[1].best.score > curve[0].best.score
-    kept = Checkpoint(path=tmp_path / "search.checkpoint")
-    refused: Any = {"eps": [1.0], "checkpoint": kept}
-    for wrong, named in ((refused, "checkpoint: expected none with eps"), ({"eps": []}, "eps: expected at least one")):
-        with pytest.raises(InvalidValueError, match=named):
-            attack_views(views, ColourDetector(), relabel("person"), **wrong)
 
 
 def test_the_best_step_is_the_validation_s() -> None:

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from attacks.dagger.attack import attack_views
-from attacks.dagger.checkpoint import Checkpoint, CheckpointError
 from attacks.dagger.config import EotConfig
 from attacks.dagger.result import Result
+from attacks.dagger.search import Checkpoint, CheckpointError
 from attacks.objectives import relabel
 from attacks.search import Step
 from tests.dagger.toy import QUICK, toy_views

@@ -8,7 +8,7 @@ import torch
 
 from attacks.budgets import Budget
 from attacks.dagger.config import EotConfig
-from attacks.dagger.image_budget import ImagePrice, fitted, stretched
+from attacks.dagger.search import ImagePrice, fitted, stretched
 from attacks.dagger.views import ViewDistribution, batch_indices, fixed_views
 from attacks.gaussian_subset import GaussianSubset
 from attacks.observe.views import visible_box

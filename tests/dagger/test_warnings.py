@@ -9,9 +9,8 @@ from torch import Tensor
 
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.figures import counted
 from attacks.dagger.judging import JudgedView
-from attacks.dagger.result import Result
+from attacks.dagger.result import Result, counted
 from attacks.detectors.base import Detections
 from attacks.objectives import hide, relabel
 from tests.fakes import ColourDetector, blobs, camera, toy_scene

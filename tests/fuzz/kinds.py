@@ -17,8 +17,8 @@ from PIL import Image
 from safetensors.torch import save_file
 
 from attacks.cloak.config import read_study
-from attacks.dagger import checkpoint as eot_checkpoint
-from attacks.dagger.image_budget import ImagePrice
+from attacks.dagger import search as eot_checkpoint
+from attacks.dagger.search import ImagePrice
 from attacks.detectors.weights import apply_weights, read_weights
 from attacks.observe.rows import frame_of, packed, read_rows, rows_bytes
 from attacks.report.checking import check_result, read_result

@@ -7,7 +7,7 @@ import polars as pl
 import pytest
 
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.figures import verdict_figures
+from attacks.dagger.result import verdict_figures
 from attacks.observe.measures import (
     AIMS,
     CLUSTERS,

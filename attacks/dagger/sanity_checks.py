@@ -16,8 +16,7 @@ from typing import Any
 import torch
 
 from attacks.dagger.result import Result
-from attacks.dagger.sanity.gradients import Differentiated, agreement, renderer_alone, whole_chain
-from attacks.dagger.sanity.runs import Runs, Scored
+from attacks.dagger.sanity_runs import Differentiated, Runs, Scored, agreement, renderer_alone, whole_chain
 from attacks.gaussian_subset import GaussianSubset
 from attacks.search import Step, rank
 from attacks.tables import markdown
