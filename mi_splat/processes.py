@@ -1,9 +1,7 @@
 """How this library starts another Python: without the working directory among the folders that modules come from."""
 
-import multiprocessing
 import os
 import sys
-from multiprocessing.context import SpawnContext
 
 _START = (
     "import sys; sys.path[:] = sys.argv.pop(1).split(sys.argv.pop(1)); import runpy; "
@@ -19,9 +17,3 @@ def python_command(module: str, *words: str) -> list[str]:
     """
     path = os.pathsep.join(folder for folder in sys.path if folder)
     return [sys.executable, "-c", _START, path, os.pathsep, module, *words]
-
-
-def spawn_context() -> SpawnContext:
-    """A `multiprocessing` context whose processes leave the working directory out, too (from Python 3.11 on)."""
-    os.environ["PYTHONSAFEPATH"] = "1"
-    return multiprocessing.get_context("spawn")

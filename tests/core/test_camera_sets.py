@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from mi_splat.camera_sets import camera_set, framing, grid, held_out_set, orbit
+from mi_splat.camera_sets import camera_set, framing, held_out_set, orbit
 from mi_splat.cameras import Camera, View, project_points
 from mi_splat.datasets import write_transforms
-from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.errors import InvalidValueError
 
 CENTRE = (1.0, 2.0, 3.0)
 
@@ -54,21 +54,6 @@ def test_sets(spec: str, count: int, lowest: float, highest: float) -> None:
     assert pixels[0].tolist() == pytest.approx([8, 6])
     assert depth.item() == pytest.approx(2)
     assert (made[0].width, made[0].height, made[0].fx) == (16, 12, 20)
-
-
-def test_a_grid_has_every_pair() -> None:
-    made = grid(CENTRE, azimuths=4, elevations=3, elevation=(10.0, 40.0), distance=2.0, focal=9.0, size=(4, 4))
-    azimuth, elevation = angles(made)
-    assert azimuth.tolist() == pytest.approx([0, 90, 180, 270] * 3, abs=1e-9)
-    assert elevation.tolist() == pytest.approx([15] * 4 + [25] * 4 + [35] * 4)
-
-
-def test_azimuths_of_a_hemisphere_go_by_the_golden_angle() -> None:
-    azimuth, elevation = angles(cameras("hemisphere:20"))
-    golden = 360 * (1 - 2 / (1 + math.sqrt(5)))
-    assert azimuth.tolist() == pytest.approx([golden * i % 360 for i in range(20)], abs=1e-9)
-    heights = torch.sin(torch.deg2rad(elevation)).tolist()
-    assert heights == pytest.approx([(i + 0.5) / 20 for i in range(20)])
 
 
 @pytest.mark.parametrize("size", [(160, 120), (120, 160)])
@@ -134,15 +119,3 @@ def test_cameras_of_a_file(tmp_path: Path) -> None:
 def test_bad_texts_are_refused(spec: str) -> None:
     with pytest.raises(InvalidValueError, match="cameras"):
         cameras(spec)
-
-
-def test_bad_numbers_and_files_are_refused(tmp_path: Path) -> None:
-    for change in ({"distance": 0.0}, {"distance": math.nan}, {"focal": -1.0}):
-        with pytest.raises(InvalidValueError, match=next(iter(change))):
-            camera_set("hemisphere:3", CENTRE, **{"distance": 1.0, "focal": 1.0, **change}, size=(4, 4))
-    with pytest.raises(MiSplatError, match=r"none\.json"):
-        cameras(str(tmp_path / "none.json"))
-    with pytest.raises(InvalidValueError, match="test cameras"):
-        held_out("hemisphere:3", -1)
-    with pytest.raises(InvalidValueError, match="test cameras"):
-        held_out("some.json", 2)

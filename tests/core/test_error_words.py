@@ -68,8 +68,3 @@ def test_the_command_line_says_how_to_drop_what_is_not_valid(
     with pytest.warns(SplatFileWarning, match="left out"):
         assert cli.main(["convert", "nan.ply", "VALID.ply", "--drop-invalid"]) == 0
     assert os.path.exists("VALID.ply")
-
-
-def test_the_command_line_names_its_flags(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["select", "a.ply"]) == 1
-    assert "(--object, --box, --click, --cluster or --mask)" in capsys.readouterr().err

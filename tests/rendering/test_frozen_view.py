@@ -66,17 +66,6 @@ def test_picture_and_gradient_are_the_renderers(name: str) -> None:
     compare(FrozenView(scene, camera(50, 37), settings=settings), scene, other_colours(scene.sh))
 
 
-def test_sizes_may_change_in_any_order() -> None:
-    cases = [(400, 3, (61, 43), 0.4), (5, 0, (1, 1), 3.0), (900, 1, (97, 130), 3.0), (40, 0, (7, 3), 1.3)]
-    views = []
-    for count, degree, size, distance in cases:
-        scene = oracle.random_scene(count, degree=degree, seed=count)
-        views.append((FrozenView(scene, camera(*size, distance=distance)), scene))
-    for number in (0, 1, 2, 3, 2, 0, 1, 3, 0):
-        view, scene = views[number]
-        compare(view, scene, other_colours(scene.sh, seed=number))
-
-
 def test_stages_are_recorded_once_for_all_sizes() -> None:
     import mitsuba as mi
 
@@ -102,11 +91,6 @@ def test_a_dense_pile_keeps_what_is_not_hidden() -> None:
     assert view.nbytes < 0.8 * seen.nbytes
 
 
-def test_degree_may_change() -> None:
-    scene = oracle.random_scene(60, degree=1, seed=2)
-    compare(FrozenView(scene, camera(30, 30)), scene, other_colours(scene.with_degree(3).sh))
-
-
 @pytest.mark.parametrize("kind", ["mask", "indices", "one", "slice"])
 def test_rows_alone_are_free(kind: str) -> None:
     scene, where = oracle.random_scene(500, degree=1, seed=4), camera(66, 51)
@@ -124,33 +108,6 @@ def test_rows_alone_are_free(kind: str) -> None:
     assert view.nbytes < FrozenView(scene, where).nbytes
 
 
-def test_the_same_bits_on_any_number_of_threads() -> None:
-    import drjit as dr
-
-    scene = oracle.random_scene(3000, degree=1, seed=8)
-    view, runs, before = FrozenView(scene, camera(128, 96)), [], dr.thread_count()
-    try:
-        for threads in (1, 2, 3, 3):
-            dr.set_thread_count(threads)
-            leaf = scene.sh.clone().requires_grad_(True)
-            picture = view(leaf)
-            runs.append((picture, gradient(picture, leaf)))
-    finally:
-        dr.set_thread_count(before)
-    for picture, gradient_of_run in runs[1:]:
-        assert torch.equal(picture, runs[0][0])
-        assert torch.equal(gradient_of_run, runs[0][1])
-
-
-def test_two_pictures_of_one_view_before_a_gradient() -> None:
-    scene = oracle.random_scene(200, degree=1, seed=6)
-    view = FrozenView(scene, camera(40, 40))
-    one, two = (other_colours(scene.sh, seed=seed).requires_grad_(True) for seed in (1, 2))
-    first, second = view(one), view(two)
-    assert torch.equal(gradient(first, one), gradient(view(one), one))
-    assert torch.equal(gradient(second, two), gradient(view(two), two))
-
-
 def test_nothing_visible_and_no_rows() -> None:
     scene, where = oracle.random_scene(30, degree=0, seed=0), camera(9, 5)
     settings = RenderSettings(background=BACKGROUND, alpha=True)
@@ -164,15 +121,6 @@ def test_nothing_visible_and_no_rows() -> None:
         picture = view(leaf)
         torch.testing.assert_close(picture, Renderer(settings)(case, where), rtol=0, atol=ERROR)
         assert not gradient(picture, leaf).any()
-
-
-def test_colours_below_zero_have_no_gradient() -> None:
-    scene = oracle.random_scene(50, degree=0, seed=5)
-    view = FrozenView(scene, camera(32, 32))
-    leaf = torch.full_like(scene.sh, -5.0).requires_grad_(True)
-    picture = view(leaf)
-    assert not picture.any()
-    assert not gradient(picture, leaf).any()
 
 
 def test_memory_is_bounded_before_it_is_taken() -> None:

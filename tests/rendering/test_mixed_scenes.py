@@ -40,14 +40,6 @@ def test_every_mixed_scene_renders(path: Path) -> None:
         assert 0.05 < picture.mean() < 2.0
 
 
-def test_the_sun_of_the_street_can_be_set() -> None:
-    path = str(ROOT / "scenes" / "mixed" / "car_among_meshes.xml")
-    noon, evening = (
-        np.array(mi.render(mi.load_file(path, size=24, samples=16, sun_z=height))).mean() for height in (1.0, 0.05)
-    )
-    assert evening < 0.8 * noon
-
-
 def test_a_scene_of_splats_alone_is_read_with_its_integrator(tmp_path: Path) -> None:
     splat = ROOT / "scenes" / "car_street_car.ply"
     xml = (ROOT / "scenes" / "car_street.xml").read_text()
@@ -81,21 +73,6 @@ def test_another_splat_stands_in_the_place_of_the_files() -> None:
         street(scene.select(torch.arange(10)), camera)
 
 
-def test_sh_of_any_degree_are_shown_whole(tmp_path: Path) -> None:
-    street = MixedScene(MIXED[0], samples=2)
-    scene, camera = street.splats.scene, resized(street.splats.cameras["side"], (24, 24))
-    before = street(scene, camera)
-    bands = 0.1 * torch.randn(len(scene), 16, 3, generator=torch.Generator().manual_seed(0))
-    save_splat(scene.replace(sh=scene.with_degree(3).sh + bands), tmp_path / "a.ply")
-    saved = load_splat(tmp_path / "a.ply")
-    shown = street(saved, camera)
-    assert (shown - street(saved.with_degree(1), camera)).abs().max() > 0.01
-    expected = MixedScene(MIXED[0], samples=2, car=str(tmp_path / "a.ply"))(saved, camera)
-    torch.testing.assert_close(shown, expected, rtol=0, atol=1e-5)
-    torch.testing.assert_close(street(scene.with_degree(3), camera), before, rtol=0, atol=1e-5)
-    torch.testing.assert_close(street(scene, camera), before, rtol=0, atol=1e-5)
-
-
 def test_a_mixed_scene_needs_splat_ray_and_samples(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="splat_ray"):
         MixedScene(ROOT / "scenes" / "car_street.xml")
@@ -108,15 +85,6 @@ def test_a_mixed_scene_is_no_scene_of_splats() -> None:
         read_scene(MIXED[0])
 
 
-def test_the_street_from_both_renderers_shows_the_same_things() -> None:
-    loaded = read_scene(ROOT / "scenes" / "car_street.xml")
-    camera = loaded.cameras["side"]
-    tile = Renderer(loaded.settings)(loaded.scene, camera)
-    ray = Renderer(RenderSettings(method="ray", near=loaded.settings.near))(loaded.scene, camera)
-    error = float((tile - ray).square().mean())
-    assert 24 < -10 * np.log10(error) < 40
-
-
 def test_the_command_renders_a_mixed_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["render", str(MIXED[0]), "--samples", "4", "--size", "24x20", "--out", str(tmp_path / "street.png")]
     assert main([*words, "--json"]) == 0
@@ -124,14 +92,6 @@ def test_the_command_renders_a_mixed_scene(tmp_path: Path, capsys: pytest.Captur
     assert picture_header(tmp_path / "street.png")[0] == (24, 20)
     assert main([*words, "--method", "tile"]) != 0
     assert "leave it out" in capsys.readouterr().err
-
-
-def test_the_command_traces_rays_of_splats_alone(tmp_path: Path) -> None:
-    scene = ROOT / "scenes" / "car_street.xml"
-    for method in ("tile", "ray"):
-        out = str(tmp_path / f"{method}.png")
-        assert main(["render", str(scene), "--method", method, "--size", "48", "--out", out]) == 0
-    assert (tmp_path / "tile.png").read_bytes() != (tmp_path / "ray.png").read_bytes()
 
 
 # A scene of parts that is written and read again is the same scene, and makes the same pictures

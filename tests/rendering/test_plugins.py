@@ -10,7 +10,7 @@ import torch
 from mi_splat import variant
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
-from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, Similarity, merge
 from tests import oracle
 
@@ -20,7 +20,6 @@ import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
 from mi_splat.plugins import sensor as sensors  # noqa: E402
-from mi_splat.plugins.own_values import own_values  # noqa: E402
 from mi_splat.plugins.shape import shape_dict  # noqa: E402
 
 FILM = '<integer name="width" value="61"/><integer name="height" value="43"/>'
@@ -63,22 +62,6 @@ def test_xml_scene_is_the_oracles_picture(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.array(mi.render(loaded)), reference, atol=1e-4)
 
 
-def test_files_are_found_beside_the_scene_file(tmp_path: Path) -> None:
-    two_splats(tmp_path)
-    shape = '<shape type="gaussians" id="car"><string name="filename" value="a.ply"/></shape>'
-    (tmp_path / "scene.xml").write_text(scene_xml(shape))
-    loaded = mi.load_file(str(tmp_path / "scene.xml"))
-    assert "car.data" in mi.traverse(loaded)
-
-
-def test_sampler_samples_and_seed_have_no_influence(tmp_path: Path) -> None:
-    _, shapes = two_splats(tmp_path)
-    loaded = mi.load_string(scene_xml(shapes))
-    plain = np.array(mi.render(loaded))
-    loaded.integrator().clear_cache()
-    assert np.array_equal(plain, np.array(mi.render(loaded, seed=7, spp=64)))
-
-
 def test_crop_window_shows_the_same_pixels(tmp_path: Path) -> None:
     _, shapes = two_splats(tmp_path)
     loaded = mi.load_string(scene_xml(shapes))
@@ -94,25 +77,10 @@ def test_sensor_camera_round_trip() -> None:
     assert (again.fx, again.cx, again.cy) == pytest.approx((camera.fx, camera.cx, camera.cy), rel=1e-5)
 
 
-def test_alpha_and_linear_properties(tmp_path: Path) -> None:
-    both, shapes = two_splats(tmp_path)
-    properties = '<boolean name="alpha" value="true"/><boolean name="linear" value="true"/>'
-    loaded = mi.load_string(scene_xml(shapes, properties))
-    expected = Renderer(RenderSettings(alpha=True, linear=True))(both, sensors.camera(loaded.sensors()[0]))
-    np.testing.assert_allclose(np.array(mi.render(loaded)), expected.numpy(), atol=1e-5)
-
-
 def dict_scene(scene: GaussianScene, **integrator: Any) -> Any:
     sensor = mi.load_string(scene_xml("")).sensors()[0]
     parts = {"integrator": {"type": "splat_tile", **integrator}, "splat": shape_dict(scene), "sensor": sensor}
     return mi.load_dict({"type": "scene", **parts})
-
-
-def test_parameters_have_stable_names() -> None:
-    scene = oracle.random_scene(10, degree=1, seed=0)
-    params = mi.traverse(dict_scene(scene))
-    lengths = {key: len(params[f"splat.{key}"]) for key in ("data", "opacities", "sh_coeffs")}
-    assert lengths == {"data": 100, "opacities": 10, "sh_coeffs": 120}
 
 
 def test_gradients_are_the_renderers() -> None:
@@ -140,41 +108,6 @@ def test_gradients_are_the_renderers() -> None:
         (sh.reshape(60, 9, 3), expected[4]),
     ):
         np.testing.assert_allclose(got, want, rtol=1e-3, atol=1e-4 * float(np.abs(want).max()))
-
-
-def test_gradients_reach_what_the_parameters_were_made_from(tmp_path: Path) -> None:
-    _, shapes = two_splats(tmp_path)
-    loaded = mi.load_string(scene_xml(shapes))
-    params = mi.traverse(loaded)
-    start = mi.Float(params["street.sh_coeffs"])
-    gain = mi.Float(1.0)
-    dr.enable_grad(gain)
-    params["street.sh_coeffs"] = start * gain
-    params.update()
-    dr.backward(dr.sum(mi.render(loaded, params)))
-    values = []
-    for value in (1.01, 0.99):
-        params["street.sh_coeffs"] = start * value
-        params.update()
-        values.append(float(np.array(mi.render(loaded)).astype(np.float64).sum()))
-    assert float(dr.grad(gain)[0]) == pytest.approx((values[0] - values[1]) / 0.02, rel=1e-2)
-
-
-def test_an_update_is_seen_by_the_next_picture() -> None:
-    loaded = dict_scene(oracle.random_scene(60, degree=0, seed=1))
-    params = mi.traverse(loaded)
-    before = np.array(mi.render(loaded))
-    params["splat.opacities"] = params["splat.opacities"] * 0.5
-    params.update()
-    assert not np.allclose(before, np.array(mi.render(loaded)))
-
-
-def test_own_values_are_those_of_traverse_without_those_of_objects_within() -> None:
-    scene = dict_scene(oracle.random_scene(60, degree=1, seed=4))
-    for node in (scene.sensors()[0], scene.shapes()[0]):
-        params, values = mi.traverse(node), own_values(node)
-        assert set(values) == {name for name in params.keys() if "." not in name}  # noqa: SIM118 (no dict)
-        assert all(np.array_equal(np.array(value), np.array(params[name])) for name, value in values.items())
 
 
 @pytest.mark.parametrize("name", ["x_fov", "principal_point_offset_x", "to_world"])
@@ -235,18 +168,6 @@ def test_forward_mode_is_refused_in_words() -> None:
 def test_bad_shapes_say_why(shapes: str, reason: str) -> None:
     with pytest.raises(RuntimeError, match=reason):
         mi.load_string(scene_xml(shapes))
-
-
-@pytest.mark.parametrize(
-    "properties",
-    [
-        '<float name="near" value="-1"/>',
-        '<string name="background" value="blue"/>',
-    ],
-)
-def test_bad_integrators_say_why(properties: str) -> None:
-    with pytest.raises((RuntimeError, InvalidValueError, ValueError), match="expected"):
-        mi.load_string(scene_xml("", properties))
 
 
 def test_meshes_beside_splats_are_refused_and_the_log_says_why(capfd: pytest.CaptureFixture[str]) -> None:

@@ -22,12 +22,6 @@ def test_one_gaussian_over_a_background() -> None:
     np.testing.assert_allclose(colour, 0.6 * linear(GREEN) + 0.4 * linear(0.5), rtol=1e-4)
 
 
-def test_srgb_values_are_blended_as_in_3dgs() -> None:
-    settings = {"background": {"type": "rgb", "value": 0.5}, "linear": False}
-    colour = pixel(scene_of(gaussian((0, 0, 0)), integrator=settings))
-    np.testing.assert_allclose(colour, 0.6 * np.array(GREEN) + 0.4 * 0.5, rtol=1e-4)
-
-
 @pytest.mark.parametrize("front_first", [True, False])
 def test_two_overlapping_gaussians_are_blended_by_their_peaks(front_first: bool) -> None:
     near = gaussian((0.1, 0, -0.2), opacity=0.5, colour=(0.9, 0.1, 0.2))
@@ -57,16 +51,6 @@ def test_a_gaussian_is_hidden_by_what_its_peak_lies_behind() -> None:
     np.testing.assert_allclose(pixel(scene_of(behind, lamp=lamp, integrator=one)), 0.7, rtol=1e-5)
     colour = pixel(scene_of(before, lamp=lamp, integrator=one))
     np.testing.assert_allclose(colour, 0.6 * linear(GREEN) + 0.4 * 0.7, rtol=1e-4)
-
-
-def test_a_gaussian_behind_a_pane() -> None:
-    pane = wall(-2.0, type="thindielectric", int_ior=1.5, ext_ior=1.0)
-    colour = pixel(
-        scene_of(gaussian((0, 0, 0)), pane=pane, integrator={"background": {"type": "rgb", "value": 0}}), 4096
-    )
-    single = (0.5 / 2.5) ** 2
-    let_through = (1 - single) ** 2 / (1 - single**2)
-    np.testing.assert_allclose(colour, let_through * 0.6 * linear(GREEN), rtol=0.02)
 
 
 def test_a_gaussian_in_a_mirror_is_seen_from_behind() -> None:
@@ -190,29 +174,6 @@ def loaded(**film: Any) -> Any:
     sensor = {"type": "thinlens", "fov": 30.0, "aperture_radius": 0.1, "focus_distance": 5.0, "to_world": pose}
     parts = {"lamp": {**wall(1.0), "emitter": area(0.7)}, "sensor": {**sensor, "film": film}}
     return scene_of(gaussian((0.3, 0, 0), scale=0.3), **parts, integrator={"max_depth": 1})
-
-
-def sampled(scene: Any, samples: int) -> tuple[Any, Any]:
-    sampler = mi.load_dict({"type": "independent", "sample_count": samples})
-    size = scene.sensors()[0].film().crop_size()
-    sampler.seed(0, int(size[0] * size[1]) * samples)
-    rays, _, pixels = scene.integrator().sample_rays(scene, scene.sensors()[0], sampler)
-    return rays, np.array(pixels)
-
-
-@pytest.mark.parametrize("samples", [1, 3])
-def test_the_first_rays_are_those_of_one_block(samples: int) -> None:
-    _, positions = sampled(loaded(rfilter={"type": "box"}), samples)
-    pixels = {tuple(one) for one in positions.T.astype(int)}
-    assert pixels == {(x, y) for x in range(WIDTH) for y in range(HEIGHT)}
-    first = positions[:, : 16 * samples].astype(int)
-    assert np.array_equal(first[0], np.repeat(np.tile(np.arange(4), 4), samples))
-    assert np.array_equal(first[1], np.repeat(np.repeat(np.arange(4), 4), samples))
-
-
-def test_with_many_samples_a_packet_has_one_pixel_already() -> None:
-    _, pixels = sampled(loaded(rfilter={"type": "box"}), 16)
-    assert np.array_equal(pixels[0, :32].astype(int), np.repeat([0, 1], 16))
 
 
 @pytest.mark.parametrize("film", [{"rfilter": {"type": "box"}}, {"sample_border": True}, {"crop_width": 7}])

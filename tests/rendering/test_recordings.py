@@ -14,15 +14,13 @@ from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from tests import oracle
-from tests.rendering.test_plugins import dict_scene
 
 variant.use()
 
 import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
-from mi_splat.plugins.shape import ellipsoid_arrays  # noqa: E402
-from mi_splat.rasterization import backward, binning, forward, pinhole, pipeline  # noqa: E402
+from mi_splat.rasterization import backward, binning, forward, pipeline  # noqa: E402
 from mi_splat.rasterization.frozen import aligned, buffer, frozen  # noqa: E402
 
 STAGES = (
@@ -88,20 +86,6 @@ def test_aligned_copies_only_what_is_not() -> None:
     assert address(aligned(dr.zeros(mi.Float, 5))) % 64 == 0
 
 
-def test_a_cameras_numbers_are_aligned() -> None:
-    camera = pinhole.from_camera(VIEW, near=0.2)
-    made = [camera.numbers() for _ in range(20)]  # all at once, so that they lie in different places
-    assert [address(numbers) % 64 for numbers in made] == [0] * 20
-
-
-def test_a_shapes_arrays_are_aligned() -> None:
-    scene = oracle.random_scene(51, degree=1, seed=0)
-    scene = GaussianScene(*(torch.from_numpy(misaligned(tensor.numpy())) for tensor in scene.tensors()))
-    assert [address(tensor.array) % 64 for tensor in ellipsoid_arrays(scene).values()] == [0, 0, 0]
-    params = mi.traverse(dict_scene(scene))
-    assert [address(params[f"splat.{key}"]) % 64 for key in KEYS] == [0, 0, 0]
-
-
 def check_offsets(step: Callable[[int], Sequence[Any]], equal: Callable[[Any, Any], bool]) -> None:
     """Raise unless memory at any offset gives the same values, and no kernel is recorded again for it."""
     plain, before = step(0), recordings()
@@ -122,25 +106,6 @@ def test_torch_tensors_need_not_be_aligned() -> None:
         return (picture.detach(), *(t.grad for t in tensors if t.grad is not None))
 
     check_offsets(step, torch.equal)
-
-
-def test_parameters_of_a_scene_need_not_be_aligned() -> None:
-    loaded = dict_scene(oracle.random_scene(60, degree=1, seed=1))
-    integrator, params = loaded.integrator(), mi.traverse(loaded)
-    values = {key: params[f"splat.{key}"].numpy().copy() for key in KEYS}
-    shape = mi.render(loaded).shape
-    weights = np.random.default_rng(0).normal(size=shape)
-
-    def step(offset: int) -> list[NDArray[np.float32]]:
-        for key in KEYS:
-            params[f"splat.{key}"] = mi.Float(misaligned(values[key], offset))
-            dr.enable_grad(params[f"splat.{key}"])
-        params.update()
-        picture = mi.render(loaded, params)
-        integrator.render_backward(loaded, params, mi.TensorXf(misaligned(weights, offset)))
-        return [picture.numpy(), *(dr.grad(params[f"splat.{key}"]).numpy() for key in KEYS)]
-
-    check_offsets(step, np.array_equal)
 
 
 def test_rows_that_stay_unused_have_no_part_in_the_gradient(monkeypatch: pytest.MonkeyPatch) -> None:

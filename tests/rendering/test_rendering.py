@@ -5,7 +5,6 @@ import re
 import resource
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 
@@ -49,18 +48,6 @@ def test_batch_gradient_is_the_sum_of_the_single_ones() -> None:
     torch.testing.assert_close(together.grad, apart.grad)
 
 
-def test_an_unused_picture_of_a_batch_costs_no_gradient() -> None:
-    scene = oracle.random_scene(40, degree=0, seed=1)
-    sh = scene.sh.clone().requires_grad_(True)
-    first, _ = Renderer().batch(scene.replace(sh=sh), [VIEW, VIEW])
-    first.sum().backward()  # type: ignore[no-untyped-call]
-    single = scene.sh.clone().requires_grad_(True)
-    Renderer()(scene.replace(sh=single), VIEW).sum().backward()  # type: ignore[no-untyped-call]
-    assert sh.grad is not None
-    assert single.grad is not None
-    torch.testing.assert_close(sh.grad, single.grad)
-
-
 def test_screen_gradients_are_in_half_pictures_and_know_what_is_visible() -> None:
     """A shift of the principal point moves every centre on the screen by as many pixels."""
     wide = Camera(to_world=VIEW.to_world, focal=40.0, width=64, height=16)
@@ -84,34 +71,10 @@ def test_screen_gradients_are_in_half_pictures_and_know_what_is_visible() -> Non
     assert gradients.visible.tolist() == [1.0, 0.0]
 
 
-def test_works_without_grad() -> None:
-    scene = oracle.random_scene(40, degree=0, seed=1)
-    learnt = scene.replace(sh=scene.sh.clone().requires_grad_(True))
-    with torch.no_grad():
-        picture = Renderer()(learnt, VIEW)
-    assert not picture.requires_grad
-    assert torch.equal(picture, Renderer()(learnt, VIEW).detach())
-
-
 def test_float64_scenes_are_rendered_in_float32() -> None:
     scene = oracle.random_scene(40, degree=0, seed=1)
     double = GaussianScene(*(tensor.double() for tensor in scene.tensors()))
     torch.testing.assert_close(Renderer()(double, VIEW), Renderer()(scene, VIEW), atol=1e-5, rtol=0)
-
-
-def test_sizes_may_change_in_any_order() -> None:
-    """Recordings that guess a length from another array's pass with one size and fail with the next."""
-    render, rng = Renderer(), np.random.default_rng(0)
-    for trial in range(25):
-        count = int(rng.choice([1, 3, 8, 16, 48, 100, 400]))
-        width, height = (int(v) for v in rng.choice([1, 4, 8, 31, 64], 2))
-        scene = oracle.random_scene(count, degree=int(rng.integers(0, 4)), seed=trial)
-        view = Camera(to_world=VIEW.to_world, focal=float(width), width=width, height=height)
-        opacities = scene.opacities.clone().requires_grad_(True)
-        picture = render(scene.replace(opacities=opacities), view)
-        picture.sum().backward()  # type: ignore[no-untyped-call]
-        reference, _ = oracle.render(scene, view)
-        torch.testing.assert_close(picture.detach().double(), torch.from_numpy(reference), atol=1e-4, rtol=0)
 
 
 def test_memory_stays_flat() -> None:

@@ -76,22 +76,6 @@ def test_a_change_is_seen_by_the_next_picture_and_its_gradient(name: str, change
     assert np.array_equal(mi.render(loaded).numpy(), before)
 
 
-@pytest.mark.parametrize("name", list(CHANGED))
-def test_a_gradient_after_a_change_is_of_the_new_picture(name: str) -> None:
-    loaded = dict_scene(SCENE)
-    params = mi.traverse(loaded)
-    dr.enable_grad(params["splat.sh_coeffs"])
-    mi.render(loaded)
-    by_attribute(loaded, name, CHANGED[name])
-    sh = SCENE.sh.clone().requires_grad_(True)
-    image = expected(loaded, SCENE.replace(sh=sh), name, CHANGED[name])
-    image.sum().backward()
-    loaded.integrator().render_backward(loaded, params, dr.ones(mi.TensorXf, tuple(image.shape)))
-    assert sh.grad is not None
-    gradient = dr.grad(params["splat.sh_coeffs"]).numpy().reshape(sh.shape)
-    np.testing.assert_allclose(gradient, sh.grad.numpy(), atol=1e-5 * float(sh.grad.abs().max()))
-
-
 def test_a_gradient_of_another_shape_is_refused() -> None:
     loaded = dict_scene(SCENE)
     picture = mi.render(loaded)
@@ -120,16 +104,6 @@ def test_names_and_values_in_traverse(tmp_path: Path) -> None:
             shown = np.ravel(np.array(params[f"{prefix}.{name}"]))
             assert shown.tolist() == np.array(value).ravel().tolist()
             assert params.flags(f"{prefix}.{name}") & mi.ParamFlags.NonDifferentiable
-
-
-def test_attributes_are_shown_by_parameters_made_before() -> None:
-    loaded = dict_scene(SCENE)
-    params = mi.traverse(loaded)
-    loaded.integrator().near = 0.75
-    assert params["integrator.near"][0] == 0.75
-    params["integrator.near"] = 0.5
-    params.update()
-    assert loaded.integrator().near == 0.5
 
 
 WRONG = [
@@ -163,24 +137,6 @@ def test_of_several_values_all_are_taken_or_none() -> None:
     assert loaded.integrator().background == DEFAULTS["background"]
     params.update({"integrator.background": [1.0, 1.0, 1.0], "integrator.near": 1.0})
     assert (loaded.integrator().background, loaded.integrator().near) == ((1.0, 1.0, 1.0), 1.0)
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "reason"),
-    [
-        *WRONG,
-        ("near", "far", "a positive distance"),
-        ("background", [0.0, 1.0], "three finite numbers"),
-        ("background", "blue", "three finite numbers"),
-        ("alpha", "yes", "true or false"),
-        ("linear", 2, "true or false"),
-    ],
-)
-def test_wrong_attributes_are_refused(name: str, value: Any, reason: str) -> None:
-    integrator = dict_scene(SCENE).integrator()
-    with pytest.raises(InvalidValueError, match=f"{name}: expected {reason}"):
-        setattr(integrator, name, value)
-    assert getattr(integrator, name) == DEFAULTS[name]
 
 
 def test_near_without_a_value_follows_the_scene_as_read_scene_does(tmp_path: Path) -> None:

@@ -11,13 +11,11 @@ from torch import Tensor
 
 from mi_splat import variant
 from mi_splat.attributes import Attribute
-from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene import ATTRIBUTES, GaussianScene, merge
+from mi_splat.scene import ATTRIBUTES, GaussianScene
 from mi_splat.scene_files import SplatScene, read_scene
 from mi_splat.scene_writing import write_scene
-from mi_splat.sh import colour_to_dc
 from tests import oracle
 from tests.rendering.test_plugins import dict_scene
 from tests.rendering.test_rasterization import BACKGROUND, GRADIENT_ERROR, PICTURE_ERROR, camera, smooth_scene
@@ -128,50 +126,6 @@ def test_depth_has_its_gradient_beside_those_of_image_and_alpha() -> None:
     agree(scene, gradients(scene, loss), value)
 
 
-def test_depth_alone_has_its_gradient() -> None:
-    scene, view = smooth_scene(12, 0, seed=2), camera(20, 16)
-    gradient = gradients(scene, lambda moved: Renderer().outputs(moved, view).depth.sum())
-    agree(
-        scene,
-        gradient,
-        lambda moved: float(oracle.depths(moved, view)[0].sum()),
-        names=("means", "opacities", "scales"),
-    )
-    assert not gradient["sh"].any()
-
-
-def depth_by_colour(scene: GaussianScene, view: Camera) -> Tensor:
-    """Expected depth by way of a picture whose colour is the depth."""
-    z = scene.means @ view.to_camera[2, :3].float() + view.to_camera[2, 3].float()
-    sh = colour_to_dc(z[:, None, None].expand(-1, 1, 3))
-    picture = Renderer(RenderSettings(alpha=True))(scene.replace(sh=sh), view)
-    seen = picture[..., 3] > 0
-    return torch.where(seen, picture[..., 0] / torch.where(seen, picture[..., 3], 1.0), 0.0)
-
-
-def test_sizes_may_change_in_any_order() -> None:
-    """Frozen stages that guess a length fail at the next size."""
-    rng = np.random.default_rng(0)
-    for trial in range(8):
-        count = int(rng.choice([1, 3, 16, 48, 100, 400]))
-        width, height = (int(v) for v in rng.choice([1, 4, 8, 31, 64], 2))
-        scene, view = smooth_scene(count, int(rng.integers(0, 3)), seed=trial), camera(width, height)
-        factors, outputs = torch.from_numpy(rng.normal(size=(height, width))).float(), []
-        for depth in (lambda scene, view: Renderer().outputs(scene, view).depth, depth_by_colour):
-            leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
-            values = depth(GaussianScene(*leaves), view)
-            outputs.append((values.detach(), *torch.autograd.grad((values * factors).sum(), leaves[:4])))
-        for ours, theirs in zip(*outputs, strict=True):
-            torch.testing.assert_close(ours, theirs, rtol=0, atol=2e-3 * float(theirs.abs().max()) + 1e-4)
-
-
-def test_a_ray_tracer_has_no_side_outputs() -> None:
-    with pytest.raises(InvalidValueError, match='outputs: expected the method "tile", got "ray"'):
-        Renderer(RenderSettings(method="ray")).outputs(blobs([1.0], [0.5]), VIEW)
-    with pytest.raises(InvalidValueError, match="one Camera"):
-        Renderer().outputs(blobs([1.0], [0.5]), [VIEW])  # type: ignore[arg-type]
-
-
 # ------------------------------------------------------------------------------------------------------- antialiased
 
 
@@ -204,11 +158,6 @@ def test_antialiased_keeps_what_a_small_gaussian_weighs() -> None:
     picture = ANTIALIASED(point, VIEW)
     picture.sum().backward()  # type: ignore[no-untyped-call]
     assert torch.equal(picture.detach(), torch.tensor(BACKGROUND).expand(8, 8, 3))
-
-
-def test_rays_know_no_filter_on_the_screen() -> None:
-    with pytest.raises(InvalidValueError, match='antialiased: expected the method "tile"'):
-        RenderSettings(method="ray", antialiased=True)
 
 
 def test_antialiased_in_a_scene_and_its_file(tmp_path: Path) -> None:
@@ -247,23 +196,3 @@ def test_numbers_that_are_not_finite_are_refused_by_name(key: str, entry: int, v
         mi.render(loaded, params)
     params.update({f"splat.{key}": mi.Float(numbers)})
     assert np.array_equal(mi.render(loaded).numpy(), before)
-
-
-@pytest.mark.parametrize("name", ATTRIBUTES)
-def test_a_renderer_refuses_them_too_even_out_of_sight(name: Attribute) -> None:
-    scene = merge(blobs([2.0], [0.5]), blobs([-5.0], [0.5]))
-    tensors = {key: tensor.clone() for key, tensor in zip(ATTRIBUTES, scene.tensors(), strict=True)}
-    tensors[name][1] = float("nan")
-    with pytest.raises(
-        InvalidValueError, match=f"{name}: expected finite numbers, got {tensors[name][1].numel()} that"
-    ):
-        Renderer()(GaussianScene.unchecked(*tensors.values()), VIEW)
-
-
-def test_the_largest_numbers_are_finite() -> None:
-    scene = blobs([2.0, 3.0], [0.5, 0.5])
-    means, scales, *others = scene.tensors()
-    scales = scales.clone()
-    scales[0] = torch.finfo(torch.float32).max
-    scene = GaussianScene.unchecked(means, scales, *others)
-    assert torch.equal(Renderer()(scene, VIEW), Renderer()(blobs([3.0], [0.5]), VIEW))

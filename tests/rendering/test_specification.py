@@ -36,25 +36,9 @@ def centre(scene: GaussianScene, *, near: float = 0.2) -> float:
     return float(Renderer(RenderSettings(near=near))(scene, VIEW)[4, 4, 0])
 
 
-def test_a_mean_on_the_near_plane_is_seen() -> None:
-    scene = blobs([0.5], [0.5])
-    assert centre(scene, near=0.5) == pytest.approx(0.5, abs=1e-6)
-    assert centre(scene, near=0.50001) == 0.0
-    assert centre(blobs([-1.0], [0.5])) == 0.0
-
-
 def test_alpha_is_at_most_099() -> None:
     assert centre(blobs([1.0], [1.0])) == pytest.approx(0.99, abs=1e-6)
     assert centre(blobs([1.0], [0.98])) == pytest.approx(0.98, abs=1e-6)
-
-
-def test_alpha_at_its_bound_has_no_gradient() -> None:
-    for opacity, moves in ((1.0, False), (0.98, True)):
-        opacities = torch.tensor([opacity], requires_grad=True)
-        scene = blobs([1.0], [opacity], scale=50.0).replace(opacities=opacities)  # the same alpha in every pixel
-        Renderer()(scene, VIEW).sum().backward()  # type: ignore[no-untyped-call]
-        assert opacities.grad is not None
-        assert float(opacities.grad) == pytest.approx(3 * 64 if moves else 0.0, rel=1e-3)
 
 
 def test_alpha_under_1_255_contributes_nothing() -> None:
@@ -161,17 +145,6 @@ def test_pairs_are_sorted_by_tile_and_keep_their_order(tiles: int) -> None:
     assert np.array_equal(sorting.order_below(uints(keys), tiles).numpy(), np.argsort(keys, kind="stable"))
 
 
-@pytest.mark.skipif(not variant.has_cuda(), reason="no GPU was found")
-@pytest.mark.parametrize("tiles", [255, 230_400])
-def test_pairs_keep_their_order_on_a_gpu(tiles: int) -> None:
-    keys = np.random.default_rng(tiles).integers(0, tiles, 3_000_000)
-    variant.use("cuda_ad_rgb")
-    try:
-        assert np.array_equal(sorting.order_below(uints(keys), tiles).numpy(), np.argsort(keys, kind="stable"))
-    finally:
-        variant.use("llvm_ad_rgb")
-
-
 @pytest.mark.parametrize("tiles", [1, 255, 256, 230_400])
 def test_unused_pairs_come_last(tiles: int) -> None:
     keys = np.array([NO_TILE, tiles - 1, 0, NO_TILE])
@@ -186,21 +159,6 @@ def test_every_tile_is_worked_on_once_with_its_neighbours(columns: int, rows: in
     first = tiles[: min(sorting.BLOCK, columns) * min(sorting.BLOCK, rows)]
     assert (first % columns).max() < sorting.BLOCK
     assert (first // columns).max() < sorting.BLOCK
-
-
-def test_long_lists_come_before_short_ones_within_a_block() -> None:
-    side = sorting.BLOCK * sorting.BLOCK
-    lengths = np.random.default_rng(0).integers(0, 400, 2 * side + 10)
-    order = sorting.by_length(sorting.length_key(uints(lengths))).numpy()
-    for start in range(0, len(lengths), side):
-        block = order[start : start + side]
-        assert sorted(block) == list(range(start, min(start + side, len(lengths))))
-        longest = np.sqrt(lengths[block])  # keys are an eighth of it apart
-        assert np.all(longest[1:] <= longest[:-1] + 1 / 8 + 1e-4)
-
-
-def test_a_list_longer_than_keys_can_tell_comes_first() -> None:
-    assert sorting.length_key(uints(np.array([10**9, 10**6]))).numpy().max() == 0
 
 
 def test_bounds_of_tiles_are_those_of_the_runs() -> None:
