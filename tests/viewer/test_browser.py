@@ -22,13 +22,11 @@ from PIL import Image
 
 from attacks.cloak.config import AttackConfig, CameraConfig, StudyConfig
 from attacks.report.viewer_content import detector_inspector, open_content
-from mi_splat.io import save_splat
-from mi_splat.viewer.guard import COOKIE
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.runner import JobRunner
 from tests.browser import CHROMIUM
 from tests.fakes import ColourDetector, blobs
-from tests.viewer.contents import ABOVE, START, MeanInspector, ball, balls, painter, runner, save_study
+from tests.viewer.contents import ABOVE, START, MeanInspector, painter, runner, save_study
 from tests.viewer.wire import PATIENCE, serving
 
 pytestmark = [
@@ -189,45 +187,21 @@ def test_an_object_is_selected_and_a_job_runs_on_it(chromium: Any, tmp_path: Pat
         opened.says(f"{ABOVE.camera((8, 8)).position[2]:.1f} above the ground")
 
 
-def of_study(folder: Path) -> Painter:
-    """A study with an attack of this name."""
+def test_names_in_files_are_shown_as_they_are_written(chromium: Any, tmp_path: Path) -> None:
+    """Of a splat, a study, its trigger, and a class of a detector."""
     attack = AttackConfig(name=HOSTILE, elevation=(50.0, 90.0))
     cameras = CameraConfig(train=30, size=64, distance=7.0)
-    save_study(folder, StudyConfig(name=HOSTILE, cameras=cameras, attack=(attack,)))
-    return Painter(open_content(folder), blobs)
-
-
-def of_weights(folder: Path) -> Painter:
-    """A detector with a class of this name."""
+    save_study(tmp_path, StudyConfig(name=HOSTILE, cameras=cameras, attack=(attack,)))
     detector = ColourDetector()
     detector.classes = (HOSTILE, "person", "stop sign")
-    return Painter(balls(1), blobs, detector_inspector(detector, min_confidence=0.0))
-
-
-def of_file(folder: Path) -> Painter:
-    """A splat in a file of this name."""
-    path = folder / f"{HOSTILE}.ply"
-    save_splat(ball((0.9, 0.1, 0.1)), path)
-    return Painter(open_content(path), blobs, MeanInspector())
-
-
-@pytest.mark.parametrize(
-    ("made", "says", "times"),
-    [
-        (of_study, f"Trigger {HOSTILE}: ", 2),
-        (of_weights, f"clean: {HOSTILE} ", 1),
-        (of_file, f"{HOSTILE}: mean colour", 3),
-    ],
-)
-def test_names_in_files_are_shown_as_they_are_written(
-    chromium: Any, made: Callable[[Path], Painter], says: str, times: int, tmp_path: Path
-) -> None:
-    with window(chromium, made(tmp_path), size=(1000, 1400), says=says) as opened:
+    content = open_content(tmp_path)
+    content = replace(content, splats=(replace(content.splats[0], name=HOSTILE),))
+    work = Painter(content, blobs, detector_inspector(detector, min_confidence=0.0))
+    with window(chromium, work, size=(1000, 1400), says=f"{HOSTILE}: {HOSTILE} ") as opened:
         page = opened.page
-        opened.until(lambda: page.inner_text("body").count(HOSTILE) == times)  # a panel is drawn anew
-        if made is of_study:
-            page.get_by_role("combobox", name="From").click()
-            opened.says(f"inside {HOSTILE}")
+        opened.says(f"Trigger {HOSTILE}: ")
+        page.get_by_role("combobox", name="From").click()
+        opened.says(f"inside {HOSTILE}")
         page.wait_for_timeout(300)  # an image is not found
         assert page.evaluate("globalThis.ran") is None
         for selector in ("iframe", "img[src=x]", "a", "body code"):
@@ -249,28 +223,6 @@ def test_no_script_runs_even_if_markup_came_through(chromium: Any, monkeypatch: 
         opened.until(lambda: all(f"{what} violates" in "".join(opened.errors) for what in refused))
         assert opened.page.evaluate("globalThis.ran") is None
         opened.page.close()
-
-
-def test_two_pages_in_one_browser(chromium: Any) -> None:
-    context = chromium.new_context(viewport={"width": 400, "height": 300})
-    with context, serving(painter(1)) as one, serving(painter(2)) as other:
-        first, second = one.address, other.address
-        tabs = [context.new_page() for _ in range(2)]
-        for tab, address in zip(tabs, (first, second), strict=True):
-            tab.bring_to_front()
-            tab.goto(address)
-            tab.get_by_text("above the ground").wait_for()
-            assert "token" not in tab.url
-        for tab in tabs:  # each by its own cookie, after the other has set one
-            tab.bring_to_front()
-            tab.reload()
-            tab.get_by_text("above the ground").wait_for()
-        tabs[0].bring_to_front()
-        tabs[0].goto(second)
-        tabs[0].get_by_text("PSNR").wait_for()
-        assert tabs[0].evaluate("history.length") == 3  # nothing, and each page once, without its token
-        names = {cookie["name"] for cookie in context.cookies()}
-        assert names == {f"{COOKIE}-{urlsplit(address).port}" for address in (first, second)}
 
 
 def test_another_port_gets_no_cookie(chromium: Any) -> None:

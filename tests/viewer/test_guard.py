@@ -105,21 +105,6 @@ def test_an_address_with_a_token_leads_on_to_one_without() -> None:
     assert GUARD.door("/somewhere/?darkMode") is None
 
 
-@pytest.mark.parametrize(
-    ("path", "inside"),
-    [
-        ("/somewhere", "/"),
-        ("/somewhere/", "/"),
-        ("/somewhere/?darkMode", "/?darkMode"),
-        ("/somewhere/a.js", "/a.js"),
-        ("/", "/"),
-        ("/other", "/other"),
-    ],
-)
-def test_paths_as_viser_knows_them(path: str, inside: str) -> None:
-    assert GUARD.inside(path) == inside
-
-
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1", "127.8.8.8"])
 def test_this_machine_alone(host: str) -> None:
     assert is_loopback(host)
@@ -156,14 +141,6 @@ def served(answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
     return process
 
 
-def test_a_guarded_server_asks_the_guard_first() -> None:
-    process = served(lambda connection, request: pytest.fail("reached"))
-    answer = process(connection(), request("/"))
-    assert answer.status == 403
-    assert "token" in answer.text
-    assert "Set-Cookie" not in answer.headers
-
-
 def test_a_guarded_server_answers_those_who_may_pass() -> None:
     def answer(connection: Any, request: Any) -> Any:
         assert "Accept-Encoding" not in request.headers
@@ -185,11 +162,6 @@ def test_a_guarded_server_answers_those_who_may_pass() -> None:
     assert (door.status, door.text) == (200, GUARD.door("/?token=secret-of-this-page"))
     assert door.headers["Content-Type"].startswith("text/html")
     assert door.headers["Set-Cookie"] == page.headers["Set-Cookie"]
-
-
-def test_a_websocket_goes_on_to_its_handler() -> None:
-    process = served(lambda connection, request: None)
-    assert process(connection(), request("/", **COOKIES)) is None
 
 
 def test_a_server_that_nothing_guards_is_an_error() -> None:

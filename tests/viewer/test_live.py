@@ -27,7 +27,7 @@ from tests.training.test_resume import CONFIG
 from tests.viewer.contents import START
 from tests.viewer.wire import Browser, connection, headers_of
 
-STEPS = 40
+STEPS = 12
 
 
 @pytest.fixture

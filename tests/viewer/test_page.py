@@ -1,6 +1,5 @@
 """The server of the page, over HTTP and a websocket, without a browser."""
 
-import html
 import re
 import socket
 import threading
@@ -19,14 +18,13 @@ from torch import Tensor
 
 pytest.importorskip("viser", reason="needs the extra `view`")
 
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.viewer.content import Inspection
 from mi_splat.viewer.guard import COOKIE, MOST_WINDOWS
 from mi_splat.viewer.layout import DIFFERENCE
 from mi_splat.viewer.painter import Painter
-from mi_splat.viewer.panel import FREE, as_html
 from mi_splat.viewer.runner import JobRunner
 from mi_splat.viewer.server import Page, check_port
 from mi_splat.viewer.session import Pace, Step, ViewState
@@ -82,40 +80,24 @@ def test_the_address_opens_the_page_and_nothing_else_does(page: Page) -> None:
     assert fetch(page.address, {"Origin": "http://evil.example"})[0] == 403
 
 
-@pytest.mark.parametrize("case", ["no token", "wrong token", "another page"])
-def test_a_websocket_needs_the_token_too(page: Page, case: str) -> None:
-    from websockets.exceptions import InvalidStatus
-
-    headers = {"no token": {}, "wrong token": {"Cookie": f"{COOKIE}-{urlsplit(page.address).port}=x"}}.get(
-        case, headers_of(page.address)
-    )
-    origin = "http://evil.example" if case == "another page" else None
-    with pytest.raises(InvalidStatus, match="403"), connection(page.address, headers, origin=origin):
-        pass
-
-
-def test_pictures_come_from_the_painter() -> None:
-    work = painter()
-    with visiting(work) as browser:
-        first = browser.picture()
-        assert first.shape[1] < FULL[1]  # coarse
-        full = browser.picture(FULL)
-    state = ViewState(orbit=START, mode="side by side", canvas=(160, 80))
-    expected = work.paint(state, Step.FULL, Pace()).pixels
-    assert np.abs(full.astype(int) - expected).mean() < 3  # JPEG
+def test_a_websocket_needs_the_token_too(page: Page) -> None:
+    wrong = {"Cookie": f"{COOKIE}-{urlsplit(page.address).port}=x"}
+    for headers, origin in (({}, None), (wrong, None), (headers_of(page.address), "http://evil.example")):
+        with pytest.raises(InvalidStatus, match="403"), connection(page.address, headers, origin=origin):
+            pass
 
 
 def test_the_picture_follows_the_mouse_and_so_do_the_controls() -> None:
-    work = painter()
+    work, there = painter(), replace(START, azimuth=200.0, elevation=-10.0, distance=9.0)
     with visiting(work) as browser:
-        browser.picture(FULL)
-        time.sleep(1.1)  # until the browser is listened to
-        there = replace(START, azimuth=200.0, elevation=-10.0, distance=9.0)
-        browser.look(there)
-        browser.picture()
-        pixels = browser.picture(FULL)
-        state = ViewState(orbit=there, mode="side by side", canvas=(160, 80))
-        assert np.abs(pixels.astype(int) - work.paint(state, Step.FULL, Pace()).pixels).mean() < 3
+        for orbit in (START, there):
+            if orbit is there:
+                time.sleep(1.1)  # until the browser is listened to
+                browser.look(there)
+            assert browser.picture().shape[1] < FULL[1]  # coarse
+            pixels = browser.picture(FULL)
+            state = ViewState(orbit=orbit, mode="side by side", canvas=(160, 80))
+            assert np.abs(pixels.astype(int) - work.paint(state, Step.FULL, Pace()).pixels).mean() < 3  # JPEG
         uuid = browser.control("Azimuth")["uuid"]
         values = [m["updates"]["value"] for m in browser.messages if m.get("uuid") == uuid and "updates" in m]
         assert values[-1] == 200.0
@@ -126,7 +108,8 @@ def test_a_control_moves_the_camera() -> None:
     with visiting(work) as browser:
         slider = browser.control("Elevation")
         browser.picture(FULL)
-        browser.say("GuiUpdateMessage", uuid=slider["uuid"], updates={"value": 70.0})
+        for value in (float("nan"), 1e9, None, 70.0):  # the first ones change nothing
+            browser.say("GuiUpdateMessage", uuid=slider["uuid"], updates={"value": value})
         told = browser.until(lambda message: message["type"] == "SetCameraPositionMessage")
         assert np.allclose(told["position"], replace(START, elevation=70.0).position)
         expected = painter(inspector=MeanInspector()).inspect("clean", replace(START, elevation=70.0)).text
@@ -197,17 +180,6 @@ def test_each_kind_of_invalid_message_is_reported_once(
     assert not re.search("xxx|yyy|zzz|www|vvv|Traceback", said)
 
 
-@pytest.mark.parametrize("value", [float("nan"), 1e9, "text", None])
-def test_an_invalid_number_of_a_browser_changes_nothing(value: object) -> None:
-    with visiting(painter(1)) as browser:
-        before = browser.picture(FULL)
-        uuid = browser.control("Elevation")["uuid"]
-        browser.say("GuiUpdateMessage", uuid=uuid, updates={"value": value})
-        other = browser.control("Azimuth")["uuid"]
-        browser.say("GuiUpdateMessage", uuid=other, updates={"value": START.azimuth + 1})
-        assert np.abs(browser.picture(FULL).astype(int) - before).mean() < 5
-
-
 def test_a_browser_changes_nothing_of_a_control_but_its_value() -> None:
     with visiting(painter(1)) as browser:
         browser.picture(FULL)
@@ -262,37 +234,6 @@ def test_an_error_in_a_picture_is_shown_and_the_next_one_succeeds() -> None:
         elevation = browser.control("Elevation")["uuid"]
         browser.say("GuiUpdateMessage", uuid=elevation, updates={"value": 70.0})
         browser.until(lambda message: "mean colour" in str(message.get("updates", {})))
-
-
-def test_no_two_cameras_to_choose_from_have_one_name() -> None:
-    work = painter(1)
-    work.content = replace(work.content, cameras={FREE: START, f"({FREE})": START})
-    with visiting(work) as browser:
-        options = browser.control("From")["props"]["options"]
-    assert list(options) == [f"(({FREE}))", FREE, f"({FREE})"]
-
-
-@pytest.mark.parametrize(
-    "words", ["<img src=x onerror=run()>", "![](/etc/hostname)", "[a](javascript:run())", "*a* `b`"]
-)
-def test_what_is_said_of_a_picture_is_text(words: str) -> None:
-    assert as_html([(words, words), ("", words)]).count(html.escape(words)) == 3
-    assert as_html([("", f"\ud800{words}")]).endswith(f">?{html.escape(words)}</div>")
-    work = painter()
-    work.content = replace(work.content, describe=lambda camera: (words,))
-    with visiting(work) as browser:
-        update = browser.until(lambda message: "PSNR" in str(message.get("updates", {})))["updates"]
-    assert list(update) == ["content"]  # as HTML
-    assert update["content"].startswith("<div")
-    assert f">{html.escape(words)}\nPSNR" in update["content"]
-
-
-def test_other_machines_need_the_token_under_any_name() -> None:
-    with Page(painter(1), host="0.0.0.0", port=0) as page:
-        assert page.address.startswith("http://127.0.0.1:")
-        bare = page.address.partition("?")[0]
-        assert fetch(page.address, {"Host": "server.example"})[0] == 200
-        assert fetch(bare, {"Host": "server.example"})[0] == 403
 
 
 def test_nobody_can_open_the_page_to_the_world(monkeypatch: pytest.MonkeyPatch) -> None:
