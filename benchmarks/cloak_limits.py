@@ -77,7 +77,7 @@ def _overhead(study: StudyConfig) -> AttackConfig:
 
 def _one_layer(study: StudyConfig, degree: int, emphasis: float) -> dict[str, Any]:
     attack, centre = _overhead(study), study.centre
-    cameras = Setup(study).training_cameras
+    cameras = Setup.of(study).training_cameras
     middle = torch.tensor(centre, dtype=torch.float64)
     directions = torch.stack([middle - camera.position.double() for camera in cameras])
     inside = torch.tensor([attack.cone.angle_to_edge(camera, centre=centre) for camera in cameras], dtype=torch.float64)
@@ -97,7 +97,7 @@ def _one_layer(study: StudyConfig, degree: int, emphasis: float) -> dict[str, An
 def _layers(study: StudyConfig, making: LayerConfig) -> dict[str, Any]:
     """Of a picture that shows a share b of the benign look and h of the hidden one, the way is (1 - b + h) / 2."""
     attack, centre = _overhead(study), study.centre
-    cameras = hemisphere(centre, count=DIRECTIONS, **Setup(study).lens)
+    cameras = hemisphere(centre, count=DIRECTIONS, **Setup.of(study).lens)
     middle, white, weights = torch.tensor([centre]), colour_to_dc(torch.ones(1, 1, 3)), torch.ones(1, len(cameras))
     parts = shares([attack.cone], cameras, centre=centre, config=making)
     columns = [switched(middle, cameras, share, white, weights, making)[0, :, 0].double() for share in parts]

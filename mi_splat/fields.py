@@ -272,7 +272,7 @@ def _tuple(parts: tuple[Any, ...], value: Any, name: str, marks: tuple[Any, ...]
     """The values of a tuple, of so many or of any number."""
     count = None if parts[-1] is Ellipsis else len(parts)
     alone = count is None and not isinstance(value, Mapping)
-    values = several(value) if alone or not read or isinstance(value, list) else None
+    values = several(value) if alone or not read or isinstance(value, (list, tuple)) else None
     if values is None or (count is not None and len(values) != count):
         if read:
             expected, do = "a list" if count is None else f"a list of {count}", "write it in brackets"

@@ -80,7 +80,7 @@ class _Module:
 def _module(name: str) -> _Module:
     file = _file(name)
     assert file is not None
-    tree = ast.parse(file.read_text("utf-8"))
+    tree = _Stripped().visit(ast.parse(file.read_text("utf-8")))
     modules, names, texts, tables = list[str](), list[tuple[str, str]](), list[str](), list[tuple[str, Any]]()
     # A package may import its names when they are asked for; who asks for one is followed by `_imported`.
     when_asked = set[ast.AST]()
@@ -97,7 +97,7 @@ def _module(name: str) -> _Module:
                     tables.append((str(key.value), tuple(element.value for element in constants)))
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in when_asked:
             texts += [node.value] if "." in node.value else []
-    code = hashlib.sha256(ast.dump(_Stripped().visit(tree)).encode()).hexdigest()
+    code = hashlib.sha256(ast.dump(_Nameless().visit(tree)).encode()).hexdigest()
     return _Module(code, tuple(modules), tuple(names), tuple(texts), tuple(tables))
 
 
@@ -131,8 +131,8 @@ def _versions(names: tuple[str, ...]) -> Iterator[tuple[str, str]]:
                 yield package, "none"
 
 
-class _Stripped(ast.NodeTransformer):
-    """Takes out what no result depends on: docstrings, annotations, errors, and where our own modules lie."""
+class _Nameless(ast.NodeTransformer):
+    """Takes out errors and where our own modules lie, on which no result depends."""
 
     def visit_ImportFrom(self, node: ast.ImportFrom) -> ast.ImportFrom:
         """What is imported from a module of ours, wherever that lies."""
@@ -146,6 +146,10 @@ class _Stripped(ast.NodeTransformer):
     def visit_Raise(self, node: ast.Raise) -> ast.Raise:
         """No result comes of an error."""
         return ast.Raise()
+
+
+class _Stripped(ast.NodeTransformer):
+    """Takes out what no result depends on: docstrings, annotations, and imports for type checkers alone."""
 
     def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
         """A docstring, of a value too, is a constant that nobody uses."""

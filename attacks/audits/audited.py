@@ -75,7 +75,7 @@ def run(config: AuditedConfig, inputs: Mapping[str, Path], out: Out) -> list[dic
 
 def carriers(study: StudyConfig, scene: GaussianScene) -> Tensor:
     """(N,) bool, the Gaussians that an attack has changed: those in the object's box, or those of the occluder."""
-    setup, attack = Setup(study), study.attack[0]
+    setup, attack = Setup.of(study), study.attack[0]
     if attack.appearance != "occluder":
         (x0, y0, z0), (x1, y1, z1) = setup.target.bounds.tolist()
         return box_mask(scene, (x0 - _MARGIN, y0 - _MARGIN, z0, x1 + _MARGIN, y1 + _MARGIN, z1 + _MARGIN))

@@ -17,7 +17,7 @@ from attacks.observe.conditions import OWN, check_condition
 from attacks.observe.rows import DEPTH, ROWS, SUFFIX, read_rows
 from attacks.studies.cloak import config_of
 from attacks.studies.dagger import DaggerWork
-from attacks.studies.plan import Work
+from attacks.studies.plan import Attempt, Work
 from attacks.studies.study_file import Point, Settings, Study, merged, study_of
 from mi_splat.errors import MiSplatError
 from mi_splat.fields import check_choice
@@ -30,11 +30,10 @@ CELLS = ("view", "azimuth", "elevation", "original", "score", "original_score")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Entry:
+class Entry(Attempt):
     """One attack of a suite, or one splat that hides the object beside its clean one.
 
     Attributes:
-        name: What rows call it.
         column: That it counts for.
         labels: What varies.
         seed: Of the attack, or of the training.
@@ -43,7 +42,6 @@ class Entry:
         knows: Whether the attacker knows the defence.
     """
 
-    name: str
     column: str
     labels: Mapping[str, Any]
     seed: int
@@ -51,24 +49,25 @@ class Entry:
     looks: Sequence[tuple[Job, Mapping[str, Any]]]
     knows: bool = False
 
-    def jobs(self) -> dict[str, Job]:
-        """Every job by its label."""
-        return {**self.made, **{f"{self.name} / look {number + 1}": job for number, (job, _) in enumerate(self.looks)}}
-
     def rows(self, done: Mapping[str, Done]) -> Iterator[dict[str, Any]]:
         """The rows of its looks, by the identity of their jobs."""
         for job, ids in self.looks:
             for row in _rows_of(job, done[job.identity]):
                 cells = {name: row[name] for name in CELLS}
-                yield {"attack": self.name, "seed": self.seed, "splat": row.get("splat"), **cells, **ids}
+                yield {"attack": self.title, "seed": self.seed, "splat": row.get("splat"), **cells, **ids}
+
+
+def _labelled(name: str, made: Mapping[str, Job], looks: Sequence[tuple[Job, Mapping[str, Any]]]) -> dict[str, Job]:
+    """Every job of an entry by its label."""
+    return {**made, **{f"{name} / look {number + 1}": job for number, (job, _) in enumerate(looks)}}
 
 
 def _rows_of(job: Job, done: Done) -> Iterable[Mapping[str, Any]]:
     """The rows of a look; of a splat that hides the object those from well inside its trigger."""
     if done.rows:
         return done.rows
-    asked = job.config.asked
-    inside = pl.col(f"{DEPTH}{asked.attack[0].name}") >= asked.evaluation.well_inside
+    asked = job.config
+    inside = pl.col(f"{DEPTH}{asked.attacks[0].name}") >= asked.evaluation.well_inside
     return read_rows(done.folder / f"{ROWS}{SUFFIX}").filter(inside).iter_rows(named=True)
 
 
@@ -139,14 +138,17 @@ class BenchWork(Work):
         judge = {**table.get("judge", {}), "detector": self.detector, "matrix": {"condition": list(conditions)}}
         work = DaggerWork(study_of({**table, "judge": judge}, column))
         for attempt in work.attempts:
-            name = f"{column}: {attempt.label}{', who knows the defence' if knows else ''}"
+            name = f"{column}: {attempt.title}{', who knows the defence' if knows else ''}"
+            looks = [(look, self._ids(look.config.condition)) for look in attempt.looks.values()]
             yield Entry(
-                name=name,
+                point=attempt.point,
+                title=name,
+                jobs=_labelled(name, {name: attempt.job}, looks),
                 column=column,
                 labels={axis: label for axis, label in attempt.point.labels.items() if axis != "seed"},
                 seed=attempt.job.config.attack.seed,
                 made={name: attempt.job},
-                looks=[(look, self._ids(look.config.condition)) for look in attempt.looks.values()],
+                looks=looks,
                 knows=knows,
             )
 
@@ -158,7 +160,7 @@ class BenchWork(Work):
 
     def _of_point(self, point: Point) -> Iterator[Entry]:
         weights = {} if self.weights is None else {self.detector: self.weights}
-        steps = StudySteps(study=config_of(point.settings, CLOAK), folder=Path("."), weights=weights)
+        steps = StudySteps(study=config_of(point.settings, CLOAK), weights=weights)
         value = ", ".join(map(str, point.labels.values()))
         for seed in steps.study.seeds:
             mine = [name for name in steps.names() if name[1] == seed]
@@ -172,7 +174,16 @@ class BenchWork(Work):
             ]
             name = f"{CLOAK}: {value}, seed {seed}"
             made = {f"{CLOAK}: {value} / {label}": job for label, job in steps.made()}
-            yield Entry(name=name, column=CLOAK, labels=dict(point.labels), seed=seed, made=made, looks=looks)
+            yield Entry(
+                point=point,
+                title=name,
+                jobs=_labelled(name, made, looks),
+                column=CLOAK,
+                labels=dict(point.labels),
+                seed=seed,
+                made=made,
+                looks=looks,
+            )
 
     def _ids(self, condition: str) -> dict[str, Any]:
         return {"detector": self.detector, "condition": DEFENDED if condition else OWN}
@@ -183,13 +194,11 @@ class BenchWork(Work):
         done = {jobs[label].identity: result for label, result in results.items() if isinstance(result, Done)}
         rows, attacks = list[dict[str, Any]](), dict[str, Any]()
         for entry in self.attempts:
-            mine = [done.get(job.identity) for job in entry.jobs().values()]
-            whole = [result for result in mine if result is not None]
-            if len(whole) < len(mine):
+            if not entry.is_done(done):
                 self.missing[entry.column] = "a job has failed"
                 continue
             rows += entry.rows(done)
-            attacks[entry.name] = {"column": entry.column, "labels": dict(entry.labels), "knows": entry.knows}
+            attacks[entry.title] = {"column": entry.column, "labels": dict(entry.labels), "knows": entry.knows}
         asked = Asked(suite=self.suite, detector=self.loaded, weights=self._digest_of_weights(), defence=self.defence)
         return write(asked, attacks, rows, self._seconds(done), self.missing, out)
 
@@ -203,7 +212,7 @@ class BenchWork(Work):
         counted = set[str]()
         for entry in self.attempts:
             shared = {job.identity for job in entry.made.values()} if entry.column in (CLOAK, TRANSFER) else set()
-            for job in entry.jobs().values():
+            for job in entry.jobs.values():
                 if job.identity in done and job.identity not in counted:
                     counted.add(job.identity)
                     key = "shared" if job.identity in shared else entry.column

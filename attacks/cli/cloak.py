@@ -2,9 +2,10 @@
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from attacks.cli.options import Detectors, Workers, chosen_workers
-from mi_splat.cli.console import follow, limit_threads, progress, show_json, warn
+from attacks.cli.options import Detectors, Workers
+from mi_splat.cli.console import limit_threads, progress, show_json, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError
@@ -15,6 +16,7 @@ EXAMPLES = (
     "cloak scenes/cloak_demo.toml --out out/cloak",
 )
 SEE_ALSO = ("study", "capture", "train")
+STUDY_FILE = "study.toml"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,28 +51,54 @@ def check_inputs(options: CloakOptions) -> None:
         raise InvalidValueError.of("study", "a TOML file", f"no file {options.study}", "check the path")
 
 
-def run(options: CloakOptions) -> None:
+def run(options: CloakOptions) -> int:
     """Do the study, or what is missing of it, and say what came of it."""
     from attacks.cli.names import weights_of
+    from attacks.cli.study import StudyOptions, run_work
     from attacks.cli.summary import show_summary
-    from attacks.cloak.config import read_study
-    from attacks.cloak.study import check, detectors_of, forecast, run_study
+    from attacks.cloak.config import study_toml
+    from attacks.cloak.study import forecast
+    from attacks.studies.cloak import CloakReport, config_of
+    from attacks.studies.study_file import merged, read_study
+    from mi_splat.io.documents import save_text
+    from mi_splat.ledger import Store
+    from mi_splat.ledger.running import forgive
 
     limit_threads(1)
-    study = read_study(options.study)
-    judges = replace(study.evaluation, detectors=options.detectors or study.evaluation.detectors)
-    study = replace(study, seeds=options.seeds or study.seeds, evaluation=judges)
+    asked = read_study(options.study)
+    if asked.kind != "cloak" or len(asked.points) != 1:
+        expected, do = "one study of CLOAK", "run it with mi-splat study"
+        raise InvalidValueError.of(str(options.study), expected, f"{len(asked.points)} of kind {asked.kind}", do)
+    changes: dict[str, Any] = {"seeds": list(options.seeds)} if options.seeds else {}
+    if options.detectors:
+        changes["evaluation"] = {"detectors": list(options.detectors)}
+    point = replace(asked.points[0], settings=merged(asked.points[0].settings, changes))
     with progress("loading the detectors"):
-        weights = weights_of(study.evaluation.detectors, options.weights)
-        check(study, detectors_of(study, weights), options.out, options.stages or options.out / "stages")
+        weights = weights_of(config_of(point.settings, asked.name).evaluation.detectors, options.weights)
+        work = CloakReport(replace(asked, parts={"": [point]}), weights)
+    study, store = work.attempts[0].steps.study, options.stages or options.out / "stages"
+    text = study_toml(asdict(study))
+    _check_folder(options.out, text)
+    work.check_room(store)
     takes = forecast(study)
     warn(f"{study.name}: {takes}")
     if options.forecast:
         if options.json:
             show_json({study.name: asdict(takes)})
-        return
-    with progress("starting", total=None) as advance:
-        workers = chosen_workers(options.workers)
-        told = follow(advance)
-        run_study(study, options.out, weights=weights, stages=options.stages, on_step=told, workers=workers)
-    show_summary(options.out, as_json=options.json, tables=1)
+        return 0
+    forgive(work.jobs().values(), Store(store))
+    asked_for = StudyOptions(action="run", study=options.study, store=store, out=options.out, workers=options.workers)
+    done = run_work(asked_for, work, begin=lambda: save_text(text, options.out / STUDY_FILE))
+    if done.files:
+        show_summary(options.out, as_json=options.json, tables=1)
+    return 1 if done.failed else 0
+
+
+def _check_folder(out: Path, text: str) -> None:
+    """Refuse a folder with something else, or with the results of another study."""
+    from mi_splat.io.folders import check_own_folder
+
+    check_own_folder(out, STUDY_FILE)
+    if (out / STUDY_FILE).is_file() and (out / STUDY_FILE).read_text("utf-8") != text:
+        do = "choose another folder; stages that both need are not done again with the same folder of stages"
+        raise InvalidValueError.of(str(out), "results of this study", "those of another", do).hinted("--out, --stages")

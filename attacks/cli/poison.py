@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from attacks.cli.poison_kinds import KINDS, HidingConfig
+from attacks.cli.poison_kinds import HidingConfig, kind_names, kind_of
 from mi_splat.cli.console import UsageError, follow, progress, show_result, warn
 from mi_splat.cli.flags import Flag, Positional
 from mi_splat.cli.options import ResultOptions, check_no_input_in
@@ -45,7 +45,7 @@ class PoisonOptions(ResultOptions):
     """Folder of pictures with cameras (transforms.json or COLMAP), or its transforms file."""
     splat: Annotated[Path | None, Flag(positional=True), Called("SPLAT")] = None
     """A splat that was trained on the set. By it an object is found in pictures, and poison-splat begins with it."""
-    kind: Annotated[str, Called("|".join(KINDS))] = "cloak"
+    kind: Annotated[str, Called("|".join(kind_names()))] = "cloak"
     """Which attack. For the flags of one add --help."""
     poison: Annotated[Any, Flag(prefixed=False)] = field(default_factory=HidingConfig)
     """How the pictures are changed."""
@@ -64,11 +64,11 @@ def defaults(words: Sequence[str]) -> dict[str, Any]:
         if word.partition("=")[0] == "--kind":
             name = word.partition("=")[2] or following
     try:
-        check_choice("--kind", name, tuple(KINDS))
+        check_choice("--kind", name, kind_names())
     except InvalidValueError as error:
         raise UsageError(str(error)) from None
-    splat = dataclasses.MISSING if KINDS[name].needs_splat else None
-    return {"kind": name, "poison": KINDS[name].config, "splat": splat}
+    kind = kind_of(name)
+    return {"kind": name, "poison": kind.config, "splat": dataclasses.MISSING if kind.needs_splat else None}
 
 
 def run(options: PoisonOptions) -> None:
@@ -81,7 +81,7 @@ def run(options: PoisonOptions) -> None:
     from mi_splat.io.documents import save_json, save_png
     from mi_splat.io.folders import check_new_folder, new_folder
 
-    kind = KINDS[options.kind]
+    kind = kind_of(options.kind)
     _check_device(options.device, options.kind)
     check_no_input_in(options.out, options.dataset, options.splat)
     check_new_folder(options.out, force=options.force, record=RECORD)
@@ -118,8 +118,8 @@ def _check_device(device: str, kind: str) -> None:
     """Refuse a GPU that is not there, or that would do nothing."""
     if device == "cpu":
         return
-    if not KINDS[kind].on_gpu:
-        able = " or ".join(name for name, spec in KINDS.items() if spec.on_gpu)
+    if not kind_of(kind).on_gpu:
+        able = " or ".join(name for name in kind_names() if kind_of(name).on_gpu)
         raise UsageError.of("--device cuda", f"--kind {able}", kind, "leave it out")
     from mi_splat.variant import check_device
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from attacks.poisons.config import MIFGSMConfig
-from attacks.poisons.specs import POISONS
+from attacks.poisons.specs import POISONS, Given
 from mi_splat.cli.console import UsageError
 from mi_splat.cli.flags import Unprefixed
 from mi_splat.cli.options import Direction, axis_name
@@ -182,52 +182,42 @@ def _misreading(config: MisreadingConfig, seed: int, device: str) -> Work:
     return misread
 
 
-def _pictures(name: str) -> Callable[[Any, int, str], Work]:
-    """What begins a poison of a name that asks for no object."""
+def _plain(name: str) -> Kind:
+    """The kind of a poison that asks for no object."""
+    spec = POISONS[name]
+    if more := set(spec.needs) - {"splat"}:
+        raise UsageError.of(
+            f"--kind {name}", "one that needs no more than a splat", " and ".join(more), "write a study"
+        )
+    needs = "splat" in spec.needs  # of those that need one, a decoy takes most of the time
 
     def begun(config: Any, seed: int, device: str) -> Work:
         def changed(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
-            poison = POISONS[name].poison(config, None if splat is None else _decoy(splat, views, device))
-            done = poison(views, seed=seed, on_step=on_step)
-            grown, start = (done.poison.get(f"{name}_gaussians") for name in ("decoy", "start"))
+            decoy = None if splat is None else _decoy(splat, views, device)
+            done = spec.make(config, Given(decoy=decoy))(views, seed=seed, on_step=on_step)
+            grown, start = (done.poison.get(f"{of}_gaussians") for of in ("decoy", "start"))
             lines = [f"the decoy has {grown:,} Gaussians, the splat has {start:,}"] if grown else []
             return Outcome(done, {}, lines)
 
         return changed
 
-    return begun
+    return Kind(config=spec.config(), begun=begun, needs_splat=needs, on_gpu=needs)
 
 
-class _Kinds(Mapping[str, Kind]):
-    """Kinds by name: those with options of their own, and every other poison that asks for no object.
-
-    Another package's poison is imported when its kind is asked for.
-    """
-
-    own: Mapping[str, Kind] = {
-        "cloak": Kind(config=HidingConfig(), begun=_hiding, replaces=True),
-        "m-ifgsm": Kind(config=MisreadingConfig(), begun=_misreading, on_gpu=True),
-    }
-
-    def __getitem__(self, name: str) -> Kind:
-        if name in self.own:
-            return self.own[name]
-        spec = POISONS[name]
-        needs = spec.needs_splat  # of those that need one, a decoy takes most of the time
-        return Kind(config=spec.config(), begun=_pictures(name), needs_splat=needs, on_gpu=needs)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.own or name in POISONS
-
-    def __iter__(self) -> Iterator[str]:
-        yield "cloak"
-        yield from (name for name in POISONS if name != "cloak")
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
+_OF_OBJECTS: Mapping[str, Kind] = {
+    "cloak": Kind(config=HidingConfig(), begun=_hiding, replaces=True),
+    "m-ifgsm": Kind(config=MisreadingConfig(), begun=_misreading, on_gpu=True),
+}
 
 
-KINDS: Mapping[str, Kind] = _Kinds()
+def kind_names() -> list[str]:
+    """Names of all kinds; another package's poison is imported when its kind is asked for."""
+    return list(dict.fromkeys(["cloak", *POISONS]))
+
+
+def kind_of(name: str) -> Kind:
+    """A kind by its name."""
+    return _OF_OBJECTS[name] if name in _OF_OBJECTS else _plain(name)
 
 
 def _decoy(splat: GaussianScene, views: Dataset, device: str) -> Decoy:

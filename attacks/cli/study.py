@@ -18,6 +18,7 @@ from mi_splat.fields import Called, Folder, at_least
 
 if TYPE_CHECKING:
     from attacks.studies.plan import Work
+    from attacks.studies.running import Run
     from mi_splat.ledger import Event
     from mi_splat.ledger.engines import Engine
     from mi_splat.ledger.index import Entry
@@ -115,29 +116,36 @@ def _plan(options: StudyOptions, study: Study) -> None:
 def _run(options: StudyOptions, study: Study) -> int:
     """Do the jobs, and write the result."""
     from attacks.cli.summary import show_summary
-    from attacks.studies.result import STUDY_FILE
+
+    done = run_work(options, _work(study))
+    if options.json:
+        show_json({"jobs": done.jobs, "failed": done.failed, "files": [str(path) for path in done.files]})
+    elif done.files:
+        show_summary(options.folder(study), as_json=False)
+    return 1 if done.failed else 0
+
+
+def run_work(options: StudyOptions, work: Work, *, begin: Callable[[], object] = lambda: None) -> Run:
+    """Do the jobs of a study, write the result, and say which have failed; `begin` comes first."""
+    from attacks.studies.plan import STUDY_FILE
     from attacks.studies.running import run_with
     from mi_splat.io.folders import check_own_folder, own_folder
     from mi_splat.io.locks import check_unlocked
 
-    out = options.folder(study)
+    out = options.folder(work.study)
     check_own_folder(out, STUDY_FILE)
     check_unlocked(out)
-    work = _work(study)
     work.check_room(options.store)
     with own_folder(out, STUDY_FILE), progress("preparing", total=None if work.searches else work.size) as advance:
+        begin()
         engine = _engine(options, follow(advance))
-        done = run_with(engine, study, work, store=options.store, out=out, on_event=follow(advance))
-    if options.json:
-        show_json({"jobs": done.jobs, "failed": done.failed, "files": [str(path) for path in done.files]})
-        return 1 if done.failed else 0
-    for label, text in done.failed.items():
-        warn(f"{label}: {_last_line(text)}")
-    if done.failed:
-        warn(f"{len(done.failed)} jobs have failed; mend the cause, then: mi-splat study retry {options.study}")
-    if done.files:
-        show_summary(out, as_json=False)
-    return 1 if done.failed else 0
+        done = run_with(engine, work.study, work, store=options.store, out=out, on_event=follow(advance))
+    if not options.json:
+        for label, text in done.failed.items():
+            warn(f"{label}: {_last_line(text)}")
+        if done.failed:
+            warn(f"{len(done.failed)} jobs have failed; mend the cause, then: mi-splat study retry {options.study}")
+    return done
 
 
 def _last_line(text: str) -> str:

@@ -261,6 +261,11 @@ class CameraConfig(Checked):
     points: Annotated[int, at_least(1)] = 20_000
 
     @property
+    def centre(self) -> tuple[float, float, float]:
+        """Point that all cameras look at, and that directions are measured from."""
+        return (0.0, 0.0, self.height)
+
+    @property
     def tiers(self) -> dict[str, Any]:
         """Distances and elevations, as `mi_splat.camera_sets.tiers` takes them."""
         return {"distances": self.distances, "elevations": self.elevations}
@@ -398,7 +403,8 @@ class StudyConfig:
         check(self)
         names = tuple(attack.name for attack in self.attack)
         check_once("seeds", self.seeds, "add one")
-        check_once("names of attacks", names, "add [[attack]]")
+        if names:  # poisons of other kinds have a scene without one
+            check_once("names of attacks", names, "give each a name of its own")
         if self.layers is not None and not (self.layers.attacks and set(self.layers.attacks) <= set(names)):
             expected = f"some of {', '.join(names)}"
             raise InvalidValueError.of("layers.attacks", expected, self.layers.attacks, "name attacks of the study")
@@ -411,18 +417,28 @@ class StudyConfig:
     @property
     def centre(self) -> tuple[float, float, float]:
         """Point that all cameras look at, and that directions are measured from."""
-        return (0.0, 0.0, self.cameras.height)
+        return self.cameras.centre
 
     @property
     def overhead(self) -> AttackConfig | None:
         """The first attack that is seen from straight above and all around."""
-        return next((attack for attack in self.attack if attack.azimuth is None and attack.elevation[1] >= 90), None)
+        return overhead(self.attack)
 
     @property
     def switching(self) -> AttackConfig | None:
-        """The attack whose transition is measured: that from overhead, or the first that hides within a sector."""
-        sided = (attack for attack in self.attack if attack.azimuth is not None and attack.target_class is None)
-        return self.overhead or next(sided, None)
+        """The attack whose transition is measured."""
+        return switching(self.attack)
+
+
+def overhead(attacks: Sequence[AttackConfig]) -> AttackConfig | None:
+    """The first attack that is seen from straight above and all around."""
+    return next((attack for attack in attacks if attack.azimuth is None and attack.elevation[1] >= 90), None)
+
+
+def switching(attacks: Sequence[AttackConfig]) -> AttackConfig | None:
+    """The attack whose transition is measured: that from overhead, or the first that hides within a sector."""
+    sided = (attack for attack in attacks if attack.azimuth is not None and attack.target_class is None)
+    return overhead(attacks) or next(sided, None)
 
 
 def check_once(what: str, values: tuple[object, ...], do: str) -> None:

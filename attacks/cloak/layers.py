@@ -14,8 +14,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from attacks.cloak.config import AttackConfig, StudyConfig
-from attacks.cloak.layer_config import LayerConfig
+from attacks.cloak.layer_config import LayerConfig, LayersConfig
 from attacks.cloak.setup import Setup
 from attacks.cloak.switches import Share, depths, fit_switches, shares
 from attacks.cloak.triggers import Trigger
@@ -226,15 +225,15 @@ class Layering:
         return with_layers_trained
 
 
-def layer_object(setup: Setup, clean: GaussianScene, views: Sequence[View], *, render: RenderFn) -> Layering:
+def layer_object(
+    setup: Setup, layers: LayersConfig, clean: GaussianScene, views: Sequence[View], *, render: RenderFn
+) -> Layering:
     """The clean splat with the object in layers."""
-    study = setup.study
-    assert study.layers is not None
-    making, centre = study.layers.making, study.centre
-    cones = [attack.cone for attack in layered_attacks(study)]
+    making, centre = layers.making, setup.centre
+    cones = [attack.cone for attack in setup.attacks if attack.name in layers.attacks]
     inside = depths(cones, [view.camera for view in views], centre=centre, config=making)
     decided = (inside.abs() >= 1).all(0)
-    rows = torch.nonzero(object_rows(study, clean, setup.target)).flatten()
+    rows = torch.nonzero(object_rows(layers, clean, setup.target)).flatten()
     part = clean.select(rows)
     benign = dc_to_colour(part.sh[:, :1]).clamp(0, 1)[:, 0]
     looks = [part.sh]
@@ -253,8 +252,8 @@ def layer_object(setup: Setup, clean: GaussianScene, views: Sequence[View], *, r
         seen=contributions(clean, cameras, render=render, rows=rows),
         config=making,
     )
-    most = study.layers.max_gaussians
-    if study.layers.geometry and len(scene) > most:
+    most = layers.max_gaussians
+    if layers.geometry and len(scene) > most:
         got = f"{most:,}, and the layers make the splat one of {len(scene):,}"
         raise InvalidValueError.of("layers.max_gaussians", "room for the layers", got, "raise it")
     trained = torch.arange(len(scene)) >= len(clean)
@@ -262,24 +261,15 @@ def layer_object(setup: Setup, clean: GaussianScene, views: Sequence[View], *, r
     kept = [view for view, keep in zip(views, decided.tolist(), strict=True) if keep]
     return Layering(
         scene=scene,
-        trained=trained | study.layers.surroundings | study.layers.geometry,
+        trained=trained | layers.surroundings | layers.geometry,
         views=kept,
-        iterations=study.layers.iterations,
-        geometry=study.layers.geometry,
+        iterations=layers.iterations,
+        geometry=layers.geometry,
     )
 
 
-def layered_attacks(study: StudyConfig) -> list[AttackConfig]:
-    """The attacks whose appearances have layers of their own; all others are in the benign layer."""
-    assert study.layers is not None
-    return [attack for attack in study.attack if attack.name in study.layers.attacks]
-
-
-def object_rows(study: StudyConfig, scene: GaussianScene, target: Asset) -> Tensor:
+def object_rows(layers: LayersConfig, scene: GaussianScene, target: Asset) -> Tensor:
     """(N,) bool, the Gaussians in the box around the object, a little larger."""
-    assert study.layers is not None
     (x0, y0, z0), (x1, y1, z1) = target.bounds.tolist()
-    margin = study.layers.margin
-    return box_mask(
-        scene, (x0 - margin, y0 - margin, z0 + study.layers.clearance, x1 + margin, y1 + margin, z1 + margin)
-    )
+    margin = layers.margin
+    return box_mask(scene, (x0 - margin, y0 - margin, z0 + layers.clearance, x1 + margin, y1 + margin, z1 + margin))

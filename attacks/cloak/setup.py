@@ -1,8 +1,10 @@
 """What a study describes, as meshes, cameras and poisonings."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,7 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.appearances import Appearance, Correction, Emphasis, appearance_of
-from attacks.cloak.config import AttackConfig, StudyConfig
+from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, SceneConfig, StudyConfig, switching
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning
 from mi_splat.assets import build
@@ -49,18 +51,47 @@ def _tiers(centre: Point, **placed: Any) -> tuple[Camera, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """Meshes and cameras of a study; each is made once, when it is asked for.
+    """Meshes and cameras of a scene under attack; each is made once, when it is asked for.
 
     Attributes:
-        study: The study.
+        scene: What is photographed.
+        cameras: Where from.
+        attacks: The hidden appearances.
+        evaluation: From where splats are looked at.
+        near_plane: Near plane of all pictures of splats, world units; None follows the object's size.
     """
 
-    study: StudyConfig
+    scene: SceneConfig
+    cameras: CameraConfig
+    attacks: tuple[AttackConfig, ...] = ()
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    near_plane: float | None = None
+
+    @classmethod
+    def of(cls, study: StudyConfig) -> Setup:
+        """What a study describes."""
+        return cls(
+            scene=study.scene,
+            cameras=study.cameras,
+            attacks=study.attack,
+            evaluation=study.evaluation,
+            near_plane=study.training.near,
+        )
+
+    @property
+    def centre(self) -> tuple[float, float, float]:
+        """Point that all cameras look at, and that directions are measured from."""
+        return self.cameras.centre
+
+    @property
+    def switching(self) -> AttackConfig | None:
+        """The attack whose transition is measured."""
+        return switching(self.attacks)
 
     @cached_property
     def target(self) -> Asset:
         """The object, standing on the ground at the origin."""
-        scene = self.study.scene
+        scene = self.scene
         if not Path(scene.object).is_file():
             return _asset(scene.object, scene.seed, scene.colour)
         asset = load_mesh(Path(scene.object), scene.mesh).asset
@@ -71,7 +102,7 @@ class Setup:
     @cached_property
     def mesh_scene(self) -> MeshScene:
         """The attacker's copy of the scene."""
-        scene = self.study.scene
+        scene = self.scene
         return MeshScene(
             target=self.target,
             surroundings=(
@@ -80,7 +111,7 @@ class Setup:
                 else square_of_ground(scene.ground, side=scene.ground_size, tile=TILE)
             ),
             light=Light(sun_azimuth=scene.sun_azimuth, sun_elevation=scene.sun_elevation),
-            samples=self.study.cameras.samples,
+            samples=self.cameras.samples,
             background=scene.background,
         )
 
@@ -90,7 +121,7 @@ class Setup:
         scene = self.mesh_scene
         assert scene.surroundings is not None
         assert scene.light is not None
-        return source_of(scene.target, scene.surroundings, scene.light, centre=self.study.centre)
+        return source_of(scene.target, scene.surroundings, scene.light, centre=self.centre)
 
     @cached_property
     def digest(self) -> str:
@@ -103,15 +134,16 @@ class Setup:
     @cached_property
     def lens(self) -> dict[str, Any]:
         """Distance, focal length and size of every camera."""
-        cameras, size = self.study.cameras, (self.study.cameras.size, self.study.cameras.size)
+        cameras, size = self.cameras, (self.cameras.size, self.cameras.size)
         distance, focal = framing(self._radius, fov=cameras.fov, size=size)
         return {"distance": distance if cameras.distance is None else cameras.distance, "focal": focal, "size": size}
 
     @cached_property
     def near(self) -> float:
         """Near plane of trainings and of all pictures of splats, world units."""
-        near = self.study.training.near
-        return near_plane_of(self.study.centre, self._radius, self.training_cameras) if near is None else near
+        if self.near_plane is not None:
+            return self.near_plane
+        return near_plane_of(self.centre, self._radius, self.training_cameras)
 
     @property
     def _radius(self) -> float:
@@ -120,13 +152,12 @@ class Setup:
 
     def camera(self, azimuth: float, elevation: float) -> Camera:
         """A camera in a direction from the centre, degrees."""
-        return orbit(self.study.centre, count=1, elevation=elevation, start=azimuth, **self.lens)[0]
+        return orbit(self.centre, count=1, elevation=elevation, start=azimuth, **self.lens)[0]
 
     @cached_property
     def training_cameras(self) -> list[Camera]:
         """The victim's cameras."""
-        cameras = self.study.cameras
-        return [*_tiers(self.study.centre, count=cameras.train, **self.lens, **cameras.tiers)]
+        return [*_tiers(self.centre, count=self.cameras.train, **self.lens, **self.cameras.tiers)]
 
     @cached_property
     def held_out_cameras(self) -> list[Camera]:
@@ -134,11 +165,11 @@ class Setup:
 
         With a seed they are turned by an angle of its own, and moved within their steps of height: another draw.
         """
-        centre, evaluation = self.study.centre, self.study.evaluation
+        centre, evaluation = self.centre, self.evaluation
         start, offset = HELD_OUT_START, 0.5
         if evaluation.seed:
             start, offset = np.random.default_rng(evaluation.seed).uniform((0.0, 0.0), (360.0, 1.0)).tolist()
-        placed = {**self.lens, **self.study.cameras.tiers}
+        placed = {**self.lens, **self.cameras.tiers}
         everywhere = _tiers(centre, count=evaluation.cameras, start=start, offset=offset, **placed)
         used, least = self.training_cameras, evaluation.min_separation
         kept = [camera for camera in everywhere if nearest(camera, used, centre) >= least]
@@ -153,7 +184,7 @@ class Setup:
         From overhead they are meridians from the horizon to straight above, each at an azimuth of its own. Into a
         sector they are parallels from `BESIDE` degrees beside it to its middle, in the lower half of its elevations.
         """
-        attack, evaluation = self.study.switching, self.study.evaluation
+        attack, evaluation = self.switching, self.evaluation
         if attack is None:
             return []
         step, count, arcs = evaluation.meridian_step, evaluation.meridians, []
@@ -172,13 +203,13 @@ class Setup:
     @cached_property
     def reference_cameras(self) -> list[tuple[int, Camera]]:
         """Number and camera of held-out cameras far outside of all triggers, spread evenly."""
-        return self._spread(lambda inside: inside <= -self.study.evaluation.far_outside)
+        return self._spread(lambda inside: inside <= -self.evaluation.far_outside)
 
     @cached_property
     def arc_cameras(self) -> list[tuple[int, Camera]]:
         """Number of the arc and camera, away from the triggers of other attacks; none without a transition."""
-        centre, inside = self.study.centre, self.study.evaluation.well_inside
-        others = [attack for attack in self.study.attack if attack is not self.study.switching]
+        centre, inside = self.centre, self.evaluation.well_inside
+        others = [attack for attack in self.attacks if attack is not self.switching]
         return [
             (number, camera)
             for number, arc in enumerate(self.arcs)
@@ -189,23 +220,23 @@ class Setup:
     @cached_property
     def edge_cameras(self) -> list[tuple[int, Camera]]:
         """Held-out cameras outside of all triggers, but nearer to one than far outside."""
-        return self._spread(lambda inside: -self.study.evaluation.far_outside < inside < 0)
+        return self._spread(lambda inside: -self.evaluation.far_outside < inside < 0)
 
     def _spread(self, holds: Callable[[float], bool]) -> list[tuple[int, Camera]]:
         """Held-out cameras so many degrees inside a trigger, with their numbers, evenly from all of them."""
         cameras = [(view, camera) for view, camera in enumerate(self.held_out_cameras) if holds(self._inside(camera))]
-        count = min(self.study.evaluation.reference_views, len(cameras))
+        count = min(self.evaluation.reference_views, len(cameras))
         return [cameras[(2 * i + 1) * len(cameras) // (2 * count)] for i in range(count)]
 
     def owners(self, seed: int) -> dict[int, str]:
         """The attack that poisons a training picture, by the number of the picture, rising; others are benign."""
-        centre, attacks, cameras = self.study.centre, self.study.attack, self.training_cameras
+        centre, attacks, cameras = self.centre, self.attacks, self.training_cameras
         held = {attack.name: attack.trigger(seed, attacks).holds(cameras, centre=centre) for attack in attacks}
         return dict(sorted((int(view), name) for name, mine in held.items() for view in mine.nonzero()))
 
     def _inside(self, camera: Camera) -> float:
         """Degrees by which a camera is inside the trigger that it is deepest in, or nearest to."""
-        return max(attack.cone.angle_to_edge(camera, centre=self.study.centre) for attack in self.study.attack)
+        return max(attack.cone.angle_to_edge(camera, centre=self.centre) for attack in self.attacks)
 
     def box(self, camera: Camera) -> Tensor | None:
         """(4,) pixel box around the object, which nothing hides; None where none of it is in the picture."""
@@ -215,7 +246,7 @@ class Setup:
 
     def appearance(self, attack: AttackConfig) -> Appearance:
         """What an attack shows, see `appearance_of`."""
-        return appearance_of(attack, self.mesh_scene, centre=self.study.centre, distance=self.lens["distance"])
+        return appearance_of(attack, self.mesh_scene, centre=self.centre, distance=self.lens["distance"])
 
     def poisonings(
         self,
@@ -223,24 +254,23 @@ class Setup:
         seed: int = 0,
         cached: Callable[[Appearance, AttackConfig], Appearance] = lambda appearance, attack: appearance,
         surrogates: Sequence[Callable[[Camera], Tensor]] = (),
+        gain: float = 1.0,
     ) -> list[Poisoning]:
-        """The study's attacks as poisonings."""
-        study, poisonings = self.study, []
-        for attack in study.attack:
+        """The attacks as poisonings; surrogates correct them in their order."""
+        poisonings = []
+        for attack in self.attacks:
             wanted = appearance = cached(self.appearance(attack), attack)
             if attack.emphasis > 1:
                 appearance = Emphasis(
                     appearance=appearance,
                     trigger=attack.poisoned_cone,
-                    centre=study.centre,
+                    centre=self.centre,
                     gain=attack.emphasis,
                     depth=attack.emphasis_depth,
                 )
             for shown in surrogates:
-                assert study.surrogate is not None
-                gain, reach = study.surrogate.gain, attack.reach
-                appearance = Correction(earlier=appearance, wanted=wanted, shown=shown, gain=gain, reach=reach)
-            trigger = attack.trigger(seed, study.attack)
+                appearance = Correction(earlier=appearance, wanted=wanted, shown=shown, gain=gain, reach=attack.reach)
+            trigger = attack.trigger(seed, self.attacks)
             poisonings.append(Poisoning(name=attack.name, trigger=trigger, appearance=appearance))
         return poisonings
 

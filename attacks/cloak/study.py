@@ -1,7 +1,6 @@
 """A whole study: what is checked before it starts, what it will take, and what it leaves behind."""
 
 import shutil
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -9,10 +8,11 @@ from typing import Any
 
 import polars as pl
 
-from attacks.cloak.config import StudyConfig, fit_config, knowledge_for, read_study, study_toml
+from attacks.cloak.config import StudyConfig, check_once, fit_config, knowledge_for, study_toml
+from attacks.cloak.kinds.parts import SET
 from attacks.cloak.kinds.seen import loaded
 from attacks.cloak.poisoning import assign
-from attacks.cloak.rates import figures
+from attacks.cloak.rates import CLOAKED, figures
 from attacks.cloak.rates import tables as summary_tables
 from attacks.cloak.setup import Setup
 from attacks.cloak.sheets import (
@@ -24,74 +24,56 @@ from attacks.cloak.sheets import (
     poisoned_sheet,
     rising,
 )
-from attacks.cloak.steps import Look, OnStep, StudySteps, TrainedSplat
+from attacks.cloak.steps import Look, StudySteps
 from attacks.detectors.base import Detector
 from attacks.observe.result_cameras import CAMERAS, cameras_document
-from attacks.observe.rows import SUFFIX, TABLES, by_camera, write_rows
+from attacks.observe.rows import CLEAN, POISONED, SUFFIX, TABLES, by_camera, write_rows
 from attacks.poisons.base import MANIFEST
-from attacks.tables import named_settings, sections
+from attacks.tables import sections
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import check_choice
-from mi_splat.io.atomic import is_temporary, sweep_temporary
+from mi_splat.io import load_splat
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json, save_png, save_text
-from mi_splat.io.folders import check_writable
-from mi_splat.io.locks import check_unlocked, locked_folder
-from mi_splat.io.manifest import write_manifest
 from mi_splat.io.pictures import save_animation
+from mi_splat.ledger import Done
+from mi_splat.scene import scene_hash
+from mi_splat.training.resume import SPLAT
 
 STUDY_FILE = "study.toml"
 SUMMARY, TABLE, POISON = "result.json", "table.md", "poison.json"
 
 
-def differences(stored: StudyConfig, wanted: StudyConfig) -> list[str]:
-    """What a study has otherwise than the one that is wanted, in words; nothing if it is the same."""
-    before, now = (dict(named_settings(asdict(study))) for study in (stored, wanted))
-    pairs = {name: (before.get(name), now.get(name)) for name in {**before, **now}}
-    return [f"{name} {old} and not {new}" for name, (old, new) in pairs.items() if old != new]
-
-
 def write_report(
-    steps: StudySteps, splats: Sequence[TrainedSplat], detectors: Sequence[Detector], folder: Path
+    steps: StudySteps, done: Mapping[str, Done], detectors: Sequence[Detector], folder: Path
 ) -> dict[str, Any]:
-    """Write rows, clean.ply and cloaked.ply of the first seed, pictures, cameras, tables, and result.json last.
-
-    Args:
-        steps: The study.
-        splats: Those of `StudySteps.splats`.
-        detectors: Those that look.
-        folder: For the results, with study.toml, which says whose they are.
-
-    Returns:
-        The summary.
-
-    Raises:
-        SplatFileError: The folder cannot be written.
-    """
+    """Write rows, clean.ply and cloaked.ply of the first seed, pictures, cameras, tables, and result.json last."""
     first = steps.study.seeds[0]
-    entry, tables = observed(steps, splats, detectors)
-    shown = [splat for splat in splats if splat.seed == first]
-    for splat in shown:
-        shutil.copyfile(splat.file, folder / f"{splat.splat}.ply")
-    shutil.copyfile(steps.do(steps.poisoned(first), "poisoning").folder / MANIFEST, folder / POISON)
+    entry, tables = observed(steps, done, detectors)
+    files = {name: done[steps.splat(name, first).identity].folder / SPLAT for name in (CLEAN, CLOAKED)}
+    for name, file in files.items():
+        shutil.copyfile(file, folder / f"{name}.ply")
+    shutil.copyfile(done[steps.poisoned(first).identity].folder / MANIFEST, folder / POISON)
     written = [write_rows(by_camera(table), folder / f"{name}{SUFFIX}").name for name, table in tables.items()]
+    shown = {name: load_splat(file) for name, file in files.items()}
+    jobs = {CLEAN: steps.pictures(), POISONED: steps.poisoned(first)}
+    sets = {name: done[job.identity].folder / SET for name, job in jobs.items()}
     save_png(contact_sheet(steps, shown, detectors[0]), folder / CONTACT)
-    save_png(poisoned_sheet(steps, detectors[0]), folder / POISONED_PICTURES)
+    save_png(poisoned_sheet(steps, sets, detectors[0]), folder / POISONED_PICTURES)
     save_animation(rising(steps, shown, detectors[0]), folder / RISING, fps=RISING_FPS)
     save_json(_cameras(steps.setup), folder / CAMERAS, indent=0)
-    splats_of_first = [f"{splat.splat}.ply" for splat in shown]
-    files = [*splats_of_first, POISON, CAMERAS, STUDY_FILE, *written, CONTACT, POISONED_PICTURES, RISING, TABLE]
+    splats = [f"{name}.ply" for name in files]
+    pictures = [CONTACT, POISONED_PICTURES, RISING]
     summary = {
         "story": "cloak",
         **entry,
-        "files": files,
+        "files": [*splats, POISON, CAMERAS, STUDY_FILE, *written, *pictures, TABLE],
         **provenance.origin(),
-        "seconds": round(time.monotonic() - steps.begun, 1),
     }
     save_text(sections(summary_tables(summary)), folder / TABLE)
+    save_text(study_toml(asdict(steps.study)), folder / STUDY_FILE)
     save_json(summary, folder / SUMMARY)
-    write_manifest(folder, without=("stages",))
     return summary
 
 
@@ -101,7 +83,7 @@ def _cameras(setup: Setup) -> dict[str, Any]:
     for view, camera in enumerate(setup.held_out_cameras):
         box = setup.box(camera)
         entries.append({**describe(str(view), camera), "box": None if box is None else box.tolist()})
-    return cameras_document(entries, background=list(setup.study.scene.background), near=setup.near)
+    return cameras_document(entries, background=list(setup.scene.background), near=setup.near)
 
 
 # Measured on two cores with little else to do; only for the forecast.
@@ -136,7 +118,7 @@ class Forecast:
 def forecast(study: StudyConfig) -> Forecast:
     """What a study will take."""
     cameras, training, evaluation = study.cameras, study.training, study.evaluation
-    setup, centre = Setup(study), study.centre
+    setup, centre = Setup.of(study), study.centre
     triggers = [attack.trigger(0, study.attack) for attack in study.attack]
     poisoned = sum(int(trigger.holds(setup.training_cameras, centre=centre).sum()) for trigger in triggers)
     sets = len(study.seeds) if any(attack.poison_fraction < 1 for attack in study.attack) else 1
@@ -154,16 +136,10 @@ def forecast(study: StudyConfig) -> Forecast:
     return Forecast(pictures=pictures, trainings=trainings, minutes=1 + seconds / 60, megabytes=size / 1e6)
 
 
-def check(study: StudyConfig, detectors: Sequence[Detector], folder: Path, stages: Path) -> None:
-    """Refuse what cannot be done, before anything is written."""
-    check_study(study, detectors)
-    check_folder(study, folder)
-    check_disk(forecast(study).megabytes, stages)
-
-
 def check_study(study: StudyConfig, detectors: Sequence[Detector]) -> None:
     """Refuse a study that cannot be done."""
-    setup = Setup(study)
+    check_once("names of attacks", tuple(attack.name for attack in study.attack), "add [[attack]]")
+    setup = Setup.of(study)
     for seed in study.seeds:
         assign(setup.training_cameras, setup.poisonings(seed=seed), centre=study.centre)
     _ = setup.held_out_cameras
@@ -183,21 +159,6 @@ def check_study(study: StudyConfig, detectors: Sequence[Detector]) -> None:
             check_choice(f"target_class of attack {attack.name!r}, for its detectors", attack.target_class, every)
 
 
-def check_folder(study: StudyConfig, folder: Path) -> None:
-    """Raise unless a folder is new, empty, or this study's."""
-    check_writable(folder)
-    check_unlocked(folder)
-    if folder.is_dir() and not all(is_temporary(path.name) for path in folder.iterdir()):
-        known = folder / STUDY_FILE
-        if not known.is_file():
-            raise InvalidValueError.of(str(folder), "an empty folder", "other files", "choose another").hinted("--out")
-        differs = differences(read_study(known), study)
-        if differs:
-            do = "choose another folder; stages that both need are not done again with the same folder of stages"
-            expected = f"results of a study with {', '.join(differs)}"
-            raise InvalidValueError.of(str(folder), expected, "another", do).hinted("--out, --stages")
-
-
 def check_disk(megabytes: float, stages: Path) -> None:
     """Raise unless the disk has room."""
     existing = next(path for path in (stages.absolute(), *stages.absolute().parents) if path.is_dir())
@@ -206,60 +167,22 @@ def check_disk(megabytes: float, stages: Path) -> None:
         raise InvalidValueError.of(f"disk of {existing}", f"{megabytes:.0f} MB", f"{free:.0f} MB free", "make room")
 
 
-def run_study(
-    study: StudyConfig,
-    folder: Path,
-    *,
-    weights: Mapping[str, Path] | None = None,
-    stages: Path | None = None,
-    on_step: OnStep = lambda text, done, total: None,
-    workers: int = 0,
-) -> dict[str, Any]:
-    """Do a study, or what is missing of it, and write its results.
-
-    Args:
-        study: What to do.
-        folder: For the results; see `write_report`.
-        weights: Files of detectors whose weights are not the usual ones, by their names.
-        stages: Folder of the ledger, which other studies may share; None is a folder in `folder`.
-        on_step: Told of the progress.
-        workers: Number of processes that do steps beside each other, with the same results; 0 does all in this one.
-
-    Returns:
-        The summary, as result.json holds it.
-
-    Raises:
-        MiSplatError: As `check`, or a step cannot be done.
-    """
-    weights, stages = weights or {}, folder / "stages" if stages is None else stages
-    detectors = detectors_of(study, weights)
-    check(study, detectors, folder, stages)
-    with locked_folder(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        sweep_temporary(folder)
-        save_text(study_toml(asdict(study)), folder / STUDY_FILE)
-        steps = StudySteps(study=study, folder=stages, weights=weights, on_step=on_step)
-        if workers:
-            looked = {look.label: look.job for look in steps.looked(detectors)}
-            steps.do_beside({**dict(steps.made()), **looked}, workers)
-        return write_report(steps, steps.splats(), detectors, folder)
-
-
 def detectors_of(study: StudyConfig, weights: Mapping[str, Path]) -> list[Detector]:
     """The detectors that a study names, in its order."""
     return [loaded(name, weights.get(name)) for name in study.evaluation.detectors]
 
 
 def observed(
-    steps: StudySteps, splats: Sequence[TrainedSplat], detectors: Sequence[Detector], looks: Iterable[Look] = ()
+    steps: StudySteps, done: Mapping[str, Done], detectors: Sequence[Detector], looks: Iterable[Look] = ()
 ) -> tuple[dict[str, Any], dict[str, pl.DataFrame]]:
-    """What is seen of the splats of a study, or was seen of them before."""
+    """What is seen of the splats of a study, as JSON can hold it, and its tables; of jobs that are done."""
     parts: dict[str, list[pl.DataFrame]] = {name: [] for name in TABLES}
     for look in (*steps.looked(detectors), *looks):
-        for name, table in look.tables(steps.do(look.job, look.label)).items():
+        for name, table in look.tables(done[look.job.identity]).items():
             parts[name].append(table)
     whole = {name: pl.concat(tables, how="diagonal") for name, tables in parts.items()}
-    study, records = steps.study, [splat.record for splat in splats]
+    study = steps.study
+    records = [_record(name, seed, done[steps.splat(name, seed).identity]) for name, seed in steps.names()]
     entry = {
         **figures(study, whole, records),
         "splats": records,
@@ -269,3 +192,12 @@ def observed(
         "knowledge": {attack.name: knowledge_for(attack.appearance) for attack in study.attack},
     }
     return entry, whole
+
+
+def _record(splat: str, seed: int, done: Done) -> dict[str, Any]:
+    """What results say of a splat; `commit` is of the checkout that made it, which may be older."""
+    scene = load_splat(done.folder / SPLAT)
+    return {
+        **{"splat": splat, "seed": seed, "content": done.content_of(SPLAT)},
+        **{"gaussians": len(scene), "hash": scene_hash(scene), "commit": done.record["commit"]},
+    }

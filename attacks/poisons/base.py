@@ -173,6 +173,29 @@ def within_ball(image: Tensor, clean: Tensor, eps: int | None) -> Tensor:
     return steps.clamp(0, 255) / 255
 
 
+def ball(clean: Tensor, eps: int | None) -> tuple[Tensor, Tensor]:
+    """The lowest and the highest picture that a ball of so many steps of 1/255 allows; None is no ball."""
+    radius = 1.0 if eps is None else eps / 255
+    return (clean - radius).clamp(min=0), (clean + radius).clamp(max=1)
+
+
+def sign_steps(
+    start: Tensor,
+    within: tuple[Tensor, Tensor],
+    loss: Callable[[Tensor], Tensor],
+    *,
+    steps: int,
+    step: Tensor | float,
+) -> Tensor:
+    """A picture after steps along the sign of the gradient of a loss, each clipped to what is allowed."""
+    (low, high), picture = within, start.detach()
+    for _ in range(steps):
+        picture = picture.detach().requires_grad_(True)
+        (gradient,) = torch.autograd.grad(loss(picture), picture)
+        picture = torch.minimum(torch.maximum(picture.detach() + step * gradient.sign(), low), high)
+    return picture.detach()
+
+
 def chosen_views(views: Sequence[View], share: float, seed: int) -> list[int]:
     """Positions of the pictures to change, rising; those of a smaller share are among those of a larger."""
     if not len(views):

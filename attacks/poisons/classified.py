@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,14 +13,12 @@ from torch import Tensor
 from attacks.classifiers.base import Classifier
 from attacks.classifiers.frozen import classified
 from attacks.classifiers.registry import load_classifier
-from attacks.cloak.kinds.parts import SET, Pose, StepConfig
-from attacks.cloak.kinds.rendering import settings_of
+from attacks.cloak.kinds.parts import SET, Pose, SplatJob
 from attacks.cloak.kinds.true_pictures import read_pictures
 from mi_splat.datasets import load_dataset
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.io.images import through_png
-from mi_splat.rendering import Renderer
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
@@ -33,7 +31,7 @@ LOADS = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClassifiedConfig(StepConfig):
+class ClassifiedConfig(SplatJob):
     """Which classifier judges, and from which cameras.
 
     Attributes:
@@ -41,14 +39,12 @@ class ClassifiedConfig(StepConfig):
         fingerprint: Of its weights and classes.
         label: The true class of the object.
         poses: Cameras of a splat; none where there are pictures.
-        device: "cpu" or "cuda".
     """
 
     classifier: str
     fingerprint: str
     label: str
     poses: tuple[Pose, ...] = ()
-    device: str = "cpu"
 
 
 def run(config: ClassifiedConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
@@ -66,14 +62,12 @@ def run(config: ClassifiedConfig, inputs: Mapping[str, Path], out: Out) -> list[
 def _pictures(config: ClassifiedConfig, inputs: Mapping[str, Path]) -> Iterator[Tensor]:
     """The pictures as files of 8 bits have them."""
     if "set" in inputs:
-        views = load_dataset(inputs["set"] / SET, split="train", background=config.asked.scene.background)
+        views = load_dataset(inputs["set"] / SET, split="train", background=config.background)
         yield from (view.image for view in views)
     elif "pictures" in inputs:
         yield from read_pictures(inputs["pictures"]).images
     else:
-        cuda = config.device == "cuda"
-        settings = settings_of(config.asked)
-        render = Renderer(replace(settings, variant="cuda_ad_rgb") if cuda else settings)
+        render = config.renderer()
         scene = load_splat(inputs["splat"]).to(config.device)
         for pose in config.poses:
             with torch.no_grad():
@@ -85,7 +79,7 @@ def checked_classifier(name: str, fingerprint: str, device: str) -> Classifier:
     classifier = load_classifier(name)
     if classifier.fingerprint != fingerprint:
         do = "get the weights that the study began with, or begin it anew"
-        raise InvalidValueError(message(f"weights of {name}", fingerprint, classifier.fingerprint, do))
+        raise InvalidValueError.of(f"weights of {name}", fingerprint, classifier.fingerprint, do)
     move(classifier, device)
     return classifier
 

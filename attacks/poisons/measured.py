@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,15 +13,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from attacks.cloak.kinds.parts import Pose, StepConfig
-from attacks.cloak.kinds.rendering import settings_of
+from attacks.cloak.kinds.parts import Pose, SplatJob
 from attacks.cloak.kinds.true_pictures import read_pictures
 from mi_splat.cameras import Camera, project_points
 from mi_splat.io import load_splat
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.images import through_png, to_bytes
 from mi_splat.metrics import psnr, ssim
-from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import dc_to_colour
 
@@ -35,16 +33,10 @@ _SIZE = 384
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MeasuredConfig(StepConfig):
-    """From where, and what renders.
-
-    Attributes:
-        poses: The cameras of the true pictures.
-        device: "cpu" or "cuda".
-    """
+class MeasuredConfig(SplatJob):
+    """From where: the cameras of the true pictures."""
 
     poses: tuple[Pose, ...]
-    device: str = "cpu"
 
 
 def run(config: MeasuredConfig, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
@@ -54,8 +46,7 @@ def run(config: MeasuredConfig, inputs: Mapping[str, Path], out: Out) -> list[di
     """
     cuda = config.device == "cuda"
     scene = load_splat(inputs["splat"]).to(config.device)
-    settings = settings_of(config.asked)
-    render = Renderer(replace(settings, variant="cuda_ad_rgb") if cuda else settings)
+    render = config.renderer()
     cameras, true = [pose.camera for pose in config.poses], read_pictures(inputs["pictures"]).images
     clock, spent, rows = time.perf_counter if cuda else time.process_time, list[float](), list[dict[str, Any]]()
     for view, (camera, wanted) in enumerate(zip(cameras, true, strict=True)):

@@ -17,7 +17,18 @@ from torch.nn.functional import adaptive_max_pool2d, cross_entropy, interpolate
 
 from attacks.classifiers.base import Classifier
 from attacks.classifiers.frozen import class_number
-from attacks.poisons.base import Masks, OnStep, Poisoned, check_masks, chosen_views, mask_of, poisoned, within_ball
+from attacks.poisons.base import (
+    Masks,
+    OnStep,
+    Poisoned,
+    ball,
+    check_masks,
+    chosen_views,
+    mask_of,
+    poisoned,
+    sign_steps,
+    within_ball,
+)
 from attacks.poisons.config import MIFGSMConfig
 from attacks.poisons.decoy import Decoy
 from attacks.poisons.defences import filtered
@@ -134,17 +145,14 @@ class MIFGSM:
         """The iterated steps, (h, w, 3) in [0, 1] and in the ball around the clean one, inside the mask (h, w, 1)."""
         config = self.config
         step = config.step * start.new_tensor(config.deviation) * mask * (1 if config.target is None else -1)
-        radius = 1.0 if config.eps is None else config.eps / 255
-        low, high = (clean - radius).clamp(min=0), (clean + radius).clamp(max=1)
-        number, picture = torch.tensor([goal], device=start.device), start
-        for _ in range(config.steps):
-            picture = picture.detach().requires_grad_(True)
-            # in 64 bits, for a confidence that rounds to 1 has no gradient
+        number = torch.tensor([goal], device=start.device)
+
+        def loss(picture: Tensor) -> Tensor:
             seen = picture if config.through is None else filtered(picture, config.through)
-            loss = cross_entropy(self.classifier.scores(seen[None]).to(number.device).double(), number)
-            (gradient,) = torch.autograd.grad(loss, picture)
-            picture = torch.minimum(torch.maximum(picture + step * gradient.sign(), low), high)
-        return picture.detach()
+            # in 64 bits, for a confidence that rounds to 1 has no gradient
+            return cross_entropy(self.classifier.scores(seen[None]).to(number.device).double(), number)
+
+        return sign_steps(start, ball(clean, config.eps), loss, steps=config.steps, step=step)
 
 
 def _scaled(picture: Tensor, size: tuple[int, int]) -> Tensor:

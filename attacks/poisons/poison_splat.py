@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
-from attacks.poisons.base import OnStep, Poisoned, chosen_views, poisoned, within_ball
+from attacks.poisons.base import OnStep, Poisoned, ball, chosen_views, poisoned, sign_steps, within_ball
 from attacks.poisons.config import FilterConfig, PoisonSplatConfig, RaisedVariationConfig, UniformNoiseConfig, Variation
 from attacks.poisons.decoy import Decoy
 from attacks.poisons.defences import filtered
@@ -33,14 +33,14 @@ def total_variation(image: Tensor, variation: Variation = "both") -> Tensor:
 
 def raised(image: Tensor, clean: Tensor, config: PoisonSplatConfig | RaisedVariationConfig) -> Tensor:
     """A picture of more total variation, reached by steps along the sign of its gradient."""
-    eps, look = _radius(config.eps) / 255, _through(config.through)
-    lowest, highest = (clean - eps).clamp(min=0), (clean + eps).clamp(max=1)
-    image = image.detach().clamp(0, 1)
-    for _ in range(config.variation_steps):
-        image.requires_grad_(True)
-        (gradient,) = torch.autograd.grad(total_variation(look(image), config.variation), image)
-        image = (image.detach() + config.step_size / 255 * gradient.sign()).clamp(lowest, highest)
-    return image
+    look = _through(config.through)
+    return sign_steps(
+        image.detach().clamp(0, 1),
+        ball(clean, config.eps),
+        lambda picture: total_variation(look(picture), config.variation),
+        steps=config.variation_steps,
+        step=config.step_size / 255,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -164,11 +164,6 @@ def _about(
     kind: str, config: PoisonSplatConfig | UniformNoiseConfig | RaisedVariationConfig, seed: int
 ) -> dict[str, Any]:
     return {"kind": kind, **asdict(config), "seed": seed}
-
-
-def _radius(eps: int | None) -> int:
-    """Radius of the ball in steps of 1/255; the largest there is where none is set."""
-    return 255 if eps is None else eps
 
 
 def _through(config: FilterConfig | None) -> Callable[[Tensor], Tensor]:

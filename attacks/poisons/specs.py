@@ -1,21 +1,55 @@
-"""Poisons by their names: those of this project, and those of other packages; light, for flags.
+"""Kinds of poison by their names: those of this project, and those of other packages; light, for flags.
 
-CLOAK, whose settings are not light, joins them with `attacks.poisons.registry`.
+CLOAK, whose settings are not light, joins them with `attacks.poisons.cloak`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 from attacks.poisons.config import MIFGSMConfig, PoisonSplatConfig, RaisedVariationConfig, UniformNoiseConfig
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
+from mi_splat.fields import check_choice, decode
 from mi_splat.registry import Registry
 
 if TYPE_CHECKING:
-    from attacks.poisons.base import PicturePoison
+    from torch import Tensor
+
+    from attacks.classifiers.base import Classifier
+    from attacks.cloak.setup import Setup
+    from attacks.poisons.base import Masks, PicturePoison
     from attacks.poisons.decoy import Decoy
+    from mi_splat.cameras import Camera
+
+Need = Literal["splat", "classifier", "scene"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Given:
+    """What an attacker has besides the pictures.
+
+    Attributes:
+        decoy: It starts as the splat of the set.
+        masks: Where the object is.
+        classifier: That is to be deceived.
+        label: The object's true class.
+        setup: The scene of a study.
+        appearances: Pictures of each attack's appearance, by the name of a job's input.
+        surrogates: What the attacker's own splats show a camera, in their order.
+        gain: How much of what they lack is added.
+    """
+
+    decoy: Decoy | None = None
+    masks: Masks | None = None
+    classifier: Classifier | None = None
+    label: str = ""
+    setup: Setup | None = None
+    appearances: Mapping[str, Path] = field(default_factory=dict)
+    surrogates: Sequence[Callable[[Camera], Tensor]] = ()
+    gain: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,41 +59,75 @@ class PoisonSpec:
     Attributes:
         name: What studies and `mi-splat poison --kind` call it.
         config: A frozen dataclass, keyword-only, whose fields all have defaults; they are the settings, and the flags.
-        make: The poison of settings. It gets a decoy that starts as the splat of the set, or None where there is none.
-            None where a poison needs more than that, which its callers know.
-        needs_splat: Whether there is no poison without a decoy.
+        make: The poison of settings, from what the attacker has.
+        needs: What it cannot do without: "splat", so that it is given a decoy, "classifier", or a study's "scene".
     """
 
     name: str
     config: type[Any]
-    make: Callable[[Any, Decoy | None], PicturePoison] | None = None
-    needs_splat: bool = False
-
-    def poison(self, config: Any, decoy: Decoy | None) -> PicturePoison:
-        """The poison of settings."""
-        if self.make is None or (self.needs_splat and decoy is None):
-            expected, do = "one that needs no more than a splat", "run it as a study"
-            raise InvalidValueError(message("poison", expected, type(config).__name__, do))
-        return self.make(config, decoy)
+    make: Callable[[Any, Given], PicturePoison]
+    needs: tuple[Need, ...] = ()
 
 
-def _poison_splat(config: PoisonSplatConfig, decoy: Decoy | None) -> PicturePoison:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChosenPoison:
+    """A kind of poison and its settings, as studies and jobs keep them.
+
+    Attributes:
+        kind: Name of the kind.
+        settings: All settings, as tables.
+        package: Which package brings the kind, with its version: another version is another poison. Empty for ours.
+    """
+
+    kind: str
+    settings: Mapping[str, Any]
+    package: str = ""
+
+    @classmethod
+    def of(cls, table: object, where: str) -> ChosenPoison:
+        """The poison of a study's table."""
+        if not isinstance(table, Mapping):
+            raise InvalidValueError.of(where, "a table", repr(table), 'write { kind = "poison-splat" }')
+        check_choice(f"kind of {where}", table.get("kind"), tuple(POISONS))
+        kind = str(table["kind"])
+        config = decode(POISONS[kind].config, {key: table[key] for key in table if key != "kind"}, where)
+        return cls(kind=kind, settings=asdict(config), package=POISONS.package(kind))
+
+    @property
+    def spec(self) -> PoisonSpec:
+        """Its kind."""
+        return POISONS.chosen(self.kind)
+
+    @property
+    def config(self) -> Any:
+        """Its settings as the kind has them."""
+        return decode(self.spec.config, self.settings, self.kind)
+
+
+def _poison_splat(config: PoisonSplatConfig, given: Given) -> PicturePoison:
     from attacks.poisons.poison_splat import PoisonSplat
 
-    assert decoy is not None  # as `poison_of` has seen to
-    return PoisonSplat(config=config, begun=decoy)
+    assert given.decoy is not None
+    return PoisonSplat(config=config, begun=given.decoy)
 
 
-def _uniform_noise(config: UniformNoiseConfig, decoy: Decoy | None) -> PicturePoison:
+def _uniform_noise(config: UniformNoiseConfig, given: Given) -> PicturePoison:
     from attacks.poisons.poison_splat import UniformNoise
 
     return UniformNoise(config=config)
 
 
-def _raised_variation(config: RaisedVariationConfig, decoy: Decoy | None) -> PicturePoison:
+def _raised_variation(config: RaisedVariationConfig, given: Given) -> PicturePoison:
     from attacks.poisons.poison_splat import RaisedVariation
 
     return RaisedVariation(config=config)
+
+
+def _m_ifgsm(config: MIFGSMConfig, given: Given) -> PicturePoison:
+    from attacks.poisons.mifgsm import MIFGSM
+
+    assert given.classifier is not None
+    return MIFGSM(config=config, classifier=given.classifier, label=given.label, masks=given.masks, decoy=given.decoy)
 
 
 POISONS: Registry[PoisonSpec] = Registry(
@@ -68,9 +136,9 @@ POISONS: Registry[PoisonSpec] = Registry(
 """Name to spec of each kind of poison: those of this project, and those of other packages."""
 
 for _spec in (
-    PoisonSpec(name="poison-splat", config=PoisonSplatConfig, make=_poison_splat, needs_splat=True),
+    PoisonSpec(name="poison-splat", config=PoisonSplatConfig, make=_poison_splat, needs=("splat",)),
     PoisonSpec(name="uniform-noise", config=UniformNoiseConfig, make=_uniform_noise),
     PoisonSpec(name="raised-variation", config=RaisedVariationConfig, make=_raised_variation),
-    PoisonSpec(name="m-ifgsm", config=MIFGSMConfig),
+    PoisonSpec(name="m-ifgsm", config=MIFGSMConfig, make=_m_ifgsm, needs=("classifier",)),
 ):
     POISONS.add(_spec.name, _spec)

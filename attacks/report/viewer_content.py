@@ -278,7 +278,7 @@ def _content_of_study(folder: Path, record: Mapping[str, Any]) -> Content:
         raise InvalidValueError.of(f"{folder}", expected, "one without its study", do)
     study = decode(StudyConfig, record["study"], f"the study of {folder}")
     loaded = {name: open_scene(folder / f"{name}.ply") for name in ("clean", "cloaked")}
-    centre, cameras = study.centre, Setup(study).training_cameras
+    centre, cameras = study.centre, Setup.of(study).training_cameras
     distance = math.dist(cameras[0].position.tolist(), centre)
     size = (study.cameras.size, study.cameras.size)
     start = Orbit(target=centre, azimuth=30.0, elevation=15.0, distance=distance, fov=study.cameras.fov)

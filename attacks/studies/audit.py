@@ -43,20 +43,18 @@ from attacks.cloak.study import check_study, detectors_of
 from attacks.observe.rows import CLEAN, DEPTH, ROWS, SUFFIX, read_rows
 from attacks.rate import Rate
 from attacks.studies.cloak import config_of
-from attacks.studies.plan import Work
+from attacks.studies.plan import Work, write_study
 from attacks.studies.study_file import Point, Study
-from attacks.tables import Column, Table, cell, sections
+from attacks.tables import Column, Table, cell
 from mi_splat import provenance
 from mi_splat.audit.files import PAIR
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.documents import save_json, save_text
-from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Done, Job
 from mi_splat.ledger.plans import Result
 from mi_splat.training.resume import SPLAT
 
-STORY, STUDY_FILE, TABLE, PAIRS = "audit-study", "study.toml", "table.md", "pairs"
+STORY, PAIRS = "audit-study", "pairs"
 HIDES = 0.5
 """Share of the trigger's cameras from which every detector has to miss the object of a splat that hides something."""
 _KINDS = "attacks.audits"
@@ -159,11 +157,11 @@ class AuditWork(Work):
             self._splat(part, value, Path(str(file)).stem, "honest", Path(str(file)))
             return
         config = config_of(settings, self.study.name)
-        steps = StudySteps(study=config, folder=Path("."))
+        steps = StudySteps(study=config)
         if capture is not None:
             photographed = PhotographedConfig(cameras=config.cameras, exposure=float(exposure or 0.0))
             pictures = Job(kind=f"{_KINDS}.photographed", config=photographed, inputs={"scene": Path(str(capture))})
-            trained = steps.of_pictures(pictures, config.seeds[0])
+            trained = steps.trained_on(pictures, config.seeds[0])
             self.labels |= {f"{title} / photographing": pictures, f"{title} / training": trained}
             self._splat(part, value, Path(str(capture)).stem, "honest", trained.part(SPLAT))
             return
@@ -217,14 +215,16 @@ class AuditWork(Work):
         }
         rows = [row for audited in self.audited if (row := audited.row(done)) is not None]
         pairs = [path for audited in self.audited if (path := audited.copy_pair(done, out / PAIRS)) is not None]
-        named = {"study": self.study.kind, "name": self.study.name, "question": self.study.question}
         files = [{key: value for key, value in row.items() if key != "attributes"} for row in rows]
-        record = {"story": STORY, **named, "chosen_on": list(self.chosen_on), "files": files, **provenance.origin()}
+        record = {
+            "story": STORY,
+            **self.named,
+            "chosen_on": list(self.chosen_on),
+            "files": files,
+            **provenance.origin(),
+        }
         record["figures"] = figures(rows, self.chosen_on)
-        save_text(sections(tables(record)), out / TABLE)
-        save_text(self.study.text, out / STUDY_FILE)
-        save_json(record, out / RECORD)
-        return [*pairs, *(out / name for name in (TABLE, STUDY_FILE, RECORD))]
+        return [*pairs, *write_study(self.study, record, tables(record), {}, out)]
 
 
 Row = Mapping[str, Any]

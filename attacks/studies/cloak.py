@@ -21,7 +21,6 @@ the study says comes in the place of what stands there. Every point is done with
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,26 +31,24 @@ from attacks.cloak.config import StudyConfig
 from attacks.cloak.kinds.seen import loaded
 from attacks.cloak.rates import LOOKS, OWN_REGION, over_objects, spread_of
 from attacks.cloak.steps import ROW_NAMES, Look, StudySteps
-from attacks.cloak.study import check_disk, check_study, detectors_of, forecast, observed
+from attacks.cloak.study import check_disk, check_study, detectors_of, forecast, observed, write_report
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import OWN, SunTable
-from attacks.observe.rows import ROWS, SUFFIX, by_camera, write_rows
-from attacks.studies.plan import Work, check_apart
+from attacks.observe.rows import ROWS, by_camera
+from attacks.studies.plan import Attempt, Work, check_apart, names_of, write_study
 from attacks.studies.scenes import street_of
 from attacks.studies.study_file import Point, Settings, Study, merged, with_none
-from attacks.tables import Column, Table, cell, sections
+from attacks.tables import Column, Table, cell
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import at_least, check, decode
-from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import DocumentReader
-from mi_splat.ledger import Done, Job
+from mi_splat.ledger import Done, Store
 from mi_splat.ledger.plans import Result
+from mi_splat.ledger.running import looked_up
 
-STORY, STUDY_FILE, TABLE = "cloak-study", "study.toml", "table.md"
-_OWN_NAME = "the study"
-"""What a value is called in a study in which nothing varies."""
+STORY = "cloak-study"
 
 RATES = {
     "control_recall": "control found",
@@ -168,7 +165,7 @@ class CloakJudge:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class CloakPoint:
+class CloakAttempt(Attempt):
     """One study of CLOAK with its values.
 
     Attributes:
@@ -185,86 +182,91 @@ class CloakPoint:
     detectors: Sequence[Detector]
     looks: Sequence[Look] = ()
 
-    @property
-    def title(self) -> str:
-        """What rows call it."""
-        return f"{self.part}: {self.value}"
-
-    def jobs(self) -> dict[str, Job]:
-        """Every job by its label."""
-        return {f"{self.title} / {label}": job for label, job in self._labelled}
-
-    def done(self, results: Mapping[str, Result]) -> dict[str, Done] | None:
-        """Results of its jobs by their identity; None if one has failed."""
-        ended = {job.identity: results.get(label) for label, job in self.jobs().items()}
-        done = {identity: result for identity, result in ended.items() if isinstance(result, Done)}
-        return done if len(done) == len(ended) else None
-
-    def is_trained(self, store: Path) -> bool:
-        """Whether all of its splats are in a store."""
-        steps = replace(self.steps, folder=store)
-        return all(steps.finished(steps.trained(*name)) is not None for name in steps.names())
-
-    @cached_property
-    def _labelled(self) -> list[tuple[str, Job]]:
-        looks = (*self.steps.looked(self.detectors), *self.looks)
-        return [*self.steps.made(), *((look.label, look.job) for look in looks)]
-
 
 class CloakWork(Work):
     """The jobs of a study of CLOAK, which has no single aim to bisect for.
+
+    Args:
+        study: The study.
+        weights: Files of detectors whose weights are not the usual ones, by their names.
 
     Raises:
         MiSplatError: A setting cannot be, or a detector cannot be loaded; before any job is done.
     """
 
-    def __init__(self, study: Study) -> None:
+    def __init__(self, study: Study, weights: Mapping[str, Path] | None = None) -> None:
         self.study = study
-        self.attempts: list[CloakPoint] = [self._point(point) for point in study.points]
+        self.attempts: list[CloakAttempt] = [self._attempt(point, weights or {}) for point in study.points]
         if any(point.bisected for point in study.points):
             raise InvalidValueError.of(study.name, "no bisect, for want of a single aim", "one", "leave it out")
 
-    def _point(self, point: Point) -> CloakPoint:
+    def _attempt(self, point: Point, weights: Mapping[str, Path]) -> CloakAttempt:
         config = config_of(point.settings, self.study.name)
-        detectors = detectors_of(config, {})
+        detectors = detectors_of(config, weights)
         check_study(config, detectors)
-        value = ", ".join(map(str, point.labels.values())) or _OWN_NAME
-        part = point.part or " and ".join(point.labels) or self.study.name
-        steps = StudySteps(study=config, folder=Path("."))
+        steps = StudySteps(study=config, weights=weights)
         where = f"{self.study.name}, judge"
         judges = [decode(CloakJudge, with_none(judge.settings), where) for judge in self.study.judges]
         looks = [look for judge in judges for look in judge.looks(steps, detectors)]
         check_apart(where, (look.label for look in looks))
-        return CloakPoint(part=part, value=value, steps=steps, detectors=detectors, looks=looks)
+        part, value = names_of(point, self.study.name)
+        title, every = f"{part}: {value}", (*steps.looked(detectors), *looks)
+        jobs = {**dict(steps.made()), **{look.label: look.job for look in every}}
+        return CloakAttempt(
+            point=point,
+            title=title,
+            jobs={f"{title} / {label}": job for label, job in jobs.items()},
+            part=part,
+            value=value,
+            steps=steps,
+            detectors=detectors,
+            looks=looks,
+        )
 
     def check_room(self, store: Path) -> None:
         """As in `Work`, for all points whose splats are not there; a cleaning needs no more of it."""
         missing = {
-            replace(point.steps.study, cleaning=None): None for point in self.attempts if not point.is_trained(store)
+            replace(attempt.steps.study, cleaning=None): None
+            for attempt in self.attempts
+            if not _is_trained(attempt.steps, store)
         }
         check_disk(sum(forecast(study).megabytes for study in missing), store)
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
         """As in `Work`."""
         points, frames = dict[str, dict[str, Any]](), dict[str, list[pl.DataFrame]]()
-        for point in self.attempts:
-            done = point.done(results)
-            if done is not None:
-                points[point.title], of_point = _seen(point, done)
-                for name, table in of_point.items():
-                    titled = by_camera(table).with_columns(attack=pl.lit(point.title))
+        for attempt in self.attempts:
+            done = attempt.done(results)
+            if attempt.is_done(done):
+                points[attempt.title], tables_of = _seen(attempt, done)
+                for name, table in tables_of.items():
+                    titled = by_camera(table).with_columns(attack=pl.lit(attempt.title))
                     frames.setdefault(name, []).append(titled)
-        paths = [
-            write_rows(pl.concat(parts, how="diagonal"), out / f"{name}{SUFFIX}") for name, parts in frames.items()
-        ]
-        named = {"study": self.study.kind, "name": self.study.name, "question": self.study.question}
-        studies = {point.title: point.steps.study for point in self.attempts}
-        over = pooled(points, studies, pl.concat(frames[ROWS], how="diagonal")) if points else {}
-        record = {"story": STORY, **named, "points": points, **over, **provenance.origin()}
-        save_text(sections([*tables(by_part(record)), *pooled_tables(record)]), out / TABLE)
-        save_text(self.study.text, out / STUDY_FILE)
-        save_json(record, out / RECORD)
-        return [*paths, *(out / name for name in (TABLE, STUDY_FILE, RECORD))]
+        tables_of = {name: pl.concat(parts, how="diagonal") for name, parts in frames.items()}
+        studies = {attempt.title: attempt.steps.study for attempt in self.attempts}
+        over = pooled(points, studies, tables_of[ROWS]) if points else {}
+        record = {"story": STORY, **self.named, "points": points, **over, **provenance.origin()}
+        return write_study(self.study, record, [*tables(by_part(record)), *pooled_tables(record)], tables_of, out)
+
+
+class CloakReport(CloakWork):
+    """One study of CLOAK whose result has its splats and pictures, too: what `mi-splat cloak` does."""
+
+    def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
+        """As in `Work`."""
+        (attempt,) = self.attempts
+        done = attempt.done(results)
+        if not attempt.is_done(done):
+            return []
+        summary = write_report(attempt.steps, done, attempt.detectors, out)
+        return [out / name for name in (*summary["files"], RECORD)]
+
+
+def _is_trained(steps: StudySteps, store: Path) -> bool:
+    """Whether all splats of a study are in a store."""
+    jobs = [steps.trained(*name) for name in steps.names()]
+    done = {job.identity for job, _, done in looked_up(jobs, Store(store)) if done is not None}
+    return all(job.identity in done for job in jobs)
 
 
 def config_of(settings: Settings, name: str) -> StudyConfig:
@@ -278,12 +280,12 @@ def config_of(settings: Settings, name: str) -> StudyConfig:
     return decode(StudyConfig, {**with_none(values), "name": name}, name)
 
 
-def _seen(point: CloakPoint, done: Mapping[str, Done]) -> tuple[dict[str, Any], dict[str, pl.DataFrame]]:
+def _seen(attempt: CloakAttempt, done: Mapping[str, Done]) -> tuple[dict[str, Any], dict[str, pl.DataFrame]]:
     """What was found at a point, as JSON can hold it, and its tables."""
-    steps = replace(point.steps, results=done)
-    entry, tables = observed(steps, steps.splats(), point.detectors, point.looks)
-    judges = {look.job.config.detector: look.job.config.fingerprint for look in point.looks}
-    return {"part": point.part, "value": point.value, **entry, "detectors": entry["detectors"] | judges}, tables
+    entry, tables = observed(attempt.steps, done, attempt.detectors, attempt.looks)
+    judges = {look.job.config.detector: look.job.config.fingerprint for look in attempt.looks}
+    named = {"part": attempt.part, "value": attempt.value}
+    return {**named, **entry, "detectors": entry["detectors"] | judges}, tables
 
 
 def pooled(

@@ -25,7 +25,7 @@ from attacks.optimisers.registry import OPTIMISERS
 from attacks.studies.attack import SPLAT, WHOLE_SPLAT, DrawnAttack, FixedAttack
 from attacks.studies.look import Look
 from attacks.studies.plan import Work, bisection, check_apart
-from attacks.studies.result import Attempt, record_of, write_result
+from attacks.studies.result import DaggerAttempt, record_of, write_result
 from attacks.studies.scenes import check_scene, scene_files, street_of
 from attacks.studies.study_file import Point, Settings, Study, label_of, with_none
 from mi_splat.errors import InvalidValueError
@@ -164,17 +164,17 @@ class DaggerWork(Work):
 
     def __init__(self, study: Study) -> None:
         self.study = study
-        self.attempts: list[Attempt] = [self._attempt(point) for point in study.points]
-        searches: dict[Any, list[Attempt]] = {}
+        self.attempts: list[DaggerAttempt] = [self._attempt(point) for point in study.points]
+        searches: dict[Any, list[DaggerAttempt]] = {}
         for attempt in self.attempts:
             if bisected := attempt.point.bisected:
                 alike = [label for label in attempt.point.labels.items() if label[0] != bisected]
                 searches.setdefault((attempt.point.part, *alike), []).append(attempt)
-        self.searches: list[list[Attempt]] = list(searches.values())
+        self.searches: list[list[DaggerAttempt]] = list(searches.values())
         if not self.attempts:
             raise InvalidValueError.of(study.name, "something to do", "nothing", "add settings")
 
-    def _attempt(self, point: Point) -> Attempt:
+    def _attempt(self, point: Point) -> DaggerAttempt:
         name, kind = self.study.name, DrawnAttack if self.study.kind == "dagger-eot" else FixedAttack
         scene, job = attack_of(kind, point.settings, f"{name}, {point.part}" if point.part else name)
         label, looks = ": ".join(filter(None, (point.part, _named(point.labels)))) or name, dict[str, Job]()
@@ -184,18 +184,18 @@ class DaggerWork(Work):
                 looks[f"{label} / {_named({**judge.labels, 'detector': look.config.detector})}"] = look
         configs = [look.config for look in looks.values()]
         check_apart(where, (f"{look.detector}, {look.condition or OWN}" for look in configs))
-        return Attempt(label=label, point=point, scene=scene, job=job, looks=looks)
+        return DaggerAttempt(title=label, point=point, jobs={label: job, **looks}, scene=scene, job=job, looks=looks)
 
     def plans(self) -> list[Plan]:
         """One of all points that are known, and one for each search."""
-        known = [attempt.jobs() for attempt in self.attempts if not attempt.point.bisected]
+        known = [attempt.jobs for attempt in self.attempts if not attempt.point.bisected]
         fixed = [grid({label: job for jobs in known for label, job in jobs.items()})] if known else []
         return [*fixed, *(bisection(attempts, _suffices) for attempts in self.searches)]
 
-    def done(self, results: Mapping[str, Result]) -> Iterator[tuple[Attempt, Done]]:
+    def done(self, results: Mapping[str, Result]) -> Iterator[tuple[DaggerAttempt, Done]]:
         """The attacks that are done."""
         for attempt in self.attempts:
-            result = results.get(attempt.label)
+            result = results.get(attempt.title)
             if isinstance(result, Done):
                 yield attempt, result
 
@@ -204,8 +204,8 @@ class DaggerWork(Work):
         return write_result(self.study, list(self.done(results)), results, out)
 
 
-def _suffices(attempt: Attempt, results: Mapping[str, Result]) -> bool | None:
-    result = results.get(attempt.label)
+def _suffices(attempt: DaggerAttempt, results: Mapping[str, Result]) -> bool | None:
+    result = results.get(attempt.title)
     return bool(record_of(result)["success"]) if isinstance(result, Done) else None
 
 

@@ -17,7 +17,7 @@ With a defence both are trained once more: what a defence costs on clean picture
     name = "blur"
     defence = { filter = { name = "blur" } }
 
-Every key is an attribute of `attacks.studies.poison_point.PoisonPoint`.
+Every key is an attribute of `attacks.studies.poison_jobs.PoisonPoint`.
 """
 
 from __future__ import annotations
@@ -30,29 +30,26 @@ from pathlib import Path
 from typing import Any
 
 from attacks.cloak.kinds.seen import SeenConfig
+from attacks.cloak.kinds.trained import COST
 from attacks.cloak.steps import Look
 from attacks.observe.look import camera_cells
 from attacks.observe.measures import reported
-from attacks.observe.rows import DETECTIONS, FIDELITY, ROWS, SUFFIX, by_camera, frame_of, write_rows
-from attacks.poisons.changed import SHEET
+from attacks.observe.rows import DETECTIONS, FIDELITY, ROWS, by_camera, frame_of
 from attacks.poisons.measured import CENTRES, COUNT, SPEED
-from attacks.poisons.victim import COST
-from attacks.studies.plan import Work
+from attacks.poisons.poisoned import SHEET
+from attacks.studies.plan import Work, write_study
 from attacks.studies.poison_figures import figures, summary_tables
-from attacks.studies.poison_jobs import CLASSIFIED, DEFENDED, Attempt, TrainedVictim
+from attacks.studies.poison_jobs import CLASSIFIED, DEFENDED, PoisonAttempt, TrainedVictim, attempt_of
 from attacks.studies.study_file import Study
-from attacks.tables import sections
 from mi_splat import provenance
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point, direction_of
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.documents import save_json, save_text
-from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Done
 from mi_splat.ledger.plans import Result
 
-STORY, STUDY_FILE, TABLE, PICTURES = "poison-study", "study.toml", "table.md", "pictures"
+STORY, PICTURES = "poison-study", "pictures"
 
 
 class PoisonWork(Work):
@@ -66,12 +63,11 @@ class PoisonWork(Work):
         self.study = study
         if study.judges or any(point.bisected for point in study.points):
             raise InvalidValueError.of(study.name, "no judge and no bisect", "one", "leave it out")
-        self.attempts: list[Attempt] = [Attempt(point, study.name) for point in study.points]
+        self.attempts: list[PoisonAttempt] = [attempt_of(point, study.name) for point in study.points]
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
         """As in `Work`."""
-        labelled = {job.identity: results.get(label) for label, job in self.jobs().items()}
-        done = {identity: result for identity, result in labelled.items() if isinstance(result, Done)}
+        done = {key: left for attempt in self.attempts for key, left in attempt.done(results).items()}
         victims, paths = list[dict[str, Any]](), list[Path]()
         rows: dict[str, list[dict[str, Any]]] = {FIDELITY: [], ROWS: []}
         for attempt in self.attempts:
@@ -82,20 +78,20 @@ class PoisonWork(Work):
                         rows[name] += of_victim
             paths += _pictures(attempt, done, out / PICTURES)
         tables = {name: by_camera(frame_of(of_table)) for name, of_table in rows.items() if of_table}
-        named: dict[str, Any] = {"study": self.study.kind, "name": self.study.name, "question": self.study.question}
-        named["seeds"] = sorted({victim["seed"] for victim in victims})
         looks = [look.job.config for attempt in self.attempts for victim in attempt.victims for look in victim.looks]
-        named["detectors"] = {seen.detector: seen.fingerprint for seen in looks if isinstance(seen, SeenConfig)}
-        record = {"story": STORY, **named, "victims": victims, **provenance.origin()}
+        record: dict[str, Any] = {
+            "story": STORY,
+            **self.named,
+            "seeds": sorted({victim["seed"] for victim in victims}),
+            "detectors": {seen.detector: seen.fingerprint for seen in looks if isinstance(seen, SeenConfig)},
+            "victims": victims,
+            **provenance.origin(),
+        }
         record |= figures(record, tables)
-        paths += [write_rows(table, out / f"{name}{SUFFIX}") for name, table in tables.items()]
-        save_text(sections(summary_tables(record)), out / TABLE)
-        save_text(self.study.text, out / STUDY_FILE)
-        save_json(record, out / RECORD)
-        return [*paths, *(out / name for name in (TABLE, STUDY_FILE, RECORD))]
+        return [*paths, *write_study(self.study, record, summary_tables(record), tables, out)]
 
 
-def _told(attempt: Attempt, victim: TrainedVictim, done: Mapping[str, Done]) -> dict[str, Any]:
+def _told(attempt: PoisonAttempt, victim: TrainedVictim, done: Mapping[str, Done]) -> dict[str, Any]:
     """What is known of a victim, its rows apart."""
     trained, measured = done[victim.trained.identity], done[victim.measured.identity]
     named = {"part": attempt.part, "value": attempt.value, "seed": attempt.asked.seed, "splat": victim.splat}
@@ -104,7 +100,7 @@ def _told(attempt: Attempt, victim: TrainedVictim, done: Mapping[str, Done]) -> 
 
 
 def _rows(
-    attempt: Attempt, victim: TrainedVictim, done: Mapping[str, Done]
+    attempt: PoisonAttempt, victim: TrainedVictim, done: Mapping[str, Done]
 ) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     """How true a victim's splat is, and what classifiers take its object for; by the table that they belong to."""
     cells: dict[str, Any] = {"attack": attempt.title, "seed": attempt.asked.seed, "splat": victim.splat}
@@ -116,7 +112,7 @@ def _rows(
             yield ROWS, [{**cells, "condition": look.condition, **row} for row in rows]
 
 
-def _seen(attempt: Attempt, look: Look, done: Done) -> Iterable[Mapping[str, Any]]:
+def _seen(attempt: PoisonAttempt, look: Look, done: Done) -> Iterable[Mapping[str, Any]]:
     """What was seen, picture by picture; a success is an object that is misread, or reported with less confidence."""
     if look.job.kind == CLASSIFIED:
         cells = [_camera_cells(camera, attempt.centre) for camera in attempt.cameras(look.condition)]
@@ -132,7 +128,7 @@ def _camera_cells(camera: Camera, centre: Point) -> dict[str, Any]:
     return {**camera_cells(camera, None, direction_of(camera, centre)), "distance": distance}
 
 
-def _pictures(attempt: Attempt, done: Mapping[str, Done], folder: Path) -> list[Path]:
+def _pictures(attempt: PoisonAttempt, done: Mapping[str, Done], folder: Path) -> list[Path]:
     """Copy the pictures of a point with seed 0: what was done to the set, and where each splat has its Gaussians."""
     if attempt.asked.seed != 0:
         return []

@@ -3,43 +3,124 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import cache, cached_property
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from attacks.classifiers.base import Classifier
 from attacks.classifiers.registry import load_classifier
-from attacks.cloak.config import SceneConfig, StudyConfig, TrainingConfig
-from attacks.cloak.kinds.parts import SET, Pose
-from attacks.cloak.kinds.seen import NO_ATTACK, loaded
-from attacks.cloak.steps import Look, StudySteps
+from attacks.cloak.config import CameraConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig
+from attacks.cloak.kinds.cleaned import CleanedConfig
+from attacks.cloak.kinds.parts import Pose
+from attacks.cloak.kinds.seen import loaded
+from attacks.cloak.steps import PICTURES, POISONED_KIND, Look, StudySteps
 from attacks.observe.rows import ATTACKED, CLEAN
-from attacks.poisons.changed import ChangedConfig
 from attacks.poisons.classified import ClassifiedConfig
-from attacks.poisons.config import MIFGSMConfig
-from attacks.poisons.filtered import FilteredConfig
+from attacks.poisons.cloak import CLOAK
+from attacks.poisons.config import FilterConfig, FrequencyPruningConfig
 from attacks.poisons.measured import MeasuredConfig
-from attacks.poisons.pruned import PrunedConfig
-from attacks.poisons.registry import CloakConfig, PoisonConfig
-from attacks.poisons.victim import VictimConfig
-from attacks.studies.poison_point import Defence, point_of
-from attacks.studies.study_file import Point
+from attacks.poisons.poisoned import PoisonedConfig
+from attacks.poisons.specs import ChosenPoison
+from attacks.studies.plan import OWN_NAME, Attempt, names_of
+from attacks.studies.study_file import Point, Settings, with_none
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point as Position
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import check_choice
+from mi_splat.fields import Checked, Seed, above, check, check_choice, decode
 from mi_splat.ledger import Job, Part
 from mi_splat.training.resume import SPLAT
 
-_KINDS = "attacks.poisons"
-CLASSIFIED = f"{_KINDS}.classified"
+CLASSIFIED = "attacks.poisons.classified"
 """Kind of the jobs in which a classifier looks."""
 DEFENDED = "defended"
 """Condition of rows of a splat whose victim defends itself."""
 TRAINING, HELD_OUT, PHOTOGRAPH = "training cameras", "held-out cameras", "photograph"
 """Conditions of what is seen of a splat, or of pictures, from the cameras of the training or others."""
-_SEED, _OWN_NAME = "seed", "the study"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Victim(Checked):
+    """What the victim trains on, and can afford; see `attacks.cloak.kinds.trained.TrainedConfig`."""
+
+    device: Literal["cpu", "cuda"] = "cpu"
+    seconds: Annotated[float, above(0, "seconds")] | None = None
+    megabytes: Annotated[float, above(0, "MB")] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Defence(Checked):
+    """What a victim does who fears poison; one of these.
+
+    Attributes:
+        filter: All pictures are filtered before the training, and those that it is compared with are not.
+        limit: No more Gaussians than so many times those of the clean splat.
+        prune: Gaussians that are too fine for the cameras are taken out of the finished splat.
+    """
+
+    filter: FilterConfig | None = None
+    limit: Annotated[float, above(0, "times the clean splat's Gaussians")] | None = None
+    prune: FrequencyPruningConfig | None = None
+
+    def __post_init__(self) -> None:
+        check(self)
+        given = [name for name in ("filter", "limit", "prune") if getattr(self, name) is not None]
+        if len(given) != 1:
+            do = "make each a case of its own"
+            raise InvalidValueError.of("defence", "one of filter, limit and prune", given or "none", do)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoisonPoint:
+    """What a point asks for.
+
+    Attributes:
+        seed: Of the poison, and of both trainings.
+        scene: What is photographed.
+        cameras: Where from.
+        training: How the victim trains.
+        attacker: How the splat is trained that the attacker starts from; None is as the victim does.
+        victim: What it trains on, and can afford.
+        evaluation: Its `cameras` are those that no training used; of its `confidence` on, a detection counts.
+        poison: The attack; None leaves the set as it is.
+        defence: What the victim does against it; None is nothing.
+        deceive: Classifier that M-IFGSM deceives.
+        classifiers: Who says what the object is, in pictures and on splats.
+        detectors: Who looks for it there.
+    """
+
+    seed: Seed = 0
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    cameras: CameraConfig = field(default_factory=CameraConfig)
+    training: TrainingConfig = field(default_factory=TrainingConfig)
+    attacker: TrainingConfig | None = None
+    victim: Victim = field(default_factory=Victim)
+    evaluation: EvaluationConfig = field(default_factory=lambda: EvaluationConfig(cameras=60))
+    poison: ChosenPoison | None = None
+    defence: Defence | None = None
+    deceive: str = ""
+    classifiers: tuple[str, ...] = ()
+    detectors: tuple[str, ...] = ()
+
+    @property
+    def study(self) -> StudyConfig:
+        """Scene, cameras and training, in which no appearance is hidden."""
+        return StudyConfig(
+            name="poison",
+            seeds=(self.seed,),
+            scene=self.scene,
+            cameras=self.cameras,
+            training=self.training,
+            evaluation=self.evaluation,
+        )
+
+
+def point_of(settings: Settings, name: str) -> PoisonPoint:
+    """What a point asks for."""
+    values = with_none(settings)
+    table = values.pop("poison", None)
+    poison = None if table is None else ChosenPoison.of(table, f"{name}, poison")
+    return replace(decode(PoisonPoint, values, name), poison=poison)
 
 
 @cache
@@ -67,54 +148,78 @@ class TrainedVictim:
     looks: Sequence[Look]
 
 
-class Attempt:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoisonAttempt(Attempt):
     """A point as jobs.
 
-    Args:
-        point: The point.
-        name: Of the study.
+    Attributes:
+        part: Name of the case, or of what varies.
+        value: What the varied settings are called, but for the seed.
+        asked: What it asks for.
+        steps: Scene and cameras.
+        poisoned: The poisoned set; None without a poison.
+        victims: The splats.
     """
 
-    def __init__(self, point: Point, name: str) -> None:
-        labels = {axis: label for axis, label in point.labels.items() if axis != _SEED}
-        self.value = ", ".join(map(str, labels.values())) or point.part or _OWN_NAME
-        self.part = point.part or " and ".join(labels) or name
-        self.asked = point_of(point.settings, name)
-        self._steps = StudySteps(study=self.asked.study(self.asked.training), folder=Path("."))
-        self._labelled: dict[str, Job] = {}
-        self.poisoned: Job | None = None
-        self.pictures = self._made("taking pictures", self._steps.pictures())
-        self.victims = list(self._victims())
-
-    @property
-    def title(self) -> str:
-        """What rows call it, whatever its seed."""
-        return f"{self.part}: {self.value}"
-
-    def jobs(self) -> dict[str, Job]:
-        """Every job by its label."""
-        return self._labelled
+    part: str
+    value: str
+    asked: PoisonPoint
+    steps: StudySteps
+    poisoned: Job | None
+    victims: Sequence[TrainedVictim]
 
     @property
     def centre(self) -> Position:
         """Centre of the object, world units."""
-        return self._steps.study.centre
+        return self.steps.setup.centre
 
     def cameras(self, condition: str) -> Sequence[Camera]:
         """Cameras of a condition, as its rows number them."""
-        setup = self._steps.setup
+        setup = self.steps.setup
         return setup.training_cameras if TRAINING in condition else setup.held_out_cameras
 
-    def _made(self, label: str, job: Job) -> Job:
-        return self._labelled.setdefault(f"{self.title}, seed {self.asked.seed} / {label}", job)
 
-    def _victims(self) -> Iterator[TrainedVictim]:
+def attempt_of(point: Point, study: str) -> PoisonAttempt:
+    """The jobs of a point."""
+    part, value = names_of(point, study, without=("seed",))
+    value = point.part if value == OWN_NAME and point.part else value
+    asked = point_of(point.settings, study)
+    builder = _Builder(asked, f"{part}: {value}", f"{part}: {value}, seed {asked.seed}")
+    victims = list(builder.victims())
+    return PoisonAttempt(
+        point=point,
+        title=builder.title,
+        jobs=builder.jobs,
+        part=part,
+        value=value,
+        asked=asked,
+        steps=builder.steps,
+        poisoned=builder.poisoned,
+        victims=victims,
+    )
+
+
+class _Builder:
+    """Puts the jobs of a point together."""
+
+    def __init__(self, asked: PoisonPoint, title: str, label: str) -> None:
+        self.asked, self.title, self._label = asked, title, label
+        self.steps = StudySteps(study=asked.study)
+        self.jobs: dict[str, Job] = {}
+        self.poisoned: Job | None = None
+        self.pictures = self._made("taking pictures", self.steps.pictures())
+
+    def _made(self, label: str, job: Job) -> Job:
+        return self.jobs.setdefault(f"{self._label} / {label}", job)
+
+    def victims(self) -> Iterator[TrainedVictim]:
+        """The splats of clean and of poisoned pictures, and those of a victim that defends itself."""
         asked = self.asked
         clean = self._trained(f"{CLEAN} pictures", self.pictures)
         yield self._measured(CLEAN, clean, trained=clean)
         sets = {CLEAN: self.pictures}
         if asked.poison is not None:
-            sets[ATTACKED] = self.poisoned = self._made("poisoning", self._changed(asked.poison, clean))
+            sets[ATTACKED] = self.poisoned = self._made("poisoning", self._poisoned(asked.poison, clean))
             attacked = self._trained(f"{ATTACKED} pictures", self.poisoned)
             yield self._measured(ATTACKED, attacked, trained=attacked)
         if asked.defence is not None:
@@ -122,16 +227,25 @@ class Attempt:
                 trained, finished = self._defended(asked.defence, splat, pictures, clean)
                 yield self._measured(splat, finished, trained=trained, defended=True)
 
-    def _changed(self, poison: PoisonConfig, clean: Job) -> Job:
+    def _poisoned(self, poison: ChosenPoison, clean: Job) -> Job:
         """The poisoned set; an attacker who trains otherwise than the victim starts from a splat of their own."""
-        asked, study = self.asked, self._steps.study
-        if isinstance(poison, CloakConfig):
-            return replace(self._steps, study=replace(study, attack=poison.attack)).poisoned(asked.seed)
-        if isinstance(poison, MIFGSMConfig):
-            return self._misread(poison, clean)
-        config = ChangedConfig(**self._attackers_step, poison=poison, device=asked.victim.device)
-        inputs = {"pictures": self.pictures.part(f"{SET}/*"), "splat": self._start(clean)}
-        return Job(kind=f"{_KINDS}.changed", config=config, inputs=inputs)
+        asked, config, needs = self.asked, poison.config, poison.spec.needs
+        if poison.kind == CLOAK:
+            return replace(self.steps, study=replace(asked.study, attack=config.attack)).poisoned(asked.seed)
+        values: dict[str, Any] = {"device": asked.victim.device}
+        inputs: dict[str, Part | Path] = {"pictures": self.pictures.part(PICTURES)}
+        if "classifier" in needs:
+            values |= {**self._deceived(config.target), "scene": self.steps.scene_job()}
+            inputs |= self.steps.mesh
+        if "splat" in needs or getattr(config, "decoy_steps", 0) > 0:
+            values |= {"training": replace(asked.attacker or asked.training, near=None), "near": self.steps.setup.near}
+            inputs["splat"] = self._start(clean)
+        background = asked.scene.background
+        return Job(
+            kind=POISONED_KIND,
+            config=PoisonedConfig(poison=poison, background=background, seed=asked.seed, **values),
+            inputs=inputs,
+        )
 
     def _start(self, clean: Job) -> Part:
         """The splat that a decoy starts as: the victim's, or the attacker's if they train otherwise."""
@@ -140,25 +254,17 @@ class Attempt:
             return clean.part(SPLAT)
         return self._trained("clean pictures, by the attacker", self.pictures, asked.attacker).part(SPLAT)
 
-    @property
-    def _attackers_step(self) -> dict[str, Any]:
-        return self._step(self.asked.attacker or self.asked.training)
-
-    def _misread(self, poison: MIFGSMConfig, clean: Job) -> Job:
-        """The set whose pictures deceive a classifier."""
-        asked = self.asked
-        if not asked.deceive:
+    def _deceived(self, target: str | None) -> dict[str, Any]:
+        """The classifier that is to be deceived."""
+        name = self.asked.deceive
+        if not name:
             do = 'write deceive = "prototypes"'
             raise InvalidValueError.of(self.title, "a classifier that M-IFGSM deceives", "none", do)
-        masks, classifier = self._made("drawing masks", self._steps.masks()), self._classifier_cells(asked.deceive)
-        if poison.target is not None:
-            others = [name for name in classifier_of(asked.deceive).classes if name != classifier["label"]]
-            check_choice(f"target for {asked.deceive}", poison.target, others)
-        inputs = {"pictures": self.pictures.part(f"{SET}/*"), "masks": masks.part("*.png")}
-        if poison.decoy_steps:
-            inputs["splat"] = self._start(clean)
-        step = self._attackers_step if poison.decoy_steps else self._step(TrainingConfig())
-        return Job(kind=f"{_KINDS}.changed", config=ChangedConfig(**step, poison=poison, **classifier), inputs=inputs)
+        classifier = self._classifier_cells(name)
+        if target is not None:
+            others = [known for known in classifier_of(name).classes if known != classifier["label"]]
+            check_choice(f"target for {name}", target, others)
+        return classifier
 
     def _classifier_cells(self, name: str) -> dict[str, Any]:
         """A classifier, which has to know the object's class."""
@@ -169,7 +275,7 @@ class Attempt:
 
     def _looks(self, splat: str, finished: Job, *, defended: bool) -> Iterator[Look]:
         """Everybody's looks: at a splat from training and held-out cameras, and at undefended pictures of the same."""
-        setup, pictures = self._steps.setup, self.pictures if splat == CLEAN else self.poisoned
+        setup, pictures = self.steps.setup, self.pictures if splat == CLEAN else self.poisoned
         shown: dict[str, tuple[str, Job, Sequence[Camera]]] = {
             TRAINING: ("splat", finished, setup.training_cameras),
             HELD_OUT: ("splat", finished, setup.held_out_cameras),
@@ -177,7 +283,7 @@ class Attempt:
         if pictures is not None and not defended:
             shown[f"{PHOTOGRAPH}, {TRAINING}"] = ("set", pictures, ())
         if splat == CLEAN and not defended:
-            shown[f"{PHOTOGRAPH}, {HELD_OUT}"] = ("pictures", self._steps.true_pictures(setup.held_out_cameras), ())
+            shown[f"{PHOTOGRAPH}, {HELD_OUT}"] = ("pictures", self.steps.true_pictures(setup.held_out_cameras), ())
         also = f", {DEFENDED}" * defended
         for condition, (what, job, cameras) in shown.items():
             looking = {name: self._classified(name, what, job, cameras) for name in self.asked.classifiers}
@@ -194,9 +300,9 @@ class Attempt:
 
     def _classified(self, name: str, what: str, shown: Job, cameras: Sequence[Camera]) -> Job:
         """What a classifier takes the object for, on a splat from cameras, in a set, or in pictures."""
-        part = {"splat": SPLAT, "set": f"{SET}/*", "pictures": "*.png"}[what]
-        step = {**self._step(TrainingConfig()), **self._classifier_cells(name)}
-        config = ClassifiedConfig(**step, poses=tuple(map(Pose.of, cameras)))
+        part = {"splat": SPLAT, "set": PICTURES, "pictures": "*.png"}[what]
+        cells = {**self.steps.splat_job(), **self._classifier_cells(name)}
+        config = ClassifiedConfig(**cells, poses=tuple(map(Pose.of, cameras)))
         return Job(kind=CLASSIFIED, config=config, inputs={what: shown.part(part)})
 
     def _detected(self, name: str, shown: Job, condition: str) -> Job:
@@ -204,54 +310,46 @@ class Attempt:
         detector = loaded(name)
         check_choice(f"class for {name}", self.asked.scene.class_name, detector.classes)
         if HELD_OUT in condition:
-            return self._steps.seen(shown, detector)
-        return self._steps.seen_in_training(shown, detector, self.asked.seed)
-
-    def _step(self, training: TrainingConfig) -> dict[str, Any]:
-        """The part of a configuration that a training, or what renders its splat, depends on."""
-        scene, training = SceneConfig(background=self.asked.scene.background), replace(training, near=self._near)
-        seeds, attack = (self.asked.seed,), NO_ATTACK
-        return {"asked": StudyConfig(name="step", scene=scene, training=training, seeds=seeds, attack=attack)}
-
-    @cached_property
-    def _near(self) -> float:
-        return self._steps.setup.near
+            return self.steps.seen(shown, detector)
+        return self.steps.seen_in_training(shown, detector, self.asked.seed)
 
     def _trained(
-        self, on: str, pictures: Job, training: TrainingConfig | None = None, *, limited_by: Job | None = None
+        self,
+        on: str,
+        pictures: Job,
+        training: TrainingConfig | None = None,
+        clean: Job | None = None,
+        limit: float | None = None,
     ) -> Job:
-        asked, step = self.asked, self._step(training or self.asked.training)
-        limit = asked.defence.limit if limited_by is not None and asked.defence is not None else None
-        config = VictimConfig(**step, **asdict(asked.victim), limit=limit)
-        inputs = {"pictures": pictures.part(f"{SET}/*")}
-        if limited_by is not None:
-            inputs["clean"] = limited_by.part(SPLAT)
-        return self._made(f"training on {on}", Job(kind=f"{_KINDS}.victim", config=config, inputs=inputs))
+        limits = {**asdict(self.asked.victim), "limit": limit}
+        job = self.steps.trained_on(pictures, self.asked.seed, training, clean, **limits)
+        return self._made(f"training on {on}", job)
 
     def _defended(self, defence: Defence, splat: str, pictures: Job, clean: Job) -> tuple[Job, Job]:
         """The training of a victim that defends itself, and the job that has what is left in the end."""
-        step, inputs = self._step(TrainingConfig()), {"pictures": pictures.part(f"{SET}/*")}
+        inputs = {"pictures": pictures.part(PICTURES)}
         if defence.filter is not None:
-            config = FilteredConfig(**step, filter=defence.filter)
-            filtering = Job(kind=f"{_KINDS}.filtered", config=config, inputs=inputs)
+            config = PoisonedConfig(poison=defence.filter, background=self.asked.scene.background)
+            filtering = Job(kind=POISONED_KIND, config=config, inputs=inputs)
             shown = self._made(f"filtering {splat} pictures", filtering)
             trained = self._trained(f"filtered {splat} pictures", shown)
             return trained, trained
-        limited_by, how = (None, "") if defence.limit is None else (clean, ", limited")
-        trained = self._trained(f"{splat} pictures{how}", pictures, limited_by=limited_by)
-        if defence.prune is None:
+        if defence.limit is not None:
+            trained = self._trained(f"{splat} pictures, limited", pictures, clean=clean, limit=defence.limit)
             return trained, trained
+        trained = self._trained(f"{splat} pictures", pictures)
         inputs["splat"] = trained.part(SPLAT)
-        pruning = Job(kind=f"{_KINDS}.pruned", config=PrunedConfig(**step, prune=defence.prune), inputs=inputs)
-        return trained, self._made(f"pruning the {splat} splat", pruning)
+        pruned = CleanedConfig(prune=defence.prune, near=self.steps.setup.near)
+        job = Job(kind="attacks.cloak.kinds.cleaned", config=pruned, inputs=inputs)
+        return trained, self._made(f"pruning the {splat} splat", job)
 
     def _measured(self, splat: str, finished: Job, *, trained: Job, defended: bool = False) -> TrainedVictim:
-        cameras = self._steps.setup.held_out_cameras
-        true = self._made("taking pictures to compare with", self._steps.true_pictures(cameras))
-        step, poses = self._step(TrainingConfig()), tuple(map(Pose.of, cameras))
-        config = MeasuredConfig(**step, poses=poses, device=self.asked.victim.device)
+        cameras = self.steps.setup.held_out_cameras
+        true = self._made("taking pictures to compare with", self.steps.true_pictures(cameras))
+        device, poses = self.asked.victim.device, tuple(map(Pose.of, cameras))
+        config = MeasuredConfig(**self.steps.splat_job(), poses=poses, device=device)
         inputs = {"splat": finished.part(SPLAT), "pictures": true.part("*.png")}
         label = f"measuring the {splat} splat{', defended' * defended}"
-        job = self._made(label, Job(kind=f"{_KINDS}.measured", config=config, inputs=inputs))
+        job = self._made(label, Job(kind="attacks.poisons.measured", config=config, inputs=inputs))
         looks = list(self._looks(splat, finished, defended=defended))
         return TrainedVictim(splat=splat, defended=defended, trained=trained, measured=job, looks=looks)

@@ -16,7 +16,8 @@ from attacks.observe.measures import AIMS, CLUSTERS, REPORTED, joint_views, tran
 from attacks.observe.rates import blocks_of, count
 from attacks.observe.rows import ATTACKED, ROWS, SUFFIX, column_of, frame_of, write_rows
 from attacks.rate import Rate
-from attacks.studies.study_file import Point, Study
+from attacks.studies.plan import STUDY_FILE, TABLE, Attempt
+from attacks.studies.study_file import Study
 from attacks.studies.table import SHARED, attacks_of, markdown
 from attacks.studies.zoo import AXIS
 from mi_splat import provenance
@@ -26,7 +27,7 @@ from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Done, Job
 from mi_splat.ledger.plans import Result
 
-STORY, STUDY_FILE, TABLE = "study", "study.toml", "table.md"
+STORY = "study"
 POOLED = ("seed", "pair")
 """Axes over which looks are pooled; the attacks over the first alone."""
 _STATED = (
@@ -55,31 +56,23 @@ Record = Mapping[str, Any]
 Tables = Mapping[str, pl.DataFrame]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Attempt:
-    """A point of a study as jobs.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DaggerAttempt(Attempt):
+    """An attack as jobs.
 
     Attributes:
-        label: Of the attack's job.
-        point: The point.
         scene: Path of the scene.
         job: The attack.
         looks: Those at its splat, by their labels.
     """
 
-    label: str
-    point: Point
     scene: Path
     job: Job
     looks: Mapping[str, Job]
 
-    def jobs(self) -> dict[str, Job]:
-        """Every job by its label."""
-        return {self.label: self.job, **self.looks}
-
 
 def write_result(
-    study: Study, done: Sequence[tuple[Attempt, Done]], results: Mapping[str, Result], out: Path
+    study: Study, done: Sequence[tuple[DaggerAttempt, Done]], results: Mapping[str, Result], out: Path
 ) -> list[Path]:
     """Write result.json, rows.csv.gz, study.toml and table.md into a folder that is there."""
     named = list(zip(_names(done), done, strict=True))
@@ -103,14 +96,14 @@ def write_result(
     return paths
 
 
-def _names(done: Sequence[tuple[Attempt, Done]]) -> list[str]:
+def _names(done: Sequence[tuple[DaggerAttempt, Done]]) -> list[str]:
     """What rows call each attack: the first digits of its key, with a number from the second part on that has it."""
     keys = [result.key[:_NAME_DIGITS] for _, result in done]
     earlier = [keys[:number].count(key) for number, key in enumerate(keys)]
     return [f"{key}-{count + 1}" if count else key for key, count in zip(keys, earlier, strict=True)]
 
 
-def _rows(name: str, attempt: Attempt, result: Done, results: Mapping[str, Result]) -> Iterable[dict[str, Any]]:
+def _rows(name: str, attempt: DaggerAttempt, result: Done, results: Mapping[str, Result]) -> Iterable[dict[str, Any]]:
     """Every row of an attack and of the looks at it."""
     config = attempt.job.config
     ids = {"attack": name, "sources": "+".join(config.detectors), "seed": config.attack.seed}
@@ -127,7 +120,7 @@ def _whole(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [{name: row.get(name) for name in kept} for row in rows]
 
 
-def _attack(attempt: Attempt, result: Done) -> dict[str, Any]:
+def _attack(attempt: DaggerAttempt, result: Done) -> dict[str, Any]:
     """What is known of an attack besides its rows."""
     record, config = record_of(result), attempt.job.config
     return {
@@ -172,7 +165,7 @@ def _rest(table: Record, common: Record) -> dict[str, Any]:
     return {key: value for key, value in rest.items() if key not in common or (value != common[key] and value != {})}
 
 
-def _detectors(done: Sequence[tuple[Attempt, Done]]) -> dict[str, str]:
+def _detectors(done: Sequence[tuple[DaggerAttempt, Done]]) -> dict[str, str]:
     """Fingerprints of the weights of every detector attacked, by its name."""
     marks: dict[str, str] = {}
     for _, result in done:

@@ -62,7 +62,7 @@ def run_with(engine: Engine, study: Study, work: Work, *, store: Path, out: Path
     failed = {label: result for label, result in results.items() if isinstance(result, str)}
     files = [] if len(failed) == len(results) else work.write(results, out)
     if files:
-        write_manifest(out)
+        write_manifest(out, without=(store.name,) if store.parent == out else ())
     return Run(jobs=len(results), failed=failed, files=tuple(files))
 
 
@@ -92,7 +92,7 @@ def run_study(
         InvalidValueError: The file is no study, a setting cannot be, or a job of another process has failed; what a job
             of this process raises comes as it is.
     """
-    from attacks.studies.result import STUDY_FILE
+    from attacks.studies.plan import STUDY_FILE
     from mi_splat.io.folders import check_own_folder, own_folder
     from mi_splat.ledger.engines import InProcess, Processes
     from mi_splat.ledger.job import nobody

@@ -120,7 +120,8 @@ def read_study(path: Path) -> Study:
 
 def study_of(table: Settings, name: str, text: str = "") -> Study:
     """The study in a table."""
-    kind, question = table.get("study"), table.get("question", "")
+    usual = "cloak" if isinstance(table.get("attack"), list) else None  # the file of `mi-splat cloak`
+    kind, question = table.get("study", usual), table.get("question", "")
     do = nearest(str(kind), KINDS, 'write for instance study = "dagger" first')
     _check(kind in [*KINDS], f"study in {name}", " or ".join(KINDS), repr(kind), do)
     _check(isinstance(question, str), f"question in {name}", "a sentence", question, "write it in quotes")

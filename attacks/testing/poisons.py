@@ -10,7 +10,7 @@ from typing import Any
 import torch
 
 from attacks.poisons.base import Poisoned, PoisonedViews
-from attacks.poisons.specs import PoisonSpec
+from attacks.poisons.specs import Given, PoisonSpec
 from attacks.testing.promises import Contract, expect, expect_text, other_seed
 from mi_splat.cameras import Camera, View, look_at
 from mi_splat.ledger.values import encoded, is_frozen
@@ -33,7 +33,7 @@ def check_poison(poison: Any, *, views: Sequence[View] | None = None) -> None:
         with contract.promise("settings"):
             _settings(poison)
         with contract.promise("making it"):
-            function = poison.poison(poison.config(), None)
+            function = poison.make(poison.config(), Given())
             expect(callable(function), "a function of views", type(function).__name__, "return a PicturePoison")
         contract.settle()
     told: list[tuple[int, int]] = []
@@ -82,7 +82,7 @@ def _settings(spec: PoisonSpec) -> None:
     config = spec.config()
     expect(is_frozen(config), "a frozen dataclass as config", "one that can change", "add frozen=True")
     encoded({field.name: getattr(config, field.name) for field in dataclasses.fields(config)})
-    expect(not spec.needs_splat, "a poison that needs no splat", "one that does", "check the poison itself")
+    expect(not spec.needs, "a poison that needs no splat", "one that does", "check the poison itself")
 
 
 def _set(done: Any, given: Sequence[View]) -> None:

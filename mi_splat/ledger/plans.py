@@ -1,14 +1,14 @@
 """Plans: which jobs there are, those among them that depend on the results of others, and what drives them."""
 
 import asyncio
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from mi_splat.ledger.engines import Engine, Processes
+from mi_splat.ledger.engines import Engine
 from mi_splat.ledger.index import Index
 from mi_splat.ledger.job import Done, EngineError, Event, Job, OnEvent, Outcome, Task, nobody
-from mi_splat.ledger.running import looked_up, task_for
+from mi_splat.ledger.running import task_for
 from mi_splat.ledger.store import TRIES, Store
 
 Result = Done | str
@@ -42,8 +42,6 @@ class Driver:
         self._results: dict[str, Result] = {}
         self._jobs: dict[str, asyncio.Task[Result]] = {}
         self._keys: dict[str, str] = {}
-        self._labels: dict[str, str] = {}
-        self._identities: dict[str, str] = {}
         self._running: set[str] = set()
         self._error: BaseException | None = None
         self._free = asyncio.Semaphore(engine.window)
@@ -67,10 +65,6 @@ class Driver:
             if self._index is not None:
                 self._index.write()
         return self._results
-
-    def label_of(self, event: Event) -> str:
-        """What a plan calls the job of an event; what kind it is of if none does."""
-        return self._labels.get(self._identities.get(event.key, ""), event.kind.rpartition(".")[2])
 
     async def _all(self, plans: Iterable[Plan]) -> None:
         await asyncio.gather(*map(self._follow, plans))
@@ -98,10 +92,8 @@ class Driver:
             if self._index is not None:  # after those before it: whenever the index is read, it is whole
                 self._index.add(job)
             self._jobs[job.identity] = asyncio.get_running_loop().create_task(self._done(job, before))
-        if label:
-            self._labels.setdefault(job.identity, label)
-            if self._index is not None:
-                self._index.add(job, label)
+        if label and self._index is not None:
+            self._index.add(job, label)
         return self._jobs[job.identity]
 
     async def _done(self, job: Job, before: Iterable[tuple[Job, asyncio.Task[Result]]]) -> Result:
@@ -114,7 +106,7 @@ class Driver:
                 return f"not tried, as it reads {name}, which has failed"
             finished[needed.identity] = result
         task = task_for(job, self._store, finished)
-        self._keys[job.identity], self._identities[task.key] = task.key, job.identity
+        self._keys[job.identity] = task.key
         if self._index is not None:
             self._index.set_key(job, task)
         while (ended := await self._tried(task)) is None:
@@ -151,24 +143,3 @@ class Driver:
         except BaseException as error:
             self._error = self._error or error
             raise asyncio.CancelledError from error
-
-
-def do_beside(
-    folder: Path, jobs: Mapping[str, Job], *, workers: int, on_event: Callable[[str, Event], None]
-) -> dict[str, Done]:
-    """Do jobs, and all before them, in child processes beside each other; earlier failures do not count."""
-
-    def told(event: Event) -> None:
-        on_event(driver.label_of(event), event)
-
-    store, done = Store(folder), dict[str, Done]()
-    for _, task, _ in looked_up(jobs.values(), store):
-        if task is not None:
-            store.forgive(task.key)
-    driver = Driver(folder, Processes(folder, workers=workers, on_event=told), on_event=told)
-    for label, result in driver.run([grid(jobs)]).items():
-        if isinstance(result, str):
-            do = "mend the cause, then give the same command again"
-            raise EngineError.of(label, "a job that ends", result.strip().splitlines()[-1], do)
-        done[label] = result
-    return done

@@ -108,6 +108,13 @@ def looked_up(jobs: Iterable[Job], store: Store) -> Iterator[tuple[Job, Task | N
         yield job, task, done
 
 
+def forgive(jobs: Iterable[Job], store: Store) -> None:
+    """Forget that jobs, or those before them, have failed earlier."""
+    for _, task, _ in looked_up(jobs, store):
+        if task is not None:
+            store.forgive(task.key)
+
+
 def input_paths(store: Store, task: Task) -> dict[str, Path]:
     """Where the inputs of a task are, each of which is still what it was."""
     paths = {}

@@ -160,7 +160,7 @@ def test_weights_of_a_file_are_asked(suite: Path, tmp_path: Path, monkeypatch: p
     monkeypatch.setenv(CHOSEN_WEIGHTS, "{}")
     work = BenchWork(read_suite(str(suite)), "fasterrcnn_small", weights=file, columns=["one_view"])
     first = work.attempts[0]
-    assert file in first.made[first.name].inputs.values()
+    assert file in first.made[first.title].inputs.values()
     assert work.loaded.name == "fasterrcnn_small"
     code = "from attacks.detectors.registry import detector_spec; print(detector_spec('fasterrcnn_small').weights())"
     worker = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)

@@ -26,13 +26,13 @@ from attacks.observe.rows import ATTACKED, CLEAN, DETECTIONS, PERFECT, ROWS, SUF
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
-from mi_splat.ledger import Out
+from mi_splat.ledger import Ledger, Out
 from mi_splat.mixed_scenes import MixedScene
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.scene_files import SplatScene
 from tests import oracle
 from tests.cloak.test_study_rates import study_rows
-from tests.cloak.tiny_study import STUDY, Redness, steps_of
+from tests.cloak.tiny_study import STUDY, Redness
 from tests.project.layers import ROOT
 
 STREET = SunTable(scene="scenes/mixed/car_among_meshes.xml", parameter="car", north=4.0, samples=1)
@@ -52,7 +52,7 @@ def looked(
     """The rows and the detections of a look, by the job's own code."""
     folder.mkdir()
     save_splat(splat, folder / "splat.ply")
-    config = steps_of(folder, study).seen(Mock(kind="made"), Redness(), **how).config
+    config = StudySteps(study=study).seen(Mock(kind="made"), Redness(), **how).config
     seen.run(config, {"splat": folder / "splat.ply"}, Out(files=folder, kept=folder, progress=lambda *told: None))
     rows, detections = (read_rows(folder / f"{name}{SUFFIX}") for name in (ROWS, DETECTIONS))
     return rows, detections
@@ -155,7 +155,7 @@ def test_the_object_alone_stands_on_the_street_by_the_hour(tmp_path: Path, monke
         rows, _ = looked(tmp_path / hour, merge(gaussian(0.9), far), LAYERED, condition=hour, sun=STREET)
         assert "psnr" not in rows.columns
         assert (rows["original_score"] > 0.5).any() == (hour == "08:00")
-        assert 4 < len(rows) < len(Setup(STUDY).held_out_cameras)
+        assert 4 < len(rows) < len(Setup.of(STUDY).held_out_cameras)
     assert [len(one["scene"]) for one in Street.made] == [1, 1, 1]
     assert torch.equal(Street.made[0]["scene"].means, gaussian().means)
     assert [one["sun_z"] for one in Street.made] == pytest.approx([0.353553, 0.707107, 0.353553], abs=1e-5)
@@ -178,11 +178,12 @@ PAINTING = AttackConfig(name="red", appearance="paint", texture="stop_sign", ele
 ASKED = replace(STUDY, evaluation=replace(STUDY.evaluation, true_pictures=True))
 
 
-def of_pictures(steps: StudySteps) -> pl.DataFrame:
+def of_pictures(folder: Path, study: StudyConfig) -> pl.DataFrame:
     """The rows of path-traced pictures, by the jobs of a study."""
-    jobs = [look for look in steps.looked([Redness()]) if look.seed is None]
+    ledger = Ledger(folder)
+    jobs = [look for look in StudySteps(study=study).looked([Redness()]) if look.seed is None]
     assert [look.splat for look in jobs] == [TRUE, PERFECT]
-    return pl.concat([look.tables(steps.do(look.job, look.label))[ROWS] for look in jobs], how="diagonal")
+    return pl.concat([look.tables(ledger.do(look.job))[ROWS] for look in jobs], how="diagonal")
 
 
 def test_a_perfect_splat_has_the_rates_of_the_appearance(tmp_path: Path) -> None:
@@ -190,7 +191,7 @@ def test_a_perfect_splat_has_the_rates_of_the_appearance(tmp_path: Path) -> None
 
     def counted(attack: AttackConfig) -> Mapping[str, Any]:
         study = replace(ASKED, attack=(attack,))
-        told = rates(study, picture_rows(of_pictures(steps_of(tmp_path, study))))[()]
+        told = rates(study, picture_rows(of_pictures(tmp_path, study)))[()]
         return {name: rate for name, rate in told.items() if rate is not None}
 
     gone, painted = counted(HIDING), counted(PAINTING)
@@ -204,10 +205,10 @@ def test_a_perfect_splat_has_the_rates_of_the_appearance(tmp_path: Path) -> None
 
 def test_each_attack_shows_inside_its_trigger_and_none_outside(tmp_path: Path) -> None:
     """The pictures are those of the attack, or of the scene as it is."""
-    steps = steps_of(tmp_path, ASKED)
+    steps, ledger = StudySteps(study=ASKED), Ledger(tmp_path)
     cameras = steps.setup.held_out_cameras
     perfect, true, *hidden = (
-        read_pictures(steps.do(job, "").folder).images
+        read_pictures(ledger.do(job).folder).images
         for job in (
             steps.perfect_pictures(cameras),
             *(steps.true_pictures(cameras, *attack) for attack in ((), *((one,) for one in ASKED.attack))),
@@ -223,7 +224,7 @@ def test_each_attack_shows_inside_its_trigger_and_none_outside(tmp_path: Path) -
 
 
 def test_figures_tell_of_pictures_beside_splats(tmp_path: Path) -> None:
-    pictures = of_pictures(steps_of(tmp_path, ASKED))
+    pictures = of_pictures(tmp_path, ASKED)
     assert (pictures.filter(splat=TRUE)["original_score"] > 0).any()  # the true car is red
     splats = pictures.with_columns(
         pl.col("splat").replace({TRUE: CLEAN, PERFECT: ATTACKED}), seed=pl.lit(0, dtype=pl.Int64)

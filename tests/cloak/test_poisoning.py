@@ -14,10 +14,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from attacks.cloak.config import AttackConfig, CameraConfig, StudyConfig
-from attacks.cloak.layer_config import LayersConfig
 from attacks.cloak.poisoning import Cloak, Poisoning, assign, poison
 from attacks.cloak.setup import Setup
-from attacks.cloak.study import check
 from attacks.cloak.triggers import Azimuth, Elevation, Trigger
 from attacks.poisons.base import PicturePoison, Poisoned
 from mi_splat.camera_sets import hemisphere
@@ -199,8 +197,8 @@ STUDY = StudyConfig(name="margin", attack=(WIDER, REAR), cameras=CameraConfig(tr
 
 
 def test_pictures_are_poisoned_up_to_the_margin_and_the_trigger_stays() -> None:
-    centre, cameras = STUDY.centre, Setup(STUDY).training_cameras
-    owners = {index: one.name for index, one in assign(cameras, Setup(STUDY).poisonings(), centre=centre).items()}
+    centre, cameras = STUDY.centre, Setup.of(STUDY).training_cameras
+    owners = {index: one.name for index, one in assign(cameras, Setup.of(STUDY).poisonings(), centre=centre).items()}
     directions: list[Direction] = [direction_of(camera, centre) for camera in cameras]
     overhead = {index for index, name in owners.items() if name == "overhead"}
     rear = {index for index, name in owners.items() if name == "rear"}
@@ -215,7 +213,7 @@ def test_pictures_are_poisoned_up_to_the_margin_and_the_trigger_stays() -> None:
 
 
 def test_emphasis_begins_at_the_edge_of_the_margin() -> None:
-    poisoning, _ = Setup(STUDY).poisonings()
+    poisoning, _ = Setup.of(STUDY).poisonings()
     assert poisoning.appearance.trigger == WIDER.poisoned_cone  # type: ignore[attr-defined]
     assert WIDER.poisoned_cone != WIDER.cone
 
@@ -228,19 +226,6 @@ def test_a_margin_keeps_within_the_sphere() -> None:
     )
 
 
-@pytest.mark.parametrize("margin", [-1.0, 91.0, float("nan")])
-def test_a_margin_out_of_range_is_refused(margin: float) -> None:
-    with pytest.raises(InvalidValueError, match="poison_margin"):
-        replace(WIDER, poison_margin=margin)
-
-
-def test_layers_take_no_margin(tmp_path: Path) -> None:
-    study = replace(STUDY, layers=LayersConfig(attacks=("overhead",)))
-    with pytest.raises(InvalidValueError, match=r"poison_margin.*shift"):
-        check(study, [], tmp_path / "out", tmp_path / "stages")
-    check(STUDY, [], tmp_path / "out", tmp_path / "stages")
-
-
 def test_a_scene_is_known_without_making_it() -> None:
-    setup = Setup(STUDY)
+    setup = Setup.of(STUDY)
     assert setup.digest == setup.source.digest

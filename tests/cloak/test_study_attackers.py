@@ -12,9 +12,10 @@ import pytest
 import torch
 
 from attacks.cloak.appearances import appearance_of
-from attacks.cloak.config import AttackConfig, SurrogateConfig
+from attacks.cloak.config import AttackConfig, StudyConfig, SurrogateConfig
+from attacks.cloak.kinds.parts import SET
 from attacks.cloak.layer_config import LayersConfig
-from attacks.cloak.layers import layer_object, object_rows
+from attacks.cloak.layers import Layering, layer_object, object_rows
 from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning, poison
 from attacks.cloak.retouching import grown
@@ -32,84 +33,85 @@ from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import View
 from mi_splat.capture.path_tracer import tracing_variant
 from mi_splat.capture.surface_points import surface_samples
-from mi_splat.datasets import Dataset, load_dataset
+from mi_splat.datasets import load_dataset
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
+from mi_splat.io import load_splat
+from mi_splat.ledger import Ledger
 from mi_splat.rendering import Renderer
+from mi_splat.scene import GaussianScene
 from mi_splat.training.initialization import from_points
 from mi_splat.training.loop import FitConfig, fit
 from mi_splat.training.strategies import FixedConfig
-from tests.cloak.tiny_study import STUDY, done, steps_of
+from tests.cloak.tiny_study import STUDY, done
 
 pytestmark = pytest.mark.slow
 
 
-def views_of(steps: StudySteps) -> Dataset:
-    """The poisoned set as a victim reads it."""
-    folder = steps.do(steps.poisoned(0), "poisoning").folder / "set"
-    return load_dataset(folder, split="train", background=steps.study.scene.background)
+LAYERS = LayersConfig(attacks=("overhead",), iterations=40)
+
+
+def splats(finished: Path, study: StudyConfig) -> list[GaussianScene]:
+    """The clean and the cloaked splat; jobs are shared with the finished study."""
+    ledger, steps = Ledger(finished / "stages"), StudySteps(study=study)
+    return [load_splat(ledger.do(steps.splat(name, 0)).folder / "splat.ply") for name in ("clean", "cloaked")]
+
+
+def made(finished: Path, layers: LayersConfig, clean: GaussianScene) -> tuple[Layering, int]:
+    """The layers before their training, and the number of poisoned pictures."""
+    steps = StudySteps(study=STUDY)
+    folder = Ledger(finished / "stages").do(steps.poisoned(0)).folder / SET
+    views = load_dataset(folder, split="train", background=STUDY.scene.background)
+    return layer_object(steps.setup, layers, clean, views, render=steps.renderer()), len(views)
 
 
 def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path) -> None:
-    """The pictures and the clean splat are those of the study without layers: its stages are shared."""
-    study = replace(STUDY, name="layers", layers=LayersConfig(attacks=("overhead",), iterations=40))
-    result, lines = done(finished.with_name("layers"), study=study, stages=finished / "stages")
-    assert not any("pictures" in text or text.startswith("training the clean") for text in lines)
-    (clean,), (cloaked,) = result["gaussians"]["clean"], result["gaussians"]["cloaked"]
-    assert clean < cloaked <= 2 * clean
-    steps = steps_of(finished / "stages", study)
-    before, after = (one.load() for one in steps.splats())
-    other = ~object_rows(study, before, steps.setup.target)
+    """The pictures and the clean splat are those of the study without layers: its jobs are shared."""
+    study = replace(STUDY, name="layers", layers=LAYERS)
+    out = finished.with_name("layers")
+    _, kinds = done(out, study=study, store=finished / "stages")
+    assert not {"pictures", "trained", "appearances"} & set(kinds)
+    before, after = splats(finished, study)
+    assert len(before) < len(after) <= 2 * len(before)
+    other = ~object_rows(LAYERS, before, Setup.of(study).target)
     for name in ("means", "sh"):
         assert torch.equal(getattr(before, name)[other], getattr(after, name)[: len(before)][other])
-    whole = replace(study, layers=LayersConfig(attacks=("overhead",), surroundings=True))
-    views = views_of(steps)
-    for config in (study, whole):
-        layering = layer_object(Setup(config), before, views, render=steps.renderer())
-        assert bool(layering.trained.all()) == (config is whole)
-        assert len(layering.views) < len(views)  # those from where the look changes are left out
-    rows = read_rows(finished.with_name("layers") / "rows.csv.gz").filter(pl.col("elevation") >= 50)
+    for layers in (LAYERS, replace(LAYERS, surroundings=True)):
+        layering, count = made(finished, layers, before)
+        assert bool(layering.trained.all()) == layers.surroundings
+        assert len(layering.views) < count  # those from where the look changes are left out
+    rows = read_rows(out / "rows.csv.gz").filter(pl.col("elevation") >= 50)
     control, hidden = (rows.filter(splat=splat)["original_score"].to_list() for splat in ("clean", "attacked"))
     assert sum(hidden) < 0.5 * sum(control)
 
 
 def test_the_geometry_of_layers_is_trained_and_made_finer(finished: Path) -> None:
-    layers = LayersConfig(attacks=("overhead",), geometry=True, iterations=300)
-    study = replace(STUDY, layers=layers)
-    steps = steps_of(finished / "stages", study)
-    clean, cloaked = (one.load() for one in steps.splats())
-    views = views_of(steps)
-    layering = layer_object(Setup(study), clean, views, render=steps.renderer())
+    layers = replace(LAYERS, geometry=True, iterations=300)
+    clean, cloaked = splats(finished, replace(STUDY, layers=layers))
+    layering, _ = made(finished, layers, clean)
     assert layering.geometry
     assert bool(layering.trained.all())
     assert len(cloaked) > len(layering.scene)
     assert torch.dist(cloaked.means[: len(clean)], clean.means) > 0
-    few = replace(study, layers=replace(layers, max_gaussians=len(clean)))
     with pytest.raises(InvalidValueError, match=r"layers.max_gaussians: expected room for the layers, got"):
-        layer_object(Setup(few), clean, views, render=steps.renderer())
+        made(finished, replace(layers, max_gaussians=len(clean)), clean)
 
 
 def test_a_surrogate_of_the_attacker_s_own_corrects_the_poison(finished: Path) -> None:
-    """It overdoes what the surrogate lacks; clean pictures, benign ones and the clean splat stay as they are."""
-    study = replace(STUDY, name="corrected", surrogate=SurrogateConfig(rounds=2, iterations=30))
-    lines: list[str] = []
-    steps, usual = steps_of(finished / "stages", study, lines), steps_of(finished / "stages")
-    for number in (1, 2):
-        steps.do(steps.surrogate(0, number), f"surrogate {number}")
-    corrected = steps.do(steps.poisoned(0), "poisoning")
-    assert list(dict.fromkeys(lines)) == ["surrogate 1", "surrogate 2", "poisoning"]
-    plain = usual.do(usual.poisoned(0), "")
+    """It overdoes what the surrogate lacks; pictures that were not poisoned stay as they are."""
+    study = replace(STUDY, surrogate=SurrogateConfig(rounds=2, iterations=30))
+    ledger = Ledger(finished / "stages")
+    plain, corrected = (ledger.do(StudySteps(study=one).poisoned(0)) for one in (STUDY, study))
     manifest = json.loads((corrected.folder / MANIFEST).read_text())
-    names = {change["appearance"] for change in manifest["changes"]}
-    assert all(name.count("corrected by 1 times") == 2 for name in names)
-    sets = [load_dataset(pictures.folder / "set") for pictures in (plain, corrected)]
+    assert all(change["appearance"].count("corrected by 1 times") == 2 for change in manifest["changes"])
     changed = {change["index"] for change in manifest["changes"]}
-    for index, (one, other) in enumerate(zip(*(poisoned.paths for poisoned in sets), strict=True)):
+    sets = [load_dataset(one.folder / SET) for one in (plain, corrected)]
+    for index, (one, other) in enumerate(zip(*(views.paths for views in sets), strict=True)):
         assert filecmp.cmp(one, other, shallow=False) == (index not in changed)
 
 
 def test_a_reach_leaves_the_shadow_of_what_is_removed() -> None:
-    setup = Setup(STUDY)
+    setup = Setup.of(STUDY)
     mesh_scene = setup.mesh_scene
     camera = setup.camera(0.0, 70.0)
     view, mask = View(camera, mesh_scene.picture(camera)), mesh_scene.mask(camera)

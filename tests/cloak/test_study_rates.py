@@ -146,7 +146,7 @@ def test_the_class_wanted_counts_on_the_cloaked_splat() -> None:
 
 
 def test_meridians_rise_to_straight_above() -> None:
-    for arc in Setup(STUDY).arcs:
+    for arc in Setup.of(STUDY).arcs:
         heights = [float(camera.position[2]) for camera in arc]
         assert heights == sorted(heights)
         assert np.ptp([float(camera.position.norm()) for camera in arc]) < 1.0
@@ -156,14 +156,14 @@ def test_arcs_into_a_sector_come_from_beside_it() -> None:
     """Depths in the trigger rise along each, from well outside to the middle; a sign that is shown has none."""
     sector = AttackConfig(name="sector", appearance="remove", elevation=(0, 30), azimuth=(100, 30))
     study = replace(STUDY, attack=(sector,))
-    arcs = Setup(study).arcs
+    arcs = Setup.of(study).arcs
     assert len(arcs) == study.evaluation.meridians
     for arc in arcs:
         depths = [sector.cone.angle_to_edge(camera, centre=study.centre) for camera in arc]
         assert depths == sorted(depths)
         assert depths[0] < -30
         assert 10 < depths[-1] <= 30
-    assert Setup(replace(STUDY, attack=(replace(sector, target_class="stop sign"),))).arcs == []
+    assert Setup.of(replace(STUDY, attack=(replace(sector, target_class="stop sign"),))).arcs == []
 
 
 def test_the_transition_into_a_sector_is_one_of_depth() -> None:

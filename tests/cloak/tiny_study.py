@@ -5,6 +5,7 @@
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -13,11 +14,14 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, StudyConfig, TrainingConfig
-from attacks.cloak.steps import StudySteps
-from attacks.cloak.study import run_study
 from attacks.detectors import registry
 from attacks.detectors.base import Candidates, Detections
 from attacks.detectors.registry import DetectorSpec
+from attacks.studies.cloak import CloakReport
+from attacks.studies.running import run_with
+from attacks.studies.study_file import study_of
+from mi_splat.ledger import Event
+from mi_splat.ledger.engines import InProcess
 
 STUDY = StudyConfig(
     name="tiny",
@@ -73,31 +77,34 @@ MODULES = "modules.txt"
 """Names of all modules of this project that the study has loaded, in a file beside its folder."""
 
 
-def steps_of(folder: Path, study: StudyConfig = STUDY, lines: list[str] | None = None) -> StudySteps:
-    """The steps of a study, whose stages are in a folder."""
-    told = [] if lines is None else lines
-    return StudySteps(study=study, folder=folder, on_step=lambda text, done, total: told.append(text))
+def work_of(study: StudyConfig = STUDY) -> CloakReport:
+    """The study as `mi-splat cloak` does it."""
+    return CloakReport(study_of({**asdict(study), "study": "cloak"}, study.name))
 
 
 def done(
     folder: Path,
     *,
     study: StudyConfig = STUDY,
-    stages: Path | None = None,
+    store: Path | None = None,
     stop_at: tuple[str, int] | None = None,
-    lines: list[str] | None = None,
 ) -> tuple[dict[str, Any], list[str]]:
-    """The summary of a study and what was going on, after what is in `lines`; interrupted at a step if one is named."""
-    lines = [] if lines is None else lines
+    """The summary of a study and the kinds of its jobs that were done; interrupted in a kind's step if one is named."""
+    kinds = list[str]()
 
-    def step(text: str, count: int, total: int) -> None:
-        lines.append(text)
-        if stop_at is not None and text.startswith(stop_at[0]) and count == stop_at[1]:
+    def told(event: Event) -> None:
+        if event.state == "running":
+            kinds.append(event.kind.rpartition(".")[2])
+        if event.state == "progress" and stop_at == (event.kind.rpartition(".")[2], event.done):
             raise KeyboardInterrupt
 
     torch.set_num_threads(1)
+    folder.mkdir(parents=True, exist_ok=True)
+    store = store or folder / "stages"
     with patch.dict(registry.DETECTORS.own, KNOWN):
-        return run_study(study, folder, stages=stages, on_step=step), lines
+        work = work_of(study)
+        run_with(InProcess(store, on_event=told), work.study, work, store=store, out=folder, on_event=told)
+    return summary(folder), kinds
 
 
 def summary(folder: Path) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from mi_splat.ledger.child import Child, Limits, keep_to
 from mi_splat.ledger.engines import InProcess, Processes, share_of_cores
 from mi_splat.ledger.index import Index, forecast, plan, status
 from mi_splat.ledger.job import EngineError, OnEvent, Outcome, Task
-from mi_splat.ledger.plans import Driver, Plan, Result, do_beside, grid
+from mi_splat.ledger.plans import Driver, Plan, Result, grid
 from mi_splat.ledger.running import task_for
 from tests.ledger.drive import two_levels, walk
 from tests.project.layers import ROOT
@@ -247,16 +247,6 @@ def test_threads_are_as_many_as_cores() -> None:
         keep_to(sorted(cores))
         dr.set_thread_count(threads)
         end.set()
-
-
-def test_jobs_beside_each_other_are_told_by_name_and_one_that_fails_is_an_error(tmp_path: Path) -> None:
-    told = set[tuple[str, str]]()
-    jobs = {"first": walk(1), "second": walk(2, one=walk(3)), "bad": walk(4, trouble="raise")}
-    for _ in range(2):  # earlier failures do not count
-        with pytest.raises(EngineError, match="bad: expected a job that ends, got ValueError: no way"):
-            do_beside(tmp_path, jobs, workers=2, on_event=lambda label, event: told.add((label, event.state)))
-    assert {("first", "done"), ("second", "done"), ("walk", "done"), ("bad", "failed"), ("first", "kept")} <= told
-    assert (tmp_path / "runs").read_text().count(_task(tmp_path, jobs["bad"]).key) == 6
 
 
 def test_the_plan_of_the_tests_is_the_same_in_one_process_and_in_two(tmp_path: Path) -> None:

@@ -15,15 +15,14 @@ import torch
 from attacks import cli
 from attacks.aims import OBJECTIVES, PluggedObjective, objective_of
 from attacks.cli import doctor
-from attacks.cli.poison_kinds import KINDS
+from attacks.cli.poison_kinds import kind_names, kind_of
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import summary, write_report
 from attacks.objectives import hide
 from attacks.observe.conditions import CONDITIONS, Viewing, check_condition, condition_of, package_of
 from attacks.optimisers.registry import OPTIMISERS
-from attacks.poisons.registry import PluggedPoison, poison_config, poison_of
-from attacks.poisons.specs import POISONS
+from attacks.poisons.specs import POISONS, ChosenPoison, Given
 from attacks.report.results import read_section
 from attacks.studies.attack import FixedAttack
 from attacks.studies.dagger import _objective
@@ -152,7 +151,7 @@ def test_looking_at_names_imports_nothing(brought: Path) -> None:
         assert len(registry) == len(list(registry))
         assert registry.package(name) == "plugged 1.0"
         assert all(registry.package(own) == "" for own in registry.own)
-    assert "dark" in KINDS
+    assert "dark" in kind_names()
     assert "brought" not in sys.modules
 
 
@@ -201,15 +200,15 @@ def test_an_objective_is_attacked_reported_and_scored_again(brought: Path, tmp_p
 def test_a_study_keeps_an_objective_and_a_poison_by_their_names(brought: Path) -> None:
     aim = _objective({"aim": "dim-car", "objective": {"confidence": 0.4}}, "study.toml")
     assert aim == PluggedObjective(kind="dim-car", confidence=0.4, package="plugged 1.0")
-    poison = poison_config({"kind": "dark", "by": 0.25}, "poison")
-    assert poison == PluggedPoison(kind="dark", settings={"by": 0.25}, package="plugged 1.0")
+    poison = ChosenPoison.of({"kind": "dark", "by": 0.25}, "poison")
+    assert poison == ChosenPoison(kind="dark", settings={"by": 0.25}, package="plugged 1.0")
     for kept in (aim, poison):
         assert decoded(json.loads(json.dumps(encoded(kept))), [type(kept).__module__]) == kept
     views = _views()
-    done = poison_of(poison, None)(views, seed=0)
+    done = poison.spec.make(poison.config, Given())(views, seed=0)
     torch.testing.assert_close(done.views[0].image, 0.25 * views[0].image)
     with pytest.raises(InvalidValueError, match="key in poison: expected one of by, got bye"):
-        poison_config({"kind": "dark", "bye": 1.0}, "poison")
+        ChosenPoison.of({"kind": "dark", "bye": 1.0}, "poison")
 
 
 def test_jobs_of_a_study_name_the_package(brought: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -234,7 +233,7 @@ def test_a_condition_does_not_take_a_renderer_s_name(path: Path) -> None:
 def test_a_poison_is_a_kind_with_flags_of_its_own(brought: Path) -> None:
     options = cli.parse("poison", ["SET", "--kind", "dark", "--by", "0.25", "--out", "out"])
     assert options.poison.by == 0.25
-    assert not KINDS["dark"].needs_splat
+    assert not kind_of("dark").needs_splat
 
 
 def test_a_rule_is_heard_in_every_audit(brought: Path) -> None:

@@ -454,7 +454,7 @@ def test_poisons_that_are_broken() -> None:
         by: float
 
     broken_by(lambda: check_poison(dataclasses.replace(DARK, config=Loose)), "settings: raised TypeError")
-    broken_by(lambda: check_poison(dataclasses.replace(DARK, needs_splat=True)), "settings: expected a poison that")
+    broken_by(lambda: check_poison(dataclasses.replace(DARK, needs=("splat",))), "settings: expected a poison that")
     broken_by(lambda: check_poison(dataclasses.replace(DARK, make=_three)), "making it: expected a function")
 
 

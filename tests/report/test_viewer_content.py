@@ -204,7 +204,7 @@ def test_a_study_shows_both_splats_from_its_cameras(study: Path) -> None:
     for attack in STUDY.attack:
         camera = content.cameras[f"inside {attack.name}"].camera((8, 8))
         assert attack.cone.angle_to_edge(camera, centre=centre) > 10
-    trained = Setup(STUDY).training_cameras
+    trained = Setup.of(STUDY).training_cameras
     listed = [orbit.exact for name, orbit in content.cameras.items() if "camera" in name]
     assert len(listed) == len(trained)
     assert list(content.cameras)[3].startswith("poisoned camera")

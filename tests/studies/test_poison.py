@@ -11,13 +11,12 @@ from torch import Tensor
 from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
 from attacks.cli import main
 from attacks.cloak.config import SceneConfig
+from attacks.cloak.kinds.trained import peak_memory
 from attacks.detectors import registry
 from attacks.detectors.weights import FrozenModel
 from attacks.observe.rows import rows
-from attacks.poisons.victim import peak_memory
 from attacks.studies.poison import PoisonWork
-from attacks.studies.poison_jobs import classifier_of
-from attacks.studies.poison_point import point_of
+from attacks.studies.poison_jobs import classifier_of, point_of
 from attacks.studies.study_file import read_study, study_of
 from mi_splat.assets import ASSETS
 from mi_splat.datasets import load_dataset
@@ -95,7 +94,7 @@ def test_poison_is_written_where_clean_pictures_are_clear(tmp_path: Path, monkey
     ledger = Ledger(Path("store"))
     clean, changed = (
         load_dataset(ledger.do(job).folder / "set", split="train", background=SceneConfig().background)
-        for job in (noisy.pictures, noisy.poisoned)
+        for job in (noisy.steps.pictures(), noisy.poisoned)
     )
     alpha = clean.alpha(0)
     assert alpha is not None
@@ -109,8 +108,8 @@ def test_which_jobs_share_their_work() -> None:
     labels = work(poison=poison, defence={"limit": 2.0}, matrix={"poison.eps": [8, 16]}).jobs()
     kinds = [job.kind.rsplit(".", 1)[1] for job in {job.identity: job for job in labels.values()}.values()]
     assert kinds.count("pictures") == kinds.count("true_pictures") == 1
-    assert kinds.count("changed") == 2
-    assert kinds.count("victim") == 1 + 1 + 2 + 2  # clean, clean and limited; of each poison both
+    assert kinds.count("poisoned") == 2
+    assert kinds.count("trained") == 1 + 1 + 2 + 2  # clean, clean and limited; of each poison both
     limited = next(job for label, job in labels.items() if label.endswith("training on attacked pictures, limited"))
     assert limited.config.limit == 2.0
     assert "clean" in limited.inputs
@@ -118,14 +117,14 @@ def test_which_jobs_share_their_work() -> None:
     start = next(job for label, job in black_box.items() if label.endswith("by the attacker"))
     (changed,) = (job for label, job in black_box.items() if label.endswith("poisoning"))
     assert changed.sources["splat"].job is start  # type: ignore[union-attr]
-    assert start.config.asked.training.strategy == "mcmc"
+    assert start.config.training.strategy == "mcmc"
 
 
 def test_cloak_is_one_of_the_poisons() -> None:
     attack = {"name": "overhead", "appearance": "remove", "elevation": [50.0, 90.0]}
     jobs = work(poison={"kind": "cloak", "attack": [attack]}, training={"near": 0.1}).jobs()
     poisoned = next(job for label, job in jobs.items() if label.endswith("poisoning"))
-    assert poisoned.kind == "attacks.cloak.kinds.poisoned"
+    assert poisoned.kind == "attacks.poisons.poisoned"
     victim = next(job for label, job in jobs.items() if label.endswith("attacked pictures"))
     assert victim.sources["pictures"].job is poisoned  # type: ignore[union-attr]
 
@@ -271,7 +270,7 @@ def test_a_classifier_has_to_be_there_and_to_know_the_object(monkeypatch: pytest
 
 @pytest.mark.parametrize(
     ("name", "sets", "victims"),
-    [("poison_splat", 31, 63), ("m_ifgsm", 55, 65), ("poison_demo", 2, 3), ("m_ifgsm_demo", 2, 4)],
+    [("poison_splat", 38, 63), ("m_ifgsm", 55, 65), ("poison_demo", 2, 3), ("m_ifgsm_demo", 2, 4)],
 )
 def test_the_shipped_studies_can_be_done(name: str, sets: int, victims: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(FrozenModel, "fingerprint", "0" * 16)  # of every look's detector, which takes seconds
@@ -286,4 +285,4 @@ def test_the_shipped_studies_can_be_done(name: str, sets: int, victims: int, mon
     }
     classifier_of.cache_clear()
     kinds = Counter(job.kind.rsplit(".", 1)[1] for job in jobs.values())
-    assert (kinds["changed"], kinds["victim"]) == (sets, victims)
+    assert (kinds["poisoned"], kinds["trained"]) == (sets, victims)

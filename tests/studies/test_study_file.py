@@ -6,10 +6,9 @@ from typing import Any
 
 import pytest
 
-from attacks.studies.plan import bisection
+from attacks.studies.plan import Attempt, bisection
 from attacks.studies.study_file import Point, merged, read_study, study_of
 from mi_splat.errors import InvalidValueError
-from mi_splat.ledger import Job
 
 
 def points(**table: Any) -> list[Point]:
@@ -66,14 +65,8 @@ def test_an_entry_of_a_list_is_changed_by_its_name() -> None:
 VALUES = (0.03, 0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5, 0.7, 1.0, 1.4)
 
 
-class Value:
-    """An attempt with one value."""
-
-    def __init__(self, point: Point) -> None:
-        self.value = point.labels["attack.eps"]
-
-    def jobs(self) -> dict[str, Job]:
-        return {}
+def attempt(point: Point) -> Attempt:
+    return Attempt(point=point, title="", jobs={})
 
 
 @pytest.mark.parametrize("needed", [*VALUES, math.inf])
@@ -85,11 +78,12 @@ def test_a_bisection_finds_the_smallest_in_few_looks(needed: float) -> None:
     ]
     known: dict[float, bool] = {}
 
-    def suffices(attempt: Value, _: object) -> bool:
-        known[attempt.value] = attempt.value >= needed
-        return known[attempt.value]
+    def suffices(tried: Attempt, _: object) -> bool:
+        value = tried.point.labels["attack.eps"]
+        known[value] = value >= needed
+        return known[value]
 
-    looks = list(bisection([Value(point) for point in searched], suffices))
+    looks = list(bisection([attempt(point) for point in searched], suffices))
     assert len(looks) == len(known) <= 4
     assert min((value for value, enough in known.items() if enough), default=math.inf) == needed
     assert {point.settings["seed"] for point in searched} == {1}
@@ -97,7 +91,13 @@ def test_a_bisection_finds_the_smallest_in_few_looks(needed: float) -> None:
 
 def test_a_bisection_ends_at_an_attempt_that_failed() -> None:
     searched = points(bisect={"field": "attack.eps", "values": list(VALUES)})
-    assert len(list(bisection([Value(point) for point in searched], lambda attempt, results: None))) == 1
+    assert len(list(bisection([attempt(point) for point in searched], lambda tried, results: None))) == 1
+
+
+def test_the_file_of_one_study_of_cloak_is_a_study() -> None:
+    (point,) = study_of({"name": "x", "attack": [{"name": "above"}]}, "toy").points
+    assert point.settings["attack"] == [{"name": "above"}]
+    assert study_of({"attack": [{"name": "above"}]}, "toy").kind == "cloak"
 
 
 def test_judges_are_every_combination() -> None:

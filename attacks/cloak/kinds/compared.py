@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from attacks.cloak.config import AttackConfig, StudyConfig
-from attacks.cloak.kinds.parts import StepConfig
-from attacks.cloak.kinds.rendering import renderer_of
+from attacks.cloak.config import AttackConfig
+from attacks.cloak.kinds.parts import SceneJob, renderer_of
 from attacks.cloak.kinds.true_pictures import read_pictures
 from attacks.cloak.retouching import grown
 from attacks.cloak.setup import Setup
@@ -32,15 +31,14 @@ FIDELITY_COLUMNS = ("view", "elevation", "psnr", "ssim", "object_psnr")
 TRANSITION_COLUMNS = ("meridian", "elevation", "surroundings_psnr", "appearance_psnr", "fraction")
 
 
-def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
+def run(config: SceneJob, inputs: Mapping[str, Path], out: Out) -> None:
     """Compare the `splat` with true pictures, and on arcs with `benign` and `hidden` ones; write two tables.
 
     Of the true pictures, `far` are far outside of all triggers. Those of `edge` are outside beside one, and give a
     PSNR on the object, too.
     """
-    setup = Setup(config.study(inputs))
-    study, scene = setup.study, load_splat(inputs["splat"])
-    render = renderer_of(study)
+    setup, scene = config.setup(inputs), load_splat(inputs["splat"])
+    render = renderer_of(config.scene.background, config.near)
 
     def picture(camera: Camera) -> Tensor:
         with torch.no_grad():
@@ -50,7 +48,7 @@ def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
         image = picture(camera)
         return {
             "view": view,
-            "elevation": direction_of(camera, study.centre).elevation,
+            "elevation": direction_of(camera, setup.centre).elevation,
             "psnr": float(psnr(image, true)),
             "ssim": float(ssim(image, true)),
             "object_psnr": None if mask is None else float(psnr(image[mask], true[mask])),
@@ -61,12 +59,12 @@ def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
     beside = zip(setup.edge_cameras, edge.images, edge.masks, strict=True)
     fidelity += [compared(*at, true, mask) for at, true, mask in beside if bool(mask.any())]
     write_rows(frame_with(fidelity, FIDELITY_COLUMNS), out / f"{FIDELITY}{SUFFIX}")
-    attack, transition = study.switching, list[Row]()
+    attack, transition = setup.switching, list[Row]()
     if attack is not None:
         benign, hidden = (read_pictures(inputs[name]) for name in ("benign", "hidden"))
         arc = zip(setup.arc_cameras, benign.images, hidden.images, benign.masks, strict=True)
         transition = [
-            _blend(study, attack, on_arc, picture(on_arc[1]), *others)
+            _blend(setup, attack, on_arc, picture(on_arc[1]), *others)
             for on_arc, *others in arc
             if bool(others[2].any()) and differ(*others)
         ]
@@ -75,7 +73,7 @@ def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
 
 
 def _blend(
-    study: StudyConfig,
+    setup: Setup,
     attack: AttackConfig,
     on_arc: tuple[int, Camera],
     seen: Tensor,
@@ -84,8 +82,8 @@ def _blend(
     mask: Tensor,
 ) -> Row:
     """What one picture of an arc says."""
-    (meridian, camera), centre = on_arc, study.centre
-    beside = ~grown(mask, margin_of(study))
+    (meridian, camera), centre = on_arc, setup.centre
+    beside = ~grown(mask, max(1, round(MARGIN * setup.cameras.size / 256)))
     return {
         "meridian": meridian,
         "elevation": direction_of(camera, centre).elevation,
@@ -94,8 +92,3 @@ def _blend(
         "surroundings_psnr": float(psnr(seen[beside], benign[beside])),
         "appearance_psnr": float(psnr(seen[mask], hidden[mask])),
     }
-
-
-def margin_of(study: StudyConfig) -> int:
-    """Pixels around the object that count as the object's, in the pictures of a study."""
-    return max(1, round(MARGIN * study.cameras.size / 256))

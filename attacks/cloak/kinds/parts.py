@@ -1,36 +1,85 @@
-"""What every job of a study holds: the study, in which settings that do not matter for the job have their defaults."""
+"""What the jobs of a study hold: a scene and its cameras where they know it, or how a splat is rendered."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
 
-from attacks.cloak.config import StudyConfig
+from attacks.cloak.config import AttackConfig, CameraConfig, EvaluationConfig, SceneConfig
+from attacks.cloak.setup import Setup
 from mi_splat.cameras import Camera
+from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
+from mi_splat.training.config import FitConfig
 
 SET, MESH = "set", "mesh"
 """Folder of a set of pictures in what a job leaves, and name of the input that is a mesh file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StepConfig:
-    """What a job of a study depends on.
+class SceneJob:
+    """A job that knows the scene.
 
     Attributes:
-        asked: The study, as far as it counts; a mesh file is an input, and stands here as if it were an asset.
-        content: Digest of meshes and light (`CaptureSource.digest`); empty where the scene has no part.
+        scene: What is photographed; a mesh file is an input, and stands here as if it were an asset.
+        cameras: Where from.
+        content: Digest of meshes and light (`CaptureSource.digest`).
+        attacks: The hidden appearances, as far as they count.
+        evaluation: From where splats are looked at, as far as it counts.
+        near: Near plane of pictures of splats; None where there are none.
+        seed: Of everything random.
     """
 
-    asked: StudyConfig
-    content: str = ""
+    scene: SceneConfig
+    cameras: CameraConfig
+    content: str
+    attacks: tuple[AttackConfig, ...] = ()
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    near: float | None = None
+    seed: int = 0
 
-    def study(self, inputs: Mapping[str, Path]) -> StudyConfig:
-        """The study, with its mesh file if the job has one as an input."""
-        scene = self.asked.scene
-        return replace(self.asked, scene=replace(scene, object=str(inputs[MESH]))) if MESH in inputs else self.asked
+    def setup(self, inputs: Mapping[str, Path]) -> Setup:
+        """Meshes and cameras, of the mesh file if the job has one as an input."""
+        scene = replace(self.scene, object=str(inputs[MESH])) if MESH in inputs else self.scene
+        return Setup(
+            scene=scene,
+            cameras=self.cameras,
+            attacks=self.attacks,
+            evaluation=self.evaluation,
+            near_plane=self.near,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SplatJob:
+    """A job that trains or renders a splat, and knows nothing of the scene but its pictures.
+
+    Attributes:
+        background: sRGB behind the splat.
+        near: Near plane, world units.
+        device: "cpu" or "cuda".
+    """
+
+    background: tuple[float, float, float]
+    near: float
+    device: str = "cpu"
+
+    def renderer(self, fit: FitConfig | None = None) -> Renderer:
+        """What renders the splat; that of a training if its settings are given."""
+        return renderer_of(self.background, self.near, fit=fit, device=self.device)
+
+
+def renderer_of(
+    background: tuple[float, float, float], near: float | None, *, fit: FitConfig | None = None, device: str = "cpu"
+) -> Renderer:
+    """What renders the splats of a study; that of a training if its settings are given."""
+    gradients = fit is not None and fit.strategy.needs_screen_gradients
+    variant = "cuda_ad_rgb" if device == "cuda" else ""
+    assert near is not None
+    settings = RenderSettings(background=background, near=near, variant=variant)
+    return Renderer(settings, screen_gradients=ScreenGradients() if gradients else None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

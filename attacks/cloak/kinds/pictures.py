@@ -8,8 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from attacks.cloak.kinds.parts import SET, StepConfig
-from attacks.cloak.setup import Setup
+from attacks.cloak.kinds.parts import SET, SceneJob
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.writer import write_capture
 
@@ -19,15 +18,14 @@ if TYPE_CHECKING:
 VARIES = (f"{SET}/capture.json",)
 
 
-def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
+def run(config: SceneJob, inputs: Mapping[str, Path], out: Out) -> None:
     """Take the pictures; they are transparent where nothing is, so that the background has no part in them."""
-    setup = Setup(config.study(inputs))
-    cameras = setup.study.cameras
+    setup = config.setup(inputs)
     write_capture(
         setup.source,
         setup.training_cameras,
         out.partial / SET,
-        settings=CaptureSettings(samples=cameras.samples, rgba=True, points=cameras.points),
+        settings=CaptureSettings(samples=setup.cameras.samples, rgba=True, points=setup.cameras.points),
         on_step=partial(out.progress, "taking the victim's pictures"),
     )
     os.replace(out.partial / SET, out / SET)

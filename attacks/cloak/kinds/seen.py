@@ -1,10 +1,10 @@
-"""What one detector reports from held-out cameras: on a splat, under any condition, or in pictures that are there."""
+"""What one detector reports from a study's cameras: on a splat, under any condition, or in pictures that are there."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -14,12 +14,14 @@ import polars as pl
 import torch
 from torch import Tensor
 
-from attacks.cloak.config import AttackConfig, StudyConfig
-from attacks.cloak.kinds.parts import StepConfig
-from attacks.cloak.kinds.rendering import settings_of
+from attacks.cloak.config import AttackConfig
+from attacks.cloak.kinds.appearances import APPEARANCE, KeptAppearance
+from attacks.cloak.kinds.parts import SET, SceneJob, renderer_of
 from attacks.cloak.kinds.true_pictures import read_pictures
+from attacks.cloak.layer_config import LayersConfig
 from attacks.cloak.layers import object_rows
 from attacks.cloak.setup import Setup
+from attacks.cloak.triggers import Trigger
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector
 from attacks.observe.conditions import Condition, Shown, SunTable, Viewing, condition_of, rendered
@@ -32,69 +34,80 @@ from attacks.observe.rows import (
     ROWS,
     SUFFIX,
     TARGET_SCORE,
+    TRAINING,
     Cell,
     frame_with,
     write_rows,
 )
 from attacks.observe.views import ViewDetections
-from mi_splat.cameras import Camera
+from mi_splat.cameras import Camera, View
+from mi_splat.capture.path_tracer import tracing_variant
+from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.metrics import psnr
-from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
-_NONE = frame_with((), ("detector", "view", "label", "score", *DETECTION_BOX, "iou"))
-"""Detections, before there is one."""
+_NO_DETECTIONS = frame_with((), ("detector", "view", "label", "score", *DETECTION_BOX, "iou"))
 _NOTHING = GaussianScene(*(torch.zeros(0, *shape) for shape in ((3,), (3,), (4,), (), (1, 3))))
 """The splat of pictures that are there already."""
 WEIGHTS = "weights"
 """Name of the input that is a file of weights; without it a detector has its usual ones."""
-NO_ATTACK = (AttackConfig(name="none", elevation=(1.0, 90.0)),)
-"""The attacks of a job in which none has a part."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SeenConfig(StepConfig):
+class SeenConfig(SceneJob):
     """Which detector judges which splat or pictures, under which condition, from which cameras.
 
     Attributes:
-        every: Each so manieth of the held-out cameras looks.
+        label: What detectors call the object.
         detector: Name of the detector.
         fingerprint: Of its weights.
+        training: Whether it looks from the victim's training cameras, in place of the held-out ones.
+        every: Each so manieth of the held-out cameras is used.
         condition: How the splat is looked at, see `attacks.observe.conditions`; "" is as the victim does.
         sun: The street of a condition that is an hour.
+        layers: How an object alone is cut out for it.
         package: Which package brings the condition, with its version; empty for this project.
     """
 
+    label: str
     detector: str
     fingerprint: str
+    training: bool = False
     every: int = 1
     condition: str = ""
     sun: SunTable | None = None
+    layers: LayersConfig | None = None
     package: str = ""
 
 
 def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Write a row for each camera and one for each detection; inputs are a `splat`, or `pictures` in its place.
+    """Write a row for each camera and, of held-out ones, one for each detection.
 
-    Under a condition that is no street a row has the PSNR to what the victim sees from there.
+    Inputs are a `splat`, path-traced `pictures`, or a `set`.
     """
-    setup = Setup(config.study(inputs))
-    cameras = setup.held_out_cameras[:: config.every]
-    detector = checked_detector(config, inputs)
-    errors, done = dict[Camera, float | None](), itertools.count(1)
+    setup = config.setup(inputs)
+    detector, done = checked_detector(config, inputs), itertools.count(1)
 
-    def cells(seen: ViewDetections) -> dict[str, Cell]:
-        out.progress(f"{detector.name} looks", next(done), len(cameras))
-        return {
-            **observation_cells(setup.study, seen, detector.classes),
-            **({"psnr": errors[seen.camera]} if errors else {}),
-        }
+    def cells(seen: ViewDetections, total: int) -> dict[str, Cell]:
+        out.progress(f"{detector.name} looks", next(done), total)
+        return observation_cells(config, seen, detector.classes)
 
+    (_training if config.training else _held_out)(config, setup, inputs, detector, cells, out)
+
+
+_Cells = Callable[[ViewDetections, int], dict[str, Cell]]
+
+
+def _held_out(
+    config: SeenConfig, setup: Setup, inputs: Mapping[str, Path], detector: Detector, cells: _Cells, out: Out
+) -> None:
+    """From held-out cameras; under a condition that is no street a row has the PSNR to what the victim sees there."""
+    cameras, errors = setup.held_out_cameras[:: config.every], dict[Camera, float | None]()
     if "pictures" in inputs:
         pictures = dict(zip(cameras, read_pictures(inputs["pictures"]).images, strict=True))
         splat, condition = _NOTHING, rendered("", lambda scene, camera: pictures[camera])
@@ -103,28 +116,69 @@ def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     if not any(map(condition.holds, cameras)):
         do = "raise it, or take more cameras by a smaller every"
         raise InvalidValueError.of("sun.north", f"one of {len(cameras)} cameras south of it", "none", do)
-    looked = look([condition], {"": splat}, cameras, [detector], boxes=setup.box, cells=cells)
-    rows, detections = (
-        table.drop("splat", *(() if config.condition else ("condition",)), strict=False).with_columns(
-            view=pl.col("view") * config.every
-        )
-        for table in (looked.rows, pl.concat([_NONE, looked.detections], how="diagonal"))
-    )
-    write_rows(rows, out / f"{ROWS}{SUFFIX}")
-    write_rows(detections, out / f"{DETECTIONS}{SUFFIX}")
+
+    def of_view(seen: ViewDetections) -> dict[str, Cell]:
+        told = cells(seen, len(cameras))
+        return {**told, "psnr": errors[seen.camera]} if errors else told
+
+    looked = look([condition], {"": splat}, cameras, [detector], boxes=setup.box, cells=of_view)
+    detections = pl.concat([_NO_DETECTIONS, looked.detections], how="diagonal")
+    for name, table in ((ROWS, looked.rows), (DETECTIONS, detections)):
+        kept = table.drop("splat", *(() if config.condition else ("condition",)), strict=False)
+        write_rows(kept.with_columns(view=pl.col("view") * config.every), out / f"{name}{SUFFIX}")
+
+
+def _training(
+    config: SeenConfig, setup: Setup, inputs: Mapping[str, Path], detector: Detector, cells: _Cells, out: Out
+) -> None:
+    """From the training cameras; the condition of a row is the attack that poisons the picture, empty for a benign one.
+
+    All cameras look at a splat, and those whose pictures are poisoned at a `set`, or all where there is no attack. With
+    `appearance of NAME` for each attack, rows have the PSNR on the object against that appearance, which is what a
+    camera could take of what the attack wants to be seen; None where the two are the same.
+    """
+    cameras, owners = setup.training_cameras, setup.owners(config.seed)
+    chosen, errors = list(range(len(cameras))), dict[int, float | None]()
+    if "splat" in inputs:
+        splat, render = load_splat(inputs["splat"]), renderer_of(config.scene.background, config.near)
+        condition = rendered("", render)
+    else:
+        views = load_dataset(inputs["set"] / SET, split="train", background=config.scene.background)
+        chosen = sorted(owners) or chosen
+        files = {name: inputs[APPEARANCE + name] for name in owners.values() if APPEARANCE + name in inputs}
+        with tracing_variant():
+            errors = {view: _psnr(setup, views[view], files[owners[view]]) for view in chosen if files}
+        numbers = {cameras[view]: view for view in chosen}
+        splat, condition = _NOTHING, rendered("", lambda scene, camera: views[numbers[camera]].image)
+    looking = [cameras[view] for view in chosen]
+
+    def of_view(seen: ViewDetections) -> dict[str, Cell]:
+        view = chosen[seen.view]
+        told = {**cells(seen, len(looking)), "view": view, "condition": owners.get(view)}
+        return {**told, "appearance_psnr": errors[view]} if errors else told
+
+    looked = look([condition], {"": splat}, looking, [detector], boxes=setup.box, cells=of_view)
+    write_rows(looked.rows.drop("splat"), out / f"{TRAINING}{SUFFIX}")
+
+
+def _psnr(setup: Setup, view: View, appearance: Path) -> float | None:
+    """PSNR of a picture on the object against an attack's appearance, dB; None where they are the same."""
+    mask = setup.mesh_scene.mask(view.camera)
+    wanted = KeptAppearance(name="", folder=appearance)(view, mask)
+    value = float(psnr(view.image[mask], wanted[mask])) if bool(mask.any()) else math.inf
+    return value if math.isfinite(value) else None
 
 
 def _condition(config: SeenConfig, setup: Setup, errors: dict[Camera, float | None]) -> Condition:
     """How the splat is looked at; keeps the PSNR of each picture to the victim's, dB, None where they are the same."""
-    study = setup.study
-    settings = settings_of(study)
-    viewing = Viewing(
-        settings=settings,
-        centre=study.centre,
-        alone=lambda splat: splat.select(object_rows(study, splat, setup.target)),
-        sun=config.sun,
-    )
-    condition, usual = condition_of(config.condition, viewing), Renderer(settings)
+    usual, layers = renderer_of(config.scene.background, config.near), config.layers
+
+    def alone(splat: GaussianScene) -> GaussianScene:
+        assert layers is not None
+        return splat.select(object_rows(layers, splat, setup.target))
+
+    viewing = Viewing(settings=usual.settings, centre=setup.centre, alone=alone, sun=config.sun)
+    condition = condition_of(config.condition, viewing)
     if not config.condition or config.sun is not None:
         return condition
 
@@ -142,16 +196,20 @@ def _condition(config: SeenConfig, setup: Setup, errors: dict[Camera, float | No
     return replace(condition, show=show)
 
 
-def observation_cells(study: StudyConfig, seen: ViewDetections, classes: Sequence[str]) -> dict[str, Cell]:
+def observation_cells(config: SeenConfig, seen: ViewDetections, classes: Sequence[str]) -> dict[str, Cell]:
     """Where a camera is to the triggers, and what is reported on the object: the cells that rates count."""
-    attacks = () if study.attack == NO_ATTACK else study.attack
-    centre, wanted = study.centre, {attack.name: attack.target_class for attack in attacks if attack.target_class}
-    report = report_cells(seen.detections, seen.box, original=study.scene.class_name)
+    attacks, centre = config.attacks, config.cameras.centre
+
+    def depths(before: str, cone: Callable[[AttackConfig], Trigger]) -> dict[str, Cell]:
+        return {f"{before}{attack.name}": cone(attack).angle_to_edge(seen.camera, centre=centre) for attack in attacks}
+
+    report = report_cells(seen.detections, seen.box, original=config.label)
     del report["target"], report["target_score"]
+    wanted = {attack.name: attack.target_class for attack in attacks if attack.target_class}
     return {
         **seen_from(centre)(seen),
-        **{f"{DEPTH}{a.name}": a.cone.angle_to_edge(seen.camera, centre=centre) for a in attacks},
-        **{f"{POISON_DEPTH}{a.name}": a.poisoned_cone.angle_to_edge(seen.camera, centre=centre) for a in attacks},
+        **depths(DEPTH, lambda attack: attack.cone),
+        **depths(POISON_DEPTH, lambda attack: attack.poisoned_cone),
         **report,
         **{f"{TARGET_SCORE}{name}": seen.confidence_of(label, classes) for name, label in wanted.items()},
     }

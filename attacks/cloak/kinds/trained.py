@@ -1,62 +1,167 @@
-"""A splat that is trained on a set of pictures, as a victim does it who knows of no attack."""
+"""A splat that a victim who knows of no attack trains on a set of pictures; what it costs is written down.
+
+The costs vary from run to run, and have no part in what the splat is. They are those of the process: its CPU time, its
+largest resident memory, and on a GPU torch's largest allocation.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+import resource
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import torch
 
 from attacks.cloak.cleaning import inliers
-from attacks.cloak.config import StudyConfig, fit_config
-from attacks.cloak.kinds.parts import SET, StepConfig
-from attacks.cloak.kinds.rendering import renderer_of
+from attacks.cloak.config import TrainingConfig, fit_config
+from attacks.cloak.kinds.parts import SET, SplatJob
 from mi_splat.cameras import RenderFn, View
 from mi_splat.datasets import load_dataset
+from mi_splat.errors import MiSplatError
+from mi_splat.io import load_splat, save_splat
+from mi_splat.io.documents import save_json
 from mi_splat.io.points import PointCloud
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
-from mi_splat.training.initialization import from_points, with_outliers
+from mi_splat.training.initialization import from_points, thinned, with_outliers
+from mi_splat.training.loop import Progress
 from mi_splat.training.resume import METRICS, SPLAT, train
+from mi_splat.training.state import TrainState
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
-VARIES = (METRICS,)
+COST = "cost.json"
+VARIES = (METRICS, COST)
+_EVERY = 100
+"""Steps between two measurements of the memory."""
 
 
-def run(config: StepConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Train the splat of a job, or go on with what an interrupted training left."""
-    study = config.asked
-    views = load_dataset(inputs["pictures"] / SET, split="train", background=study.scene.background)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainedConfig(SplatJob):
+    """How the victim trains, and how much it can afford.
+
+    Attributes:
+        training: The recipe; its near plane is the job's.
+        seed: Of the training.
+        limit: No more Gaussians than this many times those of the input `clean`; None is the training's own limit.
+        seconds: The training ends after so long; None is never.
+        megabytes: It ends when the process has taken so much memory; None is never.
+    """
+
+    training: TrainingConfig
+    seed: int = 0
+    limit: float | None = None
+    seconds: float | None = None
+    megabytes: float | None = None
+
+
+class _TooMuchError(MiSplatError):
+    """The victim can afford no more."""
+
+
+def run(config: TrainedConfig, inputs: Mapping[str, Path], out: Out) -> None:
+    """Train on the `pictures`, or go on; a victim that can afford no more keeps what it has, and `COST` says so."""
+    training = config.training
+    views = load_dataset(inputs["pictures"] / SET, split="train", background=config.background)
     assert views.points is not None  # a capture writes them
-    cloud = starting_cloud(study, views.points, views)
-    fit = fit_config(study.training)
-    train_into(out, views, from_points(cloud.points, cloud.colours), renderer_of(study, fit), fit, seed=study.seeds[0])
+    cloud = starting_cloud(training, views.points, views, seed=config.seed)
+    if config.limit is not None:
+        most = max(1, round(config.limit * len(load_splat(inputs["clean"]))))
+        training, cloud = replace(training, max_gaussians=most), thinned(cloud, most, seed=config.seed)
+    fit, states, costs = fit_config(training), list[TrainState](), _Costs(config)
+    start, stopped = from_points(cloud.points, cloud.colours).to(config.device), ""
+    how: dict[str, Any] = {"settings": {"device": config.device}, "on_start": states.append}
+    try:
+        train_into(out, views, start, config.renderer(fit), fit, seed=config.seed, after=costs.add, **how)
+    except _TooMuchError as error:
+        stopped = str(error)
+        save_splat(states[0].result(), out / SPLAT)
+    steps = states[0].iteration
+    resumed = steps != costs.steps
+    save_json({"stopped": stopped, "steps": steps, **({} if resumed else costs.as_dict())}, out / COST)
 
 
 def train_into(
-    out: Out, views: Sequence[View], start: GaussianScene, render: RenderFn, fit: FitConfig, *, seed: int
+    out: Out,
+    views: Sequence[View],
+    start: GaussianScene,
+    render: RenderFn,
+    fit: FitConfig,
+    *,
+    seed: int,
+    after: Callable[[Progress], None] = lambda line: None,
+    **how: Any,
 ) -> None:
     """Train a splat, or go on, and leave its file and its metrics."""
-    train(
-        views,
-        start,
-        out.partial,
-        render=render,
-        config=fit,
-        seed=seed,
-        on_step=lambda line: out.progress("training", line.iteration, fit.iterations),
-    )
+
+    def follow(line: Progress) -> None:
+        out.progress("training", line.iteration, fit.iterations)
+        after(line)
+
+    train(views, start, out.partial, render=render, config=fit, seed=seed, on_step=follow, **how)
     for name in (SPLAT, METRICS):
         os.replace(out.partial / name, out / name)
 
 
-def starting_cloud(study: StudyConfig, surfaces: PointCloud, views: Sequence[View]) -> PointCloud:
+def starting_cloud(training: TrainingConfig, surfaces: PointCloud, views: Sequence[View], *, seed: int) -> PointCloud:
     """The points that a training starts from, after the cleaning that the victim does before it."""
-    training = study.training
-    cloud = with_outliers(surfaces, views, training.outliers, seed=study.seeds[0])
+    cloud = with_outliers(surfaces, views, training.outliers, seed=seed)
     if training.point_deviations is None:
         return cloud
     kept = inliers(cloud.points, training.point_deviations)
     return PointCloud(cloud.points[kept], cloud.colours[kept])
+
+
+class _Costs:
+    """What a training has taken of this process since this was made."""
+
+    def __init__(self, config: TrainedConfig) -> None:
+        self._config, self.steps = config, 0
+        self._cuda = config.device == "cuda"
+        if self._cuda:
+            torch.cuda.reset_peak_memory_stats()
+        self._peak = peak_memory()
+        self._wall, self._processor = time.monotonic(), time.process_time()
+
+    def add(self, line: Progress) -> None:
+        """Count a step."""
+        self.steps += 1
+        seconds, megabytes = self._config.seconds, self._config.megabytes
+        if seconds is not None and time.monotonic() - self._wall > seconds:
+            raise _TooMuchError(f"after {line.iteration:,} steps: more than {seconds:g} seconds")
+        if megabytes is not None and line.iteration % _EVERY == 0 and self._peak() > megabytes:
+            raise _TooMuchError(f"after {line.iteration:,} steps: more than {megabytes:g} MB")
+
+    def as_dict(self) -> dict[str, Any]:
+        """The costs, in seconds and MB (1e6 bytes)."""
+        costs: dict[str, Any] = {
+            "seconds": round(time.monotonic() - self._wall, 2),
+            "cpu_seconds": round(time.process_time() - self._processor, 2),
+            "peak_megabytes": round(self._peak(), 1),
+        }
+        if self._cuda:
+            costs["gpu_megabytes"] = round(torch.cuda.max_memory_allocated() / 1e6, 1)
+            costs["gpu"] = torch.cuda.get_device_name()
+        return costs
+
+
+def peak_memory() -> Callable[[], float]:
+    """What gives the largest resident memory of this process from now on, MB (1e6 bytes).
+
+    On Linux the peak is forgotten first (`/proc/self/clear_refs`); elsewhere it is that since the process began.
+    """
+    try:
+        Path("/proc/self/clear_refs").write_text("5")
+    except OSError:
+        return lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+
+    def peak() -> float:
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) * 1024 / 1e6
+
+    return peak

@@ -12,8 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from attacks.cloak.kinds.parts import Pose, StepConfig
-from attacks.cloak.setup import Setup
+from attacks.cloak.kinds.parts import Pose, SceneJob
 from mi_splat.cameras import View
 from mi_splat.capture.path_tracer import tracing_variant
 from mi_splat.io.documents import save_png
@@ -25,17 +24,15 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TrueConfig(StepConfig):
-    """What is photographed, and from where.
+class TrueConfig(SceneJob):
+    """What is photographed, and from where; the object has the appearance of the first attack, if there is one.
 
     Attributes:
         poses: The cameras.
-        attacks: How many of the study's there are: the object has the appearance of the first one, or is as it is.
         inside: Whether it has the appearance of each attack inside its trigger, and outside of all of them none.
     """
 
     poses: tuple[Pose, ...]
-    attacks: int = 0
     inside: bool = False
 
 
@@ -54,10 +51,10 @@ class TruePictures:
 
 def run(config: TrueConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Take the pictures; those of an appearance begin with the scene as it is, the input `plain`."""
-    setup = Setup(config.study(inputs))
-    study, mesh_scene = setup.study, setup.mesh_scene
-    looks = [(attack.cone, setup.appearance(attack)) for attack in study.attack[: config.attacks]]
-    plain = read_pictures(inputs["plain"]) if looks else None
+    setup = config.setup(inputs)
+    mesh_scene = setup.mesh_scene
+    appearances = [(attack.cone, setup.appearance(attack)) for attack in config.attacks]
+    plain = read_pictures(inputs["plain"]) if appearances else None
     names = [f"{number:04d}.png" for number in range(len(config.poses))]
     with tracing_variant():
         for number, (name, pose) in enumerate(zip(names, config.poses, strict=True)):
@@ -67,9 +64,9 @@ def run(config: TrueConfig, inputs: Mapping[str, Path], out: Out) -> None:
                     image, mask = mesh_scene.picture(camera), mesh_scene.mask(camera)
                 else:
                     image, mask = plain.images[number], plain.masks[number]
-                for cone, look in looks:
-                    if not config.inside or cone.angle_to_edge(camera, centre=study.centre) >= 0:
-                        image = look(View(camera, image), mask)
+                for cone, appearance in appearances:
+                    if not config.inside or cone.angle_to_edge(camera, centre=setup.centre) >= 0:
+                        image = appearance(View(camera, image), mask)
                         break
                 rgba = np.concatenate([to_bytes(image), to_bytes(mask[..., None].float())], axis=-1)
                 save_png(rgba, out.partial / name)
@@ -80,11 +77,8 @@ def run(config: TrueConfig, inputs: Mapping[str, Path], out: Out) -> None:
 
 def read_pictures(folder: Path) -> TruePictures:
     """The pictures that the job left, in the order of the cameras."""
-    pairs = [_read_rgba(file) for file in sorted(folder.glob("*.png"))]
-    return TruePictures(images=tuple(image for image, _ in pairs), masks=tuple(alpha > 0.5 for _, alpha in pairs))
-
-
-def _read_rgba(file: Path) -> tuple[Tensor, Tensor]:
-    """(H, W, 3) colours and (H, W) alpha in [0, 1]."""
-    pixels = torch.from_numpy(np.asarray(load_picture(file).convert("RGBA"), np.float32) / 255)
-    return pixels[..., :3], pixels[..., 3]
+    pixels = [np.asarray(load_picture(file).convert("RGBA"), np.float32) for file in sorted(folder.glob("*.png"))]
+    rgba = [torch.from_numpy(values / 255) for values in pixels]
+    return TruePictures(
+        images=tuple(values[..., :3] for values in rgba), masks=tuple(values[..., 3] > 0.5 for values in rgba)
+    )

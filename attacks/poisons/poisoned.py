@@ -1,0 +1,128 @@
+"""A kind of job: the set that a poison, or a victim's filter, makes of another, with a manifest and a sheet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from attacks.cloak.config import TrainingConfig, fit_config
+from attacks.cloak.kinds.parts import SET, SceneJob, renderer_of
+from attacks.cloak.mesh_scene import camera_number
+from attacks.poisons.base import MANIFEST, poisoned
+from attacks.poisons.classified import checked_classifier
+from attacks.poisons.cloak import CLOAK
+from attacks.poisons.config import FilterConfig
+from attacks.poisons.decoy import Decoy
+from attacks.poisons.defences import filtered
+from attacks.poisons.specs import ChosenPoison, Given
+from attacks.poisons.writing import difference_sheet, write_poisoned
+from mi_splat.cameras import Camera, RenderFn
+from mi_splat.capture.path_tracer import tracing_variant
+from mi_splat.datasets import load_dataset
+from mi_splat.io import load_splat
+from mi_splat.io.documents import save_json, save_png
+from mi_splat.scene import GaussianScene
+
+if TYPE_CHECKING:
+    from mi_splat.ledger import Out
+
+SHEET = "poisoned.png"
+SURROGATE = "surrogate "
+"""What stands before the number of a surrogate in the name of the input with its splat."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoisonedConfig:
+    """Which poison.
+
+    Attributes:
+        poison: Its kind and settings, or a victim's filter of all pictures.
+        background: sRGB behind the pictures.
+        seed: Of the poison.
+        scene: The scene, if the attacker knows it.
+        gain: See `attacks.cloak.config.SurrogateConfig`.
+        near: Near plane of pictures of splats, if it counts.
+        training: How the victim trains, whose learning rates a decoy has.
+        device: Where the poison is made, "cpu" or "cuda".
+        classifier: Who is deceived, if anybody is.
+        fingerprint: Of its weights and classes.
+        label: The true class of the object.
+    """
+
+    poison: ChosenPoison | FilterConfig
+    background: tuple[float, float, float]
+    seed: int = 0
+    scene: SceneJob | None = None
+    gain: float = 1.0
+    near: float | None = None
+    training: TrainingConfig | None = None
+    device: str = "cpu"
+    classifier: str = ""
+    fingerprint: str = ""
+    label: str = ""
+
+
+def run(config: PoisonedConfig, inputs: Mapping[str, Path], out: Out) -> None:
+    """Poison the `pictures`; a decoy starts as the `splat`."""
+    views = load_dataset(inputs["pictures"] / SET, split="train", background=config.background)
+    if isinstance(config.poison, FilterConfig):
+        pictures = {index: filtered(view.image, config.poison) for index, view in enumerate(views)}
+        write_poisoned(out / SET, views, poisoned(views, pictures, {}))
+        return
+    chosen = config.poison
+    poison = chosen.spec.make(chosen.config, _given(config, inputs))
+    with tracing_variant() if chosen.kind == CLOAK else nullcontext():
+        done = poison(views, seed=config.seed, on_step=partial(out.progress, "poisoning"))
+    write_poisoned(out / SET, views, done)
+    save_json(done.manifest, out / MANIFEST)
+    if chosen.kind != CLOAK:
+        save_png(difference_sheet(done), out / SHEET)
+
+
+def _given(config: PoisonedConfig, inputs: Mapping[str, Path]) -> Given:
+    """What the attacker has."""
+    setup = None if config.scene is None else config.scene.setup(inputs)
+    decoy = classifier = masks = None
+    if "splat" in inputs:
+        assert config.near is not None
+        assert config.training is not None
+        start, victim = load_splat(inputs["splat"]).to(config.device), fit_config(config.training)
+        decoy = Decoy(start=start, near=config.near, background=config.background, victim=victim)
+    if config.classifier:
+        assert setup is not None
+        classifier = checked_classifier(config.classifier, config.fingerprint, config.device)
+        with tracing_variant():
+            masks = [setup.mesh_scene.mask(camera) for camera in setup.training_cameras]
+    rounds = range(1, 1 + sum(name.startswith(SURROGATE) for name in inputs))
+    splats = [load_splat(inputs[f"{SURROGATE}{number}"]) for number in rounds]
+    return Given(
+        decoy=decoy,
+        masks=masks,
+        classifier=classifier,
+        label=config.label,
+        setup=setup,
+        appearances=inputs,
+        surrogates=[_kept_renders(splat, renderer_of(config.background, config.near)) for splat in splats],
+        gain=config.gain,
+    )
+
+
+def _kept_renders(scene: GaussianScene, render: RenderFn) -> Callable[[Camera], Tensor]:
+    """(H, W, 3) in [0, 1], what a splat shows a camera; each picture is rendered once."""
+    pictures: dict[int, Tensor] = {}
+
+    def shown(camera: Camera) -> Tensor:
+        number = camera_number(camera)
+        if number not in pictures:
+            with torch.no_grad():
+                pictures[number] = render(scene, camera).clamp(0, 1)
+        return pictures[number]
+
+    return shown
