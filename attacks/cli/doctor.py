@@ -1,9 +1,8 @@
 """`mi-splat doctor`: check what `mi-splat dagger` needs on this machine, and say what to do where it does not work.
 
-A broken libLLVM, or a torch that does not fit its torchvision, can end the whole process. So the checks run in a child
-process (`python -m attacks.cli.doctor GROUP ...`), which prints what each check says as soon as it is done, one JSON
-text a line. If it ends early, the first check without a line has failed; the signal or the last line of stderr says
-why. The rest of that group needs what failed; another child looks at the groups that follow.
+A broken libLLVM, or a torch that does not fit its torchvision, can end the whole process. So each group of checks runs
+in a child process (`python -m attacks.cli.doctor GROUP`), which prints what each check says, one JSON text a line. If
+it ends early, the first check without a line has failed, and the rest of the group needs what failed.
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from mi_splat.cli.console import import_at_once, progress, show_result
 from mi_splat.cli.options import JsonOptions
@@ -31,13 +29,8 @@ from mi_splat.processes import python_command
 from mi_splat.provenance import versions
 from mi_splat.registry import brought_by_packages
 
-if TYPE_CHECKING:
-    from torch import Tensor
-
-State = Literal["works", "fails", "absent", "skipped"]
 TIME_LIMIT = 300.0
 """Seconds that a child may take; the first kernels of a machine have to be compiled."""
-
 
 EXAMPLES = ("doctor",)
 SEE_ALSO = ("detectors",)
@@ -55,25 +48,17 @@ class DoctorOptions(JsonOptions):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """What one check found.
-
-    Attributes:
-        name: What was checked.
-        state: "works", "fails", "absent" (optional and not there) or "skipped" (an earlier check failed).
-        detail: Versions, paths, or what went wrong.
-        advice: What to do about it; empty where it works.
-        required: Whether `mi-splat dagger` needs it.
-    """
+    """What one check found; "absent" is optional and not there, "skipped" needs what failed before."""
 
     name: str
-    state: State
+    state: Literal["works", "fails", "absent", "skipped"]
     detail: str
-    advice: str
-    required: bool
+    advice: str = ""
+    required: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Probe:
+@dataclass(frozen=True, slots=True)
+class Check:
     """One check: `run` returns a detail, or raises; `advice` is given if it does not work."""
 
     name: str
@@ -104,113 +89,100 @@ def examine(on_done: Callable[[str], None] = lambda name: None) -> list[Finding]
     """All findings on this machine, in the order in which one thing needs the other."""
     packages = ", ".join(f"{package} {number}" for package, number in versions().items())
     detail = f"{packages}; {platform.system()} {platform.machine()}"
-    findings = [Finding(name="versions", state="works", detail=detail, advice="", required=True)]
-    findings += examine_groups(tuple(GROUPS), python_command("attacks.cli.doctor"), on_done)
+    findings = [Finding(name="versions", state="works", detail=detail, required=True)]
+    for group, checks in GROUPS.items():
+        findings += examine_group(checks, python_command("attacks.cli.doctor", group))
+        on_done(group)
     for extra, modules in EXTRAS.items():
-        missing = [module for module in modules if importlib.util.find_spec(module) is None]
-        state: State = "absent" if missing else "works"
-        detail = f"no {' and '.join(missing)}" if missing else ", ".join(modules)
-        advice = f"optional: {install(extra)}" if missing else ""
-        findings.append(Finding(name=f"extra {extra}", state=state, detail=detail, advice=advice, required=False))
+        if missing := [module for module in modules if importlib.util.find_spec(module) is None]:
+            detail, advice = f"no {' and '.join(missing)}", f"optional: {install(extra)}"
+            findings.append(Finding(name=f"extra {extra}", state="absent", detail=detail, advice=advice))
+        else:
+            findings.append(Finding(name=f"extra {extra}", state="works", detail=", ".join(modules)))
     return [*findings, *map(_plug_in, brought_by_packages())]
+
+
+def examine_group(checks: Sequence[Check], command: Sequence[str]) -> list[Finding]:
+    """The findings of a group of checks that a command makes."""
+    answers, reason = _answers(command)
+    findings = [
+        Finding(name=check.name, state="works", detail=detail, required=check.required)
+        for check, detail in zip(checks, answers, strict=False)
+    ]
+    if len(answers) < len(checks):
+        failed, *others = checks[len(answers) :]
+        state: Literal["fails", "absent"] = "fails" if failed.required else "absent"
+        told = {"detail": reason, "advice": failed.advice, "required": failed.required}
+        findings.append(Finding(name=failed.name, state=state, **told))  # type: ignore[arg-type]  # of each its own
+        rest = "needs what failed before"
+        findings += [Finding(name=c.name, state="skipped", detail=rest, required=c.required) for c in others]
+    return findings
 
 
 def _plug_in(point: tuple[str, str, str]) -> Finding:
     """Whether what another package brings is there; a child imports it, for it may do anything."""
     group, name, origin = point
-    detail, advice = f"{origin} ({group})", ""
+    advice = ""
     if group not in REGISTRIES:
         advice = f"no command looks there; {nearest(group, REGISTRIES, 'see docs/plug-ins.md')}"
     elif not (done := _answers(python_command("attacks.cli.doctor", f"{group}/{name}")))[0]:
         advice = done[1]
-    state: State = "fails" if advice else "works"
-    return Finding(name=f"plug-in {name}", state=state, detail=detail, advice=advice, required=False)
-
-
-def _brought(group: str, name: str) -> str:
-    """The kind of what another package brings, which is imported."""
-    module, registry = REGISTRIES[group]
-    value = getattr(importlib.import_module(module), registry).chosen(name)
-    return type(value).__name__
-
-
-def examine_groups(
-    groups: Sequence[str], command: Sequence[str], on_done: Callable[[str], None] = lambda name: None
-) -> list[Finding]:
-    """The findings of groups of probes."""
-    findings: list[Finding] = []
-    details: list[str] = []
-    reason: str | None = None
-    for number, group in enumerate(groups):
-        if reason is None:
-            details, reason = _answers([*command, *groups[number:]])
-        probes = GROUPS[group]
-        findings += [_finding(probe, k, details, reason) for k, probe in enumerate(probes)]
-        if len(details) < len(probes):
-            reason = None  # what follows needs another child
-        details = details[len(probes) :]
-        on_done(group)
-    return findings
+    state: Literal["works", "fails"] = "fails" if advice else "works"
+    return Finding(name=f"plug-in {name}", state=state, detail=f"{origin} ({group})", advice=advice)
 
 
 def _answers(command: Sequence[str]) -> tuple[list[str], str]:
-    """What each probe of a child said, and why the child ended."""
+    """What each check of a child said, and why the child ended: a signal, or the last line of its stderr."""
     try:
         child = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=TIME_LIMIT, check=False)
-        output, reason = child.stdout, _end_of(child.returncode, child.stderr.decode(errors="replace"))
     except subprocess.TimeoutExpired as error:
         output, reason = error.stdout or b"", f"no answer after {TIME_LIMIT:.0f} s"
-    return [str(json.loads(line)) for line in output.splitlines() if line.startswith(b'"')], reason
-
-
-def _finding(probe: Probe, number: int, details: Sequence[str], reason: str) -> Finding:
-    """Of the probe with this number in a group of which so many have said something before the child ended."""
-    state: State = "works"
-    if number < len(details):
-        detail, advice = details[number], ""
-    elif number == len(details):
-        state, detail, advice = "fails" if probe.required else "absent", reason, probe.advice
     else:
-        state, detail, advice = "skipped", "needs what failed before", ""
-    return Finding(name=probe.name, state=state, detail=detail, advice=advice, required=probe.required)
-
-
-def _end_of(status: int, errors: str) -> str:
-    """Why a child ended: the signal that killed it, or the last line of its stderr."""
-    lines = [line.strip() for line in errors.splitlines() if line.strip()]
-    if status < 0:
-        return f"the process was ended by {signal.Signals(-status).name}" + (f" ({lines[0]})" if lines else "")
-    return re.sub(r"^(mi_splat|attacks)[\w.]*: ", "", lines[-1]) if lines else f"exit status {status}"
+        output, status = child.stdout, child.returncode
+        lines = [line.strip() for line in child.stderr.decode(errors="replace").splitlines() if line.strip()]
+        if status < 0:
+            reason = " ".join([f"the process was ended by {signal.Signals(-status).name}", *lines[:1]])
+        else:
+            reason = re.sub(r"^(mi_splat|attacks)[\w.]*: ", "", lines[-1]) if lines else f"exit status {status}"
+    return [str(json.loads(line)) for line in output.splitlines() if line.startswith(b'"')], reason
 
 
 def _llvm() -> str:
     from mi_splat.llvm import llvm_version, prepare_llvm
-
-    path = prepare_llvm()
-    return "left to Dr.Jit" if path is None else f"version {llvm_version(path) or 'unknown'}, {path}"
-
-
-def _variant() -> str:
     from mi_splat.variant import use
 
-    return use()
+    path, variant = prepare_llvm(), use()
+    where = "left to Dr.Jit" if path is None else f"version {llvm_version(path) or 'unknown'}, {path}"
+    return f"{where}; {variant}"
 
 
-def _one_gaussian() -> str:
-    return f"the middle pixel is {_middle(_render()):.2f}"
-
-
-def _one_gradient() -> str:
+def _one_gaussian(variant: str = "llvm_ad_rgb") -> str:
+    """Render one bright Gaussian in front of black, and take the gradient by its colour."""
+    import_at_once("torch")
     import torch
 
-    sh = torch.zeros(1, 1, 3, requires_grad=True)
-    picture = _render(sh)
-    (gradient,) = torch.autograd.grad(picture.sum(), sh)
+    from mi_splat.cameras import Camera, look_at
+    from mi_splat.rendering import Renderer, RenderSettings
+    from mi_splat.scene import GaussianScene
+
+    sh = torch.ones(1, 1, 3, requires_grad=True)
+    scene = GaussianScene(
+        means=torch.zeros(1, 3),
+        scales=torch.full((1, 3), 0.2),
+        rotations=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
+        opacities=torch.tensor([0.9]),
+        sh=sh,
+    )
+    camera = Camera(to_world=look_at((3.0, 0.0, 0.0), (0.0, 0.0, 0.0)), focal=32.0, width=32, height=32)
+    render = Renderer(RenderSettings(background=(0.0, 0.0, 0.0), variant=variant))
+    image = render(scene.to("cuda" if variant.startswith("cuda") else "cpu"), camera)
+    middle, corner = float(image[16, 16].mean()), float(image[0, 0].mean())
+    if not middle > corner + 0.3:
+        raise ValueError(f"a bright Gaussian should show in the middle: {middle:.2f}, and {corner:.2f} in a corner")
+    (gradient,) = torch.autograd.grad(image.sum(), sh)
     if not (bool(torch.isfinite(gradient).all()) and bool((gradient > 0).all())):
-        raise ValueError(
-            f"the gradient of the picture's sum by the colour should be positive, and is {gradient.tolist()}"
-        )
-    return f"of the picture by the colour: {float(gradient.mean()):.2f}"
+        raise ValueError(f"the gradient of the image's sum by the colour should be positive: {gradient.tolist()}")
+    return f"the middle pixel is {middle:.2f}, the gradient by the colour {float(gradient.mean()):.2f}"
 
 
 def _torch_pair() -> str:
@@ -219,11 +191,9 @@ def _torch_pair() -> str:
     import torchvision
 
     boxes = torch.tensor([[0.0, 0.0, 2.0, 2.0], [0.0, 0.0, 2.0, 2.1]])
-    kept = torchvision.ops.nms(boxes, torch.tensor([0.9, 0.8]), 0.5)
-    if kept.tolist() != [0]:
-        raise ValueError(
-            f"torchvision's non-maximum suppression should keep the first of two boxes, and kept {kept.tolist()}"
-        )
+    kept = torchvision.ops.nms(boxes, torch.tensor([0.9, 0.8]), 0.5).tolist()
+    if kept != [0]:
+        raise ValueError(f"torchvision's non-maximum suppression should keep the first of two boxes: {kept}")
     return f"torch {torch.__version__} and torchvision {torchvision.__version__}"
 
 
@@ -234,7 +204,7 @@ def _detector() -> str:
 
     detector = load_detector("fasterrcnn_small")
     (detections,) = detector.detect(torch.full((1, 64, 64, 3), 0.5))
-    return f"{detector.name}, {len(detector.classes)} classes, {len(detections)} detections in a grey picture"
+    return f"{detector.name}, {len(detector.classes)} classes, {len(detections)} detections in a grey image"
 
 
 def _cuda() -> str:
@@ -242,61 +212,27 @@ def _cuda() -> str:
 
     if not torch.cuda.is_available():
         raise MiSplatError(f"torch {torch.__version__} sees no GPU")
-    picture = _render(variant="cuda_ad_rgb")
-    return f"{torch.cuda.get_device_name()}; the middle pixel of one Gaussian is {_middle(picture):.2f}"
+    return f"{torch.cuda.get_device_name()}; of one Gaussian {_one_gaussian('cuda_ad_rgb')}"
 
 
-def _render(sh: Tensor | None = None, variant: str = "llvm_ad_rgb") -> Tensor:
-    """A picture of one bright Gaussian in front of black, or of one with the colour `sh`."""
-    import_at_once("torch")
-    import torch
-
-    from mi_splat.cameras import Camera, look_at
-    from mi_splat.rendering import Renderer, RenderSettings
-    from mi_splat.scene import GaussianScene
-
-    scene = GaussianScene(
-        means=torch.zeros(1, 3),
-        scales=torch.full((1, 3), 0.2),
-        rotations=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
-        opacities=torch.tensor([0.9]),
-        sh=torch.ones(1, 1, 3) if sh is None else sh,
-    )
-    camera = Camera(to_world=look_at((3.0, 0.0, 0.0), (0.0, 0.0, 0.0)), focal=32.0, width=32, height=32)
-    render = Renderer(RenderSettings(background=(0.0, 0.0, 0.0), variant=variant))
-    return render(scene.to("cuda" if variant.startswith("cuda") else "cpu"), camera)
-
-
-def _middle(picture: Tensor) -> float:
-    """Brightness in the middle of a picture, which has to lie well above the corner's."""
-    middle, corner = float(picture[16, 16].mean()), float(picture[0, 0].mean())
-    if not middle > corner + 0.3:
-        raise ValueError(
-            f"a bright Gaussian should show in the middle; there it is {middle:.2f}, and {corner:.2f} in a corner"
-        )
-    return middle
-
-
-GROUPS: dict[str, tuple[Probe, ...]] = {
+GROUPS: dict[str, tuple[Check, ...]] = {
     "renderer": (
-        Probe(name="LLVM", run=_llvm, advice=llvm_hint()),
-        Probe(name="variant", run=_variant, advice=f"{llvm_hint()}; or reinstall mitsuba and drjit"),
-        Probe(name="one Gaussian", run=_one_gaussian, advice=f"if the process was ended, {llvm_hint()}"),
-        Probe(name="one gradient", run=_one_gradient, advice=f"if the process was ended, {llvm_hint()}"),
+        Check("LLVM", _llvm, f"{llvm_hint()}; or reinstall mitsuba and drjit"),
+        Check("one Gaussian", _one_gaussian, f"if the process was ended, {llvm_hint()}"),
     ),
     "detector": (
-        Probe(
-            name="torch pair",
-            run=_torch_pair,
-            advice="install both together, from one index: pip install --force-reinstall torch torchvision",
+        Check(
+            "torch pair",
+            _torch_pair,
+            "install both together, from one index: pip install --force-reinstall torch torchvision",
         ),
-        Probe(name="one detector", run=_detector, advice="reinstall mi-splat; its weights are part of the package"),
+        Check("one detector", _detector, "reinstall mi-splat; its weights are part of the package"),
     ),
     "CUDA": (
-        Probe(
-            name="CUDA",
-            run=_cuda,
-            advice="optional: all runs on the CPU; for a GPU install its driver and a torch built for CUDA",
+        Check(
+            "CUDA",
+            _cuda,
+            "optional: all runs on the CPU; for a GPU install its driver and a torch built for CUDA",
             required=False,
         ),
     ),
@@ -327,8 +263,14 @@ REGISTRIES = {
 """Who reads each group of entry points."""
 
 
-if __name__ == "__main__":  # in the child; a line is there as soon as its probe is done
+if __name__ == "__main__":  # in the child; a line is there as soon as its check is done
     for word in sys.argv[1:]:
-        runs = [partial(_brought, *word.split("/"))] if "/" in word else [probe.run for probe in GROUPS[word]]
-        for run_one in runs:
-            os.write(sys.stdout.fileno(), (json.dumps(run_one()) + "\n").encode())
+        if "/" in word:
+            point_group, point = word.split("/")
+            module, registry = REGISTRIES[point_group]
+            value = getattr(importlib.import_module(module), registry).chosen(point)
+            answers = (type(value).__name__ for _ in "1")
+        else:
+            answers = (check.run() for check in GROUPS[word])
+        for answer in answers:
+            os.write(sys.stdout.fileno(), (json.dumps(answer) + "\n").encode())
