@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from scipy.optimize import isotonic_regression
 from torch import Tensor
 
 from mi_splat.errors import InvalidValueError
@@ -81,24 +82,9 @@ def fit_transition(angles: Sequence[float], fractions: Sequence[float]) -> Trans
     for angle, value in zip(angles, fractions, strict=True):
         groups[angle].append(value)
     means = [sum(values) / len(values) for values in groups.values()]
-    fitted = rising_fit(means, [len(values) for values in groups.values()])
+    fitted = isotonic_regression(means, weights=[len(values) for values in groups.values()]).x.tolist()
     start, end = (_crossing(list(groups), fitted, level) for level in LEVELS)
     return Transition(angles=tuple(groups), fractions=tuple(means), fitted=tuple(fitted), start=start, end=end)
-
-
-def rising_fit(values: Sequence[float], weights: Sequence[float]) -> list[float]:
-    """The non-decreasing sequence nearest to `values` by weighted least squares: pool adjacent violators.
-
-    Ayer et al., "An empirical distribution function for sampling with incomplete information", 1955.
-    """
-    blocks: list[tuple[float, float, int]] = []  # mean, weight, length
-    for value, weight in zip(values, weights, strict=True):
-        mean, total, count = float(value), float(weight), 1
-        while blocks and blocks[-1][0] >= mean:
-            before, more, length = blocks.pop()
-            mean, total, count = (mean * total + before * more) / (total + more), total + more, count + length
-        blocks.append((mean, total, count))
-    return [mean for mean, _, count in blocks for _ in range(count)]
 
 
 def _crossing(angles: Sequence[float], fitted: Sequence[float], level: float) -> float | None:

@@ -1,4 +1,4 @@
-"""The transition on blends with known answers; the monotone fit against SciPy."""
+"""The transition on blends with known answers."""
 
 import math
 
@@ -7,10 +7,9 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import isotonic_regression
 from torch import Tensor
 
-from attacks.cloak.transition import differ, fit_transition, rising_fit, transition_fraction
+from attacks.cloak.transition import differ, fit_transition, transition_fraction
 from mi_splat.errors import InvalidValueError
 
 
@@ -72,13 +71,6 @@ def test_cameras_at_one_angle_are_averaged_and_weigh_more() -> None:
     band = fit_transition([10, 0, 0, 0, 20], [0.0, 0.2, 0.4, 0.6, 1.0])
     assert band.fractions == pytest.approx((0.4, 0.0, 1.0))
     assert band.fitted == pytest.approx((0.3, 0.3, 1.0))
-
-
-@given(st.lists(st.tuples(st.floats(-1, 2), st.integers(1, 5)), min_size=1, max_size=20))
-def test_the_fit_is_that_of_scipy(pairs: list[tuple[float, int]]) -> None:
-    values, weights = [value for value, _ in pairs], [weight for _, weight in pairs]
-    fitted = rising_fit(values, weights)
-    assert fitted == pytest.approx(isotonic_regression(values, weights=weights).x.tolist(), abs=1e-9)
 
 
 def test_bad_input_is_refused() -> None:
