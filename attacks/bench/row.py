@@ -75,7 +75,7 @@ def write(
     missing: Mapping[str, str],
     out: Path,
 ) -> list[Path]:
-    """Write rows.csv.gz, result.json, and the row as row.json and row.md into a folder that is there."""
+    """Write rows.csv.xz, result.json, and the row as row.json and row.md into a folder that is there."""
     suite, detector, table = asked.suite, asked.detector, frame_of(rows)
     record: dict[str, Any] = {
         "story": STORY,

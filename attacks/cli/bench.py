@@ -113,7 +113,7 @@ def _bench(options: BenchOptions) -> int:
         show_json({"failed": done.failed, "out": str(out), "row": read_json(out / ROW) if done.files else None})
     elif done.files:
         show((out / TABLE).read_text())
-        show(f"{out}: {ROW} is the row, rows.csv.gz has every look; mi-splat bench --rescore {out} counts them again.")
+        show(f"{out}: {ROW} is the row, rows.csv.xz has every look; mi-splat bench --rescore {out} counts them again.")
     return 1 if done.failed else 0
 
 

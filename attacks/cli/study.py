@@ -37,7 +37,7 @@ class StudyOptions(JsonOptions):
     """Do a study: a TOML file that says what is attacked, and what of it varies.
 
     plan: what is to be done, and how long it takes by what was measured. run: do what is not done yet, and write
-    result.json, rows.csv.gz and table.md into --out. status: how far it is. retry: let jobs that have failed three
+    result.json, rows.csv.xz and table.md into --out. status: how far it is. retry: let jobs that have failed three
     times be tried again. reuse: take over results of older code, after some were made again with the same bytes.
     export: arrays of SLURM, one for each level of jobs. clean: delete what the store keeps of this study alone.
 

@@ -95,7 +95,7 @@ class Looked:
     detections: pl.DataFrame
 
     def write(self, folder: Path) -> list[Path]:
-        """Write rows.csv.gz and detections.csv.gz."""
+        """Write rows.csv.xz and detections.csv.xz."""
         tables = {ROWS: self.rows, DETECTIONS: self.detections}
         return [write_rows(table, folder / f"{name}{SUFFIX}") for name, table in tables.items()]
 

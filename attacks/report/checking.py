@@ -21,7 +21,7 @@ TOLERANCE = 1e-6
 """How far decibels, degrees and confidences may be off that are derived again; counts and words have to be equal."""
 SCORE_TOLERANCE, MOST_WRONG = 1e-4, 0.02
 """How far a score may be off that single detections give, and of which part of the rows more."""
-KEPT = (".json", ".toml", ".csv.gz", ".md")
+KEPT = (".json", ".toml", ".csv.xz", ".md")
 """Endings of the files of a result that are always in an artifact; splats and pictures may be left out."""
 
 _BROKEN = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, pl.exceptions.PolarsError)

@@ -74,7 +74,7 @@ class DaggerAttempt(Attempt):
 def write_result(
     study: Study, done: Sequence[tuple[DaggerAttempt, Done]], results: Mapping[str, Result], out: Path
 ) -> list[Path]:
-    """Write result.json, rows.csv.gz, study.toml and table.md into a folder that is there."""
+    """Write result.json, rows.csv.xz, study.toml and table.md into a folder that is there."""
     named = list(zip(_names(done), done, strict=True))
     rows = frame_of(_whole([row for name, (attempt, result) in named for row in _rows(name, attempt, result, results)]))
     record = {

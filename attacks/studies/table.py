@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from attacks.rate import Rate
 from attacks.studies.study_file import merged
 from attacks.studies.zoo import comparison
 from attacks.tables import Table, sections
@@ -41,7 +42,7 @@ def number(value: Any, form: str = "g") -> str:
 
 def counted(rate: Record, *, interval: bool = False) -> str:
     """A rate as its count, with its 95 % interval."""
-    low, high = rate["interval"]
+    low, high = Rate.of(rate).interval
     count = f"{rate['successes']}/{rate['total']}"
     return f"{count} ({low:.2f} to {high:.2f})" if interval and rate["total"] else count
 

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 _LAYERS = "[CLOAK in the finished file: variants](../cloak-layers.md#variants)"
-_SECTOR = "[the research log](../research-log.md#cloak-from-the-street)"
 PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "cloak_car_layers": (
         "CLOAK in the finished file",
@@ -39,7 +38,6 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         _LAYERS,
         ("cloak_car_layers_shadow",),
     ),
-    "cloak_car_sector": ("CLOAK from the street, hidden from a sector by colour", _SECTOR, ("cloak_car_sector",)),
     "cloak_car_sector_layers": (
         "CLOAK from the street in the finished file",
         "[CLOAK in the finished file](../cloak-layers.md#from-the-street)",

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from attacks.rate import Rate
 
-ROWS = "rendering_studies.csv.gz"
+ROWS = "rendering_studies.csv.xz"
 _MADE = "python 3.11.7, mi-splat 0.1.0, mitsuba 3.9.1, drjit 1.5.0, torch 2.15.0, torchvision 0.29.2, numpy 2.4.6"
 _OURS = "fasterrcnn_small 7da0801b51b03b75"
 STUDIES: dict[str, tuple[str, float, str, str]] = {

@@ -135,7 +135,7 @@ def test_attacks_that_were_too_weak_are_told(out: Path) -> None:
 
 
 def test_surrogates_are_others(out: Path) -> None:
-    rows = read_rows(out / "rows.csv.gz")
+    rows = read_rows(out / "rows.csv.xz")
     assert set(rows["detector"]) == {"fake_colour"}
     record = read(out / "result.json")
     assert len(record["attacks"]) == 12 + 1 + 6
@@ -203,7 +203,7 @@ def test_a_row_is_counted_again_without_attacks(
 
 
 def test_a_changed_folder_is_refused(out: Path, suite: Path, tmp_path: Path) -> None:
-    for name in ("rows.csv.gz", "result.json", "row.json", "row.md"):
+    for name in ("rows.csv.xz", "result.json", "row.json", "row.md"):
         (tmp_path / name).write_bytes((out / name).read_bytes())
     row = read(tmp_path / "row.json")
     row["columns"]["one_view"]["robust"] |= {"successes": 12, "rate": 1.0}
@@ -211,8 +211,8 @@ def test_a_changed_folder_is_refused(out: Path, suite: Path, tmp_path: Path) -> 
     write_manifest(tmp_path)
     with pytest.raises(InvalidValueError, match="got another row"):
         rescored(tmp_path)
-    rows = (out / "rows.csv.gz").read_bytes()
-    (tmp_path / "rows.csv.gz").write_bytes(rows[:-1] + bytes([rows[-1] ^ 1]))
+    rows = (out / "rows.csv.xz").read_bytes()
+    (tmp_path / "rows.csv.xz").write_bytes(rows[:-1] + bytes([rows[-1] ^ 1]))
     with pytest.raises(InvalidValueError, match=r"rows\.csv\.gz"):
         rescored(tmp_path)
 

@@ -87,7 +87,7 @@ def test_a_clean_and_an_attacked_splat_are_compared(
     assert counts["target_attacked"][0] >= 9
     assert figures["missed"]["interval"][0] > 0.6
     assert figures["psnr"] < 30
-    rows = read_rows(folder / "judged" / "rows.csv.gz")
+    rows = read_rows(folder / "judged" / "rows.csv.xz")
     assert len(rows) == 24
     assert compare(rows)[0].as_dict() == figures
     with Image.open(folder / "judged" / "fake_colour.png") as drawn:
@@ -107,7 +107,7 @@ def test_reasons_for_doubt_are_told(folder: Path, capsys: pytest.CaptureFixture[
     told = capsys.readouterr().err
     assert "the object shows in 2 of 2 views: few" in told
     assert "finds the clean object in 0 of 2 views only" in told
-    names = ["detections.csv.gz", "manifest.json", "result.json", "rows.csv.gz"]
+    names = ["detections.csv.xz", "manifest.json", "result.json", "rows.csv.xz"]
     assert sorted(path.name for path in (folder / "first").iterdir()) == names
     cameras = json.loads((folder / "first" / "result.json").read_text())["cameras"]
     (folder / "result.json").write_text(json.dumps({"views": [{"camera": camera} for camera in cameras[:1]]}))

@@ -171,7 +171,7 @@ def test_dagger_writes_its_report(toy: SplatScene, tmp_path: Path, capsys: pytes
     assert "1 of 1 = 100 % (20.7 to 100 %); confidence " in lines[1]
     assert lines[-2] == f"Look at {out / 'detections.png'} first."
     names = {"before.png", "after.png", "difference.png", "detections.png", "attacked.ply", "result.json", "mask.npy"}
-    names |= {"cameras.json", "rows.csv.gz", "detections.csv.gz"}
+    names |= {"cameras.json", "rows.csv.xz", "detections.csv.xz"}
     names |= {"manifest.json", "attacked.xml", "attacked_rest.ply", "attacked_thing.ply"}
     assert {path.name for path in out.iterdir()} == names
     result = json.loads((out / "result.json").read_text())

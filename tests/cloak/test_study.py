@@ -53,7 +53,7 @@ def test_it_leaves_what_it_promises(finished: Path) -> None:
     counts = poison["by_detector"]["redness"]
     assert sum(counts[key]["successes"] for key in ("found", "something_else", "nothing")) == counts["found"]["total"]
     assert counts["found"]["successes"] < counts["found_clean"]["successes"]
-    training = read_rows(finished / "training.csv.gz")
+    training = read_rows(finished / "training.csv.xz")
     clean = training.filter(pl.col("condition").is_not_null(), splat="clean")
     assert cameras["found_cloaked"]["total"] + clean.height == 16
     on_object = result["stealth"]["object_psnr"]
@@ -85,7 +85,7 @@ def test_a_page_says_of_it_what_it_found(finished: Path) -> None:
 
 def test_the_hidden_appearance_has_less_red(finished: Path) -> None:
     """The effect, small as it is after so few steps, with its control: from above less of the car's red is seen."""
-    rows = read_rows(finished / "rows.csv.gz").filter(pl.col("elevation") >= 50)
+    rows = read_rows(finished / "rows.csv.xz").filter(pl.col("elevation") >= 50)
     control, cloaked = (rows.filter(splat=splat)["original_score"].to_list() for splat in ("clean", "attacked"))
     assert len(control) == len(cloaked) > 3
     assert sum(control) > 2

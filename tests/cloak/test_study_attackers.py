@@ -80,7 +80,7 @@ def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path)
         layering, count = made(finished, layers, before)
         assert bool(layering.trained.all()) == layers.surroundings
         assert len(layering.views) < count  # those from where the look changes are left out
-    rows = read_rows(out / "rows.csv.gz").filter(pl.col("elevation") >= 50)
+    rows = read_rows(out / "rows.csv.xz").filter(pl.col("elevation") >= 50)
     control, hidden = (rows.filter(splat=splat)["original_score"].to_list() for splat in ("clean", "attacked"))
     assert sum(hidden) < 0.5 * sum(control)
 

@@ -50,7 +50,7 @@ def test_every_file_is_there_and_readable(result: Result, tmp_path: Path) -> Non
     folder = tmp_path / "new" / "folder"
     paths = write_report(result, folder)
     names = {"before.png", "after.png", "difference.png", "detections.png", "attacked.ply", "result.json"}
-    names |= {"rows.csv.gz", "detections.csv.gz", "cameras.json"}
+    names |= {"rows.csv.xz", "detections.csv.xz", "cameras.json"}
     assert set(paths) == names == {path.name for path in folder.iterdir()} - {"manifest.json"}
     sizes = {}
     for name in names:

@@ -177,7 +177,7 @@ def _scans(folder: Path) -> Path:
 def _rows(name: str, folder: Path) -> Path:
     more = {f"depth: {number}": 1.0 for number in range(190 if name.startswith("wide") else 0)}
     data = rows_bytes(frame_of({"view": view, "splat": "clean", "iou": 0.5 / (view + 1)} | more for view in range(20)))
-    (folder / name).write_bytes(packed(data) if name.endswith(".gz") else data)
+    (folder / name).write_bytes(packed(data) if name.endswith(".xz") else data)
     return folder / name
 
 
@@ -221,7 +221,7 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     yield "result.json of an artifact", _artifact("result.json")
     yield "manifest.json", _artifact("manifest.json")
     yield "table of an artifact", _artifact("*.csv*")
-    for name in ("rows.csv", "rows.csv.gz", "wide.csv.gz"):
+    for name in ("rows.csv", "rows.csv.xz", "wide.csv.xz"):
         yield f"rows {name}", Kind(make=partial(_rows, name), read=read_rows)
     yield "study", Kind(make=_copied("scenes/cloak_demo.toml"), read=read_study)
     yield "study of attacks", Kind(make=_copied("scenes/studies/transfer.toml"), read=_plan)

@@ -210,7 +210,7 @@ def write_poison_study(folder: Path) -> Path:
     record: dict[str, Any] = {"story": "poison-study", "study": "poison", "name": "toy", "question": ""}
     record |= {"victims": victims, "detectors": {"fake_colour": "0" * 16}}
     for name, table in tables.items():
-        write_rows(table, folder / f"{name}.csv.gz")
+        write_rows(table, folder / f"{name}.csv.xz")
     save_json({**record, **poison_figures(record, tables), **provenance.origin()}, folder / "result.json")
     write_manifest(folder)
     return folder

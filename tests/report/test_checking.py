@@ -1,8 +1,8 @@
 """Whoever edits, cuts or breaks a result is found out, and told in words."""
 
 import csv
-import gzip
 import json
+import lzma
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -41,12 +41,12 @@ def edit_record(folder: Path, change: Callable[[dict[str, Any]], Any]) -> None:
 
 def edit_rows(folder: Path, change: Callable[[Rows], Any], name: str = "rows") -> None:
     """Edit a table, and hide it from the manifest."""
-    path = folder / f"{name}.csv.gz"
-    with gzip.open(path, "rt", newline="") as file:
+    path = folder / f"{name}.csv.xz"
+    with lzma.open(path, "rt", newline="") as file:
         rows = list(csv.DictReader(file))
     head = list(rows[0])
     change(rows)
-    with gzip.open(path, "wt", newline="") as file:
+    with lzma.open(path, "wt", newline="") as file:
         writer = csv.DictWriter(file, head, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
@@ -88,9 +88,9 @@ def test_a_result_as_it_was_written_is_green(attacked: Path) -> None:
 def test_other_bytes_are_seen(attack: Path) -> None:
     (attack / "before.png").write_bytes(b"other")
     assert red(attack) == ["before.png"]
-    (attack / "detections.csv.gz").unlink()
+    (attack / "detections.csv.xz").unlink()
     (attack / "more.ply").write_text("")
-    assert red(attack) == ["before.png", "detections.csv.gz", "more.ply"]
+    assert red(attack) == ["before.png", "detections.csv.xz", "more.ply"]
     (attack / "attacked.ply").unlink()  # splats may be left out
     (line,) = (line for line in check_files(attack) if line.name == "attacked.ply")
     assert (line.colour, line.words) == ("grey", "left out")
@@ -242,7 +242,7 @@ def test_a_copy_has_the_same_name_and_says_what_was_left_out(attacked: Path, tmp
     copy = pack(attacked, tmp_path / "copy", figures)
     assert copy.manifest == read_manifest(attacked)
     assert {path.name for path in copy.folder.iterdir()} == {
-        *(RECORD, MANIFEST, "cameras.json", "rows.csv.gz", "detections.csv.gz")
+        *(RECORD, MANIFEST, "cameras.json", "rows.csv.xz", "detections.csv.xz")
     }
     assert {line.name for line in checks(copy.folder) if line.passed is None} > {"attacked.ply", "before.png"}
     assert red(copy.folder, manifest=read_manifest(attacked).sha256) == []

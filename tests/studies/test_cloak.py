@@ -106,7 +106,7 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
     assert len(seeds) == 2
     for key in ("successes", "total"):
         assert point["by_detector"]["redness"]["benign_recall"][key] == sum(seed[key] for seed in seeds)
-    rows = {name: read_rows(out / f"{name}.csv.gz") for name in ("rows", "fidelity", "transition")}
+    rows = {name: read_rows(out / f"{name}.csv.xz") for name in ("rows", "fidelity", "transition")}
     derived = json.loads(json.dumps(variations.figures(record, rows)))
     for title, figures in derived["points"].items():
         assert figures == {key: record["points"][title][key] for key in figures}

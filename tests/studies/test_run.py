@@ -94,7 +94,7 @@ def run(folder: Path, toys: None) -> dict[str, Any]:
 
 
 def test_the_result_says_what_was_done(folder: Path, run: dict[str, Any]) -> None:
-    names = {"manifest.json", "result.json", "rows.csv.gz", "study.toml", "table.md"}
+    names = {"manifest.json", "result.json", "rows.csv.xz", "study.toml", "table.md"}
     assert {path.name for path in (folder / "toy").iterdir() if not path.name.startswith(".")} == names
     assert (folder / "toy" / "study.toml").read_text() == (folder / "toy.toml").read_text()
     assert (run["story"], run["study"], run["question"]) == ("study", "dagger", "Does it hold?")
@@ -107,7 +107,7 @@ def test_the_result_says_what_was_done(folder: Path, run: dict[str, Any]) -> Non
 
 
 def test_every_figure_follows_from_the_rows(folder: Path, run: dict[str, Any]) -> None:
-    rows = read_rows(folder / "toy" / "rows.csv.gz")
+    rows = read_rows(folder / "toy" / "rows.csv.xz")
     derived = figures(run, {"rows": rows})
     for part in ("groups", "smallest", "looks"):
         assert json.loads(json.dumps(derived[part])) == run[part]
@@ -240,7 +240,7 @@ def test_a_search_over_views_of_a_region(folder: Path, toys: None) -> None:
     page = (folder / "eot" / "table.md").read_text()
     assert "## The smallest that suffices" in page
     assert "| 2 | 0.01 |" in page
-    derived = figures(record, {"rows": read_rows(folder / "eot" / "rows.csv.gz")})
+    derived = figures(record, {"rows": read_rows(folder / "eot" / "rows.csv.xz")})
     assert json.loads(json.dumps(derived["groups"])) == record["groups"]
 
 
