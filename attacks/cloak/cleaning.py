@@ -85,7 +85,7 @@ def remove_floaters(
     around = torch.bincount(torch.cat([first, second]), minlength=len(voxels))
     dense = around >= least_neighbours
     linked = dense[first] & dense[second]
-    _, piece = torch.unique(components(len(voxels), first[linked], second[linked]), return_inverse=True)
+    piece = components(len(voxels), first[linked], second[linked])
     weights = scene.opacities.detach().cpu().double() * dense[owner]
     masses = torch.zeros(int(piece.max()) + 1, dtype=torch.float64).index_add_(0, piece[owner], weights)
     heaviest, order = masses.sort(descending=True, stable=True)

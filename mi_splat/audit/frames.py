@@ -16,9 +16,8 @@ from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene, Similarity
-from mi_splat.selection.clusters import clusters
+from mi_splat.selection.clusters import clusters, find_plane
 from mi_splat.selection.neighbours import nearest_neighbours, nearest_of
-from mi_splat.selection.planes import find_plane
 
 SOLID = 0.1
 """Gaussians of a smaller opacity do not say where things are."""
@@ -151,12 +150,12 @@ def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Targe
 
 
 def _components(scene: GaussianScene) -> Tensor:
-    """(N,) int64 the connected component of each Gaussian, from the largest; -1 if nothing near it was linked."""
+    """(N,) int64 the connected component of each Gaussian, from the largest."""
     every = math.ceil(len(scene) / MOST_LINKED)
     if every <= 1:
         return clusters(scene)
     label, nearest = clusters(scene.select(slice(None, None, every))), nearest_of(scene.means, every)
-    return torch.where(nearest < 0, -1, label[nearest.clamp(min=0) // every])
+    return label[nearest // every]
 
 
 def _agree(up: Tensor | None, ground: Tensor | None) -> bool:

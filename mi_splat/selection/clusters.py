@@ -2,18 +2,25 @@
 
 import math
 
+import numpy as np
 import torch
-from torch import Tensor
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from torch import Generator, Tensor
 
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.neighbours import nearest_neighbours
-from mi_splat.selection.planes import find_plane
 from mi_splat.sh import dc_to_colour
 
 NEIGHBOURS, NEAREST = 12, 8
 """Neighbours that a Gaussian may be linked to, and the one whose distance is the measure of nearness."""
 LEAST_SHARE = 0.05
 """A plane with a smaller share of the Gaussians is not taken for one."""
+TOLERANCE = 0.75
+"""How far from a plane its Gaussians may lie, as a multiple of how far apart the Gaussians are there."""
+_TRIALS, _SAMPLE, _ROUNDS = 4000, 4000, 5
+_AT_ONCE = 250
+"""Planes whose distances to the sample are held at once."""
 
 
 def clusters(
@@ -53,26 +60,60 @@ def _planes(points: Tensor, spacing: Tensor, count: int) -> Tensor:
 
 
 def components(count: int, first: Tensor, second: Tensor) -> Tensor:
-    """The connected components of a graph.
-
-    Every node points at one of its component with a smaller or equal number; edges join the trees that this makes, and
-    paths are shortened, until all of a component point at its first node (Shiloach and Vishkin 1982).
-    """
-    root = torch.arange(count)
-    while len(first):
-        ends = torch.stack([root[first], root[second]])
-        apart = ends[0] != ends[1]
-        first, second, ends = first[apart], second[apart], ends[:, apart]
-        root.scatter_reduce_(0, ends.amax(0), ends.amin(0), "amin")
-        while not torch.equal(root[root], root):
-            root = root[root]
-    return root
+    """The connected component of each node of a graph, numbered in the order of their first nodes."""
+    edges = (np.ones(len(first), np.bool_), (first.numpy(), second.numpy()))
+    _, labels = connected_components(coo_array(edges, shape=(count, count)), directed=False)
+    return torch.from_numpy(labels.astype(np.int64))
 
 
-def _by_size(root: Tensor) -> Tensor:
+def _by_size(label: Tensor) -> Tensor:
     """Components numbered from the largest."""
-    _, label, sizes = torch.unique(root, return_inverse=True, return_counts=True)
-    order = sizes.argsort(descending=True, stable=True)
-    rank = torch.empty_like(order)
-    rank[order] = torch.arange(len(order))
-    return rank[label]
+    order = label.bincount().argsort(descending=True, stable=True)
+    return order.argsort()[label]
+
+
+def find_plane(points: Tensor, spacing: Tensor, *, least: int) -> Tensor | None:
+    """Which points lie on the plane that holds the most of them.
+
+    RANSAC (Fischler and Bolles 1981), made better by least squares. How far a point may lie off depends on how densely
+    points lie around it, so that nothing need be known about the size of the scene.
+    """
+    if len(points) < 3:
+        return None
+    points, limit = points.detach().cpu().double(), TOLERANCE * spacing
+    generator = Generator().manual_seed(0)
+    sample = torch.randperm(len(points), generator=generator)[:_SAMPLE]
+    corners = points[torch.randint(len(points), (_TRIALS, 3), generator=generator)]
+    across = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = across.norm(dim=1)
+    corners, across, length = (value[length > 0] for value in (corners, across, length))  # three points make a plane
+    if not len(corners):
+        return None
+    normals = across / length[:, None]
+    placed, near = points[sample], limit[sample, None]
+    counts = [
+        ((placed @ part.T).sub_((part * on).sum(1)).abs_() < near).sum(0)
+        for part, on in zip(normals.split(_AT_ONCE), corners[:, 0].split(_AT_ONCE), strict=True)
+    ]
+    best = int(torch.cat(counts).argmax())
+    normal, on = normals[best], corners[best, 0]
+    inside = _on_plane(points, normal, on, limit)
+    for _ in range(_ROUNDS):
+        if int(inside.sum()) < 3:
+            break
+        on, normal = _fit(points[inside], spacing[inside])
+        inside = _on_plane(points, normal, on, limit)
+    return inside if int(inside.sum()) >= least else None
+
+
+def _on_plane(points: Tensor, normal: Tensor, on: Tensor, limit: Tensor) -> Tensor:
+    """(N,) bool, which points are nearer to a plane than they may be far."""
+    return ((points - on) @ normal).abs() < limit
+
+
+def _fit(points: Tensor, spacing: Tensor) -> tuple[Tensor, Tensor]:
+    """A point on the plane through points, and its normal; points that lie densely are placed better and count more."""
+    weight = (1 / spacing.clamp(min=1e-9))[:, None].square()
+    on = (weight * points).sum(0) / weight.sum()
+    gaps = points - on
+    return on, torch.linalg.eigh((weight * gaps).T @ gaps).eigenvectors[:, 0]

@@ -28,11 +28,7 @@ def test_each_point_goes_with_the_nearest_of_a_few() -> None:
     nearest = nearest_of(points, 4)
     few = torch.arange(0, 1000, 4)
     wanted = few[torch.cdist(points, points[few]).argmin(1)]
-    assert bool((nearest % 4 == 0).all())
-    assert torch.equal(nearest[few], few)
-    assert float((nearest == wanted).double().mean()) > 0.7  # a leaf ends where it ends
-    gaps, wanted_gaps = ((points - points[rows]).norm(dim=1) for rows in (nearest, wanted))
-    assert float((gaps - wanted_gaps).max()) < 0.3
+    assert torch.equal(nearest, wanted)
     assert torch.equal(nearest_of(points, 1), torch.arange(1000))
 
 

@@ -3,19 +3,14 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from mi_splat.cameras import RenderFn
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, merge
-from mi_splat.selection.clusters import clusters, components
+from mi_splat.selection.clusters import clusters, components, find_plane
 from mi_splat.selection.neighbours import nearest_neighbours
-from mi_splat.selection.planes import find_plane
 from mi_splat.selection.visibility import contributions, object_maps, object_weight
 from mi_splat.sh import colour_to_dc
 from tests import oracle
@@ -42,40 +37,27 @@ def gaussians(points: Tensor, colour: tuple[float, float, float]) -> GaussianSce
     )
 
 
-@pytest.mark.parametrize("count", [2, 3, 64, 65, 300, 1500])
+@pytest.mark.parametrize("count", [2, 3, 300])
 def test_neighbours_are_those_of_a_full_search(count: int) -> None:
     points = shell(count, centre=(1e3, 0.0, 0.0), radius=1.0).double()
     distances, rows = nearest_neighbours(points, 8)
-    wanted = min(8, count - 1)
-    assert distances.shape == rows.shape == (count, wanted)
     gaps = torch.cdist(points, points, compute_mode="donot_use_mm_for_euclid_dist").fill_diagonal_(float("inf"))
-    assert torch.equal(distances, gaps.gather(1, rows))  # each is the distance to the point that is named
-    assert not (rows == torch.arange(count)[:, None]).any()
-    assert (rows.sort(dim=1).values.diff(dim=1) > 0).all()  # no neighbour twice
-    exact = gaps.topk(wanted, largest=False).values
-    assert float((distances <= exact).double().mean()) > 0.995
+    exact = gaps.topk(min(8, count - 1), largest=False)
+    torch.testing.assert_close(distances, exact.values)
+    assert torch.equal(rows, exact.indices)
 
 
-def test_one_point_has_no_neighbour() -> None:
+def test_neighbours_of_one_point_and_of_points_in_one_place() -> None:
     assert nearest_neighbours(torch.zeros(1, 3), 4)[1].shape == (1, 0)
-
-
-def test_points_in_one_place_do_not_hurt() -> None:
     distances, rows = nearest_neighbours(torch.zeros(200, 3), 4)
     assert not distances.any()
     assert not (rows == torch.arange(200)[:, None]).any()
 
 
-@given(st.integers(1, 40), st.lists(st.tuples(st.integers(0, 39), st.integers(0, 39)), max_size=80))
-def test_components_are_those_of_scipy(count: int, pairs: list[tuple[int, int]]) -> None:
-    edges = torch.tensor([(a % count, b % count) for a, b in pairs], dtype=torch.int64).reshape(-1, 2)
-    root = components(count, edges[:, 0], edges[:, 1])
-    graph = coo_array((np.ones(len(edges)), (edges[:, 0].numpy(), edges[:, 1].numpy())), shape=(count, count))
-    number, labels = connected_components(graph, directed=False)
-    assert len(root.unique()) == number  # type: ignore[no-untyped-call]
-    for label in range(number):
-        members = np.flatnonzero(labels == label)
-        assert set(root[members].tolist()) == {members[0]}  # the first of each
+def test_components_are_numbered_by_their_first_nodes() -> None:
+    edges = torch.tensor([[5, 1], [2, 4], [4, 6], [1, 3]])
+    assert components(7, edges[:, 0], edges[:, 1]).tolist() == [0, 1, 2, 1, 2, 1, 2]
+    assert components(2, edges[:0, 0], edges[:0, 1]).tolist() == [0, 1]
 
 
 def test_a_plane_is_found_whatever_its_direction() -> None:
