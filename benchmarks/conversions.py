@@ -28,7 +28,7 @@ from attacks.observe.drawing import annotated
 from attacks.observe.views import ViewDetections, detect_views, object_boxes
 from attacks.studies.scenes import jittered
 from mi_splat.io import load_splat
-from mi_splat.io.formats.table import FORMATS
+from mi_splat.io.formats.detection import FORMATS
 from mi_splat.io.splat_files import write_splat_file
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import read_scene

@@ -27,9 +27,8 @@ from mi_splat.datasets.writing import IMAGES, list_colmap, list_transforms, make
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.atomic import is_temporary, sweep_temporary
 from mi_splat.io.documents import save_json, save_png
-from mi_splat.io.fields import Fields
 from mi_splat.io.locks import locked_folder
-from mi_splat.io.parsing import DocumentReader
+from mi_splat.io.parsing import DocumentReader, Fields
 from mi_splat.io.picture_files import PictureFileError, check_pixels, load_picture
 from mi_splat.io.points import load_points, save_points, to_bytes
 

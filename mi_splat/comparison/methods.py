@@ -2,26 +2,28 @@
 
 import dataclasses
 import functools
+import importlib
+import importlib.util
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.comparison.gsplat_renderer import GsplatRenderer
 from mi_splat.datasets.errors import DatasetError
 from mi_splat.datasets.pictures import picture_size, read_picture
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.documents import file_name
 from mi_splat.io.pictures import PICTURES
 from mi_splat.registry import Registry
 from mi_splat.rendering import Method as Way
 from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene import GaussianScene
+from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.sh import colour_to_dc, dc_to_colour, sh_basis
 from mi_splat.volprim import Volprim
 
@@ -112,6 +114,54 @@ def load_method(name: str, settings: RenderSettings) -> Method:
     """One renderer by its name."""
     spec = RENDERERS.chosen(name)
     return Method(render=spec.make(settings), differentiable=spec.differentiable)
+
+
+class GsplatRenderer:
+    """Renders splats with `gsplat.rasterization` (package gsplat, NVIDIA GPU) in its classic mode; differentiable.
+
+    Args:
+        settings: Background and near plane.
+
+    Raises:
+        MiSplatError: The package is not installed, or there is no GPU for it.
+    """
+
+    def __init__(self, settings: RenderSettings) -> None:
+        self.settings = settings
+        self.device = "cuda"
+        if importlib.util.find_spec("gsplat") is None:
+            do = "pip install gsplat, or leave it out of --methods"
+            raise MiSplatError.of("method gsplat", "the package gsplat", "not installed", do)
+        if not torch.cuda.is_available():
+            do = "run it where there is one, or leave it out of --methods"
+            raise MiSplatError.of("method gsplat", "an NVIDIA GPU that torch can use", "none", do)
+        package: Any = importlib.import_module("gsplat")
+        self._rasterization = package.rasterization
+
+    def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
+        """Render one picture; the scene may be anywhere, the picture comes back to where it is."""
+        check_scene("scene", scene)
+        options: Any = {"device": self.device, "dtype": torch.float32}
+        means, scales, rotations, opacities, sh = (tensor.to(**options) for tensor in scene.tensors())
+        intrinsics = torch.tensor([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
+        pictures, _, _ = self._rasterization(
+            means=means,
+            quats=rotations,
+            scales=scales,
+            opacities=opacities,
+            colors=sh,
+            viewmats=torch.linalg.inv(camera.to_world)[None].to(**options),
+            Ks=intrinsics[None].to(**options),
+            width=camera.width,
+            height=camera.height,
+            near_plane=self.settings.near,
+            sh_degree=round(sh.shape[1] ** 0.5) - 1,
+            backgrounds=torch.tensor([self.settings.background], **options),
+            rasterize_mode="classic",
+            packed=False,  # gsplat 1.5 refuses a background in its packed mode, which is the default
+        )
+        picture: Tensor = pictures[0].to(scene.means.device)
+        return picture
 
 
 def _own(settings: RenderSettings, *, method: Way, colour_to_mean: bool = False, antialiased: bool = False) -> Renderer:

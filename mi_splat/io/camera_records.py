@@ -12,8 +12,7 @@ import torch
 
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.fields import Fields
-from mi_splat.io.parsing import DocumentReader, kind_of
+from mi_splat.io.parsing import DocumentReader, Fields, kind_of
 
 OF = "#"
 """Stands between a file or a folder with cameras and the name of one of them."""

@@ -14,8 +14,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.fields import Fields
-from mi_splat.io.parsing import DocumentReader
+from mi_splat.io.parsing import DocumentReader, Fields
 
 NOTES = "notes"
 """Key of the notes among a file's metadata."""

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from mi_splat.errors import InvalidValueError, one_line
-from mi_splat.io.texture_files import check_texture, is_texture
+from mi_splat.io.picture_files import check_texture, is_texture
 
 MOST_BYTES, MOST_ELEMENTS, DEEPEST = 16 << 20, 100_000, 64
 """What a scene file may have: bytes and elements (with the files that it includes, too), and elements in each other."""

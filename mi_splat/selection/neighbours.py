@@ -12,8 +12,8 @@ def nearest_neighbours(points: Tensor, count: int) -> tuple[Tensor, Tensor]:
     count = min(count, size - 1)
     if count < 1:
         return torch.zeros(size, 0, dtype=torch.float64), torch.zeros(size, 0, dtype=torch.int64)
-    places = points.detach().cpu().double().numpy()
-    distances, rows = cKDTree(places).query(places, count + 1)
+    positions = points.detach().cpu().double().numpy()
+    distances, rows = cKDTree(positions).query(positions, count + 1)
     others = rows != np.arange(size)[:, None]
     others[others.all(axis=1), -1] = False  # so many points in one place that the point itself is not among the nearest
     return (
@@ -24,6 +24,6 @@ def nearest_neighbours(points: Tensor, count: int) -> tuple[Tensor, Tensor]:
 
 def nearest_of(points: Tensor, every: int) -> Tensor:
     """Index of the nearest of every so many-th point to each point."""
-    places = points.detach().cpu().double().numpy()
-    _, rows = cKDTree(places[::every]).query(places)
+    positions = points.detach().cpu().double().numpy()
+    _, rows = cKDTree(positions[::every]).query(positions)
     return torch.from_numpy(rows.astype(np.int64) * every)

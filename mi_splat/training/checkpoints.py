@@ -16,9 +16,8 @@ from torch import Tensor
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.documents import save_bytes
-from mi_splat.io.fields import Fields
 from mi_splat.io.noted_tensors import NOTES, check_like, described, read_line, read_noted_tensors
-from mi_splat.io.parsing import DocumentReader
+from mi_splat.io.parsing import DocumentReader, Fields
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.exposure import Exposures

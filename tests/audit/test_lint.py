@@ -24,9 +24,9 @@ from mi_splat.audit.lint.gltf import validate
 from mi_splat.audit.lint.rules import RULES, SHOWN, Rule, Stored
 from mi_splat.cameras import Camera, look_at
 from mi_splat.io import SplatFileError
-from mi_splat.io.fields import Fields
-from mi_splat.io.formats.glb import open_glb
+from mi_splat.io.formats.gltf import open_glb
 from mi_splat.io.loaded import Arrays
+from mi_splat.io.parsing import Fields
 from mi_splat.io.splat_files import write_splat_file
 from mi_splat.overdraw import overdraw
 from mi_splat.scene import GaussianScene, merge

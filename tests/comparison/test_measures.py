@@ -32,13 +32,7 @@ def test_equal_pictures_have_no_psnr_and_ssim_1() -> None:
 def test_a_known_difference() -> None:
     assert picture_distance(GREY, GREY + 0.1).psnr == pytest.approx(20.0, abs=1e-4)
     assert picture_distance(GREY + 0.7, GREY + 0.9).psnr is None  # both are white on a screen
-
-
-def test_small_pictures_have_no_ssim() -> None:
-    small = GREY[:8]
-    asked: list[Tensor] = []
-    distance = picture_distance(small, small, lpips=lambda a, b: asked.append(a) or a.mean())  # type: ignore[func-returns-value]
-    assert (distance.ssim, distance.lpips, asked) == (None, None, [])
+    assert picture_distance(GREY[:8], GREY[:8], lpips=lambda a, b: a.mean()).ssim is None  # too small
 
 
 def test_several_pictures_count_by_their_pixels() -> None:
@@ -173,8 +167,3 @@ def test_what_volprim_cannot_do_is_refused() -> None:
         Volprim(RenderSettings(alpha=True))
     with pytest.raises(InvalidValueError, match="fx equal to fy"):
         Volprim()(apart(), view(focal=(120.0, 100.0)))
-
-
-def test_volprim_of_nothing_is_black() -> None:
-    empty = apart().select(torch.zeros(9, dtype=torch.bool))
-    assert torch.equal(Volprim()(empty, view()), torch.zeros(88, 96, 3))

@@ -15,11 +15,11 @@ import torch
 from torch import Tensor
 
 from mi_splat.io.formats.compressed_ply import write_compressed_ply
+from mi_splat.io.formats.detection import FORMATS
 from mi_splat.io.formats.gltf import write_glb
 from mi_splat.io.formats.sog import write_sog
 from mi_splat.io.formats.splat32 import write_splat
 from mi_splat.io.formats.spz import write_spz
-from mi_splat.io.formats.table import FORMATS
 from mi_splat.io.formats.usd import write_usd
 from mi_splat.io.loaded import arrays_of
 from mi_splat.rotation import multiply

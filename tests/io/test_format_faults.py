@@ -1,13 +1,11 @@
 """Damaged files of every format: a valid scene or our one error, never another exception and never much memory."""
 
 import gzip
-import json
 import re
 import struct
 import tracemalloc
 import warnings
 from pathlib import Path
-from typing import Any
 
 import hypothesis
 import pytest
@@ -15,7 +13,7 @@ from hypothesis import strategies as st
 
 from mi_splat.io import SplatFileError, SplatFileWarning, load_splat
 from mi_splat.scene import GaussianScene
-from tests.io.format_files import gltf_with, rezipped, valid
+from tests.io.format_files import valid
 from tests.io.ply_files import BODY, FACE, HEAD, LINE, LISTS, ROWS, TEXT_HEAD, listed, with_elements
 
 MEMORY = 24 << 20
@@ -91,57 +89,17 @@ def small(path: Path, contents: bytes) -> None:
 
 
 @pytest.mark.parametrize("name", [*NAMES, *PLY])
-@hypothesis.settings(max_examples=120, deadline=None)
+@hypothesis.settings(max_examples=40, deadline=None)
 @hypothesis.given(data=st.data())
 def test_damaged_files(name: str, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
     small(tmp_path_factory.getbasetemp() / name, changed(data, PLY.get(name) or valid(name)))
 
 
 @pytest.mark.parametrize("name", ["v2.spz", "v3.spz"])
-@hypothesis.settings(max_examples=100, deadline=None)
+@hypothesis.settings(max_examples=40, deadline=None)
 @hypothesis.given(data=st.data())
 def test_damage_inside_of_a_valid_gzip_stream(
     name: str, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     plain = gzip.decompress(valid(name))
     small(tmp_path_factory.getbasetemp() / name, gzip.compress(changed(data, plain), 1))
-
-
-JUNK: st.SearchStrategy[object] = st.one_of(
-    *(st.sampled_from([None, True, "", "x", [], {}, -1, 0, 1, 2, 2**31, 2**63, 10**400, 1e300, float("nan")]),),
-    *(st.lists(st.floats(), max_size=4), st.integers()),
-)
-
-
-def slots(node: object) -> list[tuple[Any, Any]]:
-    """Container and key of every value in a JSON document."""
-    items = list(node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ())
-    return [slot for key, value in items for slot in [(node, key), *slots(value)]]
-
-
-def junked(data: st.DataObject, document: object) -> None:
-    """Replace or remove up to three values of a JSON document, drawn from anywhere in it."""
-    for _ in range(data.draw(st.integers(1, 3))):
-        node, key = data.draw(st.sampled_from(slots(document)))
-        if data.draw(st.booleans()):
-            node[key] = data.draw(JUNK)
-        else:
-            del node[key]
-
-
-@hypothesis.settings(max_examples=200, deadline=None)
-@hypothesis.given(data=st.data())
-def test_damaged_documents_of_gltf(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
-    contents = gltf_with(lambda document: junked(data, document))
-    small(tmp_path_factory.getbasetemp() / "a.glb", contents)
-
-
-@hypothesis.settings(max_examples=200, deadline=None)
-@hypothesis.given(data=st.data())
-def test_damaged_documents_of_sog(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
-    def change(members: dict[str, bytes]) -> None:
-        document = json.loads(members["meta.json"])
-        junked(data, document)
-        members["meta.json"] = json.dumps(document).encode()
-
-    small(tmp_path_factory.getbasetemp() / "a.sog", rezipped(change))

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from mi_splat.io import SplatFileError, SplatLossWarning, load_splat, save_splat
 from mi_splat.io.formats import sog
-from mi_splat.io.formats.table import BY_SUFFIX, Precision, markdown
+from mi_splat.io.formats.detection import BY_SUFFIX, Precision, markdown
 from mi_splat.io.splat_files import write_splat_file
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.sh import colour_to_dc, dc_to_colour

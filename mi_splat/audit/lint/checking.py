@@ -13,7 +13,7 @@ from mi_splat.audit.lint.rules import Finding, Stored, findings_of
 from mi_splat.errors import listed
 from mi_splat.io.camera_records import describe
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.formats.glb import open_glb
+from mi_splat.io.formats.gltf import open_glb
 from mi_splat.io.loaded import Arrays, Loaded, arrays_of, as_scene
 from mi_splat.io.splat_files import load_stored
 from mi_splat.scene import GaussianScene

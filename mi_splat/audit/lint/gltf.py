@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from mi_splat.audit.lint.rules import Finding, Severity
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.fields import Fields
-from mi_splat.io.formats.glb import COMPONENTS, Glb
-from mi_splat.io.formats.gltf import EXTENSION
+from mi_splat.io.formats.gltf import COMPONENTS, EXTENSION, Glb
+from mi_splat.io.parsing import Fields
 
 Kinds = frozenset[tuple[str, bool]]
 """Component types of an accessor: NumPy kind, and whether integers are normalised."""

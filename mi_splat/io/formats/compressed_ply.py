@@ -24,7 +24,7 @@ from mi_splat.io.formats.encoded import (
 )
 from mi_splat.io.formats.gaussian_ply import REST_COUNTS, is_antialiased, rest_names
 from mi_splat.io.loaded import Arrays, Loaded, judged
-from mi_splat.io.ply import Element, Header, header_bytes, read_rows
+from mi_splat.io.ply import Header, header_bytes, read_rows
 from mi_splat.sh import colour_to_dc
 
 CHUNK = 256
@@ -34,39 +34,37 @@ _RANGES = [f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"]
 _SCALES = [f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"]
 _COLOURS = [f"{end}_{channel}" for end in ("min", "max") for channel in "rgb"]
 _PACKED = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
-_WIDE, _NARROW, _BYTE, _TEN = 2047, 1023, 255, 1023
+_POSITION_BITS, _ROTATION_BITS, _COLOUR_BITS = (11, 10, 11), (10, 10, 10), (8, 8, 8, 8)
 _SH_LIMIT = 4.0
 
 
 def read_compressed_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
     """Read a compressed PLY, with or without ranges of colours and SH."""
-    elements = {element.name: element for element in header.elements}
-    vertex, chunk, rest = elements["vertex"], elements.get("chunk"), elements.get("sh")
-    if chunk is None:
-        raise _bad(path, "an element named chunk", ", ".join(elements))
-    coloured = any(column.name in _COLOURS for column in chunk.properties)
-    _check(vertex, _PACKED, "u4", path)
-    _check(chunk, [*_RANGES, *_SCALES, *(_COLOURS if coloured else [])], "f4", path)
-    if chunk.count != -(-vertex.count // CHUNK):
-        raise _bad(path, f"one chunk for {CHUNK} of {vertex.count} Gaussians", f"{chunk.count} chunks")
-    names = [] if rest is None else [column.name for column in rest.properties]
-    if rest is not None:
-        if len(names) not in REST_COUNTS[1:] or rest.count != vertex.count:
-            raise _bad(path, "9, 24 or 45 bytes of SH for each Gaussian", f"{len(names)} for {rest.count}")
-        _check(rest, rest_names(len(names)), "u1", path)
-    packed = _columns(file, header, vertex, _PACKED, np.uint32, path)
-    ends = _columns(file, header, chunk, [*_RANGES, *_SCALES, *(_COLOURS if coloured else [])], np.float64, path)
-    ends = ends[np.arange(vertex.count) // CHUNK]
-    colours = _bytes(packed[:, 3])
-    means = _between(ends[:, 0:3], ends[:, 3:6], _unpack(packed[:, 0]))
-    scales = np.exp(_between(ends[:, 6:9], ends[:, 9:12], _unpack(packed[:, 2])))
-    shown = _between(ends[:, 12:15], ends[:, 15:18], colours[:, :3]) if coloured else colours[:, :3]
-    sh = np.empty((vertex.count, 1 + len(names) // 3, 3), np.float32)
+    packed = _columns(file, header, "vertex", _PACKED, "u4", path).astype(np.uint32)
+    chunk, rest = header.element("chunk"), header.element("sh")
+    coloured = chunk is not None and _COLOURS[0] in chunk.kinds()
+    names = [*_RANGES, *_SCALES, *(_COLOURS if coloured else [])]
+    ends = _columns(file, header, "chunk", names, "f4", path).astype(np.float64)
+    if len(ends) != -(-len(packed) // CHUNK):
+        raise _bad(path, f"one chunk for {CHUNK} of {len(packed)} Gaussians", f"{len(ends)} chunks")
+    ends = ends[np.arange(len(packed)) // CHUNK]
+    colours = _unpack(packed[:, 3], _COLOUR_BITS)
+    shown = _between(ends[:, 12:18], colours[:, :3]) if coloured else colours[:, :3]
+    sh = np.empty((len(packed), 1 + (len(rest.properties) // 3 if rest else 0), 3), np.float32)
     sh[:, 0] = colour_to_dc(shown)
     if rest is not None:
-        table = _columns(file, header, rest, rest_names(len(names)), np.uint8, path)
-        sh[:, 1:] = _unpack_sh(table).reshape(len(table), 3, len(names) // 3).transpose(0, 2, 1)
-    loaded = judged(means, scales, _unpack_rotations(packed[:, 1]), colours[:, 3], sh)
+        if len(rest.properties) not in REST_COUNTS[1:] or rest.count != len(packed):
+            got = f"{len(rest.properties)} for {rest.count}"
+            raise _bad(path, "9, 24 or 45 bytes of SH for each Gaussian", got)
+        table = _columns(file, header, "sh", rest_names(len(rest.properties)), "u1", path).astype(np.uint8)
+        sh[:, 1:] = _unpack_sh(table).reshape(len(table), 3, sh.shape[1] - 1).transpose(0, 2, 1)
+    loaded = judged(
+        _between(ends[:, 0:6], _unpack(packed[:, 0], _POSITION_BITS)),
+        np.exp(_between(ends[:, 6:12], _unpack(packed[:, 2], _POSITION_BITS))),
+        restore_largest(packed[:, 1] >> 30, (_unpack(packed[:, 1], _ROTATION_BITS) - 0.5) / ROOT_HALF),
+        colours[:, 3],
+        sh,
+    )
     return dataclasses.replace(loaded, is_antialiased=is_antialiased(header))
 
 
@@ -74,15 +72,16 @@ def write_compressed_ply(arrays: Arrays, *, antialiased: bool = False) -> Encode
     """A scene as a compressed PLY; the Gaussians are sorted along a Morton curve, so that chunks are small in space."""
     order = morton_order(arrays["means"].astype(np.float64))
     values = Values.of(arrays, order)
-    parts = [(values.means, 3), (values.log_scales, 3), (values.colours, 3)]
-    ranges = [_chunk_ranges(part) for part, _ in parts]
-    means, logs, colours = (_fraction(part, ends) for (part, _), ends in zip(parts, ranges, strict=True))
+    parts = [values.means, values.log_scales, values.colours]
+    ranges = [_chunk_ranges(part) for part in parts]
+    means, logs, colours = (_fraction(part, ends) for part, ends in zip(parts, ranges, strict=True))
+    largest, others = drop_largest(values.rotations)
     packed = np.stack(
         [
-            _pack(means),
-            _pack_rotations(values.rotations),
-            _pack(logs),
-            _join_bytes(np.concatenate([colours, values.opacities[:, None]], axis=1)),
+            _pack(means, _POSITION_BITS),
+            largest.astype(np.uint32) << 30 | _pack(others * ROOT_HALF + 0.5, _ROTATION_BITS),
+            _pack(logs, _POSITION_BITS),
+            _pack(np.concatenate([colours, values.opacities[:, None]], axis=1), _COLOUR_BITS),
         ],
         axis=1,
     ).astype("<u4")
@@ -98,7 +97,7 @@ def write_compressed_ply(arrays: Arrays, *, antialiased: bool = False) -> Encode
     data += np.concatenate(ranges, axis=1).astype("<f4").tobytes() + packed.tobytes() + _pack_sh(rest).tobytes()
     losses = [
         *outside("SH clamped to -4..4", rest, -_SH_LIMIT, _SH_LIMIT, "of a coefficient"),
-        *vanished(values.opacities, np.rint(values.opacities * _BYTE).astype(np.uint8)),
+        *vanished(values.opacities, np.rint(values.opacities * 255).astype(np.uint8)),
     ]
     return Encoded(data, tuple(losses), order)
 
@@ -117,30 +116,25 @@ def morton_order(means: Array) -> NDArray[np.int64]:
     return np.argsort(code, kind="stable")
 
 
-def _check(element: Element, names: list[str], kind: str, path: str) -> None:
-    """Raise unless an element has properties of these names and this kind, and nothing else."""
-    kinds = {column.name: column.kind for column in element.properties if not column.length_kind}
-    wrong = [name for name in names if kinds.get(name) != kind]
-    if wrong or len(element.properties) != len(names):
-        got = f"{len(element.properties)} properties" + (f" without such a {wrong[0]}" if wrong else "")
-        raise _bad(path, f"{len(names)} properties of kind {kind} in the element {element.name}", got)
+def _columns(
+    file: io.FileIO, header: Header, name: str, columns: list[str], kind: str, path: str
+) -> NDArray[np.generic]:
+    """(rows, columns) values of an element that has these properties of this kind, and nothing else."""
+    element = header.element(name)
+    if element is None or element.kinds() != dict.fromkeys(columns, kind) or element.has_lists:
+        got = "none" if element is None else f"{len(element.properties)} properties"
+        raise _bad(path, f"{len(columns)} properties {columns[0]}, ... of kind {kind} in the element {name}", got)
+    rows = read_rows(file, header, name, path)
+    return np.stack([rows[column] for column in columns], axis=1)
 
 
 def _bad(path: str, expected: str, got: str) -> SplatFileError:
     return SplatFileError.of(path, f"a compressed PLY with {expected}", got, "export the splat again")
 
 
-def _columns(
-    file: io.FileIO, header: Header, element: Element, names: list[str], kind: type[np.generic], path: str
-) -> Array:
-    """(rows, names) values of an element."""
-    rows = read_rows(file, header, element.name, path)
-    table: Array = np.stack([rows[name] for name in names], axis=1).astype(kind)
-    return table
-
-
-def _between(low: Array, high: Array, fraction: Array) -> Array:
-    mixed: Array = low * (1 - fraction) + high * fraction
+def _between(ends: Array, fraction: Array) -> Array:
+    """Values out of where they lie between ends: the lower ones first, then the upper ones."""
+    mixed: Array = ends[:, :3] * (1 - fraction) + ends[:, 3:] * fraction
     return mixed
 
 
@@ -160,50 +154,22 @@ def _fraction(values: Array, ranges: Array) -> Array:
     return np.clip(np.divide(values - ends[:, :3], extent, out=np.zeros_like(values), where=extent > 0), 0, 1)
 
 
-def _whole(fraction: Array, largest: int) -> NDArray[np.uint32]:
-    whole: NDArray[np.uint32] = np.clip(np.floor(fraction * largest + 0.5), 0, largest).astype(np.uint32)
-    return whole
-
-
-def _joined(*fields: tuple[NDArray[np.uint32], int]) -> NDArray[np.uint32]:
-    """One number of several, each shifted to the left by so many bits."""
-    word = np.zeros(len(fields[0][0]), np.uint32)
-    for value, shift in fields:
-        word |= value << np.uint32(shift)
+def _pack(fraction: Array, bits: tuple[int, ...]) -> NDArray[np.uint32]:
+    """Columns of numbers in 0..1 as one word, the first in the highest bits."""
+    word = np.zeros(len(fraction), np.uint32)
+    for column, width in zip(fraction.T, bits, strict=True):
+        largest = (1 << width) - 1
+        word = word << width | np.clip(np.floor(column * largest + 0.5), 0, largest).astype(np.uint32)
     return word
 
 
-def _pack(fraction: Array) -> NDArray[np.uint32]:
-    """Three numbers in 11, 10 and 11 bits."""
-    x, y, z = fraction.T
-    return _joined((_whole(x, _WIDE), 21), (_whole(y, _NARROW), 11), (_whole(z, _WIDE), 0))
-
-
-def _unpack(packed: Array) -> Array:
-    word = packed.astype(np.uint32)
-    return np.stack([(word >> 21) / _WIDE, ((word >> 11) & _NARROW) / _NARROW, (word & _WIDE) / _WIDE], axis=1)
-
-
-def _join_bytes(fraction: Array) -> NDArray[np.uint32]:
-    red, green, blue, opacity = (_whole(column, _BYTE) for column in fraction.T)
-    return _joined((red, 24), (green, 16), (blue, 8), (opacity, 0))
-
-
-def _bytes(packed: Array) -> Array:
-    word = packed.astype(np.uint32)
-    return np.stack([((word >> shift) & _BYTE) / _BYTE for shift in (24, 16, 8, 0)], axis=1)
-
-
-def _pack_rotations(quaternions: Array) -> NDArray[np.uint32]:
-    largest, others = drop_largest(quaternions)
-    a, b, c = (_whole(column * ROOT_HALF + 0.5, _TEN) for column in others.T)
-    return _joined((largest.astype(np.uint32), 30), (a, 20), (b, 10), (c, 0))
-
-
-def _unpack_rotations(packed: Array) -> Array:
-    word = packed.astype(np.uint32)
-    others = np.stack([((word >> shift) & _TEN) / _TEN for shift in (20, 10, 0)], axis=1)
-    return restore_largest(word >> 30, (others - 0.5) / ROOT_HALF)
+def _unpack(word: NDArray[np.uint32], bits: tuple[int, ...]) -> Array:
+    """The inverse of `_pack`."""
+    columns, shift = [], sum(bits)
+    for width in bits:
+        shift, largest = shift - width, (1 << width) - 1
+        columns.append((word >> shift & largest) / largest)
+    return np.stack(columns, axis=1)
 
 
 def _pack_sh(rest: Array) -> NDArray[np.uint8]:
@@ -211,9 +177,9 @@ def _pack_sh(rest: Array) -> NDArray[np.uint8]:
     return packed
 
 
-def _unpack_sh(packed: Array) -> Array:
+def _unpack_sh(packed: NDArray[np.uint8]) -> Array:
     """Middles of the 256 steps; the first and the last stand for the ends of the range."""
     table = (np.arange(256) + 0.5) / 256
     table[0], table[255] = 0, 1
-    values: Array = ((table - 0.5) * 2 * _SH_LIMIT)[packed.astype(np.uint8)]
+    values: Array = ((table - 0.5) * 2 * _SH_LIMIT)[packed]
     return values

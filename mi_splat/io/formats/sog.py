@@ -14,14 +14,12 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.fields import Fields, parse
 from mi_splat.io.formats.encoded import (
     ROOT_HALF,
     Array,
@@ -34,7 +32,8 @@ from mi_splat.io.formats.encoded import (
     vanished,
 )
 from mi_splat.io.loaded import Arrays, Loaded, check_count, judged, open_regular, read_whole
-from mi_splat.io.picture_files import PictureFileError, load_picture
+from mi_splat.io.parsing import Fields, parse
+from mi_splat.io.picture_files import PictureFileError, load_picture, picture_header
 
 _META, _META_LIMIT = "meta.json", 1 << 20
 _COUNTS = (0, 3, 8, 15)
@@ -53,14 +52,8 @@ _SPREAD = 1 << 16
 _AGAIN = "write or download it again"
 
 
-class _Picture(Protocol):
-    """Reads pixels of a picture that a part of meta.json names."""
-
-    def __call__(
-        self, part: Fields, names: int, number: int, needed: int, width: int | None = None
-    ) -> NDArray[np.uint8]:
-        """(needed, 4) bytes of the picture `number` of `names`, which is `width` wide if that is given."""
-        ...
+_Picture = Callable[..., NDArray[np.uint8]]
+"""Reads pixels of a picture that a part of meta.json names."""
 
 
 def read_sog(file: io.FileIO, path: str) -> Loaded:
@@ -88,6 +81,7 @@ def _read(files: Files, size: int, path: str) -> Loaded:
     check_count(count, size, path)
 
     def picture(part: Fields, names: int, number: int, needed: int, width: int | None = None) -> NDArray[np.uint8]:
+        """(needed, 4) bytes of the picture `number` of `names`, which is `width` wide if that is given."""
         name = part.texts("files", names)[number]
         data = files(name, min(size, _PICTURE_LIMIT))
         return read_picture(data, f"{path}: {name}", least=needed, width=width)[:needed]
@@ -279,6 +273,10 @@ def _group_means(rows: Array, labels: NDArray[np.int64], groups: int) -> Array:
     return np.stack([np.bincount(labels, column, groups) / counts for column in rows.T], axis=1)
 
 
+_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, struct.error,
+               OverflowError, OSError)  # fmt: skip
+
+
 def archive_files(data: bytes, path: str) -> Files:
     """The members of a zip archive."""
     _check_directory(data, path)
@@ -291,25 +289,23 @@ def archive_files(data: bytes, path: str) -> Files:
         try:
             member = archive.getinfo(name)
             if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-                raise SplatFileError.of(f"{path}: {name}", "a stored or deflated member", "another", _AGAIN)
-            if member.file_size > most:
-                raise SplatFileError.of(f"{path}: {name}", f"at most {most} bytes", f"{member.file_size} bytes", _AGAIN)
+                raise ValueError("packed in a way that cannot be bounded")
             with archive.open(member) as file:
-                plain = file.read(most + 1)
+                return _bounded(file.read(most + 1), most, f"{path}: {name}")
         except KeyError:
             got = ", ".join(archive.namelist())[:100] or "an empty archive"
             raise SplatFileError.of(path, f"a member {name}", got, _AGAIN) from None
         except _ZIP_ERRORS as error:
             raise SplatFileError.of(f"{path}: {name}", "an intact member", str(error)[:100], _AGAIN) from None
-        if len(plain) > most:
-            raise SplatFileError.of(f"{path}: {name}", f"at most {most} bytes", "more", _AGAIN)
-        return plain
 
     return read
 
 
-_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, struct.error,
-               OverflowError, OSError)  # fmt: skip
+def _bounded(plain: bytes, most: int, where: str) -> bytes:
+    """Bytes that are not more than they may be."""
+    if len(plain) > most:
+        raise SplatFileError.of(where, f"at most {most} bytes", "more", _AGAIN)
+    return plain
 
 
 def folder_files(folder: str) -> Files:
@@ -320,10 +316,7 @@ def folder_files(folder: str) -> Files:
         if os.path.basename(name) != name or name in ("", ".", ".."):
             raise SplatFileError.of(folder, "plain names of pictures", repr(name[:60]), _AGAIN)
         with open_regular(path) as file:
-            plain = file.read(most + 1)
-        if plain is None or len(plain) > most:
-            raise SplatFileError.of(path, f"at most {most} bytes", "more", _AGAIN)
-        return plain
+            return _bounded(file.read(most + 1), most, path)
 
     return read
 
@@ -341,28 +334,18 @@ def _check_directory(data: bytes, path: str) -> None:
 
 def read_picture(data: bytes, where: str, *, least: int, width: int | None = None) -> NDArray[np.uint8]:
     """(H * W, 4) bytes of the pixels of a lossless WebP picture."""
-    size = webp_size(data)
-    if size is None:
+    if data[8:16] != b"WEBPVP8L":
         raise SplatFileError.of(where, "a lossless WebP picture (VP8L)", repr(data[:16]), "export the SOG again")
-    pixels = size[0] * size[1]
-    if pixels < least or pixels > min(4 * least + _SPREAD, _MOST_PIXELS) or width not in (None, size[0]):
-        wanted = f"{least} to {min(4 * least + _SPREAD, _MOST_PIXELS)} pixels" + (f", {width} wide" if width else "")
-        raise SplatFileError.of(where, wanted, f"{size[0]} x {size[1]}", "export the SOG again")
     try:
+        (columns, rows), _ = picture_header(data, where, formats=("WEBP",))
+        pixels, most = columns * rows, min(4 * least + _SPREAD, _MOST_PIXELS)
+        if pixels < least or pixels > most or width not in (None, columns):
+            wanted = f"{least} to {most} pixels" + (f", {width} wide" if width else "")
+            raise SplatFileError.of(where, wanted, f"{columns} x {rows}", "export the SOG again")
         picture = load_picture(data, where, formats=("WEBP",))
     except PictureFileError as error:
         raise SplatFileError(str(error)).hinted(error.hint) from None
-    if picture.size != size:
-        raise SplatFileError.of(where, "an intact WebP picture", f"another size, {picture.size}", _AGAIN)
     return np.asarray(picture.convert("RGBA")).reshape(-1, 4)
-
-
-def webp_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height of a lossless WebP picture from its header (RFC 9649, section 3.4), None for other data."""
-    if len(data) < 25 or data[:4] != b"RIFF" or data[8:16] != b"WEBPVP8L" or data[20] != 0x2F:
-        return None
-    bits = int.from_bytes(data[21:25], "little")
-    return (bits & 0x3FFF) + 1, ((bits >> 14) & 0x3FFF) + 1
 
 
 def picture_bytes(values: NDArray[np.uint8]) -> bytes:
