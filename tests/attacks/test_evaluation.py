@@ -1,11 +1,7 @@
 """Scenes are seen through their files and 8 bits, by every detector; rates have a denominator and an interval."""
 
-import itertools
-
-import numpy as np
 import pytest
 import torch
-from PIL import ImageDraw
 from scipy.stats import binomtest
 from torch import Tensor
 
@@ -13,15 +9,12 @@ from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.detectors.base import Detections
 from attacks.objectives import relabel
-from attacks.observe import drawing
 from attacks.observe.comparison import compare, compared_rows
-from attacks.observe.drawing import annotated, difference, stacked
+from attacks.observe.drawing import annotated, difference
 from attacks.observe.views import ViewDetections, as_saved, detect_views, evaluate, object_boxes
 from attacks.rate import Rate
 from mi_splat.cameras import Camera
-from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import through_png
-from mi_splat.labels import Plate, plate_of
 from mi_splat.scene import GaussianScene
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
@@ -81,16 +74,6 @@ def test_a_miss_counts_where_the_clean_object_is_found() -> None:
     assert lower.rates["target_attacked"] == Rate(successes=3, total=3)
 
 
-def test_a_rate_says_what_it_is_of() -> None:
-    assert Rate(successes=1, total=2).as_dict() == {
-        "rate": 0.5,
-        "successes": 1,
-        "total": 2,
-        "interval": list(Rate(successes=1, total=2).interval),
-    }
-    assert Rate(successes=0, total=0).as_dict()["rate"] is None
-
-
 class Counting(ColourDetector):
     """Remembers how many pictures it got at once."""
 
@@ -135,12 +118,6 @@ def test_every_camera_and_detector_in_batches_of_one_size() -> None:
     assert (bare.box, bare.confidence("car")) == (None, 0.0)
 
 
-def test_boxes_and_cameras_come_in_equal_numbers() -> None:
-    scene, _ = toy_scene()
-    with pytest.raises(InvalidValueError, match="boxes: expected 1, one for each camera, got 0"):
-        next(detect_views(scene, [camera()], [ColourDetector()], render=blobs, boxes=[]))
-
-
 def test_scenes_are_seen_as_their_files_hold_them() -> None:
     scene, mask = toy_scene()
     wide = GaussianScene(*(value.double() for value in scene.tensors()))
@@ -178,44 +155,7 @@ def test_detections_are_drawn_from_a_confidence_on() -> None:
     assert not annotated(picture, detections, "", min_confidence=0.5)[128:384, 128].any()
 
 
-def test_narrower_pictures_are_filled_up() -> None:
-    pixels = stacked([np.full((2, 3, 3), 9, np.uint8), np.full((1, 5, 3), 7, np.uint8)])
-    assert pixels[:, :, 0].tolist() == [[9, 9, 9, 0, 0], [9, 9, 9, 0, 0], [7, 7, 7, 7, 7]]
-
-
 @pytest.mark.parametrize(("successes", "total"), [(0, 10), (10, 10), (3, 7), (78, 80)])
 def test_wilson_interval_against_scipy(successes: int, total: int) -> None:
     expected = binomtest(successes, total).proportion_ci(method="wilson")
     assert Rate(successes=successes, total=total).interval == pytest.approx((expected.low, expected.high))
-
-
-def test_no_views_say_nothing() -> None:
-    assert Rate(successes=0, total=0).interval == (0.0, 1.0)
-    assert Rate(successes=0, total=0).fraction == 0.0
-
-
-def test_a_clean_scene_is_asked_for() -> None:
-    scene, mask = toy_scene()
-    with pytest.raises(InvalidValueError, match="scenes: expected one of the name clean"):
-        evaluate({"attacked": scene}, mask, [camera()], [ColourDetector()], render=blobs)
-
-
-def test_every_box_has_a_label_of_its_own_inside_the_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    corners = [(51, 94, 182, 192), (50, 92, 181, 190), (52, 95, 180, 193), (0, 0, 256, 256), (230, 240, 256, 256)]
-    corners += [(-20, -10, 30, 30), (200, 1, 255, 40), (1, 230, 60, 256)]
-    labels = ("car", "train", "stop sign", "train", "suitcase", "person", "elephant", "bird")
-    detections = Detections(torch.tensor(corners).float(), torch.linspace(0.9, 0.4, len(labels)), labels)
-    plates: list[Plate] = []
-
-    def spy(draw: ImageDraw.ImageDraw, corner: tuple[float, float], text: str, colour: str) -> None:
-        plates.append(plate_of(draw, corner, text))
-
-    monkeypatch.setattr(drawing, "write_label", spy)
-    annotated(torch.zeros(256, 256, 3), detections, "title")
-    assert len(plates) == len(labels) + 1
-    for left, top, right, bottom in plates:
-        assert left >= 0
-        assert top >= 0
-        assert max(right, bottom) <= 512
-    for one, other in itertools.combinations(plates, 2):
-        assert one[2] <= other[0] or other[2] <= one[0] or one[3] <= other[1] or other[3] <= one[1], (one, other)

@@ -140,16 +140,6 @@ def test_early_stop_waits_for_a_unambiguous_success() -> None:
     assert result.best.index == 3
 
 
-def test_nothing_moves_without_steps_and_the_arguments_stay_as_they_are() -> None:
-    reference = {"sh": torch.zeros(4, 3)}
-    result = pgd(bowl(), reference, Budget(radius={"sh": 1.0}), step={"sh": 1.0}, steps=0)
-    assert len(result.trace) == 1
-    assert torch.equal(result.parameters["sh"], reference["sh"])
-    moved = pgd(bowl(), reference, Budget(radius={"sh": 1.0}), step={"sh": 1.0}, steps=3)
-    assert not torch.equal(moved.parameters["sh"], reference["sh"])
-    assert torch.equal(reference["sh"], torch.zeros(4, 3))
-
-
 def test_a_ball_that_does_not_hold_is_noticed_at_the_end() -> None:
     class Leaky(Budget):
         def project(self, parameters: Parameters, reference: Parameters) -> Parameters:
@@ -176,11 +166,6 @@ def test_what_is_not_finite_is_an_error(bad: float) -> None:
         pgd(sick("loss"), REFERENCE, budget, step={"sh": 1.0}, steps=3)
 
 
-def test_a_negative_number_of_steps_is_refused() -> None:
-    with pytest.raises(InvalidValueError, match="steps: expected a number >= 0"):
-        pgd(bowl(), REFERENCE, Budget(radius={"sh": 1.0}), step={"sh": 1.0}, steps=-1)
-
-
 def scripted(*points: tuple[bool, bool]) -> Oracle:
     """Success and unambiguity of one point after the other, with a constant gradient."""
     calls = iter(points)
@@ -191,24 +176,6 @@ def scripted(*points: tuple[bool, bool]) -> Oracle:
         return Evaluation(loss=1.0, gradients=gradients, verdict=Verdict(success, 0.8, unambiguous))
 
     return evaluate
-
-
-@pytest.mark.parametrize(
-    ("early_stop", "points", "expected"),
-    [
-        (True, [(False, False), (True, False), (False, False), (True, True)], [(0, 0), (0, 1), (1, 0), (1, 1)]),
-        (True, [(True, True)], [(0, 0)]),
-        (False, [(True, True)] * 6, [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)]),
-    ],
-)
-def test_restarts_end_where_steps_end(
-    early_stop: bool, points: list[tuple[bool, bool]], expected: list[tuple[int, int]]
-) -> None:
-    """At an unambiguous success, not at any."""
-    budget = Budget(radius={"sh": 10.0})
-    starts = [REFERENCE] * 3
-    result = pgd(scripted(*points), REFERENCE, budget, step={"sh": 1.0}, steps=1, starts=starts, early_stop=early_stop)
-    assert [(line.restart, line.index) for line in result.trace] == expected
 
 
 def test_the_best_point_of_all_starts_is_kept_and_starts_are_taken_when_they_are_needed() -> None:
@@ -255,11 +222,6 @@ def test_an_optimiser_of_one_s_own_begins_anew_at_every_start() -> None:
     assert points[2][0, 1] == points[1][0, 1] + 0.25
 
 
-def test_without_a_start_there_is_nothing_to_return() -> None:
-    with pytest.raises(InvalidValueError, match="starts: expected at least one point"):
-        pgd(bowl(), REFERENCE, Budget(radius={"sh": 1.0}), step={"sh": 1.0}, steps=1, starts=[])
-
-
 def line(success: bool, unambiguous: bool, score: float, loss: float) -> Step:
     """A line of a trace."""
     return Step(index=0, loss=loss, score=score, success=success, unambiguous=unambiguous, zero_gradient_fraction=0.0)
@@ -278,13 +240,6 @@ def test_the_order_of_points() -> None:
     ]
     mixed = [worst_to_best[number] for number in (3, 0, 6, 2, 5, 1, 4)]
     assert sorted(mixed, key=rank) == worst_to_best
-
-
-def test_of_equal_points_the_first_is_kept() -> None:
-    budget = Budget(radius={"sh": 10.0})
-    result = pgd(scripted(*[(True, False)] * 3), REFERENCE, budget, step={"sh": 1.0}, steps=2)
-    assert result.best.index == 0
-    assert torch.equal(result.parameters["sh"], REFERENCE["sh"])
 
 
 def test_a_judge_looks_at_some_points_and_what_it_makes_of_them_is_kept() -> None:

@@ -1,7 +1,6 @@
 """Every optimiser of the registry on one interface: inside its ball, the same again, never worse than its start."""
 
 import dataclasses
-import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -17,12 +16,10 @@ from attacks.detectors.base import Candidates
 from attacks.limits import NORM_NAMES, NormName
 from attacks.objectives import relabel
 from attacks.optimisers.apgd import apgd, checkpoints
-from attacks.optimisers.penalty import cw
-from attacks.optimisers.registry import OPTIMISERS, OptimiserSpec, optimiser_spec, register_optimiser
+from attacks.optimisers.registry import OPTIMISERS, optimiser_spec
 from attacks.optimisers.sampling import square
 from attacks.optimisers.settings import SearchSettings
 from attacks.search import Evaluation, OptimiserState, Outcome, Parameters, Verdict, pgd, rank
-from mi_splat.errors import InvalidValueError
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 NAMES = tuple(OPTIMISERS)
@@ -128,15 +125,6 @@ def test_every_attack_on_a_splat_is_judged_alike(name: str) -> None:
     assert torch.equal(result.scene.sh, again.scene.sh)
 
 
-def test_one_step_is_all_of_fgsm_and_it_is_as_long_as_the_radius() -> None:
-    outcome = run("fgsm", settings("linf"))
-    assert outcome.trace[1].share == pytest.approx(1.0)
-    expected = {
-        name: value + settings().ball.radius[name] * (GOALS[name] - value).sign() for name, value in REFERENCE.items()
-    }
-    torch.testing.assert_close(outcome.parameters, expected)
-
-
 def test_apgd_asks_at_the_shares_of_the_paper() -> None:
     assert checkpoints(100) == [22, 41, 57, 70, 80, 87, 93, 99]
     assert checkpoints(1) == []
@@ -185,12 +173,6 @@ def test_a_square_is_a_block_of_neighbours_that_move_alike() -> None:
     torch.testing.assert_close(changes, changes[:1].expand_as(changes))
 
 
-def test_a_full_square_fills_an_l2_ball_evenly() -> None:
-    search = settings("l2")
-    even = {name: value + search.level[name] for name, value in REFERENCE.items()}
-    assert search.ball.measure(even, REFERENCE) == pytest.approx(search.ball.radius)
-
-
 def test_the_price_of_the_change_finds_a_smaller_one_that_succeeds() -> None:
     search = settings("l2", radius={"sh": 4.0, "means": 4.0}, steps=80)
     enough = 0.5 * bowl(REFERENCE).loss
@@ -199,34 +181,3 @@ def test_the_price_of_the_change_finds_a_smaller_one_that_succeeds() -> None:
     assert plain.best.success
     assert cheap.best.share < 0.8 * plain.best.share
     assert cheap.best.share == min(line.share for line in cheap.trace if line.success)
-
-
-def test_the_weight_grows_until_a_round_succeeds_and_is_then_looked_for_between() -> None:
-    search = settings(steps=40)
-    update, memory, weights = cw(search), OptimiserState(index=0), list[float]()
-    for index in range(40):
-        here = dataclasses.replace(bowl(REFERENCE), verdict=Verdict(index >= 20, 0.5, False))
-        _, memory = update(REFERENCE, here, memory)
-        weights.append(memory.numbers["weight"])
-    assert [weights[number] for number in (0, 10, 20, 30)] == pytest.approx(
-        [1.0, 10.0, math.sqrt(10), math.sqrt(math.sqrt(10))]
-    )
-
-
-def test_one_of_your_own_is_chosen_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    def make(search: SearchSettings) -> Any:
-        def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> Any:
-            return {
-                name: value - search.ball.radius[name] * here.gradients[name] for name, value in point.items()
-            }, memory.after()
-
-        return update
-
-    monkeypatch.setattr(OPTIMISERS, "own", known := dict(OPTIMISERS.own))
-    register_optimiser(OptimiserSpec(name="mine", make=make, about="the gradient itself"))
-    assert "mine" in known
-    assert attacked("mine").best.loss < attacked("mine").trace[0].loss
-    with pytest.raises(InvalidValueError, match="optimiser: expected a name that is free, got 'mine'"):
-        register_optimiser(known["mine"])
-    with pytest.raises(InvalidValueError, match=r"optimiser: expected one of pgd, .*, got apgb; did you mean apgd"):
-        DaggerConfig(optimiser="apgb")

@@ -1,25 +1,20 @@
 """Other ways to find a hidden look: each ranks what it is made for above what it is not."""
 
-from pathlib import Path
 from typing import Literal
 
 import pytest
 import torch
 from torch import Tensor
 
-from attacks import cli
 from attacks.audits.disagreement import AROUND, OVER, Seen, seen_along_paths
 from attacks.audits.learnt import attributes, fit_attributes
-from attacks.audits.rivals import BASELINES, band_share, measured
+from attacks.audits.rivals import BASELINES, measured
 from attacks.detectors.base import Candidates, Detections
 from mi_splat.audit import surfaces as seen_surfaces
-from mi_splat.errors import InvalidValueError
-from mi_splat.io import save_splat
 from mi_splat.rendering import Renderer
-from mi_splat.scene import GaussianScene, Similarity, merge
+from mi_splat.scene import GaussianScene, merge
 from scenes.recipes.audit_hiding import Hiding, Victim, hide
 from tests.audit.scenes import Made, cone, direction, glossy, hidden, standing
-from tests.fakes import register
 
 
 @pytest.fixture(scope="module")
@@ -43,27 +38,11 @@ def test_a_look_ranges_over_more_colours_and_needs_higher_bands(plain: Made, mon
     assert hiding["contributions"] == pytest.approx(clean["contributions"], abs=0.01)
 
 
-def test_shares_of_bands_and_of_grey_make_one(plain: Made) -> None:
-    sh = looks(plain).scene.sh.double()
-    parts = sum(band_share(number)(looks(plain).scene) for number in range(4))
-    assert parts == pytest.approx(1.0)
-    assert band_share(1)(looks(plain).scene) == pytest.approx(float(sh[:, 1:4].square().sum() / sh.square().sum()))
-
-
 def test_what_few_cameras_see_beside_what_many_do_is_a_cluster(plain: Made) -> None:
     score = BASELINES["contributions"]
     part = plain.scene.select(plain.rows)
     inner = part.replace(means=part.means * 0.97, opacities=0.3 * part.opacities)
     assert score(merge(plain.scene, inner)) > score(plain.scene)
-
-
-def test_attributes_do_not_depend_on_axes_unit_or_order(plain: Made) -> None:
-    scene = looks(plain).scene
-    turn = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)).Q
-    turn = turn * torch.linalg.det(turn).sign()
-    moved = scene.transform(Similarity(rotation=turn, translation=torch.tensor([1.0, 2.0, 3.0]), scale=2.0))
-    first, second = attributes(scene), attributes(moved.select(torch.arange(len(scene)).flip(0)))
-    assert torch.allclose(first, second, atol=0.05)
 
 
 def test_a_classifier_finds_the_kind_of_attack_that_it_was_trained_on() -> None:
@@ -76,13 +55,6 @@ def test_a_classifier_finds_the_kind_of_attack_that_it_was_trained_on() -> None:
     plain, shiny, look = trained.odds(torch.stack([attributes(scene) for scene in kinds("tv")])).tolist()
     assert look > max(plain, shiny)
     assert look > 0
-
-
-def test_a_classifier_needs_both_kinds(plain: Made) -> None:
-    with pytest.raises(InvalidValueError, match="labels: expected one for each splat, and both kinds"):
-        fit_attributes(attributes(plain.scene)[None], [True])
-    with pytest.raises(InvalidValueError, match="over 4 Gaussians that show"):
-        attributes(plain.scene.replace(opacities=torch.zeros_like(plain.scene.opacities)))
 
 
 # What detectors report along paths of cameras: where a class goes away and comes back
@@ -128,22 +100,6 @@ def test_a_class_that_goes_away_and_comes_back_is_seen(red: Made) -> None:
     assert looks[AROUND].runs == ["car"]
     assert {path: one.runs for path, one in seen(red).items()} == {AROUND: ["car"], OVER: ["car"]}
     assert not any(one.comes_back for one in seen(red).values())
-
-
-def test_the_page_of_an_audit_shows_it(
-    red: Made, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    register(monkeypatch, {"reddest": Reddest()})
-    save_splat(red.scene, tmp_path / "red.ply")
-    assert cli.main(["audit", str(tmp_path / "red.ply"), "--only", "looks", "--out", str(tmp_path / "out")]) in (0, 3)
-    words = ["report", str(tmp_path / "out"), "--detectors", "reddest", "--out", str(tmp_path / "page.html")]
-    assert cli.main(words) == 0
-    page = (tmp_path / "page.html").read_text()
-    assert "Along paths of cameras" in page
-    assert f"reddest {AROUND}" in page
-    (tmp_path / "red.ply").unlink()
-    assert cli.main([*words, "--force"]) == 1
-    assert "whose splat is there" in capsys.readouterr().err
 
 
 # The recipe of an attacker who knows the audit

@@ -10,14 +10,12 @@ from torch import Tensor
 from attacks import cli
 from mi_splat.audit import Audit, audit, repaired
 from mi_splat.audit import surfaces as seen_surfaces
-from mi_splat.audit.repair import believed
 from mi_splat.cameras import Camera, look_at
-from mi_splat.cli.audit import AuditOptions, _folders
 from mi_splat.io import load_splat, save_splat
 from mi_splat.metrics import psnr
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
-from tests.audit.accounts import DIRECTIONS, account, look
+from tests.audit.accounts import account, look
 from tests.audit.scenes import Made, cone, direction, hidden, standing
 
 ABOVE = cone(direction(90, 0), 50)
@@ -90,19 +88,6 @@ def test_what_covers_an_object_is_left_out_where_others_look_through_it() -> Non
     assert repaired(scene, account(look(0.0), count=6, covered=0.05)) is scene
 
 
-def test_directions_near_a_look_are_hardly_believed() -> None:
-    item = account(look(0.05), count=10).strongest
-    shown = item.look.shown
-    outside, inside = believed(item, "outside"), believed(item, "inside")
-    assert float(outside[shown].max()) == 0
-    assert float(inside[~shown].max()) == 0
-    assert 0 < float(outside[~shown].min()) < 0.1
-    certain = (outside == 1).nonzero()[:, 0]
-    assert len(certain) >= 6
-    angles = (DIRECTIONS[certain] @ DIRECTIONS[shown].T).clamp(-1, 1).acos().rad2deg()
-    assert float(angles.min()) > 5
-
-
 def test_the_command_repairs_what_it_finds(
     honest: Made, hiding: Made, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -151,10 +136,3 @@ def test_what_cannot_be_written_is_told_before_the_work(
     assert cli.main(["audit", *words]) == status
     assert says in capsys.readouterr().err
     assert Path("b.ply").read_bytes() == Path("old/s.json").read_bytes() == b"never read"
-
-
-def test_each_of_several_results_lies_in_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    options = AuditOptions(files=(Path("a.ply"), Path(".."), Path(".")), out=Path("out"))
-    folders = {tmp_path.parent.name, tmp_path.name, "a"}
-    assert {path.as_posix() for path in _folders(options).values()} == {f"out/{name}" for name in folders}

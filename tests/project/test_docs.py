@@ -16,7 +16,7 @@ import pytest
 from attacks.cli import COMMANDS, command_of, parse
 from attacks.cli.doctor import REGISTRIES
 from tests.browser import CHROMIUM
-from tests.project.documented_commands import BENCHMARKS, FAST, NIGHTLY, ROOT, Line, blocks, lines, pages
+from tests.project.documented_commands import BENCHMARKS, ROOT, Line, blocks, lines, pages
 from tests.project.test_extras import PROJECT, tomllib
 from tests.warm import Warm
 
@@ -37,12 +37,6 @@ def test_every_command_is_run_by_something(line: Line) -> None:
 @pytest.mark.parametrize("line", [line for line in OURS if line.kind != "--help"], ids=str)
 def test_every_command_is_understood(line: Line) -> None:
     parse(*command_of(line.words[1:]))
-
-
-def test_the_tables_name_commands() -> None:
-    known = {*COMMANDS, "python", "--help"}
-    assert {kind.split()[0] for kind in FAST | NIGHTLY} <= known
-    assert {kind for kind in FAST | NIGHTLY if kind.startswith("dagger ")} <= known
 
 
 @pytest.mark.parametrize("line", [line for line in LINES if line.program == "make"], ids=str)
@@ -151,15 +145,6 @@ def test_the_figures_can_be_drawn_again(tmp_path: Path) -> None:
     shown = set(re.findall(r"images/(conventions_\w+\.png)", (ROOT / "docs" / "conventions.md").read_text()))
     assert drawn == shown
     assert all((ROOT / "docs" / "images" / name).is_file() for name in drawn)
-
-
-def test_the_first_page_has_twelve_pictures_each_with_a_command() -> None:
-    text = (ROOT / "docs" / "index.md").read_text().partition("## Twelve pictures")[2]
-    cells = text.split("::::{container}\n")[1:]
-    assert len(cells) == 12
-    for cell in cells:
-        assert re.search(r"^\[!\[[^\]]+\]\(images/[^)]+\)\]\([\w-]+\.md\)$", cell, re.MULTILINE), cell
-        assert len(blocks("sh", cell)) == 1
 
 
 class Requests(HTMLParser):

@@ -1,12 +1,10 @@
 """The shape of the project: layers, light packages, what the wheel holds, sizes, names."""
 
 import ast
-import re
 import shutil
 import subprocess
 import sys
 import zipfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -22,10 +20,6 @@ TOP_LEVEL = {
 }
 LONGEST_MODULE = 600
 
-VAGUE = {"found", "some", "place", "places", "thing", "things", "stuff"}
-"""Words that no name has as a part, because they do not say what a thing is. Written formats keep their keys."""
-VAGUE_ALONE = {"one", "said", "them", "much", "there"}
-"""Words that are no whole name in the packages."""
 
 RENDERERS = (
     "mi_splat.rasterization",
@@ -122,36 +116,6 @@ def test_modules_are_short(folder: str) -> None:
     for path in (ROOT / folder).rglob("*.py"):
         lines = len(path.read_text().splitlines())
         assert lines <= LONGEST_MODULE, f"{path.relative_to(ROOT)} has {lines} lines; split it"
-
-
-def given_names(tree: ast.AST) -> Iterator[str]:
-    """Names of functions, classes, parameters, variables and attributes. Tests have sentences for names."""
-    for node in ast.walk(tree):
-        if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("test_"):
-            yield node.name
-        elif isinstance(node, ast.arg):
-            yield node.arg
-        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            yield node.id
-        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
-            yield node.attr
-
-
-def vague(name: str, *, whole: bool) -> bool:
-    """Whether a name has a word of `VAGUE`, or is one of `VAGUE_ALONE` where whole names count."""
-    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower().split("_")
-    return bool(VAGUE & {*words}) or (whole and name.lower().strip("_") in VAGUE_ALONE)
-
-
-def test_names_say_what_a_thing_is() -> None:
-    assert [name for name in ("found", "_place", "SomeRows", "is_found", "one") if not vague(name, whole=True)] == []
-    assert not vague("foundation", whole=True)
-    assert not vague("one", whole=False)
-    for folder in (*PACKAGES, "benchmarks", "docs", "tests"):
-        for path in (ROOT / folder).rglob("*.py"):
-            names = {*given_names(ast.parse(path.read_text()))}
-            unclear = sorted(name for name in names if vague(name, whole=folder in PACKAGES))
-            assert not unclear, f"{path.relative_to(ROOT)} has {', '.join(unclear)}: name what it is"
 
 
 @pytest.mark.parametrize("package", PACKAGES)
