@@ -37,9 +37,7 @@ def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures
     """Pictures a second while the camera moves, and what a full picture takes."""
     settings = RenderSettings()
     names = ("clean", "attacked")[:splats]
-    shown = tuple(
-        ShownSplat(name=name, scene=scene, path=Path(f"{name}.ply"), file_settings=settings) for name in names
-    )
+    shown = tuple(ShownSplat(name=name, scene=scene, path=Path(f"{name}.ply")) for name in names)
     content = Content(title="benchmark", splats=shown, settings=settings, start=whole(scene), size=(640, 480))
     painter, pace = Painter(content, Renderer(settings)), Pace()
     state = ViewState(orbit=content.start, mode=display_modes(names)[0], canvas=canvas)

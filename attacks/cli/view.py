@@ -79,12 +79,11 @@ def run(options: ViewOptions) -> None:
     from mi_splat.viewer.guard import checked_host, is_loopback
     from mi_splat.viewer.painter import Painter
     from mi_splat.viewer.runner import JobRunner
-    from mi_splat.viewer.server import Page, check_port, need_viser
+    from mi_splat.viewer.server import Page, check_port
 
     limit_threads()
     if options.weights is not None and options.detector is None:
         raise InvalidValueError.of("weights", "a detector that they belong to", "none", "name it with --detectors")
-    need_viser()
     check_port(checked_host(options.host, allow_remote=options.allow_remote), options.port)
     with progress("loading"):
         content = open_content(

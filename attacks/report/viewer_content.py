@@ -173,9 +173,9 @@ def _content_of_attack(folder: Path, record: Mapping[str, Any], clean: Path | No
         title=f"{f'Evaluation of {path.name}' if evaluated else _purpose(record)} ({folder})",
         splats=(
             splat,
-            ShownSplat(name="attacked", scene=loaded.scene, path=path, file_settings=loaded.settings),
+            ShownSplat(name="attacked", scene=loaded.scene, path=path),
         ),
-        settings=replace(splat.file_settings, **rendered),
+        settings=replace(of_scene.settings, **rendered),
         start=next(iter(cameras.values()), of_scene.start),
         size=size,
         cameras={**cameras, **of_scene.cameras, **cameras},
@@ -221,7 +221,7 @@ def _clean_splat(folder: Path, expected: str, clean: Path | None, *, recorded: o
                 raise
             continue
         if scene_hash(loaded.scene) == expected:
-            return ShownSplat(name="clean", scene=loaded.scene, path=path, file_settings=loaded.settings)
+            return ShownSplat(name="clean", scene=loaded.scene, path=path)
         if clean is not None:
             do = "pass the scene that was attacked"
             raise InvalidValueError.of(f"clean scene {clean}", f"the hash {expected}", "another", do)
@@ -251,7 +251,7 @@ def _content_of_audit(folder: Path, record: Mapping[str, Any], audited: Path | N
         do = "name the splat that was audited"
         raise InvalidValueError.of(str(path), f"{count:,} Gaussians", f"{len(splats[0].scene):,}", do).hinted("--clean")
     if heat.is_file():
-        hot = ShownSplat(name="heat", scene=open_scene(heat).scene, path=heat, file_settings=splats[0].file_settings)
+        hot = ShownSplat(name="heat", scene=open_scene(heat).scene, path=heat)
         splats = (*splats, hot)
     cameras = {
         name: orbit_of(camera, (x, y, z), source=f"{folder / RECORD}{OF}{name}") for name, camera in views.items()
@@ -293,8 +293,7 @@ def _content_of_study(folder: Path, record: Mapping[str, Any]) -> Content:
     return Content(
         title=f"CLOAK, study {study.name}: what the triggers show ({folder})",
         splats=tuple(
-            ShownSplat(name=name, scene=splat.scene, path=folder / f"{name}.ply", file_settings=splat.settings)
-            for name, splat in loaded.items()
+            ShownSplat(name=name, scene=splat.scene, path=folder / f"{name}.ply") for name, splat in loaded.items()
         ),
         settings=RenderSettings(background=study.scene.background),
         start=next(iter(triggers.values()), start),

@@ -142,9 +142,8 @@ def run(options: TrainOptions) -> None:
         raise UsageError(message("--port", "--live beside it", "no page", "add --live, or leave it out"))
     check_device(options.device)
     if options.live:
-        from mi_splat.viewer.server import check_port, need_viser
+        from mi_splat.viewer.server import check_port
 
-        need_viser()
         check_port("127.0.0.1", _port(options))
     with own_folder(options.out, CONFIG, CHECKPOINT):
         _train(options)

@@ -45,12 +45,11 @@ Inspector = Callable[[Tensor], Inspection]
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ShownSplat:
-    """A splat by the name that it has on the page, its file, and how that file is rendered by default."""
+    """A splat by the name that it has on the page, and its file."""
 
     name: str
     scene: GaussianScene
     path: Path
-    file_settings: RenderSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -175,10 +174,10 @@ def content_of_file(path: Path, *, name: str | None = None, clean: Path | None =
     first = loaded if clean is None else open_scene(clean)
     centre = focus_of(list(first.cameras.values()), bounds(first.scene)[0])
     name = name or (path.name if path.stem in (SIDE_BY_SIDE, DIFFERENCE) else path.stem)
-    splats = [ShownSplat(name=name, scene=loaded.scene, path=path, file_settings=loaded.settings)]
+    splats = [ShownSplat(name=name, scene=loaded.scene, path=path)]
     if clean is not None:
         splats = [
-            ShownSplat(name="clean", scene=first.scene, path=clean, file_settings=first.settings),
+            ShownSplat(name="clean", scene=first.scene, path=clean),
             replace(splats[0], name="attacked"),
         ]
     source = clean or path

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -173,7 +172,7 @@ def training_content(
     """A splat in training next to the photographs, from the first held-out camera if there is one."""
     orbits, photographs = photographs_in(sets, dataset)
     first = next(iter(orbits.values()))
-    splat = ShownSplat(name=SPLAT, scene=start, path=out, file_settings=replace(settings, near=RenderSettings().near))
+    splat = ShownSplat(name=SPLAT, scene=start, path=out)
     return Content(
         title=f"Training on {dataset}, into {out.parent}",
         splats=(splat,),

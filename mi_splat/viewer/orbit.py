@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -159,55 +158,21 @@ def focus_of(cameras: Sequence[Camera], otherwise: Point) -> Point:
     return x, y, z
 
 
-def render_command(
-    path: Path,
-    orbit: Orbit,
-    size: tuple[int, int],
-    *,
-    centre: Point | None,
-    settings: RenderSettings,
-    file_settings: RenderSettings,
-    up: Point = UP,
-) -> str:
-    """The `mi-splat render` that makes a picture, to the bit where z is up or the camera is one of a file."""
-    background = file_settings.background
-    options = camera_options(orbit, size, settings=settings, background=background, centre=centre, up=up, path=path)
-    return shlex.join(["mi-splat", "render", str(path), *options])
-
-
 def camera_options(
-    orbit: Orbit,
-    size: tuple[int, int],
-    *,
-    settings: RenderSettings,
-    background: Point | None = None,
-    centre: Point | None = None,
-    up: Point = UP,
-    path: Path | None = None,
+    orbit: Orbit, size: tuple[int, int], *, settings: RenderSettings, up: Point = UP, path: Path | None = None
 ) -> list[str]:
-    """The options that give a camera to a command; those with the file's own `background` or `centre` are left out."""
+    """The options by which a command renders a splat of the file `path` with a camera."""
     if orbit.exact is not None and orbit.source:
         options = ["--cameras", orbit.source.removeprefix(f"{path}{OF}")]
     else:
-        options = _orbit_options(orbit, centre, up)
-    options += ["--size", f"{size[0]}x{size[1]}"]
-    if settings.background != background:
-        options += _option("background", *settings.background)
-    return options + _option("near", settings.near)  # without it, a bare splat's near plane follows the camera
-
-
-def _orbit_options(orbit: Orbit, centre: Point | None, up: Point) -> list[str]:
-    options = [*_option("azimuth", orbit.azimuth), *_option("elevation", orbit.elevation)]
-    options += [*_option("distance", orbit.distance), *_option("fov", orbit.fov)]
-    if orbit.roll:
-        options += _option("camera-roll", orbit.roll)
-    if tuple(up) != UP:
         turn = from_z(torch.tensor(list(up)))
-        options += up_options(up)
-        options += _option("centre", *(turn @ torch.tensor(list(orbit.target), dtype=torch.float64)).tolist())
-    elif centre is None or tuple(orbit.target) != tuple(centre):
-        options += _option("centre", *orbit.target)
-    return options
+        centre = orbit.target if tuple(up) == UP else (turn @ torch.tensor(orbit.target, dtype=torch.float64)).tolist()
+        options = [*_option("azimuth", orbit.azimuth), *_option("elevation", orbit.elevation)]
+        options += [*_option("distance", orbit.distance), *_option("fov", orbit.fov)]
+        options += _option("camera-roll", orbit.roll) if orbit.roll else []
+        options += [*up_options(up), *_option("centre", *centre)]
+    options += ["--size", f"{size[0]}x{size[1]}", *_option("background", *settings.background)]
+    return [*options, *_option("near", settings.near)]
 
 
 def up_options(up: Point) -> list[str]:

@@ -1,5 +1,6 @@
 """Renders the picture of a page: splats and photographs side by side, with detections."""
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -9,9 +10,7 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.bounds import bounds
 from mi_splat.cameras import RenderFn
-from mi_splat.directions import Point
 from mi_splat.io.formats.compressed_ply import morton_order
 from mi_splat.io.images import quantise, to_bytes
 from mi_splat.labels import write_label
@@ -20,7 +19,7 @@ from mi_splat.scene import GaussianScene
 from mi_splat.training.losses import masked
 from mi_splat.viewer.content import Content, Inspection, Inspector
 from mi_splat.viewer.layout import DIFFERENCE, Layout, Pixels, compose, difference, lay_out, panes, pictures_of
-from mi_splat.viewer.orbit import Orbit, render_command
+from mi_splat.viewer.orbit import Orbit, camera_options
 from mi_splat.viewer.picking import Picked, tinted
 from mi_splat.viewer.session import Pace, Step, ViewState
 
@@ -52,14 +51,13 @@ class Painter:
         self.content, self.render, self.inspector = content, render, inspector
         self._splats = {splat.name: Thinned(splat.scene) for splat in content.splats}
         self._tinted = dict[str, Thinned]()
-        self._centres: dict[str, Point | None] = {splat.name: bounds(splat.scene)[0] for splat in content.splats}
         self._last: tuple[Orbit, dict[str, Inspection]] | None = None
 
     def exchange(self, name: str, scene: GaussianScene) -> None:
         """Show other Gaussians as a splat from now on, which its file does not have yet."""
         splats = [replace(splat, scene=scene) if splat.name == name else splat for splat in self.content.splats]
         self.content = replace(self.content, splats=tuple(splats))
-        self._splats[name], self._centres[name], self._last = Thinned(scene), None, None
+        self._splats[name], self._last = Thinned(scene), None
 
     def tint(self, picked: Picked | None) -> None:
         """Highlight an object in each splat with as many Gaussians, but not in differences and inspected pictures."""
@@ -110,19 +108,12 @@ class Painter:
 
     def commands(self, orbit: Orbit) -> dict[str, str]:
         """For each splat the command that makes the inspected picture."""
-        content = self.content
-        return {
-            splat.name: render_command(
-                splat.path,
-                orbit,
-                content.size_at(orbit),
-                centre=self._centres[splat.name],
-                settings=content.settings,
-                file_settings=splat.file_settings,
-                up=content.up,
-            )
-            for splat in content.splats
-        }
+        content, commands = self.content, dict[str, str]()
+        for splat in content.splats:
+            size, up = content.size_at(orbit), content.up
+            options = camera_options(orbit, size, settings=content.settings, up=up, path=splat.path)
+            commands[splat.name] = shlex.join(["mi-splat", "render", str(splat.path), *options])
+        return commands
 
     def similarity(self, orbit: Orbit) -> float | None:
         """PSNR in dB between the two inspected pictures; None for one, or where they are equal.

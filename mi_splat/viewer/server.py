@@ -17,14 +17,10 @@ from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.runner import JobRunner
 
 
-def need_viser() -> None:
-    """Raise if pages cannot be served."""
+def check_port(host: str, port: int) -> None:
+    """Raise unless pages can be served there."""
     if importlib.util.find_spec("viser") is None:
         raise InvalidValueError(message("viser", "the package, for pages", "not installed", install("view")))
-
-
-def check_port(host: str, port: int) -> None:
-    """Raise unless the page can be served there."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -42,8 +38,6 @@ class Page:
     """
 
     def __init__(self, shown: Painter | JobRunner, *, host: str = "127.0.0.1", port: int = 8080) -> None:
-        need_viser()
-        check_port(host, port)
         self._runner = shown if isinstance(shown, JobRunner) else JobRunner(shown)
         self._changed, self._clients = threading.Condition(), dict[int, Client]()
         self._guard = Guard(names=LOOPBACK_NAMES | {host} if is_loopback(host) else None)

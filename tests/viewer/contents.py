@@ -47,7 +47,7 @@ def balls(splats: int = 2, count: int = 20) -> Content:
     return Content(
         title="balls <of> colour",
         splats=tuple(
-            ShownSplat(name=name, scene=ball(colour, count), path=Path(f"{name}.ply"), file_settings=settings)
+            ShownSplat(name=name, scene=ball(colour, count), path=Path(f"{name}.ply"))
             for name, colour in list(colours.items())[:splats]
         ),
         settings=settings,
