@@ -9,6 +9,9 @@ import torch
 from torch import Tensor
 
 from mi_splat.errors import MiSplatError, message
+from mi_splat.rotation import normalise
+from mi_splat.scene import GaussianScene
+from mi_splat.sh import coefficient_count, colour_to_dc
 
 STEPS = (0.3, 1.0, 3.0)
 """Lengths of the steps along a gradient that are tried, as multiples of the first."""
@@ -103,9 +106,24 @@ def expect_uphill(measured: Callable[[Tensor], Tensor], start: Tensor, step: flo
     expect(steep, f"a gradient that is true: a slope of {promised:.3g}", got, do)
 
 
-@contextmanager
-def other_seed(seed: int) -> Iterator[None]:
-    """Torch's global generator is another one meanwhile, so that who draws from it draws other numbers."""
+def expect_repeatable(look: Callable[[], Sequence[Tensor]], expected: str, do: str, *, atol: float = 0.0) -> None:
+    """Break the promise unless a second look, with another seed of torch's global generator, gives the same."""
+    first = look()
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        yield
+        torch.manual_seed(1)
+        second = look()
+    expect_same(first, second, atol=atol, expected=expected, do=do)
+
+
+def cloud(count: int, degree: int, *, size: float = 1.0) -> GaussianScene:
+    """Healthy Gaussians at random, of muted colours."""
+    generator = torch.Generator().manual_seed(0)
+    sh = 0.02 * torch.randn(count, coefficient_count(degree), 3, generator=generator)
+    sh[:, 0] = colour_to_dc(0.2 + 0.6 * torch.rand(count, 3, generator=generator))
+    return GaussianScene(
+        means=torch.rand(count, 3, generator=generator) - 0.5,
+        scales=size * (0.02 + 0.05 * torch.rand(count, 3, generator=generator)),
+        rotations=normalise(torch.randn(count, 4, generator=generator)),
+        opacities=0.3 + 0.6 * torch.rand(count, generator=generator),
+        sh=sh,
+    )

@@ -6,14 +6,11 @@ import re
 from typing import Any, get_args
 
 import numpy as np
-import torch
 
-from attacks.testing.promises import Contract, expect
+from attacks.testing.promises import Contract, cloud, expect
 from mi_splat.audit.lint.rules import RULES, Rule, Severity, Stored
 from mi_splat.io.loaded import Loaded, arrays_of
-from mi_splat.rotation import normalise
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import coefficient_count, colour_to_dc
 
 
 def check_rule(rule: Any, *, finds: GaussianScene | None = None) -> None:
@@ -40,14 +37,14 @@ def check_rule(rule: Any, *, finds: GaussianScene | None = None) -> None:
     contract.settle()
     for count, degree in ((60, 3), (60, 0), (1, 1)):
         with contract.promise("healthy splats"):
-            finding = rule(_stored(_cloud(count, degree)))
+            finding = rule(_stored(cloud(count, degree)))
             got = "" if finding is None else f"a finding in {finding.count} of {count}"
             expect(finding is None, "nothing", got, "raise the threshold")
     with contract.promise("broken numbers"):
-        broken = _stored(_cloud(60, 1), broken=True)
+        broken = _stored(cloud(60, 1), broken=True)
         rule(broken)
     with contract.promise("determinism"):
-        splat = _stored(_cloud(60, 3) if finds is None else finds)
+        splat = _stored(cloud(60, 3) if finds is None else finds)
         kept = {name: value.copy() for name, value in splat.arrays.items()}
         same = np.array_equal(rule.find(splat, rule.threshold), rule.find(splat, rule.threshold))
         expect(same, "the same rows in a second look", "others", "draw nothing")
@@ -57,19 +54,6 @@ def check_rule(rule: Any, *, finds: GaussianScene | None = None) -> None:
         with contract.promise("what it finds"):
             expect(rule(_stored(finds)) is not None, "a finding", "none", "lower the threshold")
     contract.settle()
-
-
-def _cloud(count: int, degree: int) -> GaussianScene:
-    generator = torch.Generator().manual_seed(0)
-    sh = 0.02 * torch.randn(count, coefficient_count(degree), 3, generator=generator)
-    sh[:, 0] = colour_to_dc(0.2 + 0.6 * torch.rand(count, 3, generator=generator))
-    return GaussianScene(
-        means=torch.rand(count, 3, generator=generator),
-        scales=0.02 + 0.05 * torch.rand(count, 3, generator=generator),
-        rotations=normalise(torch.randn(count, 4, generator=generator)),
-        opacities=0.3 + 0.6 * torch.rand(count, generator=generator),
-        sh=sh,
-    )
 
 
 def _stored(scene: GaussianScene, *, broken: bool = False) -> Stored:

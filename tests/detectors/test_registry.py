@@ -24,6 +24,7 @@ from attacks.detectors.torchvision import published_weights
 from attacks.detectors.weights import FrozenModel, apply_weights, read_weights
 from tests.detectors.contract import random_detector
 from tests.fakes import ColourDetector
+from tests.plug_ins.distribution import install, on_path
 
 SPEC = DetectorSpec(
     name="fake_colour",
@@ -41,7 +42,6 @@ def load(weights):
     return ColourDetector()
 
 SPEC = DetectorSpec(name="plugged", load=load, classes=("car", "person"), origin="a plug-in", licence="MIT")
-OTHER = DetectorSpec(name="fasterrcnn_small", load=load, classes=("car",), origin="a plug-in", licence="MIT")
 """
 
 
@@ -50,24 +50,6 @@ def registered() -> Iterator[DetectorSpec]:
     register_detector(SPEC)
     yield SPEC
     del DETECTORS.own[SPEC.name]
-
-
-def install(folder: Path, *entries: str, module: str = PLUGIN) -> Path:
-    """A folder that holds an installed distribution with entry points."""
-    information = folder / "plugged_detector-1.0.dist-info"
-    information.mkdir(parents=True)
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: plugged-detector\nVersion: 1.0\n")
-    (information / "entry_points.txt").write_text("[mi_splat.detectors]\n" + "\n".join(entries) + "\n")
-    (folder / "plugged_detector.py").write_text(module)
-    return folder
-
-
-@pytest.fixture
-def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder on sys.path for fake distributions."""
-    monkeypatch.syspath_prepend(tmp_path)
-    yield tmp_path
-    sys.modules.pop("plugged_detector", None)
 
 
 def listed(capsys: pytest.CaptureFixture[str]) -> dict[str, dict[str, object]]:
@@ -99,40 +81,18 @@ def test_a_name_is_given_once(registered: DetectorSpec, name: str) -> None:
         register_detector(spec)
 
 
-def test_an_entry_point_is_a_detector_of_every_command(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    install(path, "plugged = plugged_detector:SPEC")
+def test_an_entry_point_is_a_detector_of_every_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = on_path(tmp_path, monkeypatch)
+    install(path, {"mi_splat.detectors/plugged": "plugged_detector:SPEC"}, plugged_detector=PLUGIN)
     assert "plugged" in DETECTORS
     assert "plugged_detector" not in sys.modules, "looking at the names imports nothing"
     assert listed(capsys)["plugged"]["origin"] == "a plug-in"
     assert isinstance(load_detector("plugged"), ColourDetector)
     assert cli.main(["detectors"]) == 0
     assert "plugged\n  weights: there\n  from: a plug-in (MIT)\n  2 classes: car, person\n" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("entry", "module", "words"),
-    [
-        ("plugged = plugged_detector:MISSING", PLUGIN, "something that can be imported, got .*MISSING"),
-        (
-            "plugged = plugged_detector:SPEC",
-            "import no_such_package",
-            "got ModuleNotFoundError: No module named 'no_such_package'; repair or uninstall plugged-detector 1.0",
-        ),
-        ("plugged = plugged_detector:load", PLUGIN, "expected a DetectorSpec of the name plugged, got function"),
-        ("plugged = plugged_detector:OTHER", PLUGIN, "got one of the name fasterrcnn_small"),
-    ],
-)
-def test_a_broken_entry_point_breaks_only_itself(
-    path: Path, entry: str, module: str, words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    install(path, entry, module=module)
-    with pytest.raises(DetectorError, match=words):
-        load_detector("plugged")
-    entries = listed(capsys)
-    assert entries["plugged"]["available"] is False
-    assert "entry point plugged" in str(entries["plugged"]["advice"])
-    assert entries["fasterrcnn_small"]["available"] is True
-    assert load_detector("fasterrcnn_small").name == "fasterrcnn_small"
+    sys.modules.pop("plugged_detector")
 
 
 def test_what_is_missing_is_said() -> None:

@@ -19,6 +19,7 @@ from attacks.cli.poison_kinds import kind_names, kind_of
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import summary, write_report
+from attacks.detectors import DETECTORS
 from attacks.objectives import hide
 from attacks.observe.conditions import CONDITIONS, Viewing, check_condition, condition_of, package_of
 from attacks.optimisers.registry import OPTIMISERS
@@ -28,7 +29,8 @@ from attacks.studies.attack import FixedAttack
 from attacks.studies.dagger import _objective
 from attacks.studies.look import Look
 from attacks.testing.poisons import _views
-from attacks.testing.renderers import _camera, _cluster
+from attacks.testing.promises import cloud
+from attacks.testing.renderers import _camera
 from mi_splat.audit.lint.checking import lint_scene
 from mi_splat.comparison.methods import RENDERERS, load_method
 from mi_splat.errors import InvalidValueError, MiSplatError
@@ -37,7 +39,8 @@ from mi_splat.registry import Registry, brought_by_packages
 from mi_splat.rendering import RenderSettings
 from tests.fakes import ColourDetector, blobs, camera, register, toy_scene
 from tests.plug_ins.distribution import install, on_path
-from tests.studies.toy import DETECTORS, settings, work_of, write_toy
+from tests.studies import toy
+from tests.studies.toy import settings, work_of, write_toy
 
 BROUGHT = """
 from dataclasses import dataclass
@@ -45,6 +48,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from attacks.aims import ObjectiveSpec
+from attacks.detectors import DetectorSpec
 from attacks.objectives import confidence, objective
 from attacks.observe.conditions import rendered, renderer_of
 from attacks.optimisers.registry import OptimiserSpec
@@ -109,6 +113,7 @@ def darker(config, decoy):
 POISON = PoisonSpec(name="dark", config=Dark, make=darker)
 RULE = Rule(name="many", severity="note", threshold=5, reason="There are many.",
             find=lambda stored, most: stored.valid & (len(stored.valid) > most))
+DETECTOR = DetectorSpec(name="plugged", load=lambda weights: 3, classes=("car",), origin="a plug-in", licence="MIT")
 TAKEN = Rule(name="giant", severity="note", threshold=5, reason="Same.", find=lambda stored, most: stored.valid)
 FAILING = Rule(name="failing", severity="note", threshold=0, reason="It fails.", find=lambda stored, none: 1 / 0)
 """
@@ -120,8 +125,10 @@ ENTRIES = {
     "mi_splat.conditions/fog": "brought:fog",
     "mi_splat.poisons/dark": "brought:POISON",
     "mi_splat.audit_rules/many": "brought:RULE",
+    "mi_splat.detectors/plugged": "brought:DETECTOR",
 }
 GROUPS: dict[str, Registry[Any]] = {
+    "mi_splat.detectors": DETECTORS,
     "mi_splat.attacks": OPTIMISERS,
     "mi_splat.objectives": OBJECTIVES,
     "mi_splat.renderers": RENDERERS,
@@ -156,7 +163,7 @@ def test_looking_at_names_imports_nothing(brought: Path) -> None:
 
 
 def test_a_renderer_and_a_condition(brought: Path) -> None:
-    scene, view = _cluster(), _camera()
+    scene, view = cloud(24, 1), _camera()
     plain = load_method("tile", RenderSettings()).render(scene, view)
     torch.testing.assert_close(load_method("half", RenderSettings()).render(scene, view), 0.5 * plain)
     check_condition("fog", None)
@@ -212,7 +219,7 @@ def test_a_study_keeps_an_objective_and_a_poison_by_their_names(brought: Path) -
 
 
 def test_jobs_of_a_study_name_the_package(brought: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    register(monkeypatch, DETECTORS)
+    register(monkeypatch, toy.DETECTORS)
     write_toy(tmp_path)
     table = settings(tmp_path, renderer="half", judge={"condition": "fog"})
     table["attack"] = {"eps": 12.0, "steps": 4, "optimiser": "slide"}
@@ -224,7 +231,7 @@ def test_jobs_of_a_study_name_the_package(brought: Path, tmp_path: Path, monkeyp
 
 def test_a_condition_does_not_take_a_renderer_s_name(path: Path) -> None:
     install(path, {"mi_splat.conditions/tile": "brought:fog"}, brought=BROUGHT)
-    scene, view = _cluster(), _camera()
+    scene, view = cloud(24, 1), _camera()
     assert torch.equal(
         condition_of("tile", VIEWING)(scene, view), RENDERERS["tile"].make(RenderSettings())(scene, view)
     )
@@ -237,8 +244,8 @@ def test_a_poison_is_a_kind_with_flags_of_its_own(brought: Path) -> None:
 
 
 def test_a_rule_is_heard_in_every_audit(brought: Path) -> None:
-    findings = {finding.rule: finding for finding in lint_scene(_cluster()).findings}
-    assert findings["many"].count == len(_cluster())
+    findings = {finding.rule: finding for finding in lint_scene(cloud(24, 1)).findings}
+    assert findings["many"].count == len(cloud(24, 1))
 
 
 @pytest.mark.parametrize(
@@ -253,24 +260,25 @@ def test_a_rule_is_heard_in_every_audit(brought: Path) -> None:
 def test_a_rule_that_does_not_run_is_a_warning(path: Path, entry: str, message: str) -> None:
     name, value = entry.split(" = ")
     install(path, {f"mi_splat.audit_rules/{name}": value}, brought=BROUGHT)
-    (finding,) = (finding for finding in lint_scene(_cluster()).findings if finding.rule == name)
+    (finding,) = (finding for finding in lint_scene(cloud(24, 1)).findings if finding.rule == name)
     assert finding.severity == "warning"
     assert message in finding.reason
 
 
-@pytest.mark.parametrize("group", GROUPS)
+LICENCE = "raise RuntimeError('no licence')"
+
+
 @pytest.mark.parametrize(
-    ("module", "value", "message"),
+    ("group", "module", "value", "message"),
     [
-        (
-            "raise RuntimeError('no licence')",
-            "broken:IT",
-            "got RuntimeError: no licence; repair or uninstall plugged 1.0",
+        *(
+            (group, LICENCE, "broken:IT", "got RuntimeError: no licence; repair or uninstall plugged 1.0")
+            for group in GROUPS
         ),
-        ("def :", "broken:IT", "got SyntaxError"),
-        ("IT = 3", "broken:IT", "got int; correct it there"),
-        ("IT = 3", "broken:THAT", "got AttributeError"),
-        ("", "brokenn:IT", "got ModuleNotFoundError: No module named 'brokenn'"),
+        ("mi_splat.conditions", "def :", "broken:IT", "got SyntaxError"),
+        ("mi_splat.conditions", "IT = 3", "broken:IT", "got int; correct it there"),
+        ("mi_splat.conditions", "IT = 3", "broken:THAT", "got AttributeError"),
+        ("mi_splat.conditions", "", "brokenn:IT", "got ModuleNotFoundError: No module named 'brokenn'"),
     ],
 )
 def test_a_broken_package_breaks_only_itself(path: Path, group: str, module: str, value: str, message: str) -> None:
@@ -347,4 +355,4 @@ def test_the_doctor_tries_each_and_says_what_is_wrong(path: Path, monkeypatch: p
     assert "expected something that can be imported" in findings["bad"].advice
     assert findings["lost"].advice == "no command looks there; did you mean mi_splat.objectives?"
     assert not any(finding.required for finding in findings.values())
-    assert {*doctor.REGISTRIES} == {*GROUPS, "mi_splat.audit_rules", "mi_splat.detectors"}
+    assert {*doctor.REGISTRIES} == {*GROUPS, "mi_splat.audit_rules"}

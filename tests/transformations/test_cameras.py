@@ -94,36 +94,27 @@ def test_what_one_option_draws_does_not_move_the_others() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "named"),
+    ("configuration", "settings"),
     [
-        ({"azimuths": (10, 5)}, "azimuths"),
-        ({"elevations": (0, 91)}, "elevations"),
-        ({"distances": (0, 1)}, "distances"),
-        ({"distances": (1.0,)}, "distances"),
-        ({"azimuths": 5}, "azimuths"),
-        ({"azimuths": (0, math.nan)}, "azimuths"),
-        ({"fovs": (20, 180)}, "fovs"),
-        ({"roll": -1}, "roll"),
-        ({"distance_unit": 0.0}, "distance_unit"),
+        (CameraRegion, {"azimuths": (10, 5)}),
+        (CameraRegion, {"elevations": (0, 91)}),
+        (CameraRegion, {"distances": (0, 1)}),
+        (CameraRegion, {"distances": (1.0,)}),
+        (CameraRegion, {"azimuths": 5}),
+        (CameraRegion, {"azimuths": (0, math.nan)}),
+        (CameraRegion, {"fovs": (20, 180)}),
+        (CameraRegion, {"roll": -1}),
+        (CameraRegion, {"distance_unit": 0.0}),
+        (PictureChanges, {"jpeg": 96}),
+        (PictureChanges, {"resize": 0.0}),
+        (PictureChanges, {"white_balance": 1.0}),
+        (PictureChanges, {"blur": -1}),
     ],
 )
-def test_regions_that_make_no_sense_are_refused(settings: dict[str, Any], named: str) -> None:
-    with pytest.raises(InvalidValueError, match=f"^{named}: expected"):
-        CameraRegion(**settings)
-
-
-@pytest.mark.parametrize(
-    ("settings", "named"),
-    [
-        ({"jpeg": 96}, "jpeg"),
-        ({"resize": 0.0}, "resize"),
-        ({"white_balance": 1.0}, "white_balance"),
-        ({"blur": -1}, "blur"),
-    ],
-)
-def test_changes_that_make_no_sense_are_refused(settings: dict[str, Any], named: str) -> None:
-    with pytest.raises(InvalidValueError, match=f"^{named}: expected"):
-        PictureChanges(**settings)
+def test_settings_that_make_no_sense_are_refused(configuration: Any, settings: dict[str, Any]) -> None:
+    (name,) = settings
+    with pytest.raises(InvalidValueError, match=f"^{name}: expected"):
+        configuration(**settings)
 
 
 def test_a_reference_in_the_middle_of_the_object_gives_no_unit() -> None:
