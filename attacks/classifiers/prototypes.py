@@ -23,16 +23,16 @@ import torch
 from torch import Tensor, nn
 from torchvision.models import mobilenet_v2
 
-from attacks.classifiers.catalogue import (
+from attacks.classifiers.frozen import FrozenClassifier, Preparation, ZeroShot, check_classes
+from attacks.detectors.catalogue import (
     FEATURES_BYTES,
     FEATURES_MEMBER,
     FEATURES_PACKAGE,
     FEATURES_SHA256,
     GET_PROTOTYPES,
+    DetectorError,
     features_file,
 )
-from attacks.classifiers.frozen import FrozenClassifier, Preparation, ZeroShot, check_classes
-from attacks.detectors.catalogue import DetectorError
 from attacks.detectors.weights import apply_weights, fingerprint, read_weights
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import check_choice

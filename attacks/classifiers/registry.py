@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from attacks.classifiers.catalogue import GET_PROTOTYPES, features_file
+from attacks.detectors.catalogue import GET_PROTOTYPES, features_file
 from mi_splat.errors import InvalidValueError, install, nearest
 
 if TYPE_CHECKING:

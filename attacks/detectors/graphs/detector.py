@@ -29,10 +29,9 @@ from attacks.detectors.catalogue import (
     DetectorError,
     weights_of,
 )
-from attacks.detectors.graphs.graph import read_graph_model
+from attacks.detectors.graphs.graph import read_graph_model, read_tflite
 from attacks.detectors.graphs.network import GraphNetwork
 from attacks.detectors.graphs.packages import read_files
-from attacks.detectors.graphs.tflite import read_tflite
 from attacks.detectors.weights import FrozenModel
 
 _MOST = 100

@@ -1,4 +1,4 @@
-"""Graphs of operations, and how they are read from TensorFlow.js: a JSON of nodes, and a block of bytes with constants.
+"""Graphs of operations, and how they are read from TensorFlow.js and TFLite.
 
 The files that are read here are known by their content (`NPM_DETECTORS`), so what they say is not checked again.
 """
@@ -6,7 +6,7 @@ The files that are read here are known by their content (`NPM_DETECTORS`), so wh
 import base64
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from attacks.detectors.catalogue import DetectorError
+from mi_splat.errors import install
+
 _DTYPES = {"float32": np.float32, "int32": np.int32, "bool": np.bool_, "float16": np.float16}
+_TFLITE_DTYPES = {"FLOAT32": np.float32, "FLOAT16": np.float16, "INT32": np.int32}
+_ACTIVATIONS = {"NONE": (), "RELU": ("Relu",), "RELU6": ("Relu6",)}
+_SETTINGS = {
+    "CONV_2D": "Conv2DOptions",
+    "DEPTHWISE_CONV_2D": "DepthwiseConv2DOptions",
+    "CONCATENATION": "ConcatenationOptions",
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,3 +93,126 @@ def _constants(manifest: list[Any], weights: bytes) -> dict[str, Tensor]:
         constants[entry["name"]] = torch.from_numpy(values.copy())
         at += count * dtype.itemsize
     return constants
+
+
+def read_tflite(content: bytes) -> GraphModel:
+    """The graph of a TFLite model, which the schema package `tflite` reads.
+
+    Of its operations those are read that the detector here needs. TensorFlow's have filters of other axes: a
+    transposition or another shape of a constant stands before them, which is worked out once.
+    """
+    try:
+        import tflite
+    except ImportError as error:
+        raise DetectorError.of("TFLite model", "the package tflite", "none", install("tflite")) from error
+    return _Reader(content, tflite).read()
+
+
+class _Reader:
+    """A graph on its way from one form to the other."""
+
+    def __init__(self, content: bytes, schema: Any) -> None:
+        self.schema, self.model = schema, schema.Model.GetRootAsModel(content, 0)
+        self.parts = self.model.Subgraphs(0)
+        self.tensors = [self.parts.Tensors(number) for number in range(self.parts.TensorsLength())]
+        self.names = [tensor.Name().decode() for tensor in self.tensors]
+        self.shapes = [tuple(t.Shape(axis) for axis in range(t.ShapeLength())) for t in self.tensors]
+        self.nodes: dict[str, Node] = {}
+        self.constants: dict[str, Tensor] = {}
+
+    def read(self) -> GraphModel:
+        """The graph: constants, inputs and operations."""
+        types = {getattr(self.schema.TensorType, name): dtype for name, dtype in _TFLITE_DTYPES.items()}
+        for name, shape, tensor in zip(self.names, self.shapes, self.tensors, strict=True):
+            buffer = self.model.Buffers(tensor.Buffer())
+            if buffer.DataLength():
+                values = buffer.DataAsNumpy().view(types[tensor.Type()]).reshape(shape)
+                self.constant(name, torch.from_numpy(values.copy()))
+        for number in range(self.parts.InputsLength()):
+            tensor = self.parts.Inputs(number)
+            self.nodes[self.names[tensor]] = Node("Placeholder", settings={"shape": self.shapes[tensor]})
+        kinds = {getattr(self.schema.BuiltinOperator, name): name for name in _OPERATIONS}
+        for number in range(self.parts.OperatorsLength()):
+            operator = self.parts.Operators(number)
+            code = self.model.OperatorCodes(operator.OpcodeIndex())
+            kind = kinds[max(code.BuiltinCode(), code.DeprecatedBuiltinCode())]
+            inputs = [operator.Inputs(i) for i in range(operator.InputsLength())]
+            _OPERATIONS[kind](self, inputs, operator.Outputs(0), self.options(operator, kind))
+        return GraphModel(self.nodes, self.constants)
+
+    def options(self, operator: Any, kind: str) -> Any:
+        """The settings of an operation; None where this kind has none that count here."""
+        if kind not in _SETTINGS:
+            return None
+        table, options = operator.BuiltinOptions(), getattr(self.schema, _SETTINGS[kind])()
+        options.Init(table.Bytes, table.Pos)
+        return options
+
+    def convolution(self, inputs: Sequence[int], output: int, options: Any) -> None:
+        """CONV_2D: its filters are (outputs, height, width, inputs)."""
+        self.convolve("_FusedConv2D", inputs, output, options, "Transpose", [1, 2, 3, 0])
+
+    def depthwise(self, inputs: Sequence[int], output: int, options: Any) -> None:
+        """DEPTHWISE_CONV_2D: its filters are (1, height, width, inputs * multiplier)."""
+        _, high, wide, outputs = self.shapes[inputs[1]]
+        channels = self.shapes[inputs[0]][3]
+        shape = [high, wide, channels, outputs // channels]
+        self.convolve("FusedDepthwiseConv2dNative", inputs, output, options, "Reshape", shape)
+
+    def add(self, inputs: Sequence[int], output: int, options: Any) -> None:
+        """ADD."""
+        self.node(output, "AddV2", inputs)
+
+    def reshape(self, inputs: Sequence[int], output: int, options: Any) -> None:
+        """RESHAPE to a shape that is its second input."""
+        self.node(output, "Reshape", inputs)
+
+    def concatenate(self, inputs: Sequence[int], output: int, options: Any) -> None:
+        """CONCATENATION."""
+        axis = self.listed(f"{self.names[output]}/axis", [options.Axis()])
+        self.nodes[self.names[output]] = Node("ConcatV2", (*(self.names[number] for number in inputs), axis))
+
+    def dequantize(self, inputs: Sequence[int], output: int, options: Any) -> None:
+        """DEQUANTIZE of numbers in half precision: they are what they stand for."""
+        self.node(output, "Cast", inputs, DstT="DT_FLOAT")
+
+    def convolve(
+        self, op: str, inputs: Sequence[int], output: int, options: Any, change: str, numbers: list[int]
+    ) -> None:
+        """A convolution whose filters are changed by an operation first."""
+        picture, filters, bias = (self.names[number] for number in inputs)
+        name = self.names[output]
+        self.nodes[f"{name}/filters"] = Node(change, (filters, self.listed(f"{name}/axes", numbers)))
+        activations = {getattr(self.schema.ActivationFunctionType, of): words for of, words in _ACTIVATIONS.items()}
+        settings = {
+            "strides": (1, options.StrideH(), options.StrideW(), 1),
+            "dilations": (1, options.DilationHFactor(), options.DilationWFactor(), 1),
+            "padding": {self.schema.Padding.SAME: "SAME", self.schema.Padding.VALID: "VALID"}[options.Padding()],
+            "fused_ops": ("BiasAdd", *activations[options.FusedActivationFunction()]),
+        }
+        self.nodes[name] = Node(op, (picture, f"{name}/filters", bias), settings)
+
+    def node(self, output: int, op: str, inputs: Sequence[int], **settings: Any) -> None:
+        """A node for one tensor."""
+        self.nodes[self.names[output]] = Node(op, tuple(self.names[number] for number in inputs), settings)
+
+    def listed(self, name: str, numbers: Sequence[int]) -> str:
+        """A constant of numbers that the file has as settings; its name."""
+        self.constant(name, torch.tensor(numbers, dtype=torch.int32))
+        return name
+
+    def constant(self, name: str, value: Tensor) -> None:
+        """A node of a known value."""
+        self.constants[name] = value
+        self.nodes[name] = Node("Const")
+
+
+_OPERATIONS: Mapping[str, Callable[[_Reader, Sequence[int], int, Any], None]] = {
+    "CONV_2D": _Reader.convolution,
+    "DEPTHWISE_CONV_2D": _Reader.depthwise,
+    "ADD": _Reader.add,
+    "RESHAPE": _Reader.reshape,
+    "CONCATENATION": _Reader.concatenate,
+    "DEQUANTIZE": _Reader.dequantize,
+}
+"""What each operation of TFLite becomes."""

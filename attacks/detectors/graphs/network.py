@@ -10,8 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from attacks.detectors.graphs.graph import GraphModel, Node
-from attacks.detectors.graphs.operations import OPERATIONS
-from attacks.detectors.graphs.values import Function, Step, Value, plain
+from attacks.detectors.graphs.operations import OPERATIONS, Function, Step, Value, plain
 
 
 class GraphNetwork(nn.Module):

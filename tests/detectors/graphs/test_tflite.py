@@ -9,8 +9,8 @@ from torch import Tensor
 
 from attacks.detectors.catalogue import NPM_DETECTORS, OPEN_IMAGES_LABELS, weights_of
 from attacks.detectors.graphs.detector import FAMILIES, anchors, load
+from attacks.detectors.graphs.graph import read_tflite
 from attacks.detectors.graphs.network import GraphNetwork
-from attacks.detectors.graphs.tflite import read_tflite
 from tests.detectors.graphs.test_operations import convolved
 
 tflite = pytest.importorskip("tflite", reason="the package tflite, which reads TFLite files, is not installed")
