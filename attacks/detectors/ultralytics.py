@@ -25,9 +25,9 @@ from attacks.detectors.catalogue import (
     SMALL_SIDE,
     SMALL_YOLO_WEIGHTS,
     DetectorError,
-    elsewhere,
+    download_advice,
 )
-from attacks.detectors.weights import FrozenModel, apply_weights, in_a_line, read_weights
+from attacks.detectors.weights import FrozenModel, apply_weights, one_line, read_weights
 from mi_splat.errors import install
 
 # Before the package is imported, which would otherwise write settings into the home and ask a server for news.
@@ -176,9 +176,9 @@ def _unpickled(name: str, weights: Path | None) -> Any:
         if not isinstance(model, DetectionModel):
             raise TypeError(f"a {type(model).__name__}")
     except Exception as error:  # what the library raises has no common base
-        reason = in_a_line(error)
+        reason = one_line(error)
         expected = "a detection checkpoint of ultralytics, or a network that reaches its hub"
-        raise DetectorError.of(f"weights of {name}", expected, reason, elsewhere("file")) from error
+        raise DetectorError.of(f"weights of {name}", expected, reason, download_advice("file")) from error
     match, (family, _) = _NAME.match(Path(str(model.yaml.get("yaml_file", ""))).stem), _parts(name)
     if match is not None and match["family"] != family:
         do = f"load them as a {match['family']}, or pass weights of {name}"

@@ -34,7 +34,7 @@ def fingerprint(state: Mapping[str, Tensor], more: str = "") -> str:
     return total.hexdigest()[:16]
 
 
-def in_a_line(error: Exception) -> str:
+def one_line(error: Exception) -> str:
     """What an error of a library says, in one line."""
     text = str(error).strip()
     return text.splitlines()[0][:300] if text else type(error).__name__
@@ -55,7 +55,7 @@ def read_weights(path: Path) -> dict[str, Tensor]:
         state: object = torch.load(path, map_location="cpu", weights_only=True)
     except _UNREADABLE as error:
         expected, do = f"a readable {path.suffix} file of tensors", "download or save it again"
-        raise DetectorError.of(f"weights {path}", expected, in_a_line(error), do) from error
+        raise DetectorError.of(f"weights {path}", expected, one_line(error), do) from error
     if isinstance(state, Mapping) and isinstance(state.get("model"), Mapping):
         state = state["model"]  # a training checkpoint of torchvision's reference scripts
     if (
