@@ -8,8 +8,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -17,55 +16,11 @@ from torch import Tensor
 from mi_splat import variant
 from mi_splat.cameras import Camera, as_cameras
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.rasterization.settings import checked_background, checked_near
+from mi_splat.rasterization.settings import Method, RenderSettings
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.side_outputs import SideOutputs
 
-Method = Literal["tile", "ray"]
-"""How a picture is made: "tile" as 3DGS does (`splat_tile`), "ray" by ray tracing (`splat_ray`)."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class RenderSettings:
-    """What a picture of a splat depends on besides the splat and the camera; the defaults are those of 3DGS.
-
-    Attributes:
-        method: "tile" projects Gaussians to the screen and sorts them by the depth of their means, as 3DGS does; "ray"
-            meets each at its peak along the ray and sorts on every ray by itself.
-        background: sRGB colour behind the splat.
-        near: What is nearer than this (camera-space depth, world units) is culled: Gaussians by the depth of their
-            mean with "tile", by that of their peak with "ray".
-        colour_to_mean: For "ray": look a Gaussian's colour up in the direction of its mean, as "tile" always does, in
-            place of along the ray.
-        alpha: Append opacity (1 - transmittance) as a fourth channel.
-        linear: Return linear values instead of sRGB.
-        antialiased: For "tile": opacities take the 2D filter of Mip-Splatting (Yu et al. 2024) into account, as in the
-            mode of gsplat of this name, so that small Gaussians do not swell. Off is the picture of 3DGS.
-        variant: Mitsuba variant, "llvm_ad_rgb" or "cuda_ad_rgb"; the current one (or LLVM) if empty.
-
-    Raises:
-        InvalidValueError: There is no such method, a number is not finite, `near` is not positive, the background has
-            not three channels, or "ray" is asked for a filter on the screen.
-    """
-
-    method: Method = "tile"
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    near: float = 0.2
-    colour_to_mean: bool = False
-    alpha: bool = False
-    linear: bool = False
-    antialiased: bool = False
-    variant: str = ""
-
-    def __post_init__(self) -> None:
-        if self.method not in get_args(Method):
-            expected = "one of " + ", ".join(get_args(Method))
-            raise InvalidValueError.of("method", expected, self.method, "choose one of them")
-        checked_background(self.background)
-        checked_near(self.near)
-        if self.antialiased and self.method == "ray":
-            do = 'leave antialiased out, or use the method "tile"'
-            raise InvalidValueError.of("antialiased", 'the method "tile"', '"ray", which projects nothing', do)
+__all__ = ["Method", "RenderSettings", "Renderer", "ScreenGradients"]
 
 
 class ScreenGradients:
@@ -221,10 +176,11 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
     import drjit as dr
     import mitsuba as mi
 
-    from mi_splat.rasterization import layouts, pinhole
+    from mi_splat.rasterization import layouts
     from mi_splat.rasterization.colour import develop, develop_backward
     from mi_splat.rasterization.frozen import aligned, buffer
     from mi_splat.rasterization.picture import Picture
+    from mi_splat.rasterization.pinhole import Pinhole
     from mi_splat.rasterization.pipeline import rasterize, rasterize_backward
     from mi_splat.raytracing.picture import RayPicture, raytrace, raytrace_backward
     from mi_splat.raytracing.splats import prepare
@@ -232,7 +188,7 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
     def make_pictures(arrays: tuple[Any, ...], job: _Job) -> list[Picture | RayPicture]:
         settings = job.settings
         cameras = [
-            pinhole.from_camera(camera, near=settings.near, antialiased=settings.antialiased) for camera in job.cameras
+            Pinhole(camera=camera, near=settings.near, antialiased=settings.antialiased) for camera in job.cameras
         ]
         if settings.method == "tile":
             depths = job.side_outputs

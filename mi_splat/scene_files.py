@@ -1,10 +1,9 @@
 """Scene files as values: an XML scene of splats or a bare splat file, and cameras for it."""
 
-import dataclasses
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,7 +12,7 @@ import torch
 from mi_splat import variant
 from mi_splat._lazy import Previewed
 from mi_splat.bounds import bounds, near_plane
-from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cameras import Camera, focal_of, orbit_pose
 from mi_splat.errors import InvalidValueError, MiSplatError, listed, message
 from mi_splat.io.errors import SplatFileError, SplatFileWarning, path_name
 from mi_splat.io.scene_parts import check_scene_file
@@ -109,29 +108,17 @@ def values_of(loaded: Any, path: str | Path, *, among: Literal["nothing", "surfa
 
 def _settings_of(integrator: Any, near: float, path: str | Path) -> RenderSettings:
     """Render settings of a scene's integrator; `near` where the file states none."""
-    if type(integrator).__name__ == "SplatRay":
-        return RenderSettings(
-            method="ray",
-            background=integrator.background,
-            near=near,
-            colour_to_mean=integrator.colour_to_mean,
-            alpha=integrator.alpha,
-            linear=integrator.linear,
-        )
-    if type(integrator).__name__ != "SplatTile":
-        if type(integrator).__name__ != "BasicVolumetricPrimitiveRadianceFieldIntegrator":
-            got = f"{integrator.class_name()}, which shows splats as grey lumps in Mitsuba"
-            do = 'they are drawn with splat_tile here: write <integrator type="splat_tile"/>'
-            text = message(str(path), "the integrator splat_tile or splat_ray", got, do)
-            warnings.warn(text, SplatFileWarning, stacklevel=4)
-        return RenderSettings(near=near)
-    return RenderSettings(
-        background=integrator.background,
-        near=integrator.near if integrator.near_is_set else near,
-        alpha=integrator.alpha,
-        linear=integrator.linear,
-        antialiased=integrator.antialiased,
-    )
+    from mi_splat.plugins.settings import IntegratorSettings
+
+    settings = getattr(integrator, "settings", None)
+    if isinstance(settings, IntegratorSettings):
+        return settings.values if "near" in settings.given else replace(settings.values, near=near)
+    if type(integrator).__name__ != "BasicVolumetricPrimitiveRadianceFieldIntegrator":
+        got = f"{integrator.class_name()}, which shows splats as grey lumps in Mitsuba"
+        do = 'they are drawn with splat_tile here: write <integrator type="splat_tile"/>'
+        text = message(str(path), "the integrator splat_tile or splat_ray", got, do)
+        warnings.warn(text, SplatFileWarning, stacklevel=4)
+    return RenderSettings(near=near)
 
 
 def _reason(error: RuntimeError, path: Path) -> MiSplatError:
@@ -151,7 +138,7 @@ def open_scene(path: Path, device: str = "cpu") -> SplatScene:
     """
     if path.suffix.lower() == ".xml":
         loaded = read_scene(path)
-        loaded = dataclasses.replace(loaded, settings=dataclasses.replace(loaded.settings, alpha=False, linear=False))
+        loaded = replace(loaded, settings=replace(loaded.settings, alpha=False, linear=False))
     else:
         stored = load_stored(path).settle(str(path), "raise", stacklevel=2)
         scene = stored.scene
@@ -160,8 +147,8 @@ def open_scene(path: Path, device: str = "cpu") -> SplatScene:
     if device == "cpu":
         return loaded
     variant.check_device(device)
-    settings = dataclasses.replace(loaded.settings, variant=variant.use("cuda_ad_rgb"))
-    return dataclasses.replace(loaded, scene=loaded.scene.to(device), settings=settings)
+    settings = replace(loaded.settings, variant=variant.use("cuda_ad_rgb"))
+    return replace(loaded, scene=loaded.scene.to(device), settings=settings)
 
 
 def orbit_camera(
@@ -185,7 +172,7 @@ def orbit_camera(
         distance = radius / math.sin(half)
     target = middle if centre is None else centre
     pose = orbit_pose(target, azimuth=azimuth, elevation=elevation, distance=distance)
-    return Camera(to_world=pose, focal=min(size) / 2 / math.tan(half), width=size[0], height=size[1])
+    return Camera(to_world=pose, focal=focal_of(2 * half, min(size)), width=size[0], height=size[1])
 
 
 def resized(camera: Camera, size: tuple[int, int]) -> Camera:

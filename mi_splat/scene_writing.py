@@ -1,6 +1,5 @@
 """A scene of several parts as files: a splat for each part, and the Mitsuba XML that puts them together."""
 
-import math
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -11,9 +10,6 @@ from mi_splat.io.documents import file_name, save_text
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import SplatScene
-
-_OPENCV_TO_MITSUBA = (-1.0, -1.0, 1.0, 1.0)
-"""Mitsuba's camera has x to the left and y up: factors of the columns of a pose."""
 
 
 def write_scene(loaded: SplatScene, scene: GaussianScene, path: Path) -> list[Path]:
@@ -54,20 +50,15 @@ def _integrator(root: ElementTree.Element, settings: RenderSettings) -> None:
 
 def _sensor(root: ElementTree.Element, name: str, camera: Camera) -> None:
     """A perspective sensor that takes a camera's picture."""
-    if not math.isclose(camera.fx, camera.fy, rel_tol=1e-6):
-        raise InvalidValueError.of(f"camera {name}", "square pixels", (camera.fx, camera.fy), "leave this camera out")
+    from mi_splat.plugins.sensor import mitsuba_pose, perspective
+
     sensor = ElementTree.SubElement(root, "sensor", type="perspective", id=name)
-    numbers = {
-        "fov": math.degrees(2 * math.atan(camera.width / 2 / camera.fx)),
-        "principal_point_offset_x": 0.5 - camera.cx / camera.width,
-        "principal_point_offset_y": 0.5 - camera.cy / camera.height,
-    }
-    ElementTree.SubElement(sensor, "string", name="fov_axis", value="x")
-    for key, value in numbers.items():
-        ElementTree.SubElement(sensor, "float", name=key, value=repr(value))
-    pose = camera.to_world * camera.to_world.new_tensor(_OPENCV_TO_MITSUBA)
+    for key, value in perspective(camera, f"camera {name}").items():
+        kind, text = ("string", value) if isinstance(value, str) else ("float", repr(value))
+        ElementTree.SubElement(sensor, kind, name=key, value=text)
     transform = ElementTree.SubElement(sensor, "transform", name="to_world")
-    ElementTree.SubElement(transform, "matrix", value=" ".join(repr(value) for value in pose.flatten().tolist()))
+    pose = mitsuba_pose(camera).ravel().tolist()
+    ElementTree.SubElement(transform, "matrix", value=" ".join(map(repr, pose)))
     film = ElementTree.SubElement(sensor, "film", type="hdrfilm")
     for key, size in (("width", camera.width), ("height", camera.height)):
         ElementTree.SubElement(film, "integer", name=key, value=str(size))
