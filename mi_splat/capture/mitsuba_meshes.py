@@ -17,8 +17,7 @@ from mi_splat.assets.mesh import Asset, Floats, Mesh
 from mi_splat.assets.srgb import to_linear
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.picture_files import check_texture
-from mi_splat.llvm import prepare_llvm
-from mi_splat.mitsuba_setup import set_up_mitsuba
+from mi_splat.mitsuba_setup import prepare_llvm, set_up_mitsuba
 from mi_splat.scene_files import load_mitsuba_scene
 
 MANY_PICTURES = "llvm_ad_rgb"

@@ -38,9 +38,8 @@ import mitsuba as mi
 from mi_splat.errors import InvalidValueError
 from mi_splat.plugins.gaussian_shapes import GaussianShapes
 from mi_splat.plugins.mixed import Mixed, MixedCache
-from mi_splat.plugins.paths import radiance
+from mi_splat.plugins.paths import Adjoint, PathSettings, radiance
 from mi_splat.plugins.settings import IntegratorSettings, common_methods, name_integrator, setting_property
-from mi_splat.plugins.stretches import Adjoint, PathSettings
 from mi_splat.rasterization.binning import TILE
 from mi_splat.rasterization.colour import linear_value
 from mi_splat.rasterization.settings import RenderSettings
