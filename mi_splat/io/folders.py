@@ -3,12 +3,11 @@
 import contextlib
 import itertools
 import os
-import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.io.atomic import is_temporary, replace_folder, sweep_temporary, sync_folder, sync_names, temporary_name
+from mi_splat.io.atomic import is_temporary, publish, restore, sweep_temporary, temporary_folder
 from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.formats.detection import META
 from mi_splat.io.locks import check_unlocked, locked_folder
@@ -95,6 +94,7 @@ def check_new_folder(out: str | os.PathLike[str], *, force: bool = False, record
             got = name if inner == target else f"a folder above {name}"
             raise SplatFileError.of(str(out), "a folder for the result alone", got, "pass another folder")
     sweep_temporary(target.parent)
+    restore(target)
     check_unlocked(out)
     names = _names_in(Path(out))
     if not names:
@@ -138,11 +138,8 @@ def new_folder(
     """Write a folder of results whole or not at all.
 
     The body writes into a temporary folder beside `out`, which gets a manifest.json and takes the name `out` when the
-    body ends. When it raises, the temporary folder is removed and `out` is as it was. After a kill the old result is
-    there or the new one, whole.
-    (Where names cannot be exchanged in one step, it may have to wait beside `out`, in a folder whose name begins with a
-    dot, until the next command that is to write to `out` gives it its name back.) After a power cut, too: what was
-    written is on the disk before it takes the name.
+    body ends. When it raises, the temporary folder is removed and `out` is as it was. After a kill or a power cut, the
+    old result is there or the new one, whole; see `mi_splat.io.atomic.publish`.
 
     What another process has put at `out` meanwhile stays there unless `force` replaces it. A finished result that
     cannot have the name `out` is kept beside it, under the first free name of `out`-2, `out`-3 and so on, which the
@@ -150,55 +147,30 @@ def new_folder(
     """
     check_new_folder(out, force=force, record=record)
     target = Path(os.path.realpath(out))
-    temporary = target.parent / temporary_name()
-    try:
-        temporary.mkdir(parents=True)
-    except OSError as error:
-        raise from_os_error(os.fspath(out), "a folder that can be written", error) from error
-    try:
-        yield temporary
+    with temporary_folder(target.parent) as made:
+        yield made
         try:
             if manifest:
-                write_manifest(temporary)
-            sync_folder(temporary)
-            _put(temporary, target, force=force, record=record)
-            sync_names(target.parent)
-        except OSError as error:
-            raise from_os_error(os.fspath(out), "a folder that can be written", error) from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _put(new: Path, target: Path, *, force: bool, record: str) -> None:
-    """Give a finished folder its name; see `new_folder` for what happens if it cannot have it."""
-    try:
-        try:
-            os.rename(new, target)  # in the place of an empty folder, too, but of nothing else
-        except OSError:
-            if not os.path.lexists(target):
-                raise
+                write_manifest(made)
             check_new_folder(target, force=force, record=record)
-            replace_folder(new, target)
-        return
-    except SplatFileError:
-        got = "something that another process wrote there meanwhile"
-    except OSError as error:
-        got = error.strerror or str(error)
-    do = f"see {_put_beside(new, target)}, where this result is"
-    raise SplatFileError.of(str(target), "a name that this result can have", got, do)
+            publish(made, target, replace=force)
+        except (SplatFileError, OSError) as error:
+            raise _kept_beside(made, target, error) from error
 
 
-def _put_beside(new: Path, target: Path) -> Path:
-    """Give a finished folder the first free name like that of another one."""
+def _kept_beside(made: Path, target: Path, error: Exception) -> SplatFileError:
+    """Give a finished folder that cannot have its name the first free one like it; the error that says so."""
     names = (target.with_name(f"{target.name}-{number}") for number in itertools.count(2))
-    aside = next(aside for aside in names if not os.path.lexists(aside))
+    beside = next(name for name in names if not os.path.lexists(name))
     try:
-        os.rename(new, aside)
-    except OSError:
-        if not os.path.lexists(aside):
-            raise
-        return _put_beside(new, target)  # another process took it just now
-    return aside
+        publish(made, beside)
+    except OSError as second:
+        return from_os_error(str(target), "a folder that can be written", second)
+    meanwhile = "something that another process wrote there meanwhile"
+    got = error.strerror or str(error) if isinstance(error, OSError) else meanwhile
+    return SplatFileError.of(
+        str(target), "a name that this result can have", got, f"see {beside}, where this result is"
+    )
 
 
 def _names_in(folder: Path) -> list[str]:

@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 import os
+import platform
 import queue
 import threading
 import time
@@ -11,7 +12,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Protocol
 
-from mi_splat.io.atomic import HOST
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.locks import locked_folder
 from mi_splat.ledger.child import Child, Limits
@@ -148,7 +148,7 @@ def share_of_cores(worker: int, workers: int) -> list[int]:
 def free_cache(folder: Path, numbers: Iterator[int], held: contextlib.ExitStack) -> Path:
     """The first folder for compiled kernels that no other process of this machine uses."""
     for number in numbers:
-        cache = folder / "kernels" / f"{HOST}-{number}"
+        cache = folder / "kernels" / f"{platform.node()}-{number}"
         with contextlib.suppress(SplatFileError):
             held.enter_context(locked_folder(cache))
             return cache

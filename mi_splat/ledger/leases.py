@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import platform
 import secrets
 import threading
 import time
@@ -12,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.atomic import HOST
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger.job import HeldError
 
@@ -85,7 +85,11 @@ class Leases:
             return None
         lease = _read(path)
         who = f"process {lease.get('process')} of {lease.get('host')}"
-        if lease.get("host") == HOST and lease.get("boot") == boot_id() and isinstance(lease.get("process"), int):
+        if (
+            lease.get("host") == platform.node()
+            and lease.get("boot") == boot_id()
+            and isinstance(lease.get("process"), int)
+        ):
             return who if start_of(lease["process"]) == lease.get("start") else None
         now, sign = time.monotonic(), (status.st_mtime_ns, status.st_ino)
         if self.seen.get(key, (None,))[0] != sign:
@@ -125,7 +129,13 @@ class Leases:
 
 def _write(path: Path, token: str) -> None:
     """Write a lease, which appears whole."""
-    lease = {"host": HOST, "boot": boot_id(), "process": os.getpid(), "start": start_of(os.getpid()), "token": token}
+    lease = {
+        "host": platform.node(),
+        "boot": boot_id(),
+        "process": os.getpid(),
+        "start": start_of(os.getpid()),
+        "token": token,
+    }
     temporary = path.with_name(f".{path.name}.{token}")
     try:
         temporary.write_text(json.dumps(lease))

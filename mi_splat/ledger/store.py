@@ -15,7 +15,7 @@ from typing import Any
 
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.atomic import sync_names
+from mi_splat.io.atomic import _sync_names
 from mi_splat.io.documents import save_json, sha256
 from mi_splat.io.errors import from_os_error
 from mi_splat.io.parsing import DocumentReader
@@ -294,7 +294,7 @@ def _sync(folder: Path) -> None:
 
     def sync(path: Path) -> None:
         if path.is_dir():
-            sync_names(path)
+            _sync_names(path)
             return
         descriptor = os.open(path, os.O_RDONLY)
         try:

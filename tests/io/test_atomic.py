@@ -1,6 +1,7 @@
 """Saves that fail leave the old file, and none beside it."""
 
 import errno
+import fcntl
 import os
 import signal
 import stat
@@ -15,7 +16,7 @@ import torch
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import SplatFileError, load_splat, save_splat
-from mi_splat.io.atomic import LOCK, atomic_write, sweep_temporary, temporary_name, write_all
+from mi_splat.io.atomic import LOCK, atomic_write, write_all
 from mi_splat.io.folders import new_folder, own_folder
 from mi_splat.io.locks import check_unlocked, locked_folder
 from mi_splat.scene import GaussianScene, scene_hash
@@ -102,7 +103,6 @@ while True:
 """
 
 
-@pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
 def test_a_kill_leaves_the_old_file_or_the_new_one(old: Path) -> None:
     hashes = {scene_hash(load_splat(old))}
     save_splat(random_scene(60_000, 1), old.with_name("new.ply"))
@@ -151,7 +151,6 @@ def test_a_read_only_file_is_kept(old: Path, monkeypatch: pytest.MonkeyPatch) ->
     alone(old)
 
 
-@pytest.mark.skipif(os.name != "posix", reason="needs permission bits")
 def test_permission_bits(old: Path) -> None:
     mask = os.umask(0o027)
     try:
@@ -164,7 +163,6 @@ def test_permission_bits(old: Path) -> None:
     assert stat.S_IMODE(old.stat().st_mode) == 0o604
 
 
-@pytest.mark.skipif(os.name != "posix", reason="needs symbolic links")
 @pytest.mark.parametrize("target", ["precious.ply", "none.ply"])
 def test_a_link_is_replaced_and_not_what_it_leads_to(target: str, tmp_path: Path) -> None:
     (tmp_path / "precious.ply").write_text("precious")
@@ -189,23 +187,8 @@ def test_partial_writes_are_completed(tmp_path: Path) -> None:
     assert slow.data == b"0123456789"
 
 
-def test_what_another_container_writes_is_not_swept(tmp_path: Path) -> None:
-    """Its processes have numbers of their own, so that one which runs may look ended from here."""
-    name = temporary_name()
-    host, number = name[1:].split(".")[:2]
-    elsewhere = tmp_path / name.replace(host, f"{host}0").replace(number, "999999999")
-    here = tmp_path / name.replace(number, "999999999")
-    for path in (elsewhere, here):
-        path.mkdir()
-    assert sweep_temporary(tmp_path) == 1
-    assert elsewhere.is_dir()
-    assert not here.exists()
-
-
 # Folders that one process has for itself
 
-
-fcntl = pytest.importorskip("fcntl")
 
 HOLDER = (
     "import sys; from mi_splat.io.locks import locked_folder\n"

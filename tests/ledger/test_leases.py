@@ -2,6 +2,7 @@
 
 import json
 import os
+import platform
 import subprocess
 import sys
 import threading
@@ -11,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from mi_splat.io.atomic import HOST
 from mi_splat.ledger import HeldError
 from mi_splat.ledger import leases as module
 from mi_splat.ledger.leases import HEARTBEAT, STALE, Leases, boot_id, start_of
@@ -27,7 +27,13 @@ def leases(tmp_path: Path) -> Leases:
 
 def lease(leases: Leases, **changes: Any) -> Path:
     """A lease that this process did not take."""
-    values = {"host": HOST, "boot": boot_id(), "process": os.getppid(), "start": start_of(os.getppid()), "token": "a"}
+    values = {
+        "host": platform.node(),
+        "boot": boot_id(),
+        "process": os.getppid(),
+        "start": start_of(os.getppid()),
+        "token": "a",
+    }
     path = leases.folder / KEY
     path.write_text(json.dumps(values | changes))
     return path
