@@ -71,7 +71,9 @@ def read_graph_model(model_json: bytes, weights: bytes) -> GraphModel:
 
 def _plain(attribute: Mapping[str, Any]) -> Any:
     """The value of an attribute, whose numbers the JSON has as strings, and whose strings in base 64."""
-    kind, value = next(iter(attribute.items()), ("", ""))
+    if not attribute:
+        return None
+    kind, value = next(iter(attribute.items()))
     if kind == "list":
         return tuple(_plain({of: item}) for of, items in value.items() for item in items)
     if kind == "shape":

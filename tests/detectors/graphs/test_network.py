@@ -42,7 +42,9 @@ def two_convolutions() -> tuple[bytes, bytes]:
     nodes += [{"name": name, "op": "Const"} for name in constants]
     shape = {"shape": {"dim": [{"size": str(size)} for size in (1, 3, 4, 5)]}}
     nodes.append({"name": "x", "op": "Placeholder", "attr": {"shape": shape}})
-    manifest = [{"name": k, "shape": v.shape, "dtype": str(v.dtype)} for k, v in constants.items()]
+    manifest: list[dict[str, object]] = [
+        {"name": k, "shape": v.shape, "dtype": str(v.dtype)} for k, v in constants.items()
+    ]
     manifest[-1] |= {"dtype": "float32", "quantization": {"dtype": "float16"}}
     document = {"modelTopology": {"node": nodes}, "weightsManifest": [{"weights": manifest}]}
     return json.dumps(document).encode(), b"".join(value.tobytes() for value in constants.values())
