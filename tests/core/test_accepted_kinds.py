@@ -61,22 +61,6 @@ def test_cameras_take_numbers_of_any_kind(values: dict[str, Any], expected: tupl
     assert torch.equal(made.to_world, POSE)
 
 
-@pytest.mark.parametrize(
-    "mask",
-    [
-        torch.tensor(ROWS),
-        np.array(ROWS),
-        np.array(ROWS, dtype=np.uint8),
-        ROWS,
-        [row in ROWS for row in range(40)],
-        np.isin(np.arange(40), ROWS),
-    ],
-    ids=["tensor", "array", "bytes", "list", "list of bool", "array of bool"],
-)
-def test_masks_of_any_kind(mask: Any) -> None:
-    assert GaussianSubset.of(toy_scene()[0], mask).rows.tolist() == sorted(ROWS)
-
-
 def test_one_camera_in_the_place_of_several() -> None:
     scene, mask = toy_scene()
     (picture,) = Renderer().batch(scene, camera())

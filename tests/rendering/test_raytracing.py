@@ -14,9 +14,9 @@ from torch import Tensor
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene import ATTRIBUTES, GaussianScene, merge
+from mi_splat.scene import ATTRIBUTES, GaussianScene
 from tests import oracle, ray_scenes
-from tests.ray_scenes import GREEN, T, constant, diffuse, gaussian, linear, looking, pixel, scene_of, wall
+from tests.ray_scenes import GREEN, constant, gaussian, linear, pixel, scene_of, wall
 
 TOLERANCE = 1e-4
 """Of a pixel; float32 rounds a needle's peak."""
@@ -118,23 +118,6 @@ def test_gradients_are_finite_differences_under_overlap(to_mean: bool) -> None:
 # Gradients of `splat_ray` through mirrors and shadows, against values that can be written down; what it refuses
 
 
-def room() -> dict[str, Any]:
-    sun = {"type": "directional", "direction": [0.2, -1, 0.4], "irradiance": {"type": "rgb", "value": 2.0}}
-    floor = {
-        "type": "rectangle",
-        "to_world": T().translate([0, -1, 0]).rotate([1, 0, 0], -90).scale(4),
-        "bsdf": diffuse(0.6),
-    }
-    mirror = wall(2.5, type="conductor", material="none")
-    return {
-        "sensor": looking(origin=(0.5, 1, -5), size=14),
-        "sun": sun,
-        "floor": floor,
-        "mirror": mirror,
-        "sky": constant(0.2),
-    }
-
-
 def gradients(loaded: Any, channel: int = 1) -> dict[str, Any]:
     """Gradient of one channel of the only pixel."""
     params = mi.traverse(loaded)
@@ -164,47 +147,6 @@ def test_a_gradient_through_a_shadow() -> None:
     assert gradient["opacities"][0] == pytest.approx(-bright * density, rel=1e-3)
     assert gradient["data"][1] == pytest.approx(bright * 0.8 * density * 0.1 / 0.25**2, rel=1e-3)
     assert gradient["data"][4] == pytest.approx(-bright * 0.8 * density * 0.1**2 / 0.25**3, rel=1e-3)
-
-
-def test_a_gradient_through_many_vertices_is_a_finite_difference() -> None:
-    """The paths are the same for one seed, so differences of the picture itself tell; its jumps are small here."""
-    two = merge(
-        gaussian((-0.3, 0.2, 0.3), scale=0.45),
-        gaussian((0.4, 0, -0.2), scale=0.5, opacity=0.8, colour=(0.8, 0.2, 0.5)),
-    )
-    loaded = scene_of(two, **room())
-    params = mi.traverse(loaded)
-    weights = mi.TensorXf(np.random.default_rng(0).uniform(size=(14, 14, 3)).astype(np.float32))
-    render = loaded.integrator().render
-    for name, step in (("opacities", 1e-3), ("sh_coeffs", 1e-2)):
-        key = f"splat0.{name}"
-        start = np.array(params[key])
-        change = np.random.default_rng(7).normal(size=len(start)).astype(np.float32)
-        params[key] = mi.Float(start)
-        dr.enable_grad(params[key])
-        params.update()
-        loaded.integrator().render_backward(loaded, params, weights, seed=1, spp=64)
-        slope = float(np.dot(np.array(dr.grad(params[key])), change))
-        values = []
-        for sign in (1, -1):
-            params[key] = mi.Float(start + sign * step * change)
-            params.update()
-            values.append(float(np.sum(np.array(render(loaded, seed=1, spp=64), np.float64) * np.array(weights))))
-        params[key] = mi.Float(start)
-        params.update()
-        assert slope == pytest.approx((values[0] - values[1]) / (2 * step), rel=0.02), name
-
-
-def test_parameters_can_be_changed_by_traverse() -> None:
-    loaded = scene_of(gaussian((0, 0, 0)))
-    params = mi.traverse(loaded)
-    params["integrator.linear"], params["integrator.background"] = mi.Bool(False), mi.Color3f(0.5)
-    params.update()
-    np.testing.assert_allclose(pixel(loaded), 0.6 * np.array(GREEN) + 0.4 * 0.5, rtol=1e-4)
-    params["integrator.background"] = mi.Color3f(math.nan)
-    with pytest.raises(InvalidValueError, match="background"):
-        params.update()
-    assert loaded.integrator().background == (0.5, 0.5, 0.5)
 
 
 def test_a_changed_colour_is_seen_in_the_same_tree() -> None:

@@ -91,15 +91,6 @@ def test_memory_stays_flat() -> None:
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 20 * 1024  # KiB
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [{"near": 0.0}, {"near": float("nan")}, {"background": (0.0, 0.0)}, {"background": (0.0, 0.0, float("inf"))}],
-)
-def test_bad_settings(settings: dict[str, object]) -> None:
-    with pytest.raises(InvalidValueError, match="expected"):
-        RenderSettings(**settings)  # type: ignore[arg-type]
-
-
 SCENE = """<scene version="3.0.0">
 <integrator type="splat_tile">
   <rgb name="background" value="0.1, 0.2, 0.3"/><float name="near" value="0.5"/>

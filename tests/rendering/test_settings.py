@@ -76,14 +76,6 @@ def test_a_change_is_seen_by_the_next_picture_and_its_gradient(name: str, change
     assert np.array_equal(mi.render(loaded).numpy(), before)
 
 
-def test_a_gradient_of_another_shape_is_refused() -> None:
-    loaded = dict_scene(SCENE)
-    picture = mi.render(loaded)
-    loaded.integrator().alpha = True
-    with pytest.raises(InvalidValueError, match="render again after a change of alpha"):
-        loaded.integrator().render_backward(loaded, None, dr.ones(mi.TensorXf, picture.shape))
-
-
 def test_names_and_values_in_traverse(tmp_path: Path) -> None:
     _, shapes = two_splats(tmp_path)
     properties = (

@@ -146,19 +146,6 @@ def test_antialiased_gradient_is_the_finite_difference() -> None:
     agree(scene, gradient, lambda moved: float((oracle.render(moved, view, **settings)[0] * factors).sum()))
 
 
-def test_antialiased_keeps_what_a_small_gaussian_weighs() -> None:
-    """The sum of its weights is that of the Gaussian without the blur, 2 pi o s^2 with s in pixels."""
-    small = blobs([2.0], [0.8], scale=0.05)  # 8 px / 2 * 0.05 = 0.2 px
-    sharp, plain = (Renderer(RenderSettings(antialiased=on)).outputs(small, VIEW) for on in (True, False))
-    assert float(sharp.alpha[4, 4]) == pytest.approx(0.8 * 0.04 / 0.34, rel=1e-4)
-    assert float(sharp.alpha.sum()) == pytest.approx(2 * np.pi * 0.8 * 0.04, rel=0.1)
-    assert float(plain.alpha.sum()) > 7 * float(sharp.alpha.sum())
-    point = blobs([2.0], [0.8], scale=1e-20).replace(opacities=torch.tensor([0.8], requires_grad=True))
-    picture = ANTIALIASED(point, VIEW)
-    picture.sum().backward()  # type: ignore[no-untyped-call]
-    assert torch.equal(picture.detach(), torch.tensor(BACKGROUND).expand(8, 8, 3))
-
-
 def test_antialiased_in_a_scene_and_its_file(tmp_path: Path) -> None:
     scene = oracle.random_scene(60, degree=1, seed=4)
     loaded = dict_scene(scene, antialiased=True)
