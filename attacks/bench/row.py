@@ -52,19 +52,12 @@ Record = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Asked:
-    """Who was asked what.
+    """Who was asked what."""
 
-    Attributes:
-        suite: The suite.
-        detector: Who was asked.
-        weights: SHA-256 of the file of its weights; empty where no file has them.
-        defence: Name of the defence; empty for none.
-    """
-
-    suite: Suite
-    detector: Detector
-    weights: str
-    defence: str
+    suite: Suite  # the suite
+    detector: Detector  # who was asked
+    weights: str  # SHA-256 of the file of its weights; empty where no file has them
+    defence: str  # name of the defence; empty for none
 
 
 def write(

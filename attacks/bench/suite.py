@@ -32,23 +32,14 @@ _READER = DocumentReader(expected="a TOML file", do="correct it, or get the suit
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Suite:
-    """What is asked of everybody.
+    """What is asked of everybody."""
 
-    Attributes:
-        name: Of the suite.
-        question: What it asks, one sentence.
-        surrogates: Detectors that the attacks of the column transfer are made on.
-        studies: Tables of the study files, by column.
-        digest: 32 hex digits that stand for its files, and for the scenes that they name.
-        secret: SHA-256 of the file that its seeds were drawn from; empty for none.
-    """
-
-    name: str
-    question: str
-    surrogates: tuple[str, ...]
-    studies: Mapping[str, Settings] = field(repr=False)
-    digest: str
-    secret: str = ""
+    name: str  # of the suite
+    question: str  # what it asks, one sentence
+    surrogates: tuple[str, ...]  # detectors that the attacks of the column transfer are made on
+    studies: Mapping[str, Settings] = field(repr=False)  # tables of the study files, by column
+    digest: str  # 32 hex digits that stand for its files, and for the scenes that they name
+    secret: str = ""  # SHA-256 of the file that its seeds were drawn from; empty for none
 
 
 def read_suite(name: str, secret: Path | None = None) -> Suite:

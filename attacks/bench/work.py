@@ -31,23 +31,14 @@ CELLS = ("view", "azimuth", "elevation", "original", "score", "original_score")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Entry(Attempt):
-    """One attack of a suite, or one splat that hides the object beside its clean one.
+    """One attack of a suite, or one splat that hides the object beside its clean one."""
 
-    Attributes:
-        column: That it counts for.
-        labels: What varies.
-        seed: Of the attack, or of the training.
-        made: The jobs that make the splats, by their labels.
-        looks: The jobs that judge them, each with what its rows are of besides.
-        knows: Whether the attacker knows the defence.
-    """
-
-    column: str
-    labels: Mapping[str, Any]
-    seed: int
-    made: Mapping[str, Job]
-    looks: Sequence[tuple[Job, Mapping[str, Any]]]
-    knows: bool = False
+    column: str  # that it counts for
+    labels: Mapping[str, Any]  # what varies
+    seed: int  # of the attack, or of the training
+    made: Mapping[str, Job]  # the jobs that make the splats, by their labels
+    looks: Sequence[tuple[Job, Mapping[str, Any]]]  # the jobs that judge them, each with what its rows are of besides
+    knows: bool = False  # whether the attacker knows the defence
 
     def rows(self, done: Mapping[str, Done]) -> Iterator[dict[str, Any]]:
         """The rows of its looks, by the identity of their jobs."""

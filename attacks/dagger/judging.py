@@ -27,38 +27,23 @@ Reports = dict[tuple[int, str], ViewDetections]
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Seen:
-    """What a detector reports on one splat in one view.
+    """What a detector reports on one splat in one view."""
 
-    Attributes:
-        image: (H, W, 3) the picture as the detector got it, 8 bits in [0, 1].
-        detections: What it reports.
-        verdict: Whether the attacker has the aim there.
-    """
-
-    image: Tensor
-    detections: Detections
-    verdict: Verdict
+    image: Tensor  # (H, W, 3) the picture as the detector got it, 8 bits in [0, 1]
+    detections: Detections  # what it reports
+    verdict: Verdict  # whether the attacker has the aim there
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class JudgedView:
-    """One view as one detector sees it.
+    """One view as one detector sees it."""
 
-    Attributes:
-        view: The view.
-        detector: Name of the detector.
-        target: The object's box and classes in this view.
-        clean: Of the clean splat: its verdict is the aim reached without any attack.
-        attacked: Of the attacked splat.
-        noise: Of each draw of random noise.
-    """
-
-    view: View
-    detector: str
-    target: Target
-    clean: Seen
-    attacked: Seen
-    noise: tuple[Seen, ...]
+    view: View  # the view
+    detector: str  # name of the detector
+    target: Target  # the object's box and classes in this view
+    clean: Seen  # of the clean splat: its verdict is the aim reached without any attack
+    attacked: Seen  # of the attacked splat
+    noise: tuple[Seen, ...]  # of each draw of random noise
 
     def confidence(self, label: str | None, *, attacked: bool) -> float:
         """Highest score with which `label` (any class if None) is reported on the object, clean or attacked."""

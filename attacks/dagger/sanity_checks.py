@@ -60,23 +60,14 @@ _LIMITS = "that equal finite differences (cosine >= {:g}, slope within {:g} of 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """What a check has measured: one line of the report.
+    """What a check has measured: one line of the report."""
 
-    Attributes:
-        check: Short name of the check.
-        claim: What holds of a sane attack.
-        passed: Whether it holds here; None if the check was not made.
-        figures: What was measured, in words.
-        meaning: What it means if it does not hold.
-        values: What was measured, as JSON can hold it.
-    """
-
-    check: str
-    claim: str
-    passed: bool | None
-    figures: str
-    meaning: str
-    values: dict[str, Any]
+    check: str  # short name of the check
+    claim: str  # what holds of a sane attack
+    passed: bool | None  # whether it holds here; None if the check was not made
+    figures: str  # what was measured, in words
+    meaning: str  # what it means if it does not hold
+    values: dict[str, Any]  # what was measured, as JSON can hold it
 
     @property
     def colour(self) -> str:

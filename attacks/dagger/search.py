@@ -55,30 +55,19 @@ _READER = DocumentReader(expected="a checkpoint", do="delete it, or pass another
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Checkpoint:
-    """Where a search is kept while it runs.
+    """Where a search is kept while it runs."""
 
-    Attributes:
-        path: The file; removed when the search has ended.
-        every: Steps between two writings.
-    """
-
-    path: Path
-    every: int = 10
+    path: Path  # the file; removed when the search has ended
+    every: int = 10  # steps between two writings
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class KeptSearch:
-    """A search between two steps, as its file holds it.
+    """A search between two steps, as its file holds it."""
 
-    Attributes:
-        search: Where it is and what it remembers.
-        price: Of the pictures' squared error; None where it costs nothing.
-        seconds: Time spent so far.
-    """
-
-    search: SearchState
-    price: ImagePrice | None
-    seconds: float
+    search: SearchState  # where it is and what it remembers
+    price: ImagePrice | None  # of the pictures' squared error; None where it costs nothing
+    seconds: float  # time spent so far
 
 
 def save_state(kept: KeptSearch, path: Path, *, key: str) -> None:
@@ -174,19 +163,12 @@ _FARTHEST = 1.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImagePrice:
-    """What the mean squared error of the pictures costs the attacker.
+    """What the mean squared error of the pictures costs the attacker."""
 
-    Attributes:
-        limit: Largest mean squared error wanted, values in [0, 1].
-        weight: The multiplier: the loss is the detectors' plus `weight` times the error.
-        gain: Change of the weight's logarithm in a step whose error is e times the limit.
-        error: Decaying mean of the errors so far; None before the first step.
-    """
-
-    limit: float
-    weight: float
-    gain: float
-    error: float | None = None
+    limit: float  # largest mean squared error wanted, values in [0, 1]
+    weight: float  # the multiplier: the loss is the detectors' plus `weight` times the error
+    gain: float  # change of the weight's logarithm in a step whose error is e times the limit
+    error: float | None = None  # decaying mean of the errors so far; None before the first step
 
     @classmethod
     def of(cls, psnr: float, *, steps: int) -> ImagePrice:

@@ -263,17 +263,11 @@ _LEFT = 1 / 3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SurfaceLook:
-    """A look, and the pieces of surface on which it was measured.
+    """A look, and the pieces of surface on which it was measured."""
 
-    Attributes:
-        scores: How well each explanation fits.
-        shown: (K,) bool, the cameras that see it.
-        pieces: The surface, without what cameras see that were left out.
-    """
-
-    scores: Scores
-    shown: Tensor
-    pieces: Elements
+    scores: Scores  # how well each explanation fits
+    shown: Tensor  # (K,) bool, the cameras that see it
+    pieces: Elements  # the surface, without what cameras see that were left out
 
 
 def looks_of(pieces: Elements, view: Sight) -> list[SurfaceLook]:

@@ -28,19 +28,12 @@ _POINTS, _LEAST_POINTS = 60, 200
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cover:
-    """What covers an object, in the frame of the splat.
+    """What covers an object, in the frame of the splat."""
 
-    Attributes:
-        blocked: (K,) share of the rays to the object that end at something in the air, by camera.
-        transparent: Share of that something that free cameras look through; 0 if they hardly look at it.
-        points: (P, 3) points of it.
-        air: Of each blocked camera its number, and the (H, W) bool pixels that show it.
-    """
-
-    blocked: Tensor
-    transparent: float
-    points: Tensor
-    air: dict[int, Tensor]
+    blocked: Tensor  # (K,) share of the rays to the object that end at something in the air, by camera
+    transparent: float  # share of that something that free cameras look through; 0 if they hardly look at it
+    points: Tensor  # (P, 3) points of it
+    air: dict[int, Tensor]  # of each blocked camera its number, and the (H, W) bool pixels that show it
 
     @property
     def score(self) -> float:

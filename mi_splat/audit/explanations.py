@@ -237,15 +237,10 @@ _MIRROR_AXES, _MIRROR_WIDTHS = 52, (30.0, 45.0, 60.0, 75.0, 90.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rays:
-    """How each camera sees each piece of surface.
+    """How each camera sees each piece of surface."""
 
-    Attributes:
-        cosines: (E, K) of the angle of incidence.
-        mirrored: (E, K, 3) unit vectors in which a mirror would reflect the view.
-    """
-
-    cosines: Tensor
-    mirrored: Tensor
+    cosines: Tensor  # (E, K) of the angle of incidence
+    mirrored: Tensor  # (E, K, 3) unit vectors in which a mirror would reflect the view
 
 
 def rays_of(view: Sight, positions: Tensor, normals: Tensor) -> Rays:
@@ -294,15 +289,10 @@ Sides = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bank:
-    """Sets of directions to try.
+    """Sets of directions to try."""
 
-    Attributes:
-        axes: (T, 3) float64 unit vectors.
-        half_widths: (T,) float64 degrees.
-    """
-
-    axes: Tensor
-    half_widths: Tensor
+    axes: Tensor  # (T, 3) float64 unit vectors
+    half_widths: Tensor  # (T,) float64 degrees
 
     def sides(self, directions: Tensor) -> tuple[Tensor, Tensor]:
         """(T, K) float32, which directions are inside of each set, and which outside; those at its edge are neither."""
@@ -313,25 +303,15 @@ class Bank:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scores:
-    """How well each explanation fits an object.
+    """How well each explanation fits an object."""
 
-    Attributes:
-        direction: Score of the best set of directions.
-        incidence: Score of the best angle between surface and view.
-        mirror: Score of the best set of mirrored directions.
-        shift: Of the set of directions that has most of it; see `mi_splat.audit.explanations`.
-        fade: The same, less the most that a set of angles of incidence has.
-        axis: (3,) of the best set of directions.
-        half_width: Its, in degrees.
-    """
-
-    direction: float
-    incidence: float
-    mirror: float
-    shift: float
-    fade: float
-    axis: Tensor
-    half_width: float
+    direction: float  # score of the best set of directions
+    incidence: float  # score of the best angle between surface and view
+    mirror: float  # score of the best set of mirrored directions
+    shift: float  # of the set of directions that has most of it; see `mi_splat.audit.explanations`
+    fade: float  # the same, less the most that a set of angles of incidence has
+    axis: Tensor  # (3,) of the best set of directions
+    half_width: float  # its, in degrees
 
     @property
     def excess(self) -> float:
@@ -353,19 +333,12 @@ def bank() -> Bank:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Split:
-    """Pieces of surface parted by sets of cameras.
+    """Pieces of surface parted by sets of cameras."""
 
-    Attributes:
-        change: (..., 3) mean colour inside less that outside.
-        weight: (...) how much each change is known, 0 where too few cameras see one side.
-        whole: (...) variance of the colours times their number.
-        valid: (...) bool, whether enough cameras see both sides.
-    """
-
-    change: Tensor
-    weight: Tensor
-    whole: Tensor
-    valid: Tensor
+    change: Tensor  # (..., 3) mean colour inside less that outside
+    weight: Tensor  # (...) how much each change is known, 0 where too few cameras see one side
+    whole: Tensor  # (...) variance of the colours times their number
+    valid: Tensor  # (...) bool, whether enough cameras see both sides
 
     @classmethod
     def of(cls, inside: Tensor, outside: Tensor) -> Split:

@@ -46,17 +46,11 @@ _ONE_SIDE, _UNDER, _BEYOND = 0.95, 0.15, 1.3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frame:
-    """The splat in its own frame.
+    """The splat in its own frame."""
 
-    Attributes:
-        scene: The Gaussians, moved, turned, resized and sorted.
-        order: (N,) row of the file of each of them.
-        to_world: From the frame to the world of the file.
-    """
-
-    scene: GaussianScene
-    order: Tensor
-    to_world: Similarity
+    scene: GaussianScene  # the Gaussians, moved, turned, resized and sorted
+    order: Tensor  # (N,) row of the file of each of them
+    to_world: Similarity  # from the frame to the world of the file
 
     def direction(self, values: Tensor) -> Tensor:
         """(..., 3) directions of the frame as directions of the world."""
@@ -73,21 +67,13 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Target:
-    """An object to look at, in the frame of the splat.
+    """An object to look at, in the frame of the splat."""
 
-    Attributes:
-        rows: (M,) its Gaussians.
-        centre: (3,) float64.
-        radius: Of a ball that holds nearly all of it.
-        up: (3,) float64 unit vector away from the ground; None if it stands on none.
-        cells: Pieces of surface along its diameter.
-    """
-
-    rows: Tensor
-    centre: Tensor
-    radius: float
-    up: Tensor | None
-    cells: int = 48
+    rows: Tensor  # (M,) its Gaussians
+    centre: Tensor  # (3,) float64
+    radius: float  # of a ball that holds nearly all of it
+    up: Tensor | None  # (3,) float64 unit vector away from the ground; None if it stands on none
+    cells: int = 48  # pieces of surface along its diameter
 
 
 def frame_of(scene: GaussianScene) -> Frame:

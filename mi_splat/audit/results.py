@@ -162,48 +162,28 @@ class Region:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pair:
-    """Two cameras that prove a look: they see the same surface from inside and from outside of its directions.
+    """Two cameras that prove a look: they see the same surface from inside and from outside of its directions."""
 
-    Attributes:
-        inside: Sees the look.
-        outside: Sees the same surface without it.
-        change: Mean change of colour (sRGB) of the surface that both see, weighted by its score.
-        numbers: Which of the object's cameras they are.
-    """
-
-    inside: Camera
-    outside: Camera
-    change: float
-    numbers: tuple[int, int]
+    inside: Camera  # sees the look
+    outside: Camera  # sees the same surface without it
+    change: float  # mean change of colour (sRGB) of the surface that both see, weighted by its score
+    numbers: tuple[int, int]  # which of the object's cameras they are
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Look:
-    """An appearance that an object shows from some directions only, and how much of it gloss would explain.
+    """An appearance that an object shows from some directions only, and how much of it gloss would explain."""
 
-    Attributes:
-        region: The directions, in the simplest form that fits.
-        shown: (K,) bool, the cameras that see the look.
-        amounts: (K,) how much of it each camera sees: about 0 none of it, about 1 all; 0 where no surface tells.
-        score: How much of the surface changes between the sides, and how far (sRGB), in [0, 1].
-        incidence: The same score, if colours follow the angle between surface and view.
-        mirror: The same score, if colours follow the direction in which a mirror would reflect.
-        shift: Change of the mean colour (sRGB) from the same directions for faces that look different ways.
-        fade: Share of the contrast that changes so, less what the angle of incidence explains.
-        area: World units squared of the surface that changes.
-        pair: Two cameras that prove it; None if no two see the same surface.
-    """
-
-    region: Region
-    shown: Tensor
-    amounts: Tensor
-    score: float
-    incidence: float
-    mirror: float
-    shift: float
-    fade: float
-    area: float
-    pair: Pair | None
+    region: Region  # the directions, in the simplest form that fits
+    shown: Tensor  # (K,) bool, the cameras that see the look
+    amounts: Tensor  # (K,) how much of it each camera sees: about 0 none of it, about 1 all; 0 where no surface tells
+    score: float  # how much of the surface changes between the sides, and how far (sRGB), in [0, 1]
+    incidence: float  # the same score, if colours follow the angle between surface and view
+    mirror: float  # the same score, if colours follow the direction in which a mirror would reflect
+    shift: float  # change of the mean colour (sRGB) from the same directions for faces that look different ways
+    fade: float  # share of the contrast that changes so, less what the angle of incidence explains
+    area: float  # world units squared of the surface that changes
+    pair: Pair | None  # two cameras that prove it; None if no two see the same surface
 
     @property
     def excess(self) -> float:
@@ -218,19 +198,12 @@ class Look:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Occluder:
-    """Something in the air that covers an object from some directions, and that others look straight through.
+    """Something in the air that covers an object from some directions, and that others look straight through."""
 
-    Attributes:
-        axis: (3,) unit vector, world: the middle of the directions that are covered.
-        blocked: (K,) share of the rays to the object that end at something before it, by camera.
-        transparent: Share of that something that cameras which are not blocked look through.
-        score: Share of the cameras that are blocked, times `transparent`.
-    """
-
-    axis: Vector
-    blocked: Tensor
-    transparent: float
-    score: float
+    axis: Vector  # (3,) unit vector, world: the middle of the directions that are covered
+    blocked: Tensor  # (K,) share of the rays to the object that end at something before it, by camera
+    transparent: float  # share of that something that cameras which are not blocked look through
+    score: float  # share of the cameras that are blocked, times `transparent`
 
     @property
     def evidence(self) -> float:

@@ -30,17 +30,11 @@ seen, and cameras that look at it."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Grid:
-    """Voxels of a scene in its own frame.
+    """Voxels of a scene in its own frame."""
 
-    Attributes:
-        low: (3,) float64 corner.
-        size: Side of a voxel.
-        filled: (X, Y, Z) bool, whether something is in each.
-    """
-
-    low: Tensor
-    size: float
-    filled: Tensor
+    low: Tensor  # (3,) float64 corner
+    size: float  # side of a voxel
+    filled: Tensor  # (X, Y, Z) bool, whether something is in each
 
     def ends(self, points: Tensor, directions: Tensor) -> Tensor:
         """(P, D) bool, whether the rays from (P, 3) points in (D, 3) directions meet something in the grid."""

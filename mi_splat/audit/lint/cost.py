@@ -38,17 +38,11 @@ _STOPS_OF_HEAT = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Overdraw:
-    """The worst of the cameras that were tried.
+    """The worst of the cameras that were tried."""
 
-    Attributes:
-        camera: Where from.
-        layers: (rows, columns) Gaussians over each other in each tile of 4 x 4 pixels.
-        tried: How many cameras were counted.
-    """
-
-    camera: Camera
-    layers: Layers
-    tried: int
+    camera: Camera  # where from
+    layers: Layers  # (rows, columns) Gaussians over each other in each tile of 4 x 4 pixels
+    tried: int  # how many cameras were counted
 
     @property
     def mean(self) -> float:

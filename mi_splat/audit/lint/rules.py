@@ -67,17 +67,11 @@ _CHUNK = 1 << 16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stored:
-    """The Gaussians of a file as it stores them, in its order.
+    """The Gaussians of a file as it stores them, in its order."""
 
-    Attributes:
-        arrays: N Gaussians, unchecked; quaternions are normalised.
-        valid: (N,) those that a scene can hold.
-        shown: (N,) those of them with an opacity from `VISIBLE`.
-    """
-
-    arrays: Arrays
-    valid: Mask
-    shown: Mask
+    arrays: Arrays  # N Gaussians, unchecked; quaternions are normalised
+    valid: Mask  # (N,) those that a scene can hold
+    shown: Mask  # (N,) those of them with an opacity from `VISIBLE`
 
     @classmethod
     def of(cls, loaded: Loaded) -> Stored:
@@ -90,21 +84,13 @@ class Stored:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rule:
-    """One rule.
+    """One rule."""
 
-    Attributes:
-        name: As findings state it.
-        severity: Of its findings.
-        threshold: From where it finds something.
-        reason: Why that matters, in a sentence.
-        find: From the Gaussians and the threshold to the (N,) rows that it is about.
-    """
-
-    name: str
-    severity: Severity
-    threshold: float
-    reason: str
-    find: Callable[[Stored, float], Mask]
+    name: str  # as findings state it
+    severity: Severity  # of its findings
+    threshold: float  # from where it finds something
+    reason: str  # why that matters, in a sentence
+    find: Callable[[Stored, float], Mask]  # from the Gaussians and the threshold to the (N,) rows that it is about
 
     def __call__(self, stored: Stored) -> Finding | None:
         """The finding; None if there is none."""
