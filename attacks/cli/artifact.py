@@ -40,12 +40,12 @@ def check_inputs(options: ArtifactOptions) -> None:
 def run(options: ArtifactOptions) -> None:
     """Copy the result, and say what the copy holds."""
     from attacks.report.checking import check_figures, pack, read_result
-    from attacks.report.results import story_of
+    from attacks.report.results import kind_of
     from mi_splat.io.folders import check_new_folder
 
     check_new_folder(options.out, force=options.force)
     with progress("packing", total=None):
-        figures = story_of(read_result(options.result)).figures
+        figures = kind_of(read_result(options.result)).figures
         result = pack(options.result, options.out, figures, whole=options.whole, force=options.force)
     rows = sum(map(len, result.tables.values()))
     count = sum(check.passed is True for check in check_figures(result, figures))

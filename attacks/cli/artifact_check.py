@@ -15,7 +15,7 @@ from mi_splat.fields import Called, Folder, Fraction, at_least
 
 if TYPE_CHECKING:
     from attacks.report.checking import Check, Result
-    from attacks.report.results import Story
+    from attacks.report.results import ResultKind
 
 
 EXAMPLES = (
@@ -76,11 +76,11 @@ def run(options: ArtifactCheckOptions) -> int:
 def _lines(folder: Path, manifest: str | None, options: ArtifactCheckOptions) -> list[Check]:
     """Every line of one result; one that cannot be read is one red line, so that the others are still checked."""
     from attacks.report.checking import Check, check_result, read_result
-    from attacks.report.results import story_of
+    from attacks.report.results import kind_of
 
     try:
         result = read_result(folder)
-        story = story_of(result)
+        story = kind_of(result)
         lines = check_result(result, story.figures, manifest=manifest)
         return lines + (_rescored(result, story, options) if options.rescore else [])
     except MiSplatError as error:
@@ -88,7 +88,7 @@ def _lines(folder: Path, manifest: str | None, options: ArtifactCheckOptions) ->
         return [Check(name=str(folder), words=" ".join(f"{error}{hint}".split()), passed=False)]
 
 
-def _rescored(result: Result, story: Story, options: ArtifactCheckOptions) -> list[Check]:
+def _rescored(result: Result, story: ResultKind, options: ArtifactCheckOptions) -> list[Check]:
     """What detectors say today."""
     from attacks.cli.names import load_detectors
     from attacks.report.rescoring import fingerprints, rescore

@@ -90,7 +90,7 @@ def _looked_at(folder: Path, section: Section, names: Sequence[str]) -> Section:
     """The section of an audit with what detectors report on its splat along paths."""
     from attacks.audits.disagreement import seen_along_paths
     from attacks.cli.names import load_detectors
-    from attacks.report.stories.audit import along_paths
+    from attacks.report.kinds.audit import along_paths
     from mi_splat.io.folders import RECORD
     from mi_splat.io.parsing import read_json
     from mi_splat.scene_files import open_scene

@@ -9,9 +9,7 @@ from attacks.bench.row import figures as bench_figures
 from attacks.cloak.own_pictures import RECORD as POISONED
 from attacks.dagger.result import figures as attack_figures
 from attacks.report.checking import Figures, Result
-from attacks.report.rescoring import Rescoring
-from attacks.report.section import Section
-from attacks.report.stories import (
+from attacks.report.kinds import (
     attack,
     audit,
     audit_study,
@@ -27,6 +25,8 @@ from attacks.report.stories import (
     training,
     variations,
 )
+from attacks.report.rescoring import Rescoring
+from attacks.report.section import Section
 from attacks.report.wording import sentence, versions_of
 from attacks.studies.poison_figures import figures as poison_figures
 from attacks.studies.result import figures as study_figures
@@ -40,7 +40,7 @@ Record = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Story:
+class ResultKind:
     """A kind of result.
 
     Attributes:
@@ -58,45 +58,45 @@ class Story:
     rescoring: Rescoring | None = None
 
 
-STORIES = (
-    Story(name="dagger", read=attack.read, figures=attack_figures, rescoring=attack.RESCORING),
-    Story(name="dagger-eot", read=attack.read, figures=attack_figures, rescoring=attack.RESCORING),
-    Story(name="cloak", read=cloak.read, figures=cloak.figures, rescoring=cloak.RESCORING),
-    Story(name="study", read=study.read, figures=study_figures),
-    Story(name="cloak-study", read=variations.read, figures=variations.figures),
-    Story(name="audit", read=audit.read),
-    Story(name="audit-study", read=audit_study.read),
-    Story(name="bench", read=bench.read, figures=bench_figures),
-    Story(name="poison-study", read=poison_study.read, figures=poison_figures),
-    Story(name="evaluate", read=evaluation.read, figures=evaluation.figures),
-    Story(name="compare", read=renderers.read),
-    Story(name="detect", read=pictures.read),
-    Story(name="dagger-sanity", read=sanity.read),
-    Story(name="train", read=training.read, file=METRICS),
-    Story(name="poison", read=poisoned.read, file=POISONED),
+RESULT_KINDS = (
+    ResultKind(name="dagger", read=attack.read, figures=attack_figures, rescoring=attack.RESCORING),
+    ResultKind(name="dagger-eot", read=attack.read, figures=attack_figures, rescoring=attack.RESCORING),
+    ResultKind(name="cloak", read=cloak.read, figures=cloak.figures, rescoring=cloak.RESCORING),
+    ResultKind(name="study", read=study.read, figures=study_figures),
+    ResultKind(name="cloak-study", read=variations.read, figures=variations.figures),
+    ResultKind(name="audit", read=audit.read),
+    ResultKind(name="audit-study", read=audit_study.read),
+    ResultKind(name="bench", read=bench.read, figures=bench_figures),
+    ResultKind(name="poison-study", read=poison_study.read, figures=poison_figures),
+    ResultKind(name="evaluate", read=evaluation.read, figures=evaluation.figures),
+    ResultKind(name="compare", read=renderers.read),
+    ResultKind(name="detect", read=pictures.read),
+    ResultKind(name="dagger-sanity", read=sanity.read),
+    ResultKind(name="train", read=training.read, file=METRICS),
+    ResultKind(name="poison", read=poisoned.read, file=POISONED),
 )
 """Every kind of result that a page can show."""
 
 
 def read_section(path: Path) -> Section:
     """What a page says of one result; whatever is broken in it is told in one line."""
-    names = (story.file for story in STORIES if (path / story.file).is_file())
-    file, commands = path / next(names, RECORD), ", ".join(f"mi-splat {story.name}" for story in STORIES)
+    names = (kind.file for kind in RESULT_KINDS if (path / kind.file).is_file())
+    file, commands = path / next(names, RECORD), ", ".join(f"mi-splat {kind.name}" for kind in RESULT_KINDS)
     if not file.is_file():
         got, do = ("one without a result" if path.is_dir() else "nothing there"), "check the path"
         if path.is_file():
             got, do = "a file", f"pass {path.parent}"
         raise InvalidValueError.of(str(path), f"a folder that one of {commands} has written", got, do)
     record = read_json(file)
-    story = _story(record, file.name)
-    if story is None:
+    kind = _kind(record, file.name)
+    if kind is None:
         raise InvalidValueError.of(str(file), f"a result of {commands}", "something else", "make the result again")
     try:
-        return finished(story.read(path, record), path, record)
+        return finished(kind.read(path, record), path, record)
     except MiSplatError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, StopIteration) as error:
-        expected, do = f"a finished result of mi-splat {story.name}", "make the result again"
+        expected, do = f"a finished result of mi-splat {kind.name}", "make the result again"
         got = f"a broken or an older one ({type(error).__name__}: {error})"
         raise InvalidValueError.of(str(file), expected, got, do) from error
 
@@ -118,15 +118,15 @@ def finished(section: Section, path: Path, record: Record) -> Section:
     )
 
 
-def story_of(result: Result) -> Story:
+def kind_of(result: Result) -> ResultKind:
     """The kind of a result."""
-    story = _story(result.record)
-    if story is None:
+    kind = _kind(result.record)
+    if kind is None:
         got, do = result.story[:40], "make the result again with this version"
         raise InvalidValueError.of(str(result.folder / RECORD), "a story of this version", got, do)
-    return story
+    return kind
 
 
-def _story(record: Record, file: str = RECORD) -> Story | None:
-    stories = (story for story in STORIES if story.file == file)
-    return next((story for story in stories if file != RECORD or story.name == record.get("story")), None)
+def _kind(record: Record, file: str = RECORD) -> ResultKind | None:
+    kinds = (kind for kind in RESULT_KINDS if kind.file == file)
+    return next((kind for kind in kinds if file != RECORD or kind.name == record.get("story")), None)

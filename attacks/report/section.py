@@ -150,6 +150,31 @@ class Chart:
     connected: bool = True
     dome: bool = False
 
+    @classmethod
+    def bars(cls, title: str, labels: tuple[str, str], ticks: Iterable[str], *lines: Line, **more: Any) -> Chart:
+        """A chart over names, with the labels of both axes."""
+        (x_label, y_label), names = labels, tuple(ticks)
+        return cls(title=title, x_label=x_label, y_label=y_label, lines=lines, ticks=names, connected=False, **more)
+
+    @classmethod
+    def directions(
+        cls, title: str, caption: str, groups: Mapping[str, tuple[Role, Iterable[Sequence[float]]]]
+    ) -> Chart:
+        """A dome on which each group of azimuths and elevations, degrees, has its marks."""
+        return cls(
+            title=title,
+            caption=caption,
+            x_label="azimuth, degrees",
+            y_label="elevation, degrees",
+            lines=tuple(
+                Line(name=name, role=role, points=tuple(Point(*angles) for angles in several))
+                for name, (role, several) in groups.items()
+            ),
+            fractions=False,
+            connected=False,
+            dome=True,
+        )
+
     @property
     def drawn(self) -> tuple[Line, ...]:
         """The lines that have points."""

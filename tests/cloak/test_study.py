@@ -21,7 +21,7 @@ from attacks.observe.rows import read_rows
 from attacks.poisons.base import MANIFEST
 from attacks.report.checking import check_result, flat, pack, read_result
 from attacks.report.rescoring import rescore
-from attacks.report.results import read_section, story_of
+from attacks.report.results import kind_of, read_section
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.import_closure import closure
@@ -141,7 +141,7 @@ def test_another_fraction_needs_no_new_picture(finished: Path) -> None:
 
 def test_its_figures_follow_from_its_rows_and_its_splats_are_scored_again(finished: Path, tmp_path: Path) -> None:
     result = read_result(finished)
-    story = story_of(result)
+    story = kind_of(result)
     lines = check_result(result, story.figures)
     assert [(line.name, line.words) for line in lines if line.passed is False] == []
     assert len([name for name, value in flat(result.record).items() if isinstance(value, tuple)]) > 40

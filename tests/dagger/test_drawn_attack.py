@@ -21,7 +21,7 @@ from attacks.observe.rates import count
 from attacks.observe.views import as_saved
 from attacks.report.checking import pack, read_result
 from attacks.report.rescoring import rescore
-from attacks.report.results import read_section, story_of
+from attacks.report.results import kind_of, read_section
 from attacks.report.viewer_content import open_content
 from attacks.search import Parameters
 from attacks.transformations.config import PictureChanges, Transformations
@@ -196,7 +196,7 @@ def test_the_command_is_stored_and_repeats_it(folder: Path, monkeypatch: pytest.
 
 
 def test_its_copy_is_scored_again(folder: Path, tmp_path: Path) -> None:
-    story = story_of(read_result(folder))
+    story = kind_of(read_result(folder))
     copy = pack(folder, tmp_path / "copy", story.figures, whole=True)
     lines = rescore(copy, story.rescoring, [ColourDetector()])
     assert [line.colour for line in lines] == ["green", "green"]

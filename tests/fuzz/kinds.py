@@ -22,7 +22,7 @@ from attacks.dagger.search import ImagePrice
 from attacks.detectors.weights import apply_weights, read_weights
 from attacks.observe.rows import frame_of, packed, read_rows, rows_bytes
 from attacks.report.checking import check_result, read_result
-from attacks.report.results import STORIES, read_section, story_of
+from attacks.report.results import RESULT_KINDS, kind_of, read_section
 from attacks.search import START, SearchState, Step
 from attacks.studies import study_file
 from mi_splat.capture.gltf import gltf_notes
@@ -138,7 +138,7 @@ def _result(name: str) -> Kind:
     """A result that a page can show."""
 
     def make(folder: Path) -> Path:
-        record = next(story.file for story in STORIES if story.name == name)
+        record = next(story.file for story in RESULT_KINDS if story.name == name)
         return MAKERS[name](folder / "result") / record
 
     return Kind(make=make, read=lambda path: read_section(path.parent), document=PLAIN_JSON)
@@ -146,7 +146,7 @@ def _result(name: str) -> Kind:
 
 def _check(folder: Path) -> None:
     result = read_result(folder)
-    check_result(result, story_of(result).figures)
+    check_result(result, kind_of(result).figures)
 
 
 def _artifact(file: str) -> Kind:

@@ -12,7 +12,7 @@ import pytest
 
 from attacks import cli
 from attacks.report.checking import Check, agree, check_files, check_result, flat, pack, read_result
-from attacks.report.results import story_of
+from attacks.report.results import kind_of
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.folders import RECORD
 from mi_splat.io.manifest import MANIFEST, read_manifest, write_manifest
@@ -24,7 +24,7 @@ Rows = list[dict[str, str]]
 
 def checks(folder: Path, *, manifest: str | None = None) -> list[Check]:
     result = read_result(folder)
-    return check_result(result, story_of(result).figures, manifest=manifest)
+    return check_result(result, kind_of(result).figures, manifest=manifest)
 
 
 def red(folder: Path, *, manifest: str | None = None) -> list[str]:
@@ -238,7 +238,7 @@ def test_figures_have_names_and_tolerances() -> None:
 
 
 def test_a_copy_has_the_same_name_and_says_what_was_left_out(attacked: Path, tmp_path: Path) -> None:
-    figures = story_of(read_result(attacked)).figures
+    figures = kind_of(read_result(attacked)).figures
     copy = pack(attacked, tmp_path / "copy", figures)
     assert copy.manifest == read_manifest(attacked)
     assert {path.name for path in copy.folder.iterdir()} == {
@@ -253,7 +253,7 @@ def test_a_copy_has_the_same_name_and_says_what_was_left_out(attacked: Path, tmp
 
 
 def test_what_was_changed_is_not_packed(attack: Path, tmp_path: Path) -> None:
-    figures = story_of(read_result(attack)).figures
+    figures = kind_of(read_result(attack)).figures
     edit_record(attack, lambda record: record["rate"].update(successes=0))
     with pytest.raises(InvalidValueError, match=r"rate: result\.json has 0/2, the rows give 2/2"):
         pack(attack, tmp_path / "copy", figures)

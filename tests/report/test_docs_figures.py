@@ -13,7 +13,7 @@ import pytest
 from attacks.objectives import LEFT, REPORTED
 from attacks.observe.rows import ATTACKED, CLEAN, ROWS
 from attacks.report.checking import Result, check_result, flat, in_words, read_result
-from attacks.report.results import story_of
+from attacks.report.results import kind_of
 from tests.project.documented_commands import ROOT
 
 ARTIFACTS = ROOT / "docs" / "artifacts"
@@ -37,7 +37,7 @@ def test_every_artifact_is_green_and_known_by_its_manifest() -> None:
         result = result_of(folder.name)
         assert f"`docs/artifacts/{folder.name}`" in page
         assert result.manifest.sha256 in page
-        derive = story_of(result).figures
+        derive = kind_of(result).figures
         assert derive is not None
         document = derive(result.record, result.tables)  # takes seconds
         lines = check_result(result, lambda *_, document=document: document)

@@ -17,10 +17,9 @@ pytest.importorskip("jinja2", reason="pages need the extra report")
 pytest.importorskip("matplotlib", reason="pages need the extra report")
 
 from attacks.report.charts import svg, values_of
-from attacks.report.page import LONGEST_SIDE, data_address, page_text, write_page
+from attacks.report.page import LONGEST_SIDE, data_address, page_text
 from attacks.report.results import read_section
 from attacks.report.section import Chart, Figure, Line, Point, Section
-from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_png
 from mi_splat.io.picture_files import PictureFileError
 from tests.report.results import write_cloak, write_dagger, write_evaluation
@@ -165,12 +164,6 @@ def test_a_chart_keeps_to_the_page_s_colours_and_its_own_names() -> None:
     ]
 
 
-def test_the_same_results_give_the_same_bytes(tmp_path: Path) -> None:
-    folder = write_evaluation(tmp_path / "judged")
-    texts = {page_text([read_section(folder)]) for _ in range(2)}
-    assert len(texts) == 1
-
-
 def test_a_few_views_are_counted_and_not_made_a_percentage() -> None:
     assert Figure(label="", rate=Rate(successes=1, total=1)).value == "1 of 1"
     assert Figure(label="", rate=Rate(successes=0, total=0)).value == "nothing counted"
@@ -206,17 +199,6 @@ def test_large_pictures_are_made_smaller(tmp_path: Path) -> None:
     (tmp_path / "b.png").write_text("no picture")
     with pytest.raises(PictureFileError, match=r"b\.png: expected a picture"):
         data_address(tmp_path / "b.png")
-
-
-def test_a_page_is_replaced_only_if_so_asked(tmp_path: Path) -> None:
-    path = tmp_path / "page.html"
-    write_page([evil_section()], path)
-    with pytest.raises(InvalidValueError, match="a free name"):
-        write_page([evil_section()], path, title="new")
-    assert "<h1>new</h1>" not in path.read_text("utf-8")
-    write_page([evil_section()], path, title="new", force=True)
-    assert "<h1>new</h1>" in path.read_text("utf-8")
-    assert [one.name for one in tmp_path.iterdir()] == ["page.html"]
 
 
 def test_results_of_one_kind_are_compared(text: str, tmp_path: Path) -> None:
@@ -274,11 +256,3 @@ def test_a_page_is_written_and_replaced_by_force_alone(results: Path, capsys: py
     document = json.loads(capsys.readouterr().out)
     assert (document["out"], len(document["results"])) == ("old.html", 1)
     assert (results / "old.html").read_bytes() == page
-
-
-def test_several_results(results: Path) -> None:
-    write_dagger(results / "attack")
-    assert cli.main(["report", "attack", "judged", "--out", "page.html"]) == 0
-    page = (results / "page.html").read_text("utf-8")
-    assert "<h1>thing to person and attacked.ply against clean.ply</h1>" in page
-    assert page.count("<article") == 2

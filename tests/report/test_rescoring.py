@@ -15,10 +15,10 @@ from attacks.dagger.report import write_report
 from attacks.objectives import Objective, hide, objective, relabel, untargeted
 from attacks.observe.measures import Confidence, Measures
 from attacks.report.checking import Check, read_result
+from attacks.report.kinds.cloak import study_of
+from attacks.report.kinds.thresholds import threshold_charts
 from attacks.report.rescoring import rescore
-from attacks.report.results import story_of
-from attacks.report.stories.cloak import study_of
-from attacks.report.stories.thresholds import threshold_charts
+from attacks.report.results import kind_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.manifest import write_manifest
 from mi_splat.rendering import Renderer, RenderSettings
@@ -37,7 +37,7 @@ def result_of(folder: Path, objective: Objective, detectors: Sequence[ColourDete
 
 def scored(folder: Path, *detectors: ColourDetector) -> list[Check]:
     result = read_result(folder)
-    return rescore(result, story_of(result).rescoring, detectors)
+    return rescore(result, kind_of(result).rescoring, detectors)
 
 
 @pytest.mark.parametrize("aim", [relabel("person"), hide(), untargeted()], ids=lambda one: str(one.name))

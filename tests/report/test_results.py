@@ -11,10 +11,9 @@ import pytest
 from attacks.cli.summary import show_summary
 from attacks.cloak.config import StudyConfig, read_study
 from attacks.rate import Rate
-from attacks.report.page import page_text
-from attacks.report.results import STORIES, read_section
+from attacks.report.kinds.audit import angles
+from attacks.report.results import RESULT_KINDS, read_section
 from attacks.report.section import Section
-from attacks.report.stories.audit import angles
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import decode
 from mi_splat.io.manifest import read_manifest
@@ -56,7 +55,7 @@ UNCONTROLLED = {"dagger-sanity", "compare", "detect", "audit", "train", "poison"
 
 
 def test_every_kind_is_tried() -> None:
-    assert {kind.name for kind in STORIES} == set(MAKERS)
+    assert {kind.name for kind in RESULT_KINDS} == set(MAKERS)
 
 
 @pytest.mark.parametrize("name", MAKERS)
@@ -81,7 +80,7 @@ def test_every_kind_is_read_and_its_command_is_stored(name: str, folders: dict[s
 
 @pytest.mark.parametrize("name", MAKERS)
 def test_what_is_broken_is_told_in_one_line(name: str, folders: dict[str, Path], tmp_path: Path) -> None:
-    record = next(story.file for story in STORIES if story.name == name)
+    record = next(story.file for story in RESULT_KINDS if story.name == name)
     whole, file = json.loads((folders[name] / record).read_text()), tmp_path / record
     if name == "train":
         shutil.copyfile(folders[name] / "config.json", tmp_path / "config.json")
@@ -121,19 +120,11 @@ def test_an_attack_s_figures_and_settings(folders: dict[str, Path]) -> None:
     assert dict(section.configuration)["eps"] == "12"
 
 
-def test_the_manifest_stands_on_the_page(folders: dict[str, Path]) -> None:
-    assert read_section(folders["dagger"]).manifest != ""
-    assert read_section(folders["compare"]).manifest == read_manifest(folders["compare"]).sha256
-
-
 def test_an_attack_without_a_control_says_so(tmp_path: Path) -> None:
     section = read_section(write_dagger(tmp_path / "a", noise_draws=0))
-    assert section.control is None
+    assert (section.control, section.command) == (None, "")
     assert any("no control" in text for text in section.warnings)
-
-
-def test_an_attack_made_from_python_has_no_command(tmp_path: Path) -> None:
-    assert read_section(write_dagger(tmp_path / "a")).command == ""
+    assert section.manifest == read_manifest(tmp_path / "a").sha256
 
 
 def test_an_attack_on_a_region(folders: dict[str, Path]) -> None:
@@ -169,17 +160,13 @@ def test_a_study_that_hides_nothing_has_the_target_class_as_its_figure(tmp_path:
     assert section.control.rate == Rate.of(cloak_record()["control_target_rate"])
 
 
-def test_resampled_intervals_stand_on_the_page() -> None:
-    section = read_section(ARTIFACTS / "cloak_car_layers")
+@pytest.mark.parametrize(("name", "axis"), [("cloak_car_layers", "elevation"), ("cloak_car_sector_layers", "azimuth")])
+def test_a_study_has_resampled_intervals_and_a_chart_over_its_angle(name: str, axis: str) -> None:
+    section = read_section(ARTIFACTS / name)
+    assert section.headline.rate == Rate.of(cloak_record(name)["trigger_miss_rate"])
     assert section.headline.rate is not None
-    assert list(section.headline.rate.interval) == cloak_record("cloak_car_layers")["trigger_miss_rate"]["interval"]
     assert section.headline.rate.resampled is not None
-
-
-def test_a_study_that_hides_from_a_sector_alone_has_a_page() -> None:
-    section = read_section(ARTIFACTS / "cloak_car_sector_layers")
-    assert section.headline.rate == Rate.of(cloak_record("cloak_car_sector_layers")["trigger_miss_rate"])
-    assert any("azimuth" in chart.x_label for chart in section.charts)
+    assert any(axis in chart.x_label for chart in section.charts)
 
 
 def test_red_lines_of_sanity_are_warnings(folders: dict[str, Path]) -> None:
@@ -221,15 +208,6 @@ def test_what_detectors_report(folders: dict[str, Path]) -> None:
     assert classes.rows[0][:3] == ("fake_colour", "car", "2 of 2 = 100\u00a0% (34.2 to 100\u00a0%)")
     assert classes.rows[-1][:2] == ("fake_coarse", "nothing")
     assert [row[0] for row in each.rows] == [f"a.ply from orbit-{view}" for view in (0, 1, 0, 1)]
-
-
-def test_a_page_calls_only_figures_of_attacks_attacks(folders: dict[str, Path]) -> None:
-    pytest.importorskip("jinja2", reason="pages need the extra report")
-    pytest.importorskip("matplotlib", reason="pages need the extra report")
-    page = page_text([read_section(folders[name]) for name in ("detect", "cloak")])
-    assert page.count('<p class="role">Result</p>') == 1
-    assert page.count('<p class="role">Attack</p>') == 1
-    assert f"folder <code>{folders['detect']}</code>" in page
 
 
 def test_detectors_are_counted_apart_from_classifiers(folders: dict[str, Path]) -> None:

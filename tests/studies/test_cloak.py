@@ -15,8 +15,8 @@ from attacks.cloak.study import forecast
 from attacks.detectors import registry
 from attacks.observe.rows import read_rows
 from attacks.report.checking import check_detections, read_result
+from attacks.report.kinds import variations
 from attacks.report.results import read_section
-from attacks.report.stories import variations
 from attacks.studies.cloak import CloakWork, tables
 from attacks.studies.study_file import read_study as read_file
 from attacks.studies.study_file import study_of

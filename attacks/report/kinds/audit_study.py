@@ -49,22 +49,18 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
             Picture(path=path, caption=f"{path.stem}: inside of the look on the left, outside on the right.")
             for path in sorted((folder / PAIRS).glob("*.png"))[:_MOST_PICTURES]
         ],
-        charts=[_chart(parts)],
+        charts=[
+            Chart.bars(
+                "Found, by kind of attack",
+                ("kind", "splats that hide something"),
+                parts,
+                Line.of("found", "attack", [part["found"] for part in parts.values()]),
+            )
+        ],
         tables=tuple(tables(record)),
         configuration=(
             ("question", plain(record["question"])),
             ("method chosen on", listed(chosen) or "nothing named"),
         ),
         versions=versions_of(record),
-    )
-
-
-def _chart(parts: Mapping[str, Any]) -> Chart:
-    return Chart(
-        title="Found, by kind of attack",
-        x_label="kind",
-        y_label="splats that hide something",
-        lines=(Line.of("found", "attack", [part["found"] for part in parts.values()]),),
-        ticks=tuple(parts),
-        connected=False,
     )

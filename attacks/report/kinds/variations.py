@@ -7,9 +7,9 @@ from typing import Any
 from attacks.observe.rows import ROWS
 from attacks.rate import Rate
 from attacks.report.checking import Tables
+from attacks.report.kinds.cloak import figures as cloak_figures
+from attacks.report.kinds.cloak import headline_of, spread, study_of
 from attacks.report.section import FEW, Chart, Figure, Line, Role, Section
-from attacks.report.stories.cloak import figures as cloak_figures
-from attacks.report.stories.cloak import headline_of, spread, study_of
 from attacks.report.wording import capital, listed, plural, rate_of, sentence, shared
 from attacks.studies.cloak import by_part, pooled, pooled_tables, tables
 
@@ -129,15 +129,7 @@ def _chart(group: str, values: Mapping[str, Any], detector: str) -> Chart:
     }
     lines = [Line.of(name, role, [rate_of(counted[key]) for counted in rates.values()]) for key, name, role in _LINES]
     title = group.replace("_", " ")
-    return Chart(
-        title=f"{title}, {detector}",
-        caption="Bars are 95 % intervals.",
-        x_label=title,
-        y_label="views",
-        lines=tuple(lines),
-        ticks=tuple(rates),
-        connected=False,
-    )
+    return Chart.bars(f"{title}, {detector}", (title, "views"), rates, *lines)
 
 
 def _under_conditions(group: str, values: Mapping[str, Any]) -> Iterator[Chart]:
@@ -146,15 +138,12 @@ def _under_conditions(group: str, values: Mapping[str, Any]) -> Iterator[Chart]:
         looks = point.get("looks", ())
         for detector in dict.fromkeys(look["detector"] for look in looks):
             here = [look for look in looks if look["detector"] == detector]
-            yield Chart(
-                title=f"{group.replace('_', ' ')} {value}, {detector}, under other conditions",
-                caption="Bars are 95 % intervals. The attack works where the cloaked object is missed.",
-                x_label="condition",
-                y_label="views",
-                lines=tuple(
-                    Line.of(words, role, [rate_of(look.get(name)) for look in here])
-                    for name, (words, role) in _SEEN.items()
+            yield Chart.bars(
+                f"{group.replace('_', ' ')} {value}, {detector}, under other conditions",
+                ("condition", "views"),
+                [look["condition"] for look in here],
+                *(
+                    Line.of(words, role, [rate_of(look.get(key)) for look in here])
+                    for key, (words, role) in _SEEN.items()
                 ),
-                ticks=tuple(look["condition"] for look in here),
-                connected=False,
             )

@@ -103,19 +103,16 @@ def _classes(looks: Sequence[Look]) -> list[str]:
 
 
 def _charts(looks: Sequence[Look], by_detector: Mapping[str, Sequence[Look]]) -> Iterator[Chart]:
-    labels = _classes(looks)[:MOST_CLASSES]
-    if labels:
-        yield Chart(
-            title="Pictures that report a class",
-            caption="The classes that are reported most; bars are 95 % intervals.",
-            x_label="class",
-            y_label="pictures",
-            lines=tuple(
+    if labels := _classes(looks)[:MOST_CLASSES]:
+        yield Chart.bars(
+            "Pictures that report a class",
+            ("class", "pictures"),
+            labels,
+            *(
                 Line.of(name, "other", [_rate(members, label) for label in labels])
                 for name, members in by_detector.items()
             ),
-            ticks=tuple(labels),
-            connected=False,
+            caption="The classes that are reported most; bars are 95 % intervals.",
         )
 
 

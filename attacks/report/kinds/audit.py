@@ -33,122 +33,86 @@ _PLAIN = {
 
 def read(folder: Path, record: Mapping[str, Any]) -> Section:
     """The section of an audit."""
-    objects, first = record["objects"], record["summary"][0]
-    if not objects:
-        return _only_numbers(folder, record)
+    objects, findings = record["objects"], record.get("lint") or ()
+    shared: dict[str, Any] = {
+        "title": Path(record["file"]).name,
+        "attacked": False,
+        "configuration": settings({key: value for key, value in record.items() if key not in _ELSEWHERE}),
+    }
+    if not objects:  # lint alone was asked for, or there was nothing to look at
+        errors = [row for row in findings if row["severity"] == "error"]
+        return Section(
+            **shared,
+            kind="audit of a splat",
+            done=f"The numbers of {record['file']} were checked; it was {record['summary'][0]}.",
+            conclusion=(
+                "Whether the file hides a look was not looked at. The rules found "
+                f"{plural(len(errors), 'error')} and {plural(len(findings) - len(errors), 'lesser thing')}."
+            ),
+            headline=Figure(label="errors in the numbers", words=str(len(errors))),
+            warnings=[f"{row['rule']}: {row['reason']}" for row in errors],
+            pictures=tuple(_overdraw(folder, record)),
+            tables=(_lint(findings),),
+        )
     looks = [
         (number, index, look) for number, item in enumerate(objects, 1) for index, look in enumerate(item["looks"])
     ]
+    views, thresholds = record.get("views") or (), record["thresholds"]
     excess = max(look["excess"] for _, _, look in looks)
-    threshold, least = record["thresholds"]["excess"], record["thresholds"]["covered"]
-    cameras, views = sum(len(item["seen_from"]) for item in objects), record.get("views") or ()
+    contradicting = [view for view in views if view["contradicts"]]
+    carried = (
+        Figure(label="pictures that show what others contradict", words=f"{len(contradicting)} of {len(views)}")
+        if views
+        else Figure(label="Gaussians that carry it", words=f"{record['carrying']:,} of {record['gaussians']:,}")
+    )
     return Section(
+        **shared,
         kind="audit of pictures" if views else "audit of a splat",
-        title=Path(record["file"]).name,
-        done=_done(record, cameras),
-        conclusion=f"{_PLAIN[record['verdict']]} {sentence(first.partition(': ')[2])}",
+        done=_done(record),
+        conclusion=f"{_PLAIN[record['verdict']]} {sentence(record['summary'][0].partition(': ')[2])}",
         headline=Figure(
-            label="verdict", words=record["verdict"], note=f"excess {excess:.4f}; hidden from {threshold:g}"
+            label="verdict",
+            words=record["verdict"],
+            note=f"excess {excess:.4f}; hidden from {thresholds['excess']:g}",
         ),
-        attacked=False,
         figures=(
-            Figure(
-                label="pictures that show what others contradict",
-                words=f"{sum(view['contradicts'] for view in views)} of {len(views)}",
-            )
-            if views
-            else Figure(label="Gaussians that carry it", words=f"{record['carrying']:,} of {record['gaussians']:,}"),
+            carried,
             Figure(label="solid Gaussians near an object that was looked at", words=f"{record['near']:.0%}"),
         ),
         warnings=tuple(_doubts(record)),
         pictures=tuple(_pictures(folder, record)),
-        charts=tuple(
-            chart
-            for numbered in enumerate(objects, 1)
-            for chart in _domes(*numbered, len(objects), least, record.get("up"))
-        ),
-        tables=(
-            _scores(looks),
-            Table.of(
-                "What was judged",
-                {
-                    "object": lambda row: f"object {row[0]}, {row[1]['gaussians']:,} Gaussians",
-                    "verdict": lambda row: row[1]["verdict"],
-                    "middle": lambda row: _numbers(row[1]["centre"]),
-                    "surface that was judged": lambda row: f"{row[1]['area']:.3g} square units",
-                    "surface that nothing contradicts": lambda row: f"{row[1]['uncontradicted']:.3g} square units",
-                },
-                list(enumerate(objects, 1)),
-            ),
-            _covers(objects, least),
-            Table.of(
-                "Pictures that show what others contradict",
-                {"picture": "picture", "amount of the look (0 none, 1 all)": lambda view: f"{view['amount']:.2f}"},
-                [view for view in views if view["contradicts"]],
-            ),
-            _lint(record.get("lint") or ()),
-            _changes(record.get("against") or {}),
-        ),
-        configuration=settings({key: value for key, value in record.items() if key not in _ELSEWHERE}),
-    )
-
-
-def _only_numbers(folder: Path, record: Mapping[str, Any]) -> Section:
-    """The section of a file of which lint alone was asked for, or that could not be looked at."""
-    findings = record.get("lint") or ()
-    count = sum(row["severity"] == "error" for row in findings)
-    return Section(
-        kind="audit of a splat",
-        title=Path(record["file"]).name,
-        done=f"The numbers of {record['file']} were checked; it was {record['summary'][0]}.",
-        conclusion=(
-            "Whether the file hides a look was not looked at. "
-            f"The rules found {plural(count, 'error')} and {plural(len(findings) - count, 'lesser thing')}."
-        ),
-        headline=Figure(label="errors in the numbers", words=str(count)),
-        attacked=False,
-        warnings=[f"{row['rule']}: {row['reason']}" for row in findings if row["severity"] == "error"],
-        pictures=tuple(_overdraw(folder, record)),
-        tables=(_lint(findings),),
-        configuration=settings({key: value for key, value in record.items() if key not in _ELSEWHERE}),
+        charts=tuple(chart for number in range(len(objects)) for chart in _domes(record, number)),
+        tables=(*_tables(record, looks), _lint(findings), _changes(record.get("against") or {})),
     )
 
 
 def _overdraw(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
     """What the splat costs from the worst camera."""
     cost = record.get("cost") or {}
-    if cost.get("overdraw"):
-        worst = cost["overdraw"]
-        yield Picture(
-            path=folder / "overdraw.png",
-            caption=(
-                f"How many Gaussians lie over each other from the worst of {plural(worst['cameras'], 'camera')}: "
-                f"{worst['mean']:,.0f} in the mean, {worst['highest']:,} at most. The fillRatio of splat-transform is "
-                f"{cost['fill_ratio']:.3g}."
-            ),
-            alt="Heat map of the number of Gaussians over each other",
-            large=True,
+    if worst := cost.get("overdraw"):
+        caption = (
+            f"How many Gaussians lie over each other from the worst of {plural(worst['cameras'], 'camera')}: "
+            f"{worst['mean']:,.0f} in the mean, {worst['highest']:,} at most. The fillRatio of splat-transform is "
+            f"{cost['fill_ratio']:.3g}."
         )
+        yield Picture(path=folder / "overdraw.png", caption=caption, large=True)
 
 
-def _done(record: Mapping[str, Any], cameras: int) -> str:
+def _done(record: Mapping[str, Any]) -> str:
     """What was looked at, and how."""
-    many = plural(len(record["objects"]), "object")
-    were = "was" if len(record["objects"]) == 1 else "were"
+    objects, views = record["objects"], record.get("views") or ()
+    many = f"{plural(len(objects), 'object')} {'was' if len(objects) == 1 else 'were'}"
     how = (
         "For each set of directions the colours of the same surface from inside and from outside were compared, and "
         "what honest gloss explains was taken off."
     )
-    if record.get("views"):
-        count = plural(len(record["views"]), "picture")
+    if views:
         return (
-            f"A small splat was trained on {count} of {record['file']} to know where the surface is, and {many} {were} "
-            f"judged by the pictures alone. {how}"
+            f"A small splat was trained on {plural(len(views), 'picture')} of {record['file']} to know where the "
+            f"surface is, and {many} judged by the pictures alone. {how}"
         )
-    return (
-        f"{many} of {record['file']} ({record['gaussians']:,} Gaussians) {were} looked at from "
-        f"{plural(cameras, 'direction')}, with nothing but the file. {how}"
-    )
+    cameras = plural(sum(len(item["seen_from"]) for item in objects), "direction")
+    return f"In {record['file']} ({record['gaussians']:,} Gaussians) {many} looked at from {cameras}. {how}"
 
 
 def _doubts(record: Mapping[str, Any]) -> Iterator[str]:
@@ -188,91 +152,55 @@ def _doubts(record: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _pictures(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
-    """The pairs that prove looks, and the heat."""
+    """The pairs that prove looks, the heat, and what changed since a clean file."""
+    thresholds = record["thresholds"]
     for shown in record["pictures"]:
-        item = record["objects"][shown["object"]]
-        name = f"Object {shown['object'] + 1}"
-        if len(item["looks"]) > 1:
-            name += f", look {shown['look'] + 1}"
-        evidence = item["looks"][shown["look"]]["excess"] / record["thresholds"]["excess"]
-        what = "the look shows" if evidence >= record["thresholds"]["suspicion"] else "colours differ most"
-        yield Picture(
-            path=folder / Path(shown["file"]).name,
-            caption=(
-                f"{name}: the same surface, left from inside of the directions from which {what}, right from outside. "
-                f"The surface that both see differs by {shown['change']:.2f} in the mean (sRGB, 0 to 1)."
-            ),
-            alt=f"{name} from two directions, side by side",
-            large=True,
+        looks = record["objects"][shown["object"]]["looks"]
+        name = f"Object {shown['object'] + 1}" + (f", look {shown['look'] + 1}" if len(looks) > 1 else "")
+        proven = looks[shown["look"]]["excess"] / thresholds["excess"] >= thresholds["suspicion"]
+        caption = (
+            f"{name}: the same surface, left from inside of the directions from which "
+            f"{'the look shows' if proven else 'colours differ most'}, right from outside. The surface that both see "
+            f"differs by {shown['change']:.2f} in the mean (sRGB, 0 to 1)."
         )
-    yield Picture(
-        path=folder / "heat.png",
-        caption=(
-            f"The same two views: the redder a Gaussian, the more of what was found it carries. "
-            f"{record['carrying']:,} of {record['gaussians']:,} carry most of it."
-        ),
-        alt="The splat in grey, with what carries the look in red",
-        large=True,
+        yield Picture(path=folder / Path(shown["file"]).name, caption=caption, large=True)
+    caption = (
+        "The same two views: the redder a Gaussian, the more of what was found it carries. "
+        f"{record['carrying']:,} of {record['gaussians']:,} carry most of it."
     )
+    yield Picture(path=folder / "heat.png", caption=caption, large=True)
     yield from _overdraw(folder, record)
-    if (folder / AGAINST).is_file():
-        yield Picture(
-            path=folder / AGAINST,
-            caption="The two views that changed most: left the clean file, right this one.",
-            alt="The clean splat and this one, side by side",
-            large=True,
-        )
+    caption = "The two views that changed most: left the clean file, right this one."
+    yield Picture(path=folder / AGAINST, caption=caption, large=True)
 
 
-def _domes(
-    number: int, item: Mapping[str, Any], objects: int, least: float, recorded_up: Vector | None
-) -> Iterator[Chart]:
+def _domes(record: Mapping[str, Any], number: int) -> Iterator[Chart]:
     """Which cameras see which look, and which are covered, on the dome of directions above an object's ground."""
-    up = item["up"] or recorded_up or (0.0, 0.0, 1.0)
-    of = "" if objects == 1 else f" of object {number}"
-    where = (
-        "straight above the ground of the object"
-        if item["up"]
-        else "up, as it was said"
-        if recorded_up
-        else "the z axis of the file"
-    )
-    seen = item["seen_from"]
+    item = record["objects"][number]
+    up, seen, count = item["up"] or record.get("up") or (0.0, 0.0, 1.0), item["seen_from"], len(item["looks"])
+    middle = "straight above the ground of the object" if item["up"] else "up"
+    caption = f"A mark is a camera. The middle is {middle}, a ring is 30 degrees, and azimuth 0 is the x axis."
+    of = f" of object {number + 1}" if len(record["objects"]) > 1 else ""
 
-    def chart(title: str, groups: Mapping[str, tuple[Role, Sequence[Any]]]) -> Chart:
-        return Chart(
-            title=title,
-            caption=(
-                f"A mark is a camera. The middle is {where}, a ring is 30 degrees, and azimuth 0 is the x axis of the "
-                "file."
-            ),
-            x_label="azimuth, degrees",
-            y_label="elevation, degrees",
-            lines=tuple(
-                Line(name=name, role=role, points=tuple(Point(*angles(camera["direction"], up)) for camera in cameras))
-                for name, (role, cameras) in groups.items()
-            ),
-            fractions=False,
-            connected=False,
-            dome=True,
-        )
+    def group(role: Role, cameras: Iterable[Any]) -> tuple[Role, list[tuple[float, float]]]:
+        return role, [angles(camera["direction"], up) for camera in cameras]
 
-    count, suspicious = len(item["looks"]), item["verdict"] != "nothing found"
-    none = "see none" if count > 1 else "do not see it"
-    names = [f"see look {number + 1}" if count > 1 else "see the look" for number in range(count)]
-    if not suspicious:
-        names, none = ["inside of the directions that explain most"], "outside"
-    sides: dict[str, tuple[Role, Sequence[Any]]] = {
-        name: ("attack", [camera for camera in seen if index in camera["looks"][:1]])
-        for index, name in enumerate(names)
+    suspicious = item["verdict"] != "nothing found"
+    none = ("see none" if count > 1 else "do not see it") if suspicious else "outside"
+    names = [f"see look {index + 1}" if count > 1 else "see the look" for index in range(count)]
+    sides = {
+        name: group("attack", (camera for camera in seen if index in camera["looks"][:1]))
+        for index, name in enumerate(names if suspicious else ["inside of the directions that explain most"])
     }
-    sides[none] = ("control", [camera for camera in seen if not camera["looks"]])
-    yield chart(f"From where {'a look is seen' if suspicious else 'colours differ most'}{of}", sides)
-    if item["occluder"] is not None and item["occluder"]["score"] >= least:
-        covered, free = (
-            [camera for camera in seen if (camera["blocked"] > BLOCKED) is which] for which in (True, False)
-        )
-        yield chart(f"What covers the object{of}", {"covered": ("other", covered), "not covered": ("control", free)})
+    sides[none] = group("control", (camera for camera in seen if not camera["looks"]))
+    what = "a look is seen" if suspicious else "colours differ most"
+    yield Chart.directions(f"From where {what}{of}", caption, sides)
+    if item["occluder"] is not None and item["occluder"]["score"] >= record["thresholds"]["covered"]:
+        covered = {
+            "covered": group("other", (camera for camera in seen if camera["blocked"] > BLOCKED)),
+            "not covered": group("control", (camera for camera in seen if camera["blocked"] <= BLOCKED)),
+        }
+        yield Chart.directions(f"What covers the object{of}", caption, covered)
 
 
 def angles(direction: Vector, up: Vector) -> tuple[float, float]:
@@ -289,9 +217,9 @@ def _dot(a: Sequence[float], b: Sequence[float]) -> float:
     return math.fsum(x * y for x, y in zip(a, b, strict=True))
 
 
-def _scores(looks: Sequence[tuple[int, int, Mapping[str, Any]]]) -> Table:
-    """Each look beside what gloss would explain of it."""
-    return Table.of(
+def _tables(record: Mapping[str, Any], looks: Sequence[tuple[int, int, Mapping[str, Any]]]) -> Iterator[Table]:
+    """Each look beside what gloss would explain of it, and what was judged of each object."""
+    yield Table.of(
         "How well each explanation fits: what is left when gloss is taken off decides",
         {
             "look": lambda row: f"object {row[0]}" + (f", look {row[1] + 1}" if row[1] else ""),
@@ -305,11 +233,19 @@ def _scores(looks: Sequence[tuple[int, int, Mapping[str, Any]]]) -> Table:
         },
         looks,
     )
-
-
-def _covers(objects: Sequence[Mapping[str, Any]], least: float) -> Table:
-    """What covers objects."""
-    return Table.of(
+    objects, least = list(enumerate(record["objects"], 1)), record["thresholds"]["covered"]
+    yield Table.of(
+        "What was judged",
+        {
+            "object": lambda row: f"object {row[0]}, {row[1]['gaussians']:,} Gaussians",
+            "verdict": lambda row: row[1]["verdict"],
+            "middle": lambda row: _numbers(row[1]["centre"]),
+            "surface that was judged": lambda row: f"{row[1]['area']:.3g} square units",
+            "surface that nothing contradicts": lambda row: f"{row[1]['uncontradicted']:.3g} square units",
+        },
+        objects,
+    )
+    yield Table.of(
         "What covers an object from some directions, while others look through it",
         {
             "object": lambda row: f"object {row[0]}",
@@ -317,7 +253,12 @@ def _covers(objects: Sequence[Mapping[str, Any]], least: float) -> Table:
             "of it, cameras elsewhere look through": lambda row: f"{row[1]['occluder']['transparent']:.0%}",
             "score": lambda row: f"{row[1]['occluder']['score']:.3f}",
         },
-        [row for row in enumerate(objects, 1) if row[1]["occluder"] and row[1]["occluder"]["score"] >= least],
+        [row for row in objects if row[1]["occluder"] and row[1]["occluder"]["score"] >= least],
+    )
+    yield Table.of(
+        "Pictures that show what others contradict",
+        {"picture": "picture", "amount of the look (0 none, 1 all)": lambda view: f"{view['amount']:.2f}"},
+        [view for view in record.get("views") or () if view["contradicts"]],
     )
 
 

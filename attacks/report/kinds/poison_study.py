@@ -8,8 +8,8 @@ from typing import Any
 
 from attacks.observe.rows import ATTACKED, CLEAN
 from attacks.rate import Rate
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Section
-from attacks.report.wording import listed, plain, versions_of
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section
+from attacks.report.wording import listed, plain, pooled, versions_of
 from attacks.studies.poison import PICTURES
 from attacks.studies.poison_figures import summary_tables
 from attacks.studies.poison_jobs import HELD_OUT
@@ -75,8 +75,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
 
 def _rate(lines: Iterable[Value]) -> Rate:
     """How often the object is named rightly, or found, over all values and all who look."""
-    rates = [Rate.of(line["right"]) for line in lines]
-    return Rate(successes=sum(rate.successes for rate in rates), total=sum(rate.total for rate in rates))
+    return pooled(line["right"] for line in lines)
 
 
 def _finds(lines: Sequence[Value]) -> Iterator[Figure]:
@@ -111,24 +110,14 @@ def _caption(path: Path) -> str:
 
 def _seen_chart(title: str, seen: Sequence[Value]) -> Chart:
     values = tuple(dict.fromkeys(line["attack"] for line in seen))
-    rates = {
-        splat: [
-            _rate(entry for entry in seen if (entry["attack"], entry["splat"]) == (value, splat)) for value in values
-        ]
-        for splat in (CLEAN, ATTACKED)
-    }
-    lines = (
-        Line.of(_SHOWN[CLEAN], "control", rates[CLEAN]),
-        Line.of(_SHOWN[ATTACKED], "attack", rates[ATTACKED]),
-    )
-    return Chart(
-        title=title,
-        x_label="what is shown",
-        y_label="pictures",
-        lines=lines,
-        ticks=values,
-        connected=False,
-    )
+
+    def line(splat: str, role: Role) -> Line:
+        of_splat = [entry for entry in seen if entry["splat"] == splat]
+        return Line.of(
+            _SHOWN[splat], role, [_rate(entry for entry in of_splat if entry["attack"] == value) for value in values]
+        )
+
+    return Chart.bars(title, ("what is shown", "pictures"), values, line(CLEAN, "control"), line(ATTACKED, "attack"))
 
 
 def _chart(values: Sequence[Value]) -> Chart:
@@ -138,14 +127,12 @@ def _chart(values: Sequence[Value]) -> Chart:
         for x, spread in enumerate(spreads)
         if spread is not None
     )
-    return Chart(
-        title="Gaussians of the poisoned splat, times the clean one's",
-        x_label="poison",
-        y_label="times",
-        lines=(Line(name="poisoned", role="attack", points=points),),
+    return Chart.bars(
+        "Gaussians of the poisoned splat, times the clean one's",
+        ("poison", "times"),
+        [value["value"] for value in values],
+        Line(name="poisoned", role="attack", points=points),
         caption="Bars go from the least to the most over the seeds.",
-        ticks=tuple(value["value"] for value in values),
         level=(1.0, "clean"),
         fractions=False,
-        connected=False,
     )

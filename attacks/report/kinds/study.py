@@ -138,14 +138,6 @@ def _charts(record: Record) -> Iterator[Chart]:
 
 def _chart(title: str, labels: tuple[str, str], lines: Sequence[Record], key: str, ticks: tuple[str, ...]) -> Chart:
     """Rates of groups or looks beside each other, and those of noise."""
-    return Chart(
-        title=title,
-        x_label=labels[0],
-        y_label=labels[1],
-        lines=(
-            Line.of("attack", "attack", [line[key] for line in lines]),
-            Line.of("random noise", "control", [_noise(line, key) for line in lines]),
-        ),
-        ticks=ticks,
-        connected=False,
-    )
+    attacked = Line.of("attack", "attack", [line[key] for line in lines])
+    noise = Line.of("random noise", "control", [_noise(line, key) for line in lines])
+    return Chart.bars(title, labels, ticks, attacked, noise)

@@ -50,23 +50,35 @@ FEW_DRAWS = 5
 def read(folder: Path, record: Record) -> Section:
     """The section of an attack, from chosen cameras or from all of a region."""
     rate, noise, draws = Rate.of(record["rate"]), Rate.of(record["noise_rate"]), record["noise"]["draws"]
-    needed, budget = record["config"]["required_views"], record["config"].get("image_psnr")
-    drawn, names = "by_azimuth" in record, list(record["rates"])
+    config, names, drawn = record["config"], list(record["rates"]), "by_azimuth" in record
+    needed, budget = config["required_views"], config.get("image_psnr")
+    views, wish, title = (
+        plural(rate.total, "held-out view" if drawn else "view"),
+        _wish(record, 2),
+        _object_name(record),
+    )
+    radii = ", ".join(f"{eps:g} over {name}" for name, eps in record["radius"].items())
+    ball = f"a ball ({record['norm']}: {radii})"
+    conclusion = [
+        f"The attack {'succeeded' if record['success'] else 'failed'}: within {ball} it made {listed(names)} {wish} on "
+        f"the object in {rate.successes} of {views}, where {percent(needed)} are asked for.",
+        f"Random noise of the same size: {noise.counts}." if noise.total else "",
+        f"In the first view {_change(record['views'][0], record['target'])}.",
+        "This says nothing of other cameras, detectors or renderers.",
+    ]
     return Section(
         kind=f"DAGGER, from {'all cameras of a region' if drawn else 'chosen cameras'}",
-        title=f"{_object_name(record)} {_wish(record, 1)}{', all cameras' if drawn else ''}",
+        title=f"{title} {_wish(record, 1)}{', all cameras' if drawn else ''}",
         done=(
-            f"The Gaussians of one object ({_object_name(record)}: {record['object_gaussians']:,} Gaussians, of which "
-            f"{record['changed_gaussians']:,} changed) were moved within {_ball(record)}"
+            f"The Gaussians of one object ({title}: {record['object_gaussians']:,} Gaussians, of which "
+            f"{record['changed_gaussians']:,} changed) were moved within {ball}"
             f"{'' if budget is None else f', while the pictures keep {budget:g} dB'}, in at most "
-            f"{plural(record['config']['steps'], 'step')}{' over random cameras of a region' if drawn else ''}, to "
-            f"make {listed(names)} {_wish(record, 2)}. The attacker knows the weights. {plural(rate.total, 'view')} "
-            f"{'that the search has never seen ' if drawn else ''}judged the saved file, rendered again, in 8-bit "
-            "pictures."
+            f"{plural(config['steps'], 'step')}. The attacker knows the weights. {views} "
+            f"{'that the search has never seen ' if drawn else ''}judged the saved file in 8-bit pictures."
         ),
-        conclusion=_conclusion(record, plural(rate.total, "held-out view" if drawn else "view")),
+        conclusion=" ".join(filter(None, conclusion)),
         headline=Figure(
-            label=f"{'held-out ' if drawn else ''}views with the aim reached: {_wish(record, 2)}",
+            label=f"{'held-out ' if drawn else ''}views with the aim reached: {wish}",
             rate=rate,
             note=f"{'confidence' if record['target'] else 'score'} {percent(record['score'])}",
         ),
@@ -91,26 +103,12 @@ def read(folder: Path, record: Record) -> Section:
         ),
         configuration=settings(
             {
-                **record["config"],
+                **config,
                 **{name: record[name] for name in _CONDITIONS if name in record},
                 "weights": {judged["detector"]: judged["detector_fingerprint"] for judged in record["detectors"]},
             }
         ),
     )
-
-
-def _conclusion(record: Record, views: str) -> str:
-    """Whether the attack succeeded, in how many of all views, and what it changed."""
-    rate, noise = Rate.of(record["rate"]), Rate.of(record["noise_rate"])
-    parts = [
-        f"The attack {'succeeded' if record['success'] else 'failed'}: within {_ball(record)} it made "
-        f"{listed(list(record['rates']))} {_wish(record, 2)} on the object in {rate.successes} of {views}, where "
-        f"{percent(record['config']['required_views'])} are asked for.",
-        f"Random noise of the same size: {noise.counts}." if noise.total else "",
-        f"In the first view {_change(record['views'][0], record['target'])}.",
-        "This says nothing of other cameras, detectors or renderers.",
-    ]
-    return " ".join(filter(None, parts))
 
 
 def _object_name(record: Record) -> str:
@@ -128,12 +126,6 @@ def _wish(record: Record, part: int) -> str:
     name = record["objective"]
     words = _AIMS[name][part] if name in _AIMS else ("", f"to its aim, {name}", f"reach its aim, {name},")[part]
     return str(words).format(record["target"])
-
-
-def _ball(record: Record) -> str:
-    """The budget in words."""
-    radii = ", ".join(f"{eps:g} over {name}" for name, eps in record["radius"].items())
-    return f"a ball ({record['norm']}: {radii})"
 
 
 def _change(view: Record, target: str | None) -> str:

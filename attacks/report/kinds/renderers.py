@@ -94,31 +94,27 @@ def _doubts(record: Record) -> Iterator[str]:
 
 def _charts(record: Record) -> Iterator[Chart]:
     timed = {name: method for name, method in record["methods"].items() if method["picture"] is not None}
-    yield Chart(
-        title="Do the gradients point the same way?",
-        caption="1 is the same direction, 0 says that one knows nothing of the other.",
-        x_label="attribute",
-        y_label="cosine",
-        lines=tuple(
+    yield Chart.bars(
+        "Do the gradients point the same way?",
+        ("attribute", "cosine"),
+        ATTRIBUTES,
+        *(
             Line.of(_named(pair), "other", [pair["gradients"][name]["cosine"] for name in ATTRIBUTES])
             for pair in _with_gradients(record)
         ),
-        ticks=ATTRIBUTES,
+        caption="1 is the same direction, 0 says that one knows nothing of the other.",
         fractions=False,
-        connected=False,
     )
-    yield Chart(
-        title=f"Time of a picture, {next(iter(timed), '')} = 1",
-        caption="Medians of the ratios within a round; compiling is not in it.",
-        x_label="method",
-        y_label="times the first",
-        lines=tuple(
+    yield Chart.bars(
+        f"Time of a picture, {next(iter(timed), '')} = 1",
+        ("method", "times the first"),
+        timed,
+        *(
             Line.of(words, "other", [method[kind] and method[kind]["ratio"] for method in timed.values()])
             for words, kind in _KINDS.items()
         ),
-        ticks=tuple(timed),
+        caption="Medians of the ratios within a round; compiling is not in it.",
         fractions=False,
-        connected=False,
     )
 
 

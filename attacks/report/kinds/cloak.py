@@ -46,9 +46,9 @@ from attacks.observe.rows import (
 from attacks.observe.views import BATCH, ViewDetections
 from attacks.rate import Rate, percent
 from attacks.report.checking import Tables
+from attacks.report.kinds.thresholds import threshold_charts
 from attacks.report.rescoring import Rescoring
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section
-from attacks.report.stories.thresholds import threshold_charts
 from attacks.report.wording import listed, plural, rate_of, settings
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError
@@ -87,13 +87,11 @@ def read(folder: Path, summary: Mapping[str, Any]) -> Section:
             Picture(
                 path=folder / CONTACT,
                 caption="Both splats with what the first detector reports: two rows over elevations, two around it.",
-                alt=f"Pictures of {study['scene']['object']} in rows, clean above cloaked",
                 wide=True,
             ),
             Picture(
                 path=folder / POISONED_PICTURES,
                 caption="Six training pictures of each attack, clean above poisoned: what the victim trains on.",
-                alt=f"Training pictures of {study['scene']['object']}, clean above poisoned",
                 wide=True,
             ),
         ),
@@ -135,20 +133,16 @@ def figures(record: Mapping[str, Any], tables: Tables) -> Mapping[str, Any]:
     """Every figure of a study, of its rows."""
     study = study_of(record["study"])
     _check_rows(study, record["splats"], tables)
-    derived = study_figures(study, tables, record["splats"])
-    return _known(derived, record)
-
-
-_LATER = (OWN_REGION, AT_LOWER, MARGIN)
-"""Figures that results of before they were counted do not have."""
+    return _known(study_figures(study, tables, record["splats"]), record)
 
 
 def _known(derived: Mapping[str, Any], record: Mapping[str, Any]) -> dict[str, Any]:
     """The figures that a result has, which may have been written before some were counted."""
+    later = (OWN_REGION, AT_LOWER, MARGIN)
     return {
         name: _known(value, record) if name == "pictures" else value
         for name, value in derived.items()
-        if name not in _LATER or name in record
+        if name not in later or name in record
     }
 
 
@@ -295,27 +289,29 @@ def _doubts(summary: Mapping[str, Any]) -> Iterator[str]:
 def _elevation(summary: Mapping[str, Any], detector: str) -> Chart:
     """How often a detector finds the object, by elevation, on both splats."""
     hiding = next((attack for attack in summary["study"]["attack"] if attack["azimuth"] is None), None)
-    shade = None if hiding is None else (*hiding["elevation"], f"trigger {hiding['name']}")
-
-    def line(told: Mapping[str, Any], which: str, name: str, role: Role) -> Line:
-        rows = [row for row in told["by_elevation"][detector] if row[which]["total"]]
-        points = tuple(Point.of((row["from"] + row["to"]) / 2, Rate.of(row[which])) for row in rows)
-        return Line(name=name, role=role, points=points)
-
     pictures = summary.get("pictures")
+    several: list[tuple[Mapping[str, Any] | None, str, str, Role]] = [
+        (summary, "cloaked", "cloaked", "attack"),
+        (summary, "clean", "clean (control)", "control"),
+        (pictures, "clean", "path traced, as it is", "other"),
+        (pictures, "cloaked", "path traced, as the attacks want it", "other"),
+    ]
+
+    def points(counted: Mapping[str, Any], which: str) -> tuple[Point, ...]:
+        rows = [row for row in counted["by_elevation"][detector] if row[which]["total"]]
+        return tuple(Point.of((row["from"] + row["to"]) / 2, Rate.of(row[which])) for row in rows)
 
     return Chart(
         title=f"Found by {detector}, by elevation",
         caption="Bands are 95 % intervals; cameras of attacks from one side are left out.",
         x_label="elevation of the camera, degrees",
         y_label="views in which it is found",
-        lines=(
-            line(summary, "cloaked", "cloaked", "attack"),
-            line(summary, "clean", "clean (control)", "control"),
-            *([line(pictures, "clean", "path traced, as it is", "other")] if pictures else []),
-            *([line(pictures, "cloaked", "path traced, as the attacks want it", "other")] if pictures else []),
+        lines=tuple(
+            Line(name=name, role=role, points=points(counted, which))
+            for counted, which, name, role in several
+            if counted
         ),
-        shade=shade,
+        shade=None if hiding is None else (*hiding["elevation"], f"trigger {hiding['name']}"),
     )
 
 

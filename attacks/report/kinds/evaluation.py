@@ -11,8 +11,8 @@ from attacks.observe.measures import comparison_measures
 from attacks.observe.rows import ROWS
 from attacks.rate import Rate
 from attacks.report.checking import Tables
+from attacks.report.kinds.thresholds import threshold_charts
 from attacks.report.section import Chart, Figure, Line, Picture, Role, Section
-from attacks.report.stories.thresholds import threshold_charts
 from attacks.report.wording import listed, number, plural, settings
 from attacks.tables import Table
 
@@ -110,17 +110,13 @@ def _headline(name: str, judged: Mapping[str, Any]) -> tuple[Figure, Figure]:
 
 def _by_detector(rates: Sequence[Mapping[str, Any]], *, targeted: bool) -> Chart:
     """How often each detector reports the target, or else finds the object."""
-    aim, title = ("target", "Target reported") if targeted else ("found", "Object found")
-    return Chart(
-        title=f"{title}, by detector",
-        x_label="detector",
-        y_label="views",
-        lines=(
-            Line.of("attacked", "attack", [judged.get(f"{aim}_attacked") for judged in rates]),
-            Line.of("clean (control)", "control", [judged.get(f"{aim}_clean") for judged in rates]),
-        ),
-        ticks=tuple(judged["detector"] for judged in rates),
-        connected=False,
+    key, title = ("target", "Target reported") if targeted else ("found", "Object found")
+    return Chart.bars(
+        f"{title}, by detector",
+        ("detector", "views"),
+        [judged["detector"] for judged in rates],
+        Line.of("attacked", "attack", [judged.get(f"{key}_attacked") for judged in rates]),
+        Line.of("clean (control)", "control", [judged.get(f"{key}_clean") for judged in rates]),
     )
 
 
