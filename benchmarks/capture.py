@@ -9,8 +9,7 @@ from collections.abc import Callable
 import mitsuba as mi
 
 from mi_splat.cameras import Camera, orbit_pose
-from mi_splat.capture.mitsuba_meshes import FEW_PICTURES, MANY_PICTURES, tracing_variant
-from mi_splat.capture.path_tracer import PathTracer
+from mi_splat.capture.path_tracer import FEW_PICTURES, MANY_PICTURES, PathTracer, tracing_variant
 from mi_splat.capture.sources import open_source
 
 SIZE, SAMPLES = 256, 32

@@ -79,7 +79,7 @@ def chromium() -> Iterator[Any]:
 @pytest.fixture
 def scalar() -> Iterator[None]:
     """Mitsuba's scalar variant for a whole test of few pictures, which compiles nothing."""
-    from mi_splat.capture.mitsuba_meshes import FEW_PICTURES, tracing_variant
+    from mi_splat.capture.path_tracer import FEW_PICTURES, tracing_variant
 
     with tracing_variant(FEW_PICTURES):
         yield

@@ -94,7 +94,7 @@ def _reports(source: Path, detectors: Callable[[], list[Detector]], view: Camera
 
     from attacks.observe.views import detect_views
     from mi_splat.cli.cameras import find_cameras, renderer_of
-    from mi_splat.datasets.pictures import read_picture
+    from mi_splat.datasets.frames import read_picture
     from mi_splat.io.camera_records import describe
     from mi_splat.scene_files import open_scene
 
@@ -131,6 +131,6 @@ def _given(view: CameraOptions) -> dict[str, Any]:
 
 
 def _is_picture(source: Path) -> bool:
-    from mi_splat.datasets.pictures import SUFFIXES
+    from mi_splat.datasets.frames import SUFFIXES
 
     return source.suffix.lower() in SUFFIXES

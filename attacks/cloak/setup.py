@@ -19,8 +19,8 @@ from attacks.cloak.mesh_scene import MeshScene
 from attacks.cloak.poisoning import Poisoning
 from mi_splat.assets import build
 from mi_splat.assets.daylight import Light
-from mi_splat.assets.ground import square_of_ground
 from mi_splat.assets.mesh import Asset, translation
+from mi_splat.assets.textures import square_of_ground
 from mi_splat.bounds import near_plane_of
 from mi_splat.camera_sets import HELD_OUT_START, framing, orbit, tiers
 from mi_splat.cameras import Camera, project_box

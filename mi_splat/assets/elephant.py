@@ -5,9 +5,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mi_splat.assets.implicit import Blob, Doubles, Layer, chain, cone, ellipsoid
 from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, scaling, transform, translation
-from mi_splat.assets.organic import Noise, blade, body, grounded, mix, spot
+from mi_splat.assets.organic import (
+    Blob,
+    Doubles,
+    Layer,
+    Noise,
+    blade,
+    body,
+    chain,
+    cone,
+    ellipsoid,
+    grounded,
+    mix,
+    spot,
+)
 from mi_splat.assets.primitives import ellipsoid as ball
 from mi_splat.assets.primitives import sweep
 

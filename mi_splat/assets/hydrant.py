@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mi_splat.assets.mesh import Asset, Mesh, rotation, transform, translation
-from mi_splat.assets.outlines import regular_polygon
-from mi_splat.assets.primitives import ellipsoid, extrude, lathe
+from mi_splat.assets.primitives import ellipsoid, extrude, lathe, regular_polygon
 
 PAINTS = ((0.72, 0.08, 0.06), (0.88, 0.66, 0.06), (0.86, 0.3, 0.06), (0.68, 0.1, 0.1))
 

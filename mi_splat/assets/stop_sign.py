@@ -4,8 +4,7 @@ import numpy as np
 
 from mi_splat.assets import textures
 from mi_splat.assets.mesh import Asset, rotation, transform, translation
-from mi_splat.assets.outlines import regular_polygon, rounded_rectangle
-from mi_splat.assets.primitives import box, ellipsoid, extrude, lathe, sweep
+from mi_splat.assets.primitives import box, ellipsoid, extrude, lathe, regular_polygon, rounded_rectangle, sweep
 
 STEEL = (0.55, 0.56, 0.57)
 

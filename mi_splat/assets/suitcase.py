@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from mi_splat.assets import textures
 from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, transform, translation
-from mi_splat.assets.outlines import rounded_rectangle
-from mi_splat.assets.primitives import box, lathe, loft, sweep
+from mi_splat.assets.primitives import box, lathe, loft, rounded_rectangle, sweep
 
 SHELLS = (
     (0.1, 0.35, 0.6), (0.75, 0.1, 0.14), (0.08, 0.08, 0.09), (0.6, 0.62, 0.64), (0.9, 0.55, 0.1), (0.1, 0.5, 0.45),

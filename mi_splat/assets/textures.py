@@ -2,12 +2,13 @@
 
 import itertools
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mi_splat.assets.mesh import Floats
-from mi_splat.assets.outlines import Points, regular_polygon, strokes
+from mi_splat.assets.mesh import Asset, Floats
+from mi_splat.assets.primitives import Points, regular_polygon, sheet, strokes
 
 Field = NDArray[np.float64]
 
@@ -233,3 +234,19 @@ def football(size: int = 256, seed: int = 0) -> Floats:
     shade = 0.45 + 0.55 * np.clip(normal @ np.array([-0.35, 0.5, 0.79]), 0, 1)
     paint(picture, cover(radius - 1, 2 / size), (ball * shade[..., None]).astype(np.float32))
     return np.asarray(np.clip(picture, 0, 1), np.float32)
+
+
+Kind = Literal["road", "grass", "asphalt"]
+
+
+def square_of_ground(
+    kind: Kind, *, side: float, tile: float, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Asset:
+    """A flat square with a texture."""
+    (x, y, z), half, repeat = centre, side / 2, side / tile
+    corners = [[[x - half, y - half, z], [x + half, y - half, z]], [[x - half, y + half, z], [x + half, y + half, z]]]
+    if kind == "asphalt":
+        texture, repeat = road(round(256 * repeat), 0, markings=False), 1.0
+    else:
+        texture = road(256, 0, markings=False) if kind == "road" else grass(256, 0)
+    return Asset("ground", (sheet(corners, texture, repeat=(repeat, repeat), smooth=False),))

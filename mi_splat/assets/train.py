@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, transform, translation
-from mi_splat.assets.outlines import Points, smooth_interpolate
-from mi_splat.assets.primitives import box, ellipsoid, lathe, loft, sweep
+from mi_splat.assets.primitives import Points, box, ellipsoid, lathe, loft, smooth_interpolate, sweep
 
 LIVERIES = (
     ((0.7, 0.07, 0.08), (0.93, 0.92, 0.88)),

@@ -4,8 +4,7 @@ import numpy as np
 
 from mi_splat.assets import textures
 from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, transform, translation
-from mi_splat.assets.outlines import rounded_rectangle
-from mi_splat.assets.primitives import box, loft, quad, sweep
+from mi_splat.assets.primitives import box, loft, quad, rounded_rectangle, sweep
 
 
 def _landscape(rng: np.random.Generator) -> Floats:

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from mi_splat.assets.mesh import Asset, Mesh
 from mi_splat.capture.gltf import GltfError, gltf_notes
-from mi_splat.capture.mesh_colours import Surface, coloured
-from mi_splat.capture.mesh_materials import MeshFileNotes, obj_notes, ply_notes, resolver
+from mi_splat.capture.mesh_materials import MeshFileNotes, Surface, coloured, obj_notes, ply_notes, resolver
 from mi_splat.capture.settings import Front, MeshSettings
 from mi_splat.errors import InvalidValueError, MiSplatError, install
 from mi_splat.io.picture_files import pixels_bounded

@@ -7,8 +7,10 @@ picture, on any number of threads.
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,21 +20,191 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mi_splat.assets.daylight import Light, daylight
-from mi_splat.assets.mesh import Floats
-from mi_splat.assets.srgb import to_linear, to_srgb
+from mi_splat.assets.daylight import Light, daylight, sky_map
+from mi_splat.assets.mesh import Asset, Floats, Mesh, to_linear, to_srgb
 from mi_splat.cameras import Camera, View
-from mi_splat.capture.mitsuba_meshes import (
-    MAX_DEPTH,
-    corner_normals,
-    load_scene,
-    made_in,
-    scene_dict,
-    shapes,
-    tracing_variant,
-)
 from mi_splat.errors import InvalidValueError
+from mi_splat.io.picture_files import check_texture
+from mi_splat.llvm import prepare_llvm
+from mi_splat.mitsuba_setup import set_up_mitsuba
 from mi_splat.plugins.sensor import sensor_dict
+from mi_splat.scene_files import load_mitsuba_scene
+
+MANY_PICTURES = "llvm_ad_rgb"
+"""Variant that traces a whole picture at once: five times as fast, after half a second of compiling for each scene."""
+FEW_PICTURES = "scalar_rgb"
+"""Variant that compiles nothing."""
+MAX_DEPTH = 3
+"""Bounces followed by the path tracer, the camera's own ray included."""
+
+_chosen: ContextVar[str | None] = ContextVar("_chosen", default=None)
+
+
+@contextlib.contextmanager
+def tracing_variant(variant: str | None = None) -> Iterator[None]:
+    """Have Mitsuba use the variant that path traces inside of a `with` block, and the earlier one after it.
+
+    Mitsuba loads its Python modules again for another variant, 0.2 s each time. Every function here switches by itself;
+    around many calls, one more switch outside makes theirs free. A scene belongs to the variant that it was made in.
+    """
+    wanted = variant or _chosen.get() or MANY_PICTURES
+    if wanted == MANY_PICTURES:
+        prepare_llvm()
+    token, previous = _chosen.set(wanted), mi.variant()
+    set_up_mitsuba()
+    if previous != wanted:
+        mi.set_variant(wanted)
+    try:
+        yield
+    finally:
+        _chosen.reset(token)
+        if previous is not None and previous != wanted:
+            mi.set_variant(previous)
+
+
+def made_in(scene: dict[str, Any] | Path) -> str | None:
+    """The variant that a scene's objects were made in, in which alone they can be traced; None if it has none yet."""
+    parts = scene.values() if isinstance(scene, dict) else ()
+    return next((part.variant_name() for part in parts if hasattr(part, "variant_name")), None)
+
+
+def load_scene(scene: dict[str, Any] | Path) -> mi.Scene:
+    """A scene dictionary or a Mitsuba XML file as a scene of the variant that is set."""
+    if isinstance(scene, dict):
+        return mi.load_dict(scene)
+    return load_mitsuba_scene(scene)
+
+
+def corner_normals(mesh: Mesh, *, crease: float = 38.0) -> Floats:
+    """(F, 3, 3) shading normal of each corner: mean of the faces around that meet under less than `crease` degrees."""
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = area / np.maximum(np.linalg.norm(area, axis=1, keepdims=True), 1e-20)
+    if not mesh.smooth:
+        return np.repeat(flat[:, None], 3, 1).astype(np.float32)
+    keys = np.round(corners.reshape(-1, 3) * 1e5).astype(np.int64)
+    _, point, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(point.ravel(), kind="stable")
+    start = np.cumsum(counts) - counts
+    sharing = counts[point.ravel()]  # how many corners lie at this corner's point
+    corner = np.repeat(np.arange(len(sharing)), sharing)
+    rank = np.arange(len(corner)) - np.repeat(np.cumsum(sharing) - sharing, sharing)
+    neighbours = order[start[point.ravel()[corner]] + rank]
+    near = np.einsum("ij,ij->i", flat[corner // 3], flat[neighbours // 3]) > math.cos(math.radians(crease))
+    total = np.zeros((len(sharing), 3))
+    for axis in range(3):
+        total[:, axis] = np.bincount(corner[near], area[neighbours[near] // 3, axis], minlength=len(sharing))
+    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)
+    return total.reshape(-1, 3, 3).astype(np.float32)
+
+
+def _material(texture: Floats, roughness: float | None, *, palette: bool) -> dict[str, Any]:
+    """A Mitsuba BSDF; the colours of a palette are not blended into each other."""
+    reflectance = {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(to_linear(texture)),
+        "raw": True,
+        "wrap_mode": "repeat",
+        "filter_type": "nearest" if palette else "bilinear",
+    }
+    if roughness is None:
+        return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
+    plastic = {"type": "roughplastic", "alpha": roughness, "diffuse_reflectance": reflectance, "nonlinear": True}
+    return {"type": "twosided", "bsdf": plastic}
+
+
+def _is_plain(mesh: Mesh) -> bool:
+    return mesh.texture.shape[:2] == (1, 1)
+
+
+def _shape(name: str, meshes: Sequence[Mesh]) -> mi.Mesh:
+    """One Mitsuba mesh of parts that share roughness and texture, or that are all of plain colours (one palette)."""
+    texture, uvs = meshes[0].texture, [mesh.uvs[mesh.faces].reshape(-1, 2) for mesh in meshes]
+    plain = _is_plain(meshes[0])
+    if plain:
+        texture = np.concatenate([mesh.texture for mesh in meshes], axis=1)
+        uvs = [np.broadcast_to(((i + 0.5) / len(meshes), 0.5), uv.shape) for i, uv in enumerate(uvs)]
+    properties = mi.Properties()
+    properties["mesh_bsdf"] = mi.load_dict(_material(texture, meshes[0].roughness, palette=plain))
+    corners = sum(mesh.faces.size for mesh in meshes)
+    shape = mi.Mesh(name, corners, corners // 3, properties, has_vertex_normals=True, has_vertex_texcoords=True)
+    shape.set_id(name)
+    values = mi.traverse(shape)
+    values["vertex_positions"] = np.concatenate([mesh.vertices[mesh.faces].ravel() for mesh in meshes])
+    values["vertex_normals"] = np.concatenate([corner_normals(mesh).ravel() for mesh in meshes])
+    values["vertex_texcoords"] = (
+        (np.concatenate(uvs) * (1, -1) + (0, 1)).astype(np.float32).ravel()
+    )  # v runs down there
+    values["faces"] = np.arange(corners, dtype=np.uint32)
+    values.update()
+    return shape
+
+
+def shapes(asset: Asset, prefix: str) -> dict[str, Any]:
+    """Mitsuba meshes of an asset by id (prefix_0, prefix_1, ...), its parts gathered by material.
+
+    They belong to the variant that is set, which has to be that of the scene they go into.
+    """
+    groups: dict[tuple[bytes | None, tuple[int, ...], float | None], list[Mesh]] = {}
+    for mesh in asset.meshes:
+        texture = None if _is_plain(mesh) else mesh.texture.tobytes()
+        groups.setdefault((texture, mesh.texture.shape, mesh.roughness), []).append(mesh)
+    return {f"{prefix}_{i}": _shape(f"{prefix}_{i}", meshes) for i, meshes in enumerate(groups.values())}
+
+
+def scene_dict(
+    assets: Sequence[Asset],
+    *,
+    light: Light | None = None,
+    backdrop: Asset | None = None,
+    environment: Floats | None = None,
+) -> dict[str, Any]:
+    """A Mitsuba scene, without a sensor, of `assets` in daylight; the scene belongs to the variant that traces."""
+    light = Light() if light is None else light
+    azimuth, elevation = math.radians(light.sun_azimuth), math.radians(light.sun_elevation)
+    to_sun = [
+        math.cos(elevation) * math.cos(azimuth),
+        math.cos(elevation) * math.sin(azimuth),
+        math.sin(elevation),
+    ]
+    with tracing_variant():
+        scene: dict[str, Any] = {"type": "scene", "integrator": {"type": "path", "max_depth": MAX_DEPTH}}
+        for number, asset in enumerate(assets):
+            scene |= shapes(asset, f"object{number}")
+        if backdrop is not None:
+            scene |= shapes(backdrop, "backdrop")
+        upright = mi.ScalarTransform4f().rotate([1, 0, 0], 90)
+        sky = sky_map(light) if environment is None else environment
+        scene["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(sky), "to_world": upright}
+        if light.sun_strength > 0:
+            irradiance = [light.sun_strength * c for c in light.sun_colour]
+            scene["sun"] = {
+                "type": "directional",
+                "direction": [-c for c in to_sun],
+                "irradiance": {"type": "rgb", "value": irradiance},
+            }
+    return scene
+
+
+def read_environment(path: Path) -> Floats:
+    """(h, w, 3) float32 linear RGB of an environment map."""
+    expected = "an OpenEXR (.exr) or Radiance (.hdr) picture"
+    if path.suffix.lower() not in (".exr", ".hdr") or not path.is_file():
+        got = f"no file {path}" if path.suffix.lower() in (".exr", ".hdr") else str(path)
+        raise InvalidValueError.of("environment", expected, got, "check the path")
+    check_texture(path, f"environment {path}")
+    with tracing_variant():
+        try:
+            bitmap = mi.Bitmap(str(path)).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False)
+        except RuntimeError as error:  # what Mitsuba raises for everything
+            got = " ".join(str(error).split())[-200:]
+            raise InvalidValueError.of(f"environment {path}", expected, got, "write it again") from error
+        values = np.array(bitmap, np.float32)
+    if not (np.isfinite(values).all() and values.min() >= 0 and min(values.shape[:2]) >= 2):
+        got = "others, or fewer than 2 x 2"
+        raise InvalidValueError.of(f"environment {path}", "finite values >= 0", got, "write it again")
+    return values
+
 
 BRIGHTEST = 1.6
 """Intensity at which each pass of a picture is clipped."""

@@ -15,8 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.datasets.errors import DatasetError
-from mi_splat.datasets.pictures import picture_size, read_picture
+from mi_splat.datasets.frames import DatasetError, picture_size, read_picture
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.documents import file_name
 from mi_splat.io.pictures import PICTURES

@@ -14,9 +14,10 @@ from torch import Tensor
 from mi_splat.cameras import Camera
 from mi_splat.datasets.colmap_files import MODELS, ONE_FOCAL, TWO_FOCALS, Lens, Model, Pose, read_model, unreadable
 from mi_splat.datasets.distortion import Intrinsics
-from mi_splat.datasets.errors import DatasetError, DatasetWarning
 from mi_splat.datasets.frames import (
     HELD_OUT,
+    DatasetError,
+    DatasetWarning,
     Frame,
     Split,
     find_mask,

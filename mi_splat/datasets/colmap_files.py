@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 
-from mi_splat.datasets.errors import DatasetError
+from mi_splat.datasets.frames import DatasetError
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
 

@@ -17,9 +17,7 @@ from torch import Tensor
 from mi_splat.cameras import Camera, View, ViewSet
 from mi_splat.datasets.colmap import find_model, read_colmap
 from mi_splat.datasets.distortion import Intrinsics, undistorted
-from mi_splat.datasets.errors import DatasetError
-from mi_splat.datasets.frames import HELD_OUT, Frame, Split, downscaled
-from mi_splat.datasets.pictures import read_mask, read_picture
+from mi_splat.datasets.frames import HELD_OUT, DatasetError, Frame, Split, downscaled, read_mask, read_picture
 from mi_splat.datasets.transforms import PARTS, SINGLE, find_transforms, read_transforms
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import sha256

@@ -22,9 +22,8 @@ from mi_splat.io.picture_files import load_picture
 from mi_splat.io.pictures import save_picture
 from mi_splat.labels import write_label
 from mi_splat.preparation.config import PreparationError, PrepareConfig
-from mi_splat.preparation.pictures import Picture, Told, pictures_in, take_frames, take_photographs
+from mi_splat.preparation.pictures import Picture, Told, check_video, pictures_in, take_frames, take_photographs
 from mi_splat.preparation.reconstruction import Reconstruct, Reconstruction, by_colmap, check_colmap
-from mi_splat.preparation.video import check_video
 
 RECORD = "prepare.json"
 """What was placed and what was not; by it a set that was prepared is known."""

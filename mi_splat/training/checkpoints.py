@@ -20,8 +20,7 @@ from mi_splat.io.noted_tensors import NOTES, check_like, described, read_line, r
 from mi_splat.io.parsing import DocumentReader, Fields
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
-from mi_splat.training.exposure import Exposures
-from mi_splat.training.state import Progress, TrainState
+from mi_splat.training.state import Exposures, Progress, TrainState
 from mi_splat.training.strategies import strategy_config, strategy_name
 
 FORMAT = 3

@@ -28,8 +28,17 @@ from mi_splat.assets import build, street
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.assets.primitives import ellipsoid
 from mi_splat.cameras import Camera, RenderFn, View, orbit_pose, project_points
-from mi_splat.capture.mitsuba_meshes import FEW_PICTURES, tracing_variant
-from mi_splat.capture.path_tracer import Light, capture, daylight, depth_maps, in_front, scene_dict, shapes
+from mi_splat.capture.path_tracer import (
+    FEW_PICTURES,
+    Light,
+    capture,
+    daylight,
+    depth_maps,
+    in_front,
+    scene_dict,
+    shapes,
+    tracing_variant,
+)
 from mi_splat.capture.surface_points import nearness, surface_samples
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError

@@ -4,22 +4,16 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from mi_splat.assets import bird, elephant, person, plumage
-from mi_splat.assets.implicit import Layer, above, cone, ellipsoid, normals, surface
-from mi_splat.assets.mesh import Asset, Floats
-from mi_splat.assets.organic import Noise, blade, body
+from mi_splat.assets import bird, elephant, person
+from mi_splat.assets.mesh import Asset
+from mi_splat.assets.organic import Noise
 from tests.assets.test_assets import volume
 
 BUILDERS: dict[str, Callable[[int], Asset]] = {"person": person.build, "elephant": elephant.build, "bird": bird.build}
 SEEDS = range(3)
 HEIGHTS = {"person": (1.45, 2.3), "elephant": (2.4, 3.5), "bird": (0.1, 0.5)}
 LENGTHS = {"person": (0.2, 1.6), "elephant": (3.0, 5.8), "bird": (0.14, 0.62)}
-
-
-def ball(radius: float, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Layer:
-    return Layer((ellipsoid(centre, (radius,) * 3),), 0.01)
 
 
 @pytest.fixture(scope="module", params=sorted(BUILDERS))
@@ -76,51 +70,11 @@ def test_elephants_carry_the_head_in_front() -> None:
         assert left.vertices[:, 0].mean() > -0.5
 
 
-@pytest.mark.parametrize("kind", sorted(plumage.SPECIES))
+@pytest.mark.parametrize("kind", sorted(bird.SPECIES))
 def test_every_species_occurs(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mi_splat.assets.bird.SPECIES", {kind: plumage.SPECIES[kind]})
+    monkeypatch.setattr("mi_splat.assets.bird.SPECIES", {kind: bird.SPECIES[kind]})
     asset = bird.build(3)
     assert 0.1 < asset.bounds[1, 2] < 0.5
-
-
-def test_surface_of_a_ball() -> None:
-    vertices, quads = surface([ball(0.5, (0.1, -0.2, 0.3))], 0.05)
-    offset = vertices - np.array((0.1, -0.2, 0.3))
-    radius = np.linalg.norm(offset, axis=1)
-    np.testing.assert_allclose(radius, 0.5, atol=0.012)
-    assert (np.einsum("ij,ij->i", normals(vertices, quads), offset) > 0.45).all()
-    edges = np.sort(np.concatenate([quads[:, [i, (i + 1) % 4]] for i in range(4)]), axis=1)
-    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()
-
-
-def test_body_volume_and_colours_by_layer() -> None:
-    def paint(points: Floats, layer: NDArray[np.int64]) -> Floats:
-        return np.where(layer[:, None] == 0, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)).astype(np.float32)
-
-    mesh = body([ball(0.3), ball(0.2, (0.8, 0, 0))], 0.04, paint)
-    assert volume(mesh) == pytest.approx(4 / 3 * np.pi * (0.3**3 + 0.2**3), rel=0.03)
-    height, width = mesh.texture.shape[:2]
-    pixel = (mesh.uvs * (width, -height) + (0, height)).astype(int)
-    colour = mesh.texture[pixel[:, 1], pixel[:, 0]]
-    near = mesh.vertices[:, 0] < 0.45
-    np.testing.assert_array_equal(colour[near], np.broadcast_to((1, 0, 0), (near.sum(), 3)))
-    np.testing.assert_array_equal(colour[~near], np.broadcast_to((0, 0, 1), ((~near).sum(), 3)))
-
-
-def test_blobs_melt_and_are_cut() -> None:
-    pair = (ellipsoid((0, 0, 0.5), (0.2,) * 3), ellipsoid((0.38, 0, 0.5), (0.2,) * 3))
-    apart, melted = (surface([Layer(pair, blend)], 0.03)[0] for blend in (0.001, 0.2))
-    waist = [np.abs(v[np.abs(v[:, 0] - 0.19) < 0.03, 2] - 0.5).max() for v in (apart, melted)]
-    assert waist[1] > waist[0] + 0.02
-    cut, _ = surface([Layer((above(cone((0, 0, 0), (0, 0, 1), (0.2, 0.2)), 0.4),), 0.01)], 0.03)
-    assert cut[:, 2].min() == pytest.approx(0.4, abs=0.02)
-
-
-def test_blade_is_thin_and_closed() -> None:
-    y, x = np.mgrid[0:1:5j, 0:2:7j]
-    sheet = blade(np.stack([x, y, 0 * x], -1), 0.1, np.full((2, 2, 3), 0.5))
-    assert 0.05 < volume(sheet) < 0.2
-    assert np.ptp(sheet.vertices[:, 2]) == pytest.approx(0.1, rel=0.05)
 
 
 def test_noise_is_bounded_smooth_and_periodic() -> None:

@@ -5,7 +5,6 @@ import json
 import random
 import re
 import struct
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -14,7 +13,6 @@ import pytest
 from PIL import Image
 
 from mi_splat.assets.mesh import Asset
-from mi_splat.assets.srgb import to_srgb
 from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.capture.settings import MeshSettings
 from mi_splat.errors import InvalidValueError, MiSplatError
@@ -127,21 +125,6 @@ def test_axes_scale_and_placement(tmp_path: Path) -> None:
         assert np.allclose(asset.bounds, bounds, atol=1e-6)
 
 
-def test_faces_keep_their_side(tmp_path: Path) -> None:
-    (mesh,) = load_mesh(write_glb(tmp_path)).asset.meshes
-    a, b, c = mesh.vertices[mesh.faces[0]]
-    assert np.cross(b - a, c - a)[0] > 0.9 * np.linalg.norm(np.cross(np.subtract(SQUARE[1], SQUARE[0]), [0, 1, -1]))
-
-
-def test_colour_factors(tmp_path: Path) -> None:
-    tinted = load_mesh(write_glb(tmp_path, factor=[0.5, 1.0, 1.0, 1.0])).asset.meshes[0].texture
-    assert tinted[1, 1].tolist() == pytest.approx([float(to_srgb(128 / 255)), 1, 1], abs=0.01)  # linear, by the format
-    plain = load_mesh(write_glb(tmp_path, factor=[0.5, 0.0, 1.0, 1.0], texture=False)).asset.meshes[0].texture
-    assert plain.reshape(-1, 3)[0].tolist() == pytest.approx([float(to_srgb(128 / 255)), 0, 1], abs=0.01)
-    flat = load_mesh(write_obj(tmp_path, material="Kd 0.2 0.4 0.6")).asset.meshes[0].texture
-    assert flat.reshape(-1, 3)[0].tolist() == pytest.approx([0.2, 0.4, 0.6], abs=0.01)
-
-
 def test_vertex_colours_blend_over_the_face(tmp_path: Path) -> None:
     (mesh,) = load_mesh(write_ply(tmp_path)).asset.meshes
     assert len(mesh.vertices) == 3
@@ -202,13 +185,6 @@ def test_broken_files_are_meshes_or_refused(write: Callable[[Path], Path], tmp_p
     assert all(path.name in error for error in errors)
 
 
-def test_a_ply_without_its_faces_is_refused(tmp_path: Path) -> None:
-    path = write_ply(tmp_path)
-    path.write_bytes(path.read_bytes().replace(b"property list uchar int vertex_indices", b"property uchar x"))
-    with pytest.raises(MiSplatError, match=r"m\.ply: expected a mesh"):
-        load_mesh(path)
-
-
 def test_points_and_nans_are_refused(tmp_path: Path) -> None:
     with pytest.raises(MiSplatError, match=r"m\.ply.*no faces"):
         load_mesh(write_ply(tmp_path, faces=False))
@@ -216,9 +192,3 @@ def test_points_and_nans_are_refused(tmp_path: Path) -> None:
         load_mesh(write_ply(tmp_path, value="nan"))
     with pytest.raises(InvalidValueError, match="scale"):
         load_mesh(write_ply(tmp_path), MeshSettings(scale=0.0))
-
-
-def test_the_extra_is_named_when_it_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "trimesh", None)
-    with pytest.raises(InvalidValueError, match=r"pip install -e '\.\[meshes\]'"):
-        load_mesh(write_ply(tmp_path))

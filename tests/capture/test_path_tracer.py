@@ -13,8 +13,9 @@ from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import box, ellipsoid, quad, sheet
 from mi_splat.cameras import Camera, look_at, orbit_pose, project_points
 from mi_splat.capture import path_tracer
-from mi_splat.capture.mitsuba_meshes import FEW_PICTURES, MANY_PICTURES, tracing_variant
 from mi_splat.capture.path_tracer import (
+    FEW_PICTURES,
+    MANY_PICTURES,
     PASSES,
     Light,
     PathTracer,
@@ -24,8 +25,7 @@ from mi_splat.capture.path_tracer import (
     pass_samples,
     sampler_type,
     scene_dict,
-    to_linear,
-    to_srgb,
+    tracing_variant,
 )
 from mi_splat.errors import InvalidValueError
 from mi_splat.metrics import psnr
@@ -71,27 +71,11 @@ def test_picture_is_neither_mirrored_nor_upside_down() -> None:
     assert picture[24, 24].max() < 0.2
 
 
-def test_same_seed_same_picture() -> None:
-    scene = scene_dict([CUBE], backdrop=FLOOR)
-    first, again = (capture(scene, [camera()], samples=4, seed=5)[0].image for _ in range(2))
-    other = capture(scene, [camera()], samples=4, seed=6)[0].image
-    assert torch.equal(first, again)
-    assert not torch.equal(first, other)
-    assert first.dtype == torch.float32
-    assert 0 <= float(first.min()) <= float(first.max()) <= 1
-
-
 def test_brightness_is_that_of_the_light() -> None:
     # A white sky of radiance 1 above a diffuse plane: the plane's radiance is its linear reflectance.
     view = Camera(to_world=look_at((0, 0, 3), (0, 0, 0)), focal=40.0, width=16, height=16)
     picture = capture(scene_dict([FLOOR], light=EVEN), [view], samples=64)[0].image
     assert picture.mean() == pytest.approx(0.5, abs=0.02)
-
-
-def test_curves_are_inverse() -> None:
-    value = np.linspace(0, 1, 101, dtype=np.float32)
-    assert np.allclose(to_srgb(to_linear(value)), value, atol=1e-5)
-    assert to_srgb(np.array([-1.0, 2.0])).tolist() == [0.0, 1.0]
 
 
 def test_variant_is_put_back() -> None:
@@ -150,14 +134,6 @@ def test_normals_are_smooth_on_a_ball_and_sharp_on_a_box() -> None:
     )
 
 
-def test_shipped_mesh_scene() -> None:
-    file = Path(__file__).parents[2] / "scenes" / "meshes" / "still_life.xml"
-    view = Camera(to_world=look_at((5, 1, 2.2), (0, 0.2, 0.5)), focal=77.0, width=64, height=48)
-    picture = capture(file, [view], samples=8)[0].image
-    assert 0.2 < picture.mean() < 0.8
-    assert picture.std() > 0.08
-
-
 def test_a_picture_is_the_same_on_any_number_of_threads_and_close_to_that_of_the_other_variant() -> None:
     pictures, before = {}, dr.thread_count()
     for variant in (FEW_PICTURES, MANY_PICTURES):
@@ -177,7 +153,7 @@ def test_a_picture_is_the_same_on_any_number_of_threads_and_close_to_that_of_the
 def test_a_large_picture_is_traced_in_bands(monkeypatch: pytest.MonkeyPatch) -> None:
     tracer = PathTracer(scene_dict([CUBE], backdrop=FLOOR), samples=64)
     whole = tracer.picture(camera(), seed=0)
-    monkeypatch.setattr(path_tracer, "AT_ONCE", 32 * 10 * camera().width)
+    monkeypatch.setattr(path_tracer, "AT_ONCE", 32 * 24 * camera().width)
     banded = tracer.picture(camera(), seed=0)
     assert not torch.equal(whole, banded)
     assert psnr(whole, banded) > 30
@@ -194,17 +170,3 @@ def test_passes_take_exactly_the_samples(samples: int) -> None:
     with tracing_variant():
         taken = [mi.load_dict({"type": sampler_type(count), "sample_count": count}).sample_count() for count in counts]
     assert tuple(taken) == counts
-
-
-@pytest.mark.parametrize("samples", [6, 8, 12, 16, 24, 32, 48])
-def test_usual_counts_are_halved(samples: int) -> None:
-    assert pass_samples(samples) == (samples // 2, samples // 2)
-    assert sampler_type(samples // 2) == "multijitter"
-
-
-def test_warnings_of_mitsuba_go_to_stderr(capfd: pytest.CaptureFixture[str]) -> None:
-    with tracing_variant():
-        mi.load_dict({"type": "multijitter", "sample_count": 10})
-    captured = capfd.readouterr()
-    assert captured.out == ""
-    assert "rounded up to 12" in captured.err

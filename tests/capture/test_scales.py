@@ -13,7 +13,7 @@ from torch import Tensor
 from attacks import cli
 from mi_splat.cameras import Camera
 from mi_splat.capture.mesh_files import load_mesh
-from mi_splat.capture.sources import WorkingFrame, open_source, working_frame
+from mi_splat.capture.sources import open_source
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import MiSplatError
 from mi_splat.metrics import psnr
@@ -117,19 +117,6 @@ def test_a_mesh_far_away_is_brought_to_the_origin(
     assert psnr(looked.pictures, dataset.pictures) > 60
 
 
-def test_a_mesh_beside_the_origin_keeps_its_coordinates(usual: Captured, tmp_path: Path) -> None:
-    dataset = captured(write_ply(tmp_path, truck().placed(move=(300, 200, 50))), tmp_path / "out")
-    assert psnr(dataset.pictures, usual.pictures) > 60
-    assert "world_offset" not in dataset.document
-    assert torch.allclose(dataset.points.mean(0), usual.points.mean(0) + torch.tensor([300.0, 200, 50]), atol=0.2)
-
-
-def test_vertices_lose_nothing_far_away(tmp_path: Path) -> None:
-    here, there = (load_mesh(write_ply(tmp_path, truck().placed(move=move))) for move in ((0, 0, 0), UTM))
-    middle = (truck().vertices.min(0) + truck().vertices.max(0)) / 2
-    assert np.abs(here.asset.vertices - middle - there.asset.vertices).max() < 1e-6
-
-
 def as_float32(path: Path) -> Path:
     """A PLY of the truck whose header names 32-bit coordinates."""
     path.write_text(path.read_text().replace("property double", "property float"))
@@ -145,14 +132,6 @@ def test_a_file_too_coarse_for_its_place_is_warned_of(tmp_path: Path) -> None:
     assert load_mesh(write_ply(tmp_path, far)).warnings == ()
     assert load_mesh(write_obj(tmp_path, far)).warnings == ()
     assert load_mesh(as_float32(write_ply(tmp_path, truck().placed(move=(500, 0, 0))))).warnings == ()
-
-
-def test_the_working_frame_is_the_world_s_for_usual_objects() -> None:
-    assert working_frame((1.0, 2.0, 0.7), 2.6).is_world
-    small = working_frame((0.0, 0.0, 0.01), 0.05)
-    assert small == WorkingFrame(unit=64.0)
-    far = working_frame((500.0, 0.0, 0.0), 2.0)
-    assert far == WorkingFrame(origin=(500.0, 0.0, 0.0))
 
 
 CUBE = """<scene version="3.0.0"><integrator type="path"/><emitter type="constant"/>

@@ -7,12 +7,11 @@ import pytest
 import torch
 
 from mi_splat.assets.mesh import Asset, translation
-from mi_splat.assets.primitives import box, ellipsoid, quad
+from mi_splat.assets.primitives import box, quad
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, View, look_at
 from mi_splat.capture.path_tracer import Light, capture, depth_maps, scene_dict
 from mi_splat.capture.surface_points import SurfaceSamples, fit_colours, nearness, surface_samples
-from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import to_matrix
 from mi_splat.sh import sh_to_colour
 from scenes.recipes.disc_splats import disc_splat
@@ -51,14 +50,6 @@ def test_density_follows_the_cameras() -> None:
     assert samples.spacing[radius < 1].mean() < samples.spacing[radius > 5].mean()
 
 
-def test_samples_refuse_nonsense() -> None:
-    with pytest.raises(InvalidValueError, match="positive number of samples"):
-        surface_samples(CUBE, 0)
-    flat = Asset("flat", (quad(np.zeros((4, 3)), (1, 1, 1)),))
-    with pytest.raises(InvalidValueError, match="a surface"):
-        surface_samples(flat, 10)
-
-
 def test_discs_are_flat_and_coloured_as_seen() -> None:
     light = Light(sun_strength=0.0, sky_strength=1.0, zenith=(1, 1, 1), horizon=(1, 1, 1), clouds=0.0)
     raised = CUBE.transformed(translation(0, 0, 0.4))
@@ -90,10 +81,3 @@ def test_colour_fit_recovers_a_gradient_over_direction() -> None:
     for view in views:
         direction = torch.nn.functional.normalize(-view.camera.position.float(), dim=0)
         assert torch.allclose(sh_to_colour(sh, direction[None])[0], view.image[4, 4], atol=1e-3)
-
-
-def test_samples_of_a_ball_leave_no_gaps() -> None:
-    samples = surface_samples(Asset("ball", (ellipsoid((2, 2, 2), (1, 1, 1), segments=48),)), 500, seed=0)
-    probes = torch.nn.functional.normalize(torch.randn(300, 3, generator=torch.Generator().manual_seed(0)), dim=1)
-    nearest = torch.cdist(probes, torch.from_numpy(samples.points)).amin(1)
-    assert nearest.max() < 2 * samples.spacing[0]

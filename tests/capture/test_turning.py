@@ -12,8 +12,7 @@ from torch import Tensor
 from attacks import cli
 from mi_splat.camera_sets import orbit
 from mi_splat.capture.mesh_files import load_mesh, turning
-from mi_splat.capture.mitsuba_meshes import tracing_variant
-from mi_splat.capture.path_tracer import PathTracer
+from mi_splat.capture.path_tracer import PathTracer, tracing_variant
 from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
 from mi_splat.capture.sources import open_source
 from mi_splat.datasets import load_dataset
@@ -88,19 +87,6 @@ def test_ground_sun_and_environment_show(tmp_path: Path) -> None:
             open_source(path, surroundings=SurroundingsSettings(environment=tmp_path / name))
 
 
-def test_an_environment_stands_upright(tmp_path: Path) -> None:
-    environment = np.zeros((8, 16, 3), np.float32)
-    environment[:4, :, 0], environment[4:, :, 1] = 1.0, 1.0  # red above, green below
-    with tracing_variant():
-        mi.Bitmap(environment).write(str(tmp_path / "two.exr"))
-    path = str(write_ply(tmp_path, truck()))
-    source = open_source(path, surroundings=SurroundingsSettings(environment=tmp_path / "two.exr"))
-    (camera,) = orbit(source.centre, count=1, elevation=0, distance=12.0, focal=24, size=(32, 32))
-    shown = PathTracer(source.scene, samples=4).picture(camera, seed=0)
-    assert shown[2, 2].argmax() == 0
-    assert shown[-3, 2].argmax() == 1
-
-
 def command(folder: Path, path: str, *more: str) -> list[str]:
     quick = ["--cameras", "orbit:2@20", "--size", "16", "--samples", "1", "--points", "50"]
     return ["capture", path, "--out", str(folder / "out"), *quick, *more]
@@ -150,18 +136,6 @@ def test_what_differs_is_said_in_words(tmp_path: Path, capsys: pytest.CaptureFix
     write_ply(tmp_path, truck().placed(scale=1.01))
     assert cli.main(first) == 1
     assert "another scene (what its files hold)" in capsys.readouterr().err
-
-
-def test_a_capture_with_new_options_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = str(write_ply(tmp_path, truck()))
-    first = command(tmp_path, path, "--ground", "grass", "--rotate", "0", "0", "20", "--front", "+y", "--sun", "10,40")
-    assert cli.main(first) == 0
-    before = {file: file.read_bytes() for file in (tmp_path / "out").rglob("*") if file.is_file()}
-    (tmp_path / "out" / "images" / "train_00001.png").unlink()
-    (tmp_path / "out" / "points3D.ply").unlink()
-    assert cli.main(first) == 0
-    assert "1 rendered" in capsys.readouterr().out
-    assert {file: file.read_bytes() for file in (tmp_path / "out").rglob("*") if file.is_file()} == before
 
 
 def test_captures_of_other_versions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,7 +17,7 @@ from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
 from mi_splat.capture.writer import surface_points, write_capture
 from mi_splat.datasets import load_dataset
-from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.errors import InvalidValueError
 
 RED, GREEN = (0.8, 0.1, 0.1), (0.1, 0.7, 0.1)
 
@@ -103,36 +103,6 @@ def test_a_capture_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert {path: path.stat().st_mtime_ns for path in (folder / "images").iterdir()} == before
 
 
-def test_pictures_depend_on_seed_and_place_alone(tmp_path: Path) -> None:
-    tracer = PathTracer(source(CUBE).scene, samples=2)
-    first, second = cameras(2)
-    alone = tracer.picture(second, seed=1)
-    tracer.picture(first, seed=0)
-    assert torch.equal(tracer.picture(second, seed=1), alone)
-    assert not torch.equal(tracer.picture(second, seed=2), alone)
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"settings": CaptureSettings(samples=3, points=300)}, "samples 2, now 3"),
-        ({"settings": CaptureSettings(samples=2, points=300, seed=1)}, "seed 0, now 1"),
-        ({"settings": CaptureSettings(samples=2, points=300, rgba=True)}, "alpha False, now True"),
-        ({"cameras": cameras(3)}, "train 4, now 3"),
-        ({"cameras": cameras(4, distance=3.1)}, "other cameras"),
-        ({"test": cameras(1)}, "test 0, now 1"),
-        ({"source": source(CUBE, FLOOR)}, "another scene"),
-    ],
-)
-def test_a_folder_with_other_settings_is_refused(change: dict[str, Any], says: str, tmp_path: Path) -> None:
-    words: dict[str, Any] = {"source": source(CUBE), "cameras": cameras(), "settings": QUICK}
-    write_capture(**words, folder=tmp_path)
-    before = contents(tmp_path)
-    with pytest.raises(InvalidValueError, match=rf"capture\.json.*{says}.*new folder"):
-        write_capture(**{**words, **change}, folder=tmp_path)
-    assert contents(tmp_path) == before
-
-
 def test_what_cannot_be_captured(tmp_path: Path) -> None:
     with pytest.raises(InvalidValueError, match="cameras"):
         write_capture(source(CUBE), [], tmp_path / "a")
@@ -155,12 +125,6 @@ def test_what_cannot_be_captured(tmp_path: Path) -> None:
     for name in ("samples", "seed", "points"):
         with pytest.raises(InvalidValueError, match=name):
             CaptureSettings(**{name: -1})  # type: ignore[arg-type]
-
-
-def test_pictures_too_large_to_be_read_again_are_not_begun(tmp_path: Path) -> None:
-    with pytest.raises(MiSplatError, match="size: expected at most 50,000,000 pixels, got 64,000,000"):
-        write_capture(source(CUBE), cameras(1, size=(8000, 8000)), tmp_path / "set")
-    assert not (tmp_path / "set").exists()
 
 
 def test_alpha_leaves_the_surfaces_alone(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ import pytest
 import torch
 
 from attacks import cli
-from mi_splat.cli import console
 from mi_splat.errors import MiSplatError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.scene import GaussianScene, scene_hash
@@ -48,16 +46,6 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(name in text and summary in text for name, summary in cli.COMMANDS.items())
 
 
-def test_version(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["--version"]) == 0
-    assert capsys.readouterr().out.startswith("mi-splat 0.")
-
-
-def test_no_command_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main([]) == 2
-    assert "usage:" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(("typed", "meant"), [("dager", "dagger"), ("rendr", "render"), ("detector", "detectors")])
 def test_unknown_command_names_the_nearest(typed: str, meant: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([typed]) == 2
@@ -65,25 +53,6 @@ def test_unknown_command_names_the_nearest(typed: str, meant: str, capsys: pytes
     assert captured.out == ""
     assert f"did you mean {meant}?" in captured.err
     assert len(captured.err.splitlines()) == 1
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["info"],
-        ["info", "a.ply", "--nonsense"],
-        ["dagger", "--norm", "l7"],
-        ["dagger", "--steps", "many"],
-        ["dagger", "--attributes", "colour"],
-        ["render", "a.ply", "--size", "640", "480"],
-    ],
-    ids=" ".join,
-)
-def test_wrong_usage_exits_with_2(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(words) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err
 
 
 @pytest.mark.parametrize(
@@ -124,20 +93,6 @@ def test_wrong_usage_is_told_in_one_line(words: list[str], says: str, capsys: py
     assert says in captured.err
     assert captured.err.endswith(f"(see mi-splat {words[0]} --help)\n")
     assert len(captured.err.splitlines()) == 1
-
-
-def test_warnings_are_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
-
-    def warns(options: object) -> int:
-        told.append(warnings.formatwarning(UserWarning("lost:\nmuch"), UserWarning, "cli.py", 7))
-        return 0
-
-    command_that(warns, monkeypatch)
-    before = warnings.formatwarning
-    assert cli.main(["doctor"]) == 0
-    assert told == ["mi-splat: warning: lost: much\n"]
-    assert warnings.formatwarning is before
 
 
 def command_that(action: Callable[[object], int], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -266,24 +221,6 @@ def test_detectors_lists_classes_and_weights(capsys: pytest.CaptureFixture[str])
     assert all(entry["available"] or entry["advice"] for entry in entries.values())
     assert cli.main(["detectors"]) == 0
     assert "fasterrcnn_small" in capsys.readouterr().out
-
-
-def test_json_refuses_what_json_cannot_hold() -> None:
-    with pytest.raises(ValueError, match="JSON"):
-        console.show_json({"psnr": float("inf")})
-
-
-@pytest.mark.parametrize("command", ["dagger", "info", "detectors"])
-def test_help_before_a_command_is_that_command_s(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main([command, "--help"]) == 0
-    asked = capsys.readouterr().out
-    assert cli.main(["help", command]) == 0
-    assert capsys.readouterr().out == asked
-
-
-def test_help_of_no_command_names_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["help", "dager"]) == 2
-    assert "did you mean dagger?" in capsys.readouterr().err
 
 
 def test_info_of_a_ply_needs_no_torch(tmp_path: Path) -> None:

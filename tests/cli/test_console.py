@@ -11,15 +11,6 @@ from attacks import cli
 from mi_splat.cli import console
 
 
-def test_progress_is_silent_without_a_terminal(capfd: pytest.CaptureFixture[str]) -> None:
-    with console.progress("working", total=2) as advance:
-        advance("half")
-        advance()
-    captured = capfd.readouterr()
-    assert captured.out == ""
-    assert captured.err == ""
-
-
 def test_progress_goes_to_stderr(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setenv("TERM", "xterm")

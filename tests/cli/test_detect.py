@@ -9,10 +9,8 @@ import torch
 from PIL import Image
 
 from attacks import cli
-from attacks.cli.names import load_detectors
 from attacks.observe.comparison import compare
 from attacks.observe.rows import read_rows
-from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.sh import colour_to_dc
@@ -116,13 +114,6 @@ def test_reasons_for_doubt_are_told(folder: Path, capsys: pytest.CaptureFixture[
     (folder / "result.json").write_text(json.dumps({"views": [], "reference": cameras[0]}))  # drawn about it
     assert cli.main([*words, "--pictures", "0", "--out", "third"]) == 0
     assert "those that were attacked" not in capsys.readouterr().err
-
-
-def test_detectors_and_weights_go_in_pairs(tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError, match="--weights: expected 1 files, got 2"):
-        load_detectors(["fasterrcnn_small"], [tmp_path / "a", tmp_path / "b"])
-    with pytest.raises(InvalidValueError, match="different names"):
-        load_detectors(["fasterrcnn_small"] * 2)
 
 
 @pytest.mark.parametrize(

@@ -14,9 +14,6 @@ import pytest
 
 from attacks import cli
 from attacks.cli import command_of, parse, parser_of
-from attacks.cloak.config import AttackConfig, CleaningConfig, StudyConfig, SurrogateConfig
-from attacks.cloak.layer_config import LayersConfig
-from attacks.observe.conditions import SunTable
 from mi_splat.cli.console import UsageError
 from mi_splat.cli.flags import Option, options_of
 from mi_splat.fields import (
@@ -28,10 +25,8 @@ from mi_splat.fields import (
     between,
     checked_number,
     decode,
-    type_hints,
     unwrapped,
 )
-from mi_splat.training.strategies import strategy_config, strategy_names
 
 NEEDED = {
     "capture": ["car_street"],
@@ -54,18 +49,6 @@ NEEDED = {
     "study": ["plan", "study.toml"],
 }
 """What a command cannot do without."""
-ATTACK = AttackConfig(name="roof", elevation=(50, 90))
-FILES = (
-    StudyConfig(
-        name="small",
-        attack=(ATTACK,),
-        surrogate=SurrogateConfig(),
-        layers=LayersConfig(attacks=("roof",)),
-        cleaning=CleaningConfig(sh_degree=1),
-    ),
-    SunTable(scene="a.xml"),
-)
-"""What files hold that no command has flags for."""
 
 
 def parsed(command: str, words: list[str]) -> Any:
@@ -104,64 +87,8 @@ def wrong_values(allowed: Range, whole: bool) -> list[float]:
     return wrong
 
 
-def right_value(allowed: Range, whole: bool) -> float:
-    """A number inside of a range."""
-    low = allowed.low if math.isfinite(allowed.low) else min(allowed.high, 0)
-    value = (low + min(allowed.high, low + 2)) / 2
-    return int(value) if whole else value
-
-
 COMMANDS = {name: parsed(name, []) for name in cli.COMMANDS}
 MODULES = {name: cli.module_of(name) for name in cli.COMMANDS}
-PARTS = [
-    *(part for options in COMMANDS.values() for part in configurations(options)),
-    *(part for study in FILES for part in configurations(study)),
-    *map(strategy_config, strategy_names()),
-]
-CONFIGURATIONS = {
-    type(part): part for part in PARTS if hasattr(part, "__post_init__") and part not in COMMANDS.values()
-}
-"""All that check themselves, by their class."""
-NUMBERS = [(kind, name, *ranges(hint)) for kind in CONFIGURATIONS for name, hint in type_hints(kind).items()]
-CASES = [(kind, name, allowed, count, whole) for kind, name, allowed, count, whole in NUMBERS if count and allowed]
-
-
-def test_there_are_fields_to_walk_through() -> None:
-    assert len(CONFIGURATIONS) > 15
-    assert len(CASES) > 120
-
-
-@pytest.mark.parametrize(
-    ("kind", "name", "allowed", "count", "whole"), CASES, ids=[f"{case[0].__name__}.{case[1]}" for case in CASES]
-)
-def test_constructors_and_files_refuse_in_the_same_words(
-    kind: Any, name: str, allowed: Range, count: int, whole: bool
-) -> None:
-    example: Any = CONFIGURATIONS[kind]
-    for number in wrong_values(allowed, whole):
-        with pytest.raises(FieldError) as expected:
-            checked_number(name, number, allowed, whole=whole)
-        is_tuple = isinstance(getattr(example, name), tuple) or count > 1
-        with pytest.raises(FieldError) as refused:
-            dataclasses.replace(example, **{name: (number,) * count if is_tuple else number})
-        assert str(refused.value) == str(expected.value)
-        with pytest.raises(FieldError) as read:
-            decode(kind, {**required(example), name: [number] * count if is_tuple else number}, "a.toml")
-        assert str(read.value) == f"a.toml, {expected.value}"
-    with pytest.raises(FieldError, match=f"{name}: expected a {'whole ' if whole else ''}number"):
-        dataclasses.replace(example, **{name: ("many",) * count if count > 1 else "many"})
-
-
-def required(example: Any) -> dict[str, Any]:
-    """The keys that a file cannot do without, as it has them."""
-    fields = dataclasses.fields(example)
-    missing = {
-        field.name
-        for field in fields
-        if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-    }
-    values = {name: value for name, value in dataclasses.asdict(example).items() if name in missing or name == "judge"}
-    return json.loads(json.dumps(values), object_hook=lambda table: {k: v for k, v in table.items() if v is not None})  # type: ignore[no-any-return]
 
 
 def flat(options: list[Option]) -> Iterator[Option]:
@@ -192,13 +119,6 @@ def is_no_word(flag: str, number: float) -> bool:
     return (flag == "--size" and number < 0) or (flag == "--background" and not math.isfinite(number))
 
 
-def test_every_flag_of_numbers_has_a_range() -> None:
-    assert {flag for _, flag, allowed, count, _ in FLAGS if count and not allowed} == {"--up"}
-    assert len(RANGED) > 150
-    assert ("render", "--distance") in [case[:2] for case in RANGED]
-    assert ("train", "--lr-means") in [case[:2] for case in RANGED]
-
-
 @pytest.mark.parametrize(
     ("command", "flag", "allowed", "count", "whole"), RANGED, ids=[f"{case[0]} {case[1]}" for case in RANGED]
 )
@@ -216,42 +136,6 @@ def test_flags_refuse_in_the_same_words(
     with pytest.raises(UsageError, match=f"^{flag}: expected "):
         parsed(command, [flag, *["many"] * (1 if flag in ("--size", "--background") else count)])
     assert capsys.readouterr().out == ""
-
-
-@pytest.mark.parametrize("command", sorted({case[0] for case in RANGED}))
-def test_right_numbers_are_taken(command: str) -> None:
-    """All of a command at once, but two seeds that have to differ."""
-    together: list[str] = []
-    for flag, allowed, count, whole in (case[1:] for case in RANGED if case[0] == command):
-        words = flag_words(flag, right_value(allowed, whole), count)
-        if flag == "--judge-seed":
-            parsed(command, words)
-        else:
-            together += words
-    parsed(command, together)
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["render", "a.ply", "--distance", "-1"], "--distance: expected a number > 0 (world units), got -1"),
-        (["render", "a.ply", "--background", "255", "255", "255"], "divide 8-bit values by 255"),
-        (["render", "a.ply", "--azimuth", "nan"], "--azimuth: expected a number in [-360, 360] (degrees), got nan"),
-        (["train", "s", "--out", "o", "--eval-interval", "-1"], "--eval-interval: expected a number >= 0 (steps)"),
-        (["train", "s", "--out", "o", "--max-gaussians", "0"], "--max-gaussians: expected"),
-        (["train", "s", "--out", "o", "--max-gaussians", "-5"], "--max-gaussians: expected"),
-        (["train", "s", "--out", "o", "--lr-means", "-1e-3"], "--lr-means: expected a number > 0, got -0.001"),
-    ],
-)
-def test_the_message_is_one_line_and_says_what_to_do(
-    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(words) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert message in captured.err
-    assert f"see mi-splat {words[0]} --help" in captured.err
-    assert len(captured.err.splitlines()) == 1
 
 
 def test_ranges_say_what_they_hold() -> None:
@@ -337,27 +221,6 @@ def test_help_says_of_every_flag_what_it_means_and_what_its_values_are_called(co
         assert action.metavar or action.nargs == 0, action.option_strings
         called = action.metavar if isinstance(action.metavar, tuple) else (str(action.metavar),)
         assert isinstance(action.nargs, str) or action.nargs in (None, 0) or len(called) == action.nargs
-
-
-@pytest.mark.parametrize(
-    ("command", "shown"),
-    [
-        ("dagger", "usage: mi-splat dagger [-h] [OPTIONS] [FILE]"),
-        ("info", "usage: mi-splat info [-h] [OPTIONS] FILE"),
-        ("train", "--strategy classic|mcmc|fixed"),
-        ("render", "--centre X Y Z"),
-        ("render", "--fov DEGREES"),
-        ("cloak", "--seeds [SEED ...]"),
-        ("dagger", "--steps STEPS Number of steps. (>= 1; default: 11)"),
-        ("dagger", "--confidence CONFIDENCE"),
-        ("dagger", "(in [0, 1]; default: none)"),
-        ("dagger", "--norm {linf,l2,l2_per_gaussian}"),
-        ("compare", "--no-gradients"),
-    ],
-)
-def test_help_shows_ranges_units_and_defaults(command: str, shown: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main([*command.split(), "--help"]) == 0
-    assert shown in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize("line", [line for module in MODULES.values() for line in module.EXAMPLES])

@@ -3,7 +3,6 @@ missing and y down; and a video of a path-traced object.
 """
 
 import importlib.util
-import json
 from pathlib import Path
 
 import numpy as np
@@ -39,26 +38,6 @@ MODEL = "1 FULL_OPENCV 40 32 40 40 20 16 -0.15 0.02 0.002 -0.001 0 0.1 0 0\n"
 BALL = "--box -0.4 -1 -0.4 0.4 -0.2 0.4"
 """Where the ball is with y down."""
 TRAINED = "train set --out run --iterations 20 --max-gaussians 1300 --sh-degree 1"
-SCENE = """
-<scene version="3.0.0">
-    <integrator type="splat_tile"/>
-    <shape type="gaussians" id="ball"><string name="filename" value="ball.ply"/></shape>
-    <shape type="gaussians" id="plane"><string name="filename" value="plane.ply"/></shape>
-    <sensor type="perspective" id="front">
-        <float name="fov" value="45"/>
-        <transform name="to_world"><lookat origin="2, -1.5, 1" target="0, -0.4, 0" up="0, -1, 0"/></transform>
-        <film type="hdrfilm"><integer name="width" value="48"/><integer name="height" value="48"/></film>
-    </sensor>
-</scene>
-"""
-STUDY = """
-study = "dagger"
-scene = "scene.xml"
-object = "ball"
-target = "person"
-detectors = "fake_colour"
-attack = { eps = 5.0, steps = 1, noise_draws = 0 }
-"""
 
 
 def photograph(scene: GaussianScene, camera: Camera) -> np.ndarray:
@@ -146,22 +125,6 @@ def test_a_set_of_photographs_through_every_command(walk: Walk, monkeypatch: pyt
         assert Path("upright.ply.png").read_bytes() == Path("upright.usdc.png").read_bytes()
         walk("select upright.usdc --box -0.4 -0.4 0.2 0.4 0.4 1 --out again.npy")
         assert int(np.load("again.npy").sum()) == int(np.load("ball.npy").sum())
-
-
-@pytest.mark.nightly
-@pytest.mark.filterwarnings("ignore::mi_splat.datasets.DatasetWarning")
-def test_its_splat_is_compared_and_studied(walk: Walk, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_photographs(Path("set"))
-    register(monkeypatch, {"fake_colour": ColourDetector()})
-    walk(TRAINED)
-    compared = walk.json("compare run --cameras orbit:2@30 --up -y --size 48 --rounds 0 --no-gradients --out compared")
-    assert compared["pairs"][0]["psnr"] > 20
-    walk(f"select run {BALL} --out ball.ply")
-    walk("select run --box -9 -0.2 -9 9 9 9 --out plane.ply")
-    Path("scene.xml").write_text(SCENE)
-    Path("study.toml").write_text(STUDY)
-    walk("study run study.toml --store store --out studied --workers 0")
-    assert json.loads(Path("studied/result.json").read_text())["attacks"]
 
 
 @pytest.mark.nightly

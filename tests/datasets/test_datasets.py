@@ -15,7 +15,6 @@ from PIL import Image
 from mi_splat.cameras import Camera, View, look_at, project_points
 from mi_splat.datasets import DatasetError, DatasetWarning, load_dataset, write_colmap, write_transforms
 from mi_splat.errors import MiSplatError
-from mi_splat.io.points import load_points, save_points
 from mi_splat.rotation import normalise, to_matrix
 from tests.datasets.sets import CLOUD, FORMATS, PROBES, TESTS, VIEWS, assert_same_camera, colmap_binary, view
 
@@ -34,24 +33,6 @@ def test_sets_come_back_as_they_were(name: str, tolerance: float, tmp_path: Path
         torch.testing.assert_close(dataset.points.points, CLOUD.points, atol=1e-7, rtol=0)
         assert dataset.mask(0) is None
     assert len(load_dataset(tmp_path / "set", split=None)) == len(VIEWS) + len(TESTS)
-
-
-@pytest.mark.parametrize("name", FORMATS)
-def test_what_was_loaded_can_be_written_again(name: str, tmp_path: Path) -> None:
-    FORMATS[name](tmp_path / "a", VIEWS, points=CLOUD)
-    first = load_dataset(tmp_path / "a", split=None, cache_bytes=0)
-    write_transforms(tmp_path / "b", first, points=first.points)
-    second = load_dataset(tmp_path / "b", split=None)
-    assert all(torch.equal(a.image, b.image) for a, b in zip(first, second, strict=True))
-    assert (tmp_path / "b" / "points3D.ply").read_bytes()[:3] == b"ply"
-
-
-def test_cameras_of_different_kinds_in_one_set(tmp_path: Path) -> None:
-    views = [view(0), view(1, focal=30.0, principal=None), view(2, width=9, height=20)]
-    for name, write in FORMATS.items():
-        write(tmp_path / name, views)
-        for ours, theirs in zip(load_dataset(tmp_path / name, split=None), views, strict=True):
-            assert_same_camera(ours.camera, theirs.camera, 1e-6)
 
 
 @hypothesis.settings(max_examples=20)
@@ -176,29 +157,6 @@ def test_binary_models(tmp_path: Path) -> None:
     assert load_dataset(tmp_path).points is None
 
 
-def test_text_models_with_comments_and_2d_points(tmp_path: Path) -> None:
-    write_colmap(tmp_path, VIEWS[:2])
-    file = tmp_path / "sparse" / "0" / "images.txt"
-    lines = file.read_text().splitlines()
-    lines[2] = "1.5 2.5 -1 3.0 4.0 17"
-    file.write_text("\n".join(["# more", "", *lines]))  # without a newline at the end
-    for ours, theirs in zip(load_dataset(tmp_path, split=None), VIEWS[:2], strict=True):
-        assert_same_camera(ours.camera, theirs.camera, 1e-6)
-
-
-def test_points_in_ascii_without_colours(tmp_path: Path) -> None:
-    file = tmp_path / "points.ply"
-    head = (
-        "ply\nformat ascii 1.0\nelement vertex 2\nproperty double x\nproperty double y\nproperty double z\nend_header\n"
-    )
-    file.write_text(head + "1 2 3\n4 5 6\n")
-    cloud = load_points(file)
-    assert cloud.points.tolist() == [[1, 2, 3], [4, 5, 6]]
-    assert bool((cloud.colours == 0.5).all())
-    save_points(cloud, file)
-    assert torch.equal(load_points(file).points, cloud.points)
-
-
 # The pictures of a set: modes, alpha, masks, shrinking, and that they are read only when needed
 
 
@@ -211,16 +169,6 @@ def test_pictures_of_any_8_bit_mode(mode: str, tmp_path: Path) -> None:
     dataset = load_dataset(tmp_path)
     assert dataset[0].image.min() == 1.0
     assert (dataset.mask(0) is not None) == (mode in ("LA", "RGBA"))
-
-
-def test_palettes_with_transparency(tmp_path: Path) -> None:
-    write_transforms(tmp_path, [view(0, width=2, height=1)])
-    picture = Image.new("P", (2, 1), 0)
-    picture.putpalette([0, 255, 0, 255, 0, 0])
-    picture.putpixel((1, 0), 1)
-    picture.save(tmp_path / "images" / "train_00000.png", transparency=0)
-    image = load_dataset(tmp_path, background=(0.0, 0.0, 1.0))[0].image
-    assert image.tolist() == [[[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]]
 
 
 def test_alpha_is_written_and_blended(tmp_path: Path) -> None:
@@ -332,13 +280,3 @@ def test_memory_is_bounded(tmp_path: Path) -> None:
     none = load_dataset(tmp_path, cache_bytes=0)
     none[0], none[1]
     assert len(none._cache) == 1
-
-
-def test_a_set_is_a_sequence(tmp_path: Path) -> None:
-    write_transforms(tmp_path, VIEWS)
-    dataset = load_dataset(tmp_path)
-    assert torch.equal(dataset[-1].image, VIEWS[-1].image)
-    assert [path.name for path in dataset[1:3].paths] == ["train_00001.png", "train_00002.png"]
-    assert len(list(reversed(dataset))) == len(VIEWS)
-    with pytest.raises(IndexError):
-        dataset[len(VIEWS)]

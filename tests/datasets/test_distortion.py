@@ -2,7 +2,6 @@
 
 import json
 import math
-import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import torch
 from PIL import Image
 
 from mi_splat.cameras import Camera, View, project_points
-from mi_splat.datasets import DatasetError, load_dataset, write_colmap
+from mi_splat.datasets import load_dataset, write_colmap
 from mi_splat.datasets.colmap_files import TWO_FOCALS
 from mi_splat.datasets.distortion import Intrinsics, undistorted
 from mi_splat.training.evaluation import MOST_PSNR, score
@@ -67,23 +66,6 @@ def test_a_lens_is_undone_as_by_colmap(model: str, tmp_path: Path) -> None:
         assert_undone(view, model, parameters)
 
 
-def test_binary_models_have_lenses_too(tmp_path: Path) -> None:
-    parameters, size, _ = LENSES["OPENCV"]
-    lens_set(tmp_path, "OPENCV", parameters, ramps())
-    sparse = tmp_path / "sparse" / "0"
-    lens = struct.pack("<QiiQQ8d", 1, 1, 4, 160, 120, *parameters)
-    (sparse / "cameras.bin").write_bytes(lens)
-    (sparse / "images.bin").write_bytes(
-        struct.pack("<Qi7di", 1, 1, 1, *[0.0] * 6, 1) + b"0.png\0" + struct.pack("<Q", 0)
-    )
-    (view,) = load_dataset(tmp_path, split=None)
-    assert (view.camera.width, view.camera.height) == size
-    assert_undone(view, "OPENCV", parameters)
-    (sparse / "cameras.bin").write_bytes(lens[:16] + struct.pack("<Q", 1 << 40) + lens[24:])
-    with pytest.raises(DatasetError, match=r"png: expected 1099511627776 x 120 pixels"):
-        load_dataset(tmp_path, split=None)
-
-
 def test_smaller_pictures_and_masks_are_undone_alike(tmp_path: Path) -> None:
     parameters = LENSES["OPENCV"][0]
     lens_set(tmp_path, "OPENCV", parameters, np.dstack([ramps(), ramps()[..., 2:]]))
@@ -129,21 +111,6 @@ def assert_same_pixels(camera: Camera, image: Any) -> None:
     ours, _ = project_points(PROBES, camera)
     theirs = np.stack([image.project_point(probe) for probe in PROBES.numpy()])
     np.testing.assert_allclose(ours.numpy(), theirs, atol=1e-4)
-
-
-def test_colmap_reads_our_set(pycolmap: Any, tmp_path: Path) -> None:
-    write_colmap(tmp_path, VIEWS, points=CLOUD)
-    model = pycolmap.Reconstruction(str(tmp_path / "sparse" / "0"))
-    assert model.num_images() == len(VIEWS)
-    by_name = {image.name: image for image in model.images.values()}
-    for view, name in zip(VIEWS, sorted(by_name), strict=True):
-        assert_same_pixels(view.camera, by_name[name])
-        lens = by_name[name].camera
-        assert (lens.width, lens.height) == (view.camera.width, view.camera.height)
-    points = np.stack([model.points3D[i].xyz for i in sorted(model.points3D)])
-    np.testing.assert_allclose(points, CLOUD.points.numpy(), atol=1e-6)
-    colours = np.stack([model.points3D[i].color for i in sorted(model.points3D)])
-    np.testing.assert_array_equal(colours, (CLOUD.colours * 255).round().numpy())
 
 
 @pytest.mark.parametrize("write", ["write_binary", "write_text"])

@@ -11,7 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
-from mi_splat.datasets import DatasetError, PointCloud, load_dataset, write_colmap, write_transforms
+from mi_splat.datasets import DatasetError, load_dataset, write_colmap, write_transforms
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io import load_splat
 from tests.datasets.sets import CLOUD, VIEWS, colmap_binary
@@ -260,16 +260,3 @@ def test_what_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(MiSplatError, match="folder that can be made"):
         write_transforms(tmp_path / "file", VIEWS)
-
-
-@pytest.mark.parametrize(
-    ("points", "colours"),
-    [((3, 3), (2, 3)), ((3, 2), (3, 2)), ((3,), (3,))],
-)
-def test_clouds_are_checked(points: tuple[int, ...], colours: tuple[int, ...]) -> None:
-    with pytest.raises(InvalidValueError, match="point cloud"):
-        PointCloud(torch.zeros(points), torch.zeros(colours))
-    with pytest.raises(InvalidValueError, match="finite"):
-        PointCloud(torch.full((1, 3), torch.inf), torch.zeros(1, 3))
-    with pytest.raises(InvalidValueError, match="colours"):
-        PointCloud(torch.zeros(1, 3), torch.full((1, 3), 1.1))

@@ -27,7 +27,7 @@ from attacks.search import START, SearchState, Step
 from attacks.studies import study_file
 from mi_splat.capture.gltf import gltf_notes
 from mi_splat.capture.writer import claim_folder
-from mi_splat.datasets.pictures import read_mask, read_picture
+from mi_splat.datasets.frames import read_mask, read_picture
 from mi_splat.datasets.transforms import read_cameras, read_world_offset
 from mi_splat.errors import MiSplatError
 from mi_splat.io.camera_records import describe, recorded_cameras

@@ -19,11 +19,11 @@ from mi_splat.datasets.writing import list_colmap
 from mi_splat.directions import up_of
 from mi_splat.errors import MiSplatError
 from mi_splat.io.pictures import save_animation
-from mi_splat.preparation import video
+from mi_splat.preparation import pictures as video
 from mi_splat.preparation.config import PreparationError, PrepareConfig
 from mi_splat.preparation.pictures import Picture, take_frames, take_photographs
 from mi_splat.preparation.prepare import SHEET, TILE, not_placed, prepare
-from mi_splat.preparation.reconstruction import ALL_PAIRS, Reconstruction, _trimmed, pairs_of
+from mi_splat.preparation.reconstruction import Reconstruction, _trimmed
 from mi_splat.rotation import from_z
 from tests.project.layers import ROOT
 
@@ -231,19 +231,6 @@ def test_the_command_says_what_was_placed(
     assert cli.main(own) == 2
     assert "a folder without the input" in capsys.readouterr().err
     assert (tmp_path / "set" / "images" / "IMG_0.png").is_file()
-
-
-@pytest.mark.parametrize(("count", "in_order"), [(ALL_PAIRS, False), (ALL_PAIRS + 60, False), (200, True), (3, True)])
-def test_pairs_join_all_pictures(count: int, in_order: bool) -> None:
-    pairs = pairs_of(count, in_order=in_order)
-    assert len(set(pairs)) == len(pairs)
-    assert all(0 <= i < j < count for i, j in pairs)
-    assert {(i, i + 1) for i in range(count - 1)} <= set(pairs)
-    if count <= ALL_PAIRS and not in_order:
-        assert len(pairs) == count * (count - 1) // 2
-    else:
-        assert len(pairs) <= 10 * count + 780
-        assert any(i <= count // 8 and j >= 7 * (count - 1) // 8 for i, j in pairs)  # a way that comes back
 
 
 def test_up_is_across_the_rights_of_cameras() -> None:

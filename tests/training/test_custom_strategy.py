@@ -9,14 +9,11 @@ import torch
 from torch import Tensor
 
 from attacks import cli
-from attacks.cloak.config import TrainingConfig, fit_config
-from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.checkpoints import load_state, save_state
 from mi_splat.training.loop import Progress, TrainState, advance, fit, scene_extent
-from mi_splat.training.resume import train
 from mi_splat.training.strategies import Edit, Step, Strategy, StrategyConfig, register_strategy, registry
 from tests.training.sets import SHORT, scene_and_views, write_set
 
@@ -105,34 +102,3 @@ def test_the_command_line_knows_its_name_and_its_options(tmp_path: Path, capsys:
     first = load_splat(out / "splat.ply")
     assert cli.main(words) == 0  # read from the checkpoint
     assert scene_hash(load_splat(out / "splat.ply")) == scene_hash(first)
-
-
-def test_a_study_knows_its_name() -> None:
-    settings = fit_config(TrainingConfig(strategy="lottery", max_gaussians=5))
-    assert settings.strategy == LotteryConfig(max_gaussians=5)
-
-
-def test_names_are_taken_once() -> None:
-    register_strategy("lottery", LotteryConfig, Lottery)  # again is no harm
-    with pytest.raises(InvalidValueError, match="'mcmc'"):
-        register_strategy("mcmc", LotteryConfig, Lottery)
-    with pytest.raises(InvalidValueError, match="did you mean lottery"):
-        registry.strategy_config("lotery")
-    with pytest.raises(InvalidValueError, match="option of lottery: expected max_gaussians or every or reward"):
-        registry.strategy_config("lottery", noise=1)
-
-
-def test_a_folder_wants_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(registry._REGISTRY, "lottery")
-    _, views, start = scene_and_views()
-    seen: list[Progress] = []
-    with pytest.raises(InvalidValueError, match="call register_strategy"):
-        train(
-            views,
-            start,
-            tmp_path,
-            render=Renderer(),
-            config=replace(SHORT, strategy=LotteryConfig()),
-            on_step=seen.append,
-        )
-    assert not seen

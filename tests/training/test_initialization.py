@@ -1,22 +1,17 @@
 """Starting points."""
 
-from pathlib import Path
-
 import pytest
 import torch
 import torch.nn.functional as functional
 from torch import Tensor
 
-from mi_splat.cameras import project_points
-from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
 from mi_splat.metrics import ssim as reported_ssim
 from mi_splat.sh import colour_to_dc
 from mi_splat.training.initialization import from_points, random_points, spacing, thinned, with_outliers
-from mi_splat.training.loop import scene_extent
-from mi_splat.training.losses import blur, photometric_loss
-from tests.training.sets import views_of, write_set
+from mi_splat.training.losses import photometric_loss
+from tests.training.sets import views_of
 
 
 def test_spacing_is_the_distance_to_the_nearest() -> None:
@@ -67,40 +62,6 @@ def test_outliers_lie_between_cameras_and_points() -> None:
     for count, around in ((-1, views), (1, [])):
         with pytest.raises(InvalidValueError, match="count, views and points"):
             with_outliers(cloud, around, count)
-
-
-def test_a_training_is_set_up_without_reading_pictures(tmp_path: Path) -> None:
-    dataset = write_set(tmp_path / "set")
-    views = load_dataset(dataset)
-    before, start = scene_extent(list(views)), random_points(list(views), 5)
-    views = load_dataset(dataset)
-    for path in views.paths:
-        path.unlink()
-    assert scene_extent(views) == before
-    assert torch.equal(random_points(views, 5).means, start.means)
-
-
-def test_sizes_and_opacities_are_those_of_3dgs() -> None:
-    """Root mean square of the distances to three neighbours, opacity 0.1 (Kerbl et al. 2023)."""
-    points = torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [9.0, 9.0, 9.0]])
-    start = from_points(points, torch.full((5, 3), 0.5))
-    assert float(start.scales[0, 0]) == pytest.approx(((1 + 4 + 9) / 3) ** 0.5)
-    assert start.opacities.tolist() == pytest.approx([0.1] * 5)
-
-
-def test_outliers_lie_in_three_pictures_and_all_along_the_way() -> None:
-    _, views = views_of()
-    cloud = PointCloud(torch.tensor([[0.0, 0.0, 0.0]]), torch.full((1, 3), 0.5))
-    drawn = with_outliers(cloud, views, 400, seed=1).points[1:]
-    eyes = torch.stack([view.camera.position for view in views]).float()
-    ways = (drawn.norm(dim=1) / eyes.norm(dim=1).mean()).sort().values  # what is left of the way to the point
-    assert float(ways[0]) == pytest.approx(0.1, abs=0.02)
-    seen = torch.zeros(400)
-    for view in views:
-        pixels, depth = project_points(drawn.double(), view.camera)
-        size = pixels.new_tensor([view.camera.width, view.camera.height])
-        seen += ((depth > 0) & ((pixels >= 0) & (pixels < size)).all(1)).float()
-    assert float(seen.min()) >= 3
 
 
 def test_a_thinned_cloud_keeps_its_order_and_colours() -> None:
@@ -164,51 +125,3 @@ def test_ssim_is_that_of_the_library_away_from_the_rim() -> None:
     image, reference = (p.float() for p in pictures(1, 200, 200))
     assert float(ssim(image, reference)) == pytest.approx(float(reported_ssim(image, reference)), abs=5e-3)
     assert float(ssim(image, image)) == pytest.approx(1.0, abs=1e-6)
-
-
-def slow_ssim(image: Tensor, reference: Tensor) -> float:
-    """Pixel by pixel: window of 11 x 11 and sigma 1.5, zeros outside, constants of Wang et al. 2004."""
-    taps = torch.exp(-0.5 * (torch.arange(-5, 6, dtype=torch.float64) / 1.5) ** 2)
-    window = torch.outer(taps, taps) / taps.sum() ** 2
-    x, y = (functional.pad(picture.permute(2, 0, 1), (5, 5, 5, 5)) for picture in (image, reference))
-    total = 0.0
-    for row in range(image.shape[0]):
-        for column in range(image.shape[1]):
-            a, b = (picture[:, row : row + 11, column : column + 11] for picture in (x, y))
-            mean_a, mean_b, aa, bb, ab = ((window * v).sum((1, 2)) for v in (a, b, a * a, b * b, a * b))
-            luminance = (2 * mean_a * mean_b + 0.01**2) / (mean_a**2 + mean_b**2 + 0.01**2)
-            spread = (2 * (ab - mean_a * mean_b) + 0.03**2) / (aa - mean_a**2 + bb - mean_b**2 + 0.03**2)
-            total += float((luminance * spread).mean())
-    return total / (image.shape[0] * image.shape[1])
-
-
-def test_ssim_is_its_definition() -> None:
-    image, reference = pictures(4, 14, 17)
-    assert float(ssim(image, reference)) == pytest.approx(slow_ssim(image, reference), abs=1e-12)
-
-
-def test_the_weight_of_dssim_is_a_fifth() -> None:
-    image, reference = pictures(5)
-    assert torch.equal(photometric_loss(image, reference), photometric_loss(image, reference, lambda_dssim=0.2))
-
-
-def test_blur_is_its_own_adjoint() -> None:
-    generator = torch.Generator().manual_seed(3)
-    a, b = (torch.randn(2, 14, 19, 3, generator=generator, dtype=torch.float64) for _ in range(2))
-    assert float((blur(a) * b).sum()) == pytest.approx(float((a * blur(b)).sum()), rel=1e-12)
-    assert float(blur(torch.ones(1, 30, 30, 1))[0, 15, 15]) == pytest.approx(1.0)
-    assert torch.allclose(blur(a.float()), blur(a).float(), atol=1e-6)
-
-
-def test_photometric_weighs_its_two_terms() -> None:
-    image, reference = pictures(2)
-    plain = (image - reference).abs().mean()
-    assert torch.equal(photometric_loss(image, reference, lambda_dssim=0), plain)
-    both = photometric_loss(image, reference, lambda_dssim=0.25)
-    assert float(both) == pytest.approx(float(0.75 * plain + 0.25 * (1 - ssim(image, reference))))
-
-
-@pytest.mark.parametrize("shape", [(8, 8), (8, 9, 3)])
-def test_ssim_of_unlike_pictures_is_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(InvalidValueError, match="image: expected shape"):
-        ssim(torch.zeros(shape), torch.zeros(8, 8, 3))

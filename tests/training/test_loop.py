@@ -10,9 +10,7 @@ from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
-from mi_splat.training.evaluation import MOST_PSNR, score
 from mi_splat.training.loop import FitConfig, TrainingError, TrainState, advance, fit, scene_extent
-from mi_splat.training.losses import photometric_loss
 from mi_splat.training.strategies import ClassicConfig, Edit, FixedConfig, Step, Strategy
 from tests.training.sets import SHORT, scene_and_views, watching
 
@@ -93,16 +91,6 @@ def test_a_plain_renderer_cannot_densify() -> None:
         fit(views, start.select(slice(0, 0)), render=watching(), config=SHORT)
 
 
-@pytest.mark.parametrize("weight", [0.0, 0.7])
-def test_the_loss_is_weighed_as_the_configuration_says(weight: float) -> None:
-    _, views, start = scene_and_views()
-    config = FitConfig(iterations=1, sh_degree=1, lambda_dssim=weight, strategy=FixedConfig())
-    losses: list[float] = []
-    fit(views[:1], start, render=Renderer(), config=config, on_step=lambda line: losses.append(line.loss))
-    picture = Renderer()(start.with_degree(0), views[0].camera)
-    assert losses == pytest.approx([float(photometric_loss(picture, views[0].image, lambda_dssim=weight))], rel=1e-5)
-
-
 def test_the_hooks_are_called_with_what_they_are_told() -> None:
     """What a strategy adds to the loss counts, it hears of every step but the last, and views are scored on time."""
     _, views, start = scene_and_views()
@@ -127,33 +115,11 @@ def test_the_hooks_are_called_with_what_they_are_told() -> None:
     assert all(step.screen_gradients is not None for step in steps)
 
 
-def test_pictures_that_are_equal_have_a_score_that_can_be_written() -> None:
-    scene, views, *_ = scene_and_views()
-    render = Renderer()
-    equal = [View(view.camera, render(scene, view.camera).detach().clamp(0, 1)) for view in views[:2]]
-    scored = score(scene, equal, render)
-    assert scored is not None
-    assert scored.psnr == MOST_PSNR
-    assert scored.ssim == pytest.approx(1.0)
-
-
 # What a run is made of: the order of its views, the degree that is trained, and what Adam keeps for each row
 
 
 def state_of(config: FitConfig, *, start: GaussianScene | None = None, seed: int = 0) -> TrainState:
     return TrainState(start or scene_and_views(8)[2], config, scene_extent=1.0, seed=seed)
-
-
-def test_all_views_are_seen_before_one_is_seen_again() -> None:
-    orders = []
-    for seed in (0, 1):
-        state = state_of(FitConfig(), seed=seed)
-        passes = [[state.next_view(30) for _ in range(30)] for _ in range(2)]
-        assert [sorted(one) for one in passes] == [list(range(30))] * 2
-        assert passes[0] != passes[1]
-        orders += passes
-    assert all(one not in (list(range(30)), list(range(29, -1, -1))) for one in orders)
-    assert orders[0] != orders[2]
 
 
 def test_the_degree_rises_by_one_each_interval() -> None:
@@ -164,14 +130,6 @@ def test_the_degree_rises_by_one_each_interval() -> None:
         assert state.scene().degree == degrees[-1]
     assert degrees == [0, 0, 1, 1, 2, 3, 3]
     assert state_of(FitConfig(sh_degree=3, sh_degree_interval=0)).active_sh_degree == 3
-
-
-def test_rotations_are_normalised_before_they_are_rendered() -> None:
-    state = state_of(FitConfig())
-    with torch.no_grad():
-        state.parameters["rotations"].mul_(3.0)
-    torch.testing.assert_close(state.scene().rotations.norm(dim=1), torch.ones(8))
-    torch.testing.assert_close(state.result().rotations, state.scene().rotations.detach())
 
 
 def trained() -> TrainState:
@@ -204,21 +162,6 @@ def test_rows_keep_what_adam_knows_of_them_unless_they_are_fresh() -> None:
     assert [group["params"][0] is state.parameters[group["name"]] for group in state.optimiser.param_groups] == [
         True
     ] * len(state.trained)
-
-
-def test_rows_of_what_is_not_trained_go_with_the_others() -> None:
-    state = state_of(FitConfig(trainable=("sh",), strategy=FixedConfig()))
-    means = state.parameters["means"].clone()
-    state.apply(Edit(parameters={}, source=torch.tensor([3, 0])))
-    assert torch.equal(state.parameters["means"], means[[3, 0]])
-    assert not state.parameters["means"].requires_grad
-    assert state.parameters["sh0"].requires_grad
-    assert len(state.scene()) == 2
-
-
-def test_nothing_left_is_an_error() -> None:
-    with pytest.raises(TrainingError, match="Gaussians left after pruning"):
-        state_of(FitConfig()).apply(Edit(parameters={}, source=torch.zeros(0, dtype=torch.int64)))
 
 
 def test_the_extent_is_that_of_3dgs() -> None:

@@ -10,35 +10,8 @@ from mi_splat.training.config import FitConfig
 from mi_splat.training.loop import TrainState, advance, scene_extent
 from mi_splat.training.strategies import ClassicConfig, Edit, FixedConfig, MCMCConfig, build_strategy
 from mi_splat.training.strategies.classic import ClassicStrategy, densify_and_prune, reset_opacities
-from mi_splat.training.strategies.mcmc import explore, relocate
+from mi_splat.training.strategies.mcmc import explore
 from tests.training.sets import Seen, scene_and_views, small, step_of, watching
-
-
-def test_settings_are_those_of_the_papers() -> None:
-    """The files `arguments/__init__.py` of the two papers' code, for 30,000 iterations."""
-    config = FitConfig()
-    assert (config.lr_means, config.lr_means_final) == (1.6e-4, 1.6e-6)
-    assert (config.lr_scales, config.lr_rotations, config.lr_opacities, config.lr_sh) == (5e-3, 1e-3, 5e-2, 2.5e-3)
-    assert (config.lambda_dssim, config.sh_degree, config.sh_degree_interval) == (0.2, 3, 1000)
-    assert config.strategy == ClassicConfig(
-        densify_from=500,
-        densify_interval=100,
-        densify_grad_threshold=2e-4,
-        percent_dense=0.01,
-        prune_opacity=0.005,
-        prune_scale=0.1,
-        opacity_reset_interval=3000,
-    )
-    assert MCMCConfig() == MCMCConfig(
-        densify_from=500,
-        densify_until=25_000,
-        densify_interval=100,
-        growth=0.05,
-        dead_opacity=0.005,
-        noise_lr=5e5,
-        opacity_reg=0.01,
-        scale_reg=0.01,
-    )
 
 
 def state_of(config: FitConfig, *, extent: float = 1.0) -> TrainState:
@@ -53,14 +26,6 @@ def test_learning_rates_at_both_ends_and_in_the_middle() -> None:
         rates = state.learning_rates()
         assert rates.pop("means") == pytest.approx(3 * rate)
         assert rates == pytest.approx(others)
-
-
-def test_the_rate_of_sh_decays_if_there_is_a_last_one() -> None:
-    state = state_of(FitConfig(iterations=1000, lr_sh=0.04, lr_sh_final=0.0004))
-    for iteration, rate in ((0, 0.04), (500, 0.004), (1000, 0.0004)):
-        state.iteration = iteration
-        rates = state.learning_rates()
-        assert (rates["sh0"], rates["shN"]) == pytest.approx((rate, rate / 20))
 
 
 def test_adam_steps_with_these_rates() -> None:
@@ -142,28 +107,6 @@ def test_thresholds_of_the_classic_strategy() -> None:
     assert one_round(values, torch.zeros(3), prune_large=True) == [0, 2]
 
 
-def test_gradients_are_means_over_the_pictures_in_which_a_gaussian_is() -> None:
-    """Seen in one of four pictures with 1.5 thresholds: densified. Seen in all, with half a threshold each: not."""
-    config = ClassicConfig(densify_from=0, densify_interval=4, densify_until=100)
-    strategy, values = ClassicStrategy(config), small(3)
-    state = strategy.initial_state(3)
-    edits = []
-    for iteration in range(1, 9):
-        first = float(iteration % 4 == 0)
-        seen = Seen(torch.tensor([3e-4 * first, 1e-4, 0.0]), torch.tensor([first, 1.0, 0.0]))
-        edits.append(strategy.after_step(step_of(values, iteration, 100, seen), state))
-        if edit := edits[-1]:
-            values = edit.parameters
-            assert not state["grad2d"].any()
-            assert not state["visible_count"].any()
-            break
-    assert edits[:3] == [None] * 3
-    assert edits[3] is not None
-    assert edits[3].source is not None
-    assert edits[3].source.tolist() == [0, 1, 2, 0]
-    assert len(state["grad2d"]) == len(state["visible_count"]) == 4
-
-
 def test_a_reset_comes_after_its_round_and_large_ones_go_from_then_on() -> None:
     config = ClassicConfig(densify_from=0, densify_interval=2, opacity_reset_interval=2, densify_until=100)
     strategy, values = ClassicStrategy(config), small(3)
@@ -183,10 +126,6 @@ def test_a_reset_comes_after_its_round_and_large_ones_go_from_then_on() -> None:
     assert later.source.tolist() == [0, 2, 3]
 
 
-def test_reset_opacities_are_a_hundredth() -> None:
-    assert reset_opacities(torch.tensor([5.0, -9.0])).sigmoid().tolist() == pytest.approx([0.01, 0.0001234], rel=1e-3)
-
-
 def test_a_reset_makes_adam_forget() -> None:
     _, views, start = scene_and_views()
     config = FitConfig(iterations=6, sh_degree=1, strategy=FixedConfig())
@@ -203,31 +142,6 @@ def test_a_reset_makes_adam_forget() -> None:
 
 
 # What the paper of MCMC fixes (Kheradmand et al. 2024)
-
-
-def test_mcmc_grows_by_a_twentieth_and_moves_the_dead() -> None:
-    values = small(100)
-    values["opacities"][:2] = torch.tensor([0.00499, 0.00501]).logit()
-    edit = relocate(values, config=MCMCConfig(), generator=torch.Generator().manual_seed(0))
-    assert edit.source is not None
-    assert edit.fresh is not None
-    assert len(edit.source) == 105
-    assert edit.source[0] != 0
-    assert edit.source[1] == 1
-    assert edit.fresh[[0, 100, 101, 102, 103, 104]].all()
-    assert set(edit.fresh.nonzero().flatten().tolist()) == {0, *range(100, 105), *edit.source[[0]].tolist()} | set(
-        edit.source[100:].tolist()
-    )
-    assert not edit.fresh[1]
-
-
-def test_mcmc_draws_by_opacity() -> None:
-    values = small(2)
-    values["opacities"] = torch.tensor([0.1, 0.9]).logit()
-    config = MCMCConfig(growth=1000.0)
-    edit = relocate(values, config=config, generator=torch.Generator().manual_seed(0))
-    assert edit.source is not None
-    assert float(edit.source[2:].float().mean()) == pytest.approx(0.9, abs=0.03)
 
 
 def test_mcmc_rounds_come_in_their_time_and_noise_at_every_step() -> None:
@@ -258,16 +172,6 @@ def test_mcmc_noise_has_the_size_of_the_paper() -> None:
     gate = torch.tensor([[0.5], [1 / (1 + 2.718281828**4)]])
     expected = 5e5 * 1e-4 * gate * draws * torch.tensor([0.01, 0.04, 0.09])
     torch.testing.assert_close(moved, expected, rtol=1e-4, atol=1e-7)
-
-
-def test_mcmc_noise_turns_with_the_gaussian() -> None:
-    """A needle along x, turned to lie along y, is shaken along y only."""
-    values = small(1)
-    values["scales"][0] = torch.tensor([0.5, 1e-4, 1e-4]).log()
-    values["rotations"][0] = torch.tensor([0.5**0.5, 0.0, 0.0, 0.5**0.5])
-    values["opacities"][:] = -9.0
-    moved = explore(values, lr_means=1e-4, config=MCMCConfig(), generator=torch.Generator().manual_seed(1))[0]
-    assert abs(float(moved[1])) > 1e3 * max(abs(float(moved[0])), abs(float(moved[2])))
 
 
 def test_mcmc_adds_its_two_regularisers() -> None:

@@ -20,7 +20,6 @@ from mi_splat.training.initialization import from_points
 from mi_splat.training.loop import FitConfig, Progress
 from mi_splat.training.resume import train
 from mi_splat.training.strategies import ClassicConfig
-from tests.io.noted import changed
 from tests.training.sets import views_of, watching
 
 CONFIG = FitConfig(
@@ -45,16 +44,6 @@ def threads(request: pytest.FixtureRequest) -> Iterator[int]:
     torch.set_num_threads(request.param)
     yield request.param
     torch.set_num_threads(before)
-
-
-def test_a_view_that_is_not_there_is_not_waited_for(tmp_path: Path) -> None:
-    truth, views = views_of()
-    start = from_points(truth.means, torch.full((50, 3), 0.5))
-    config = dataclasses.replace(CONFIG, iterations=2)
-    train(views, start, tmp_path, render=watching(), config=config)
-    changed(tmp_path / "checkpoint.safetensors", lambda notes, tensors: notes.update(view_queue=[0, len(views)]))
-    with pytest.raises(CheckpointError, match=f"view_queue: expected views below {len(views)}, got {len(views)}"):
-        train(views, start, tmp_path, render=watching(), config=config)
 
 
 @pytest.mark.parametrize(
