@@ -213,7 +213,7 @@ def test_a_changed_folder_is_refused(out: Path, suite: Path, tmp_path: Path) -> 
         rescored(tmp_path)
     rows = (out / "rows.csv.xz").read_bytes()
     (tmp_path / "rows.csv.xz").write_bytes(rows[:-1] + bytes([rows[-1] ^ 1]))
-    with pytest.raises(InvalidValueError, match=r"rows\.csv\.gz"):
+    with pytest.raises(InvalidValueError, match=r"rows\.csv\.xz"):
         rescored(tmp_path)
 
 
