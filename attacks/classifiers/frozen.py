@@ -23,21 +23,13 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preparation:
-    """How pictures are brought to a network, differentiable: scaled, cut, and normalised, by torchvision's functions.
+    """How pictures are brought to a network: scaled, cut, and normalised, by torchvision's differentiable functions."""
 
-    Attributes:
-        size: Width and height of what the network gets, pixels: the middle is cut out.
-        shorter: Pixels to which the shorter side is scaled before, with antialiasing; None is `size`.
-        mean: Of each channel, sRGB in [0, 1]; subtracted.
-        deviation: Of each channel; divided by.
-        mode: "bilinear" or "bicubic".
-    """
-
-    size: int = 224
-    shorter: int | None = None
-    mean: Triple = (0.485, 0.456, 0.406)
-    deviation: Triple = (0.229, 0.224, 0.225)
-    mode: str = "bilinear"
+    size: int = 224  # width and height of what the network gets, pixels: the middle is cut out
+    shorter: int | None = None  # pixels to which the shorter side is scaled before, with antialiasing; None is `size`
+    mean: Triple = (0.485, 0.456, 0.406)  # of each channel, sRGB in [0, 1]; subtracted
+    deviation: Triple = (0.229, 0.224, 0.225)  # of each channel; divided by
+    mode: str = "bilinear"  # "bilinear" or "bicubic"
 
     def __call__(self, images: Tensor) -> Tensor:
         """(B, H, W, 3) sRGB in [0, 1] to (B, 3, size, size)."""
@@ -48,14 +40,7 @@ class Preparation:
 
 
 class FrozenClassifier(FrozenModel):
-    """A frozen network behind the `Classifier` interface.
-
-    Attributes:
-        name: For rows and tables.
-        classes: What it tells apart.
-        model: Gives (B, C) logits of prepared pictures.
-        prepare: How pictures are brought to it.
-    """
+    """A frozen network behind the `Classifier` interface."""
 
     def __init__(self, name: str, model: nn.Module, classes: Sequence[str], prepare: Preparation) -> None:
         """Freeze a model, in place."""
@@ -82,14 +67,7 @@ class FrozenClassifier(FrozenModel):
 
 
 class ZeroShot(nn.Module):
-    """Features of a picture compared with those of each class: their cosine, times a temperature.
-
-    Attributes:
-        encoder: Gives (B, F) features of prepared pictures.
-        directions: (C, F) unit vectors, one for each class.
-        temperature: What cosines are multiplied by.
-        centre: (F,) subtracted from the unit vector of a picture before it is made one again; None subtracts nothing.
-    """
+    """Features of a picture compared with those of each class: their cosine, times a temperature."""
 
     def __init__(
         self, encoder: nn.Module, directions: Tensor, *, temperature: float, centre: Tensor | None = None

@@ -18,28 +18,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassifierSpec:
-    """A kind of classifier that can be loaded by its name.
+    """A kind of classifier that can be loaded by its name."""
 
-    Attributes:
-        name: What it is called.
-        load: Makes it from what follows a colon after its name, a file or folder of weights or None for its usual ones,
-            and classes or None for its usual ones.
-        origin: Where its usual weights come from.
-        licence: Of the weights.
-        networks: What stands after the colon; empty where nothing does.
-        weights: Gives the file of its usual weights, there or not; None where no one file has them.
-        advice: What to do where that is not there.
-        requires: Packages, by the names they are imported by, that it needs besides those of mi-splat.
-    """
-
-    name: str
+    name: str  # what it is called
     load: Callable[[str, Path | None, Sequence[str] | None], Classifier]
-    origin: str
-    licence: str
-    networks: str = ""
+    """Makes it from what follows a colon after its name, weights, and classes; None is its usual ones."""
+    origin: str  # where its usual weights come from
+    licence: str  # of the weights
+    networks: str = ""  # what stands after the colon; empty where nothing does
     weights: Callable[[], Path] | None = None
-    advice: str = ""
+    """Gives the file of its usual weights, there or not; None where no one file has them."""
+    advice: str = ""  # what to do where that is not there
     requires: tuple[str, ...] = ()
+    """Packages, by the names they are imported by, that it needs besides those of mi-splat."""
 
     def missing(self) -> str:
         """What keeps its usual weights from being loaded now and what to do about it; empty if nothing does."""

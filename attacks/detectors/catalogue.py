@@ -77,17 +77,11 @@ Those that end in u are YOLOv3 and YOLOv5 with the head of YOLOv8, as the librar
 
 
 class HubEntry(NamedTuple):
-    """Where the hub of the library transformers has a detector.
+    """Where the hub of the library transformers has a detector."""
 
-    Attributes:
-        repository: Its name there.
-        revision: The one that needs no package besides the library.
-        architecture: The library's name of it, `model_type` in a configuration.
-    """
-
-    repository: str
-    revision: str
-    architecture: str
+    repository: str  # its name there
+    revision: str  # the one that needs no package besides the library
+    architecture: str  # the library's name of it, `model_type` in a configuration
 
 
 TRANSFORMERS_HUB = {
@@ -139,35 +133,21 @@ class NpmFile:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NpmDetector:
-    """A detector in a package of npm.
+    """A detector in a package of npm."""
 
-    Attributes:
-        name: What it is called here.
-        package: Name of the package.
-        version: Of the package.
-        megabytes: What the package weighs.
-        archive: SHA-256 of the package's .tgz file.
-        files: The `.json` and the `.bin` file of a TensorFlow.js graph; or one file that ends with a TFLite graph.
-        start: Byte at which the TFLite graph begins.
-        data: Photographs that it was trained on.
-        classes: Foreground classes, in the order of its scores.
-        package_licence: What the package states.
-        source: Where it was trained, as the `.json` file says, or where its publisher tells of it.
-        source_licence: What that source states.
-    """
-
-    name: str
-    package: str
-    version: str
-    megabytes: float
-    archive: str
+    name: str  # what it is called here
+    package: str  # name of the package
+    version: str  # of the package
+    megabytes: float  # what the package weighs
+    archive: str  # SHA-256 of the package's .tgz file
     files: tuple[NpmFile, ...]
-    start: int = 0
-    data: str = "COCO"
-    classes: tuple[str, ...] = COCO_CLASSES
-    package_licence: str
-    source: str
-    source_licence: str
+    """The `.json` and the `.bin` file of a TensorFlow.js graph; or one file that ends with a TFLite graph."""
+    start: int = 0  # byte at which the TFLite graph begins
+    data: str = "COCO"  # photographs that it was trained on
+    classes: tuple[str, ...] = COCO_CLASSES  # foreground classes, in the order of its scores
+    package_licence: str  # what the package states
+    source: str  # where it was trained, as the `.json` file says, or where its publisher tells of it
+    source_licence: str  # what that source states
 
     @property
     def spec(self) -> str:

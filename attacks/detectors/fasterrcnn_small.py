@@ -46,12 +46,7 @@ class Block(nn.Module):
 
 
 class Backbone(nn.Module):
-    """Strided stem, three residual stages at strides 8, 16 and 32, and a feature pyramid over them.
-
-    Attributes:
-        widths: Channels of each stage.
-        out_channels: Channels of every level of the pyramid.
-    """
+    """Strided stem, three residual stages at strides 8, 16 and 32, and a feature pyramid over them."""
 
     def __init__(self) -> None:
         super().__init__()

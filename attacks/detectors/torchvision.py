@@ -54,13 +54,7 @@ _SCORES: Mapping[type[nn.Module], Callable[[Outputs], Tensor]] = {
 
 
 class TorchvisionDetector(FrozenModel, ABC):
-    """A frozen detector of torchvision behind the `Detector` interface.
-
-    Attributes:
-        name: Name in `attacks.detectors.DETECTORS`.
-        classes: Foreground classes; COCO's unused numbers ("N/A") are left out of them.
-        model: The library's model, in evaluation mode, its weights without gradients.
-    """
+    """A frozen detector of torchvision behind the `Detector` interface."""
 
     def __init__(self, name: str, model: nn.Module, labels: Sequence[str]) -> None:
         """Wrap `model`, whose label number i means labels[i]; labels[0] is the background."""
@@ -119,19 +113,12 @@ class RCNNDetector(TorchvisionDetector):
 
 
 class _Regions(NamedTuple):
-    """What the second stage of a Faster R-CNN looks at.
+    """What the second stage of a Faster R-CNN looks at."""
 
-    Attributes:
-        heads: The model's box heads.
-        levels: Names of the feature maps.
-        proposals: (R, 4) of each picture.
-        sizes: Height and width of each picture.
-    """
-
-    heads: Any
-    levels: tuple[str, ...]
-    proposals: tuple[Tensor, ...]
-    sizes: tuple[tuple[int, int], ...]
+    heads: Any  # the model's box heads
+    levels: tuple[str, ...]  # names of the feature maps
+    proposals: tuple[Tensor, ...]  # (R, 4) of each picture
+    sizes: tuple[tuple[int, int], ...]  # height and width of each picture
 
     def scored(self, maps: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
         """Logits (R, L) and deltas (R, 4 L) of all proposals, in the order of the pictures."""

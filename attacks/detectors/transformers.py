@@ -59,15 +59,7 @@ _ARCHITECTURES: Mapping[str, tuple[Any, Any, Callable[[Tensor], Tensor]]] = {
 
 
 class TransformersDetector(FrozenModel):
-    """A frozen DETR or RT-DETR behind the `Detector` interface.
-
-    Attributes:
-        name: Name in `attacks.detectors.DETECTORS`.
-        classes: Foreground classes; COCO's unused numbers ("N/A") are left out of them.
-        model: The library's model, in evaluation mode, its weights without gradients.
-        processor: The library's image processor, which knows the size that the network works at.
-        min_confidence: Confidence below which `detect` reports nothing.
-    """
+    """A frozen DETR or RT-DETR behind the `Detector` interface."""
 
     def __init__(self, name: str, model: Any, processor: Any, *, min_confidence: float = _MIN_CONFIDENCE) -> None:
         """Wrap `model`."""

@@ -67,15 +67,7 @@ _NAME = re.compile(r"(?P<family>yolov?\d+)(?P<size>[nsmlx]?)")
 
 
 class YOLODetector(FrozenModel):
-    """A frozen detector of the library behind the `Detector` interface.
-
-    Attributes:
-        name: Name in `attacks.detectors.DETECTORS`.
-        classes: Foreground classes.
-        model: The library's model, in evaluation mode, its weights without gradients.
-        side: Longer image side that the network works at, pixels.
-        min_confidence: Confidence below which `detect` reports nothing.
-    """
+    """A frozen detector of the library behind the `Detector` interface."""
 
     def __init__(
         self, name: str, model: nn.Module, classes: Sequence[str], *, side: int, min_confidence: float = _MIN_CONFIDENCE

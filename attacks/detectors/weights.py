@@ -132,13 +132,7 @@ def _order_gradient(module: nn.Module, inputs: Any, output: Tensor) -> None:
 
 
 class FrozenModel:
-    """A torch model in evaluation mode whose weights have no gradients: what all adapters have in common.
-
-    Attributes:
-        name: Name in `attacks.detectors.DETECTORS`, or of a classifier.
-        classes: Foreground classes.
-        model: The model.
-    """
+    """A torch model in evaluation mode whose weights have no gradients: what all adapters have in common."""
 
     name: str
     classes: tuple[str, ...]

@@ -73,25 +73,16 @@ def _in_ball(shares: Sequence[float]) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureChange:
-    """One draw from `PictureChanges`; the fields are named alike.
-
-    Attributes:
-        gains: Factors of red, green and blue, in linear light; exposure and white balance together.
-        gamma: Exponent of the picture.
-        blur: Standard deviation, pixels.
-        resize: Factor.
-        noise: Standard deviation.
-        noise_seed: Seed of the noise.
-        jpeg: Quality; 0 for none.
-    """
+    """One draw from `PictureChanges`; the fields are named alike."""
 
     gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    gamma: float = 1.0
-    blur: float = 0.0
-    resize: float = 1.0
-    noise: float = 0.0
-    noise_seed: int = 0
-    jpeg: int = 0
+    """Factors of red, green and blue, in linear light; exposure and white balance together."""
+    gamma: float = 1.0  # exponent of the picture
+    blur: float = 0.0  # standard deviation, pixels
+    resize: float = 1.0  # factor
+    noise: float = 0.0  # standard deviation
+    noise_seed: int = 0  # seed of the noise
+    jpeg: int = 0  # quality; 0 for none
 
 
 def draw_change(changes: PictureChanges, generator: np.random.Generator) -> PictureChange:

@@ -54,23 +54,16 @@ _SHIFTS = (10.0, 10.0, 5.0, 5.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Family:
-    """What has to be known of a network to use it.
+    """What has to be known of a network to use it."""
 
-    Attributes:
-        outputs: Names of the graph's tensors that are decoded.
-        side: Height and width of its input, pixels.
-        prepare: From (1, 3, side, side) sRGB in [0, 1] to what the graph takes.
-        decode: From the outputs to boxes (A, 4) in pixels of the input and scores (A, C).
-        keep: From boxes, scores and the least score to rows and columns of what is reported, best first.
-        min_confidence: Confidence below which nothing is reported.
-    """
-
-    outputs: tuple[str, ...]
-    side: int
-    prepare: Callable[[Tensor], Tensor]
+    outputs: tuple[str, ...]  # names of the graph's tensors that are decoded
+    side: int  # height and width of its input, pixels
+    prepare: Callable[[Tensor], Tensor]  # from (1, 3, side, side) sRGB in [0, 1] to what the graph takes
     decode: Callable[[tuple[Tensor, ...]], tuple[Tensor, Tensor]]
+    """From the outputs to boxes (A, 4) in pixels of the input and scores (A, C)."""
     keep: Callable[[Tensor, Tensor, float], tuple[Tensor, Tensor]]
-    min_confidence: float = 0.05
+    """From boxes, scores and the least score to rows and columns of what is reported, best first."""
+    min_confidence: float = 0.05  # confidence below which nothing is reported
 
 
 def _prepare_standardised(picture: Tensor) -> Tensor:
@@ -202,11 +195,6 @@ class GraphDetector(FrozenModel):
     """A detector that others trained on photographs, its weights frozen.
 
     A picture of any size is resized to the network's square, whatever its shape, as the published programs do.
-
-    Attributes:
-        name: Name in `attacks.detectors.DETECTORS`.
-        classes: Those of the photographs.
-        model: The graph.
     """
 
     def __init__(self, name: str, network: GraphNetwork, family: Family, classes: Sequence[str] = COCO_CLASSES) -> None:

@@ -29,30 +29,21 @@ _SETTINGS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Node:
-    """One operation of a graph.
+    """One operation of a graph."""
 
-    Attributes:
-        op: Name of the operation in TensorFlow.
-        inputs: Names of the tensors that it takes: `node`, or `node:1` for the second output of a node.
-        settings: Its attributes: numbers, strings, truth values, and tuples of them.
-    """
-
-    op: str
+    op: str  # name of the operation in TensorFlow
     inputs: tuple[str, ...] = ()
+    """Names of the tensors that it takes: `node`, or `node:1` for the second output of a node."""
     settings: Mapping[str, Any] = field(default_factory=dict)
+    """Its attributes: numbers, strings, truth values, and tuples of them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GraphModel:
-    """A graph and its constants.
+    """A graph and its constants."""
 
-    Attributes:
-        nodes: By name, in any order; a placeholder has its `shape`.
-        constants: Name of a `Const` node to its value.
-    """
-
-    nodes: Mapping[str, Node]
-    constants: Mapping[str, Tensor]
+    nodes: Mapping[str, Node]  # by name, in any order; a placeholder has its `shape`
+    constants: Mapping[str, Tensor]  # name of a `Const` node to its value
 
 
 def read_graph_model(model_json: bytes, weights: bytes) -> GraphModel:

@@ -43,17 +43,11 @@ def inverse(order: Order) -> Order:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Value:
-    """A tensor of the graph at the size that the graph was made for.
+    """A tensor of the graph at the size that the graph was made for."""
 
-    Attributes:
-        tensor: As it is kept in memory: of a constant its value, otherwise that for an input of zeros.
-        order: Axis in memory of each of the graph's axes.
-        slot: Under which name it is when the network runs; None for a constant.
-    """
-
-    tensor: Tensor
-    order: Order
-    slot: str | None = None
+    tensor: Tensor  # as it is kept in memory: of a constant its value, otherwise that for an input of zeros
+    order: Order  # axis in memory of each of the graph's axes
+    slot: str | None = None  # under which name it is when the network runs; None for a constant
 
     @property
     def constant(self) -> bool:
@@ -73,17 +67,11 @@ class Value:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """One call when the network runs.
+    """One call when the network runs."""
 
-    Attributes:
-        function: Of the tensors of `inputs` as they are in memory.
-        inputs: What it takes.
-        orders: Order of each output.
-    """
-
-    function: Function
-    inputs: tuple[Value, ...]
-    orders: tuple[Order, ...]
+    function: Function  # of the tensors of `inputs` as they are in memory
+    inputs: tuple[Value, ...]  # what it takes
+    orders: tuple[Order, ...]  # order of each output
 
 
 Run = Callable[[Step], tuple[Value, ...]]
