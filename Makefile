@@ -17,6 +17,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-stamp
 
 export PYTHON SYSTEM_SITE VENV
+unexport PYTHONDONTWRITEBYTECODE # compiled modules are kept: without them every child process compiles all again
 
 .PHONY: help setup demo demo-cloak demo-coco test lint types pytest commands nightly docs format wheel clean
 

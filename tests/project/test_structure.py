@@ -17,6 +17,7 @@ TOP_LEVEL = {
     *PACKAGES,
     *("scenes", "tests", "benchmarks", "docs", ".ci", "pyproject.toml", "Makefile", ".gitignore"),
     *("README.md", "LICENSE", "NOTICE", "CITATION.cff", "CHANGELOG.md"),
+    *(".github", ".pre-commit-config.yaml", ".pre-commit-hooks.yaml", ".readthedocs.yaml"),
 }
 LONGEST_MODULE = 600
 
