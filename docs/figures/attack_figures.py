@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 from mi_splat.io.picture_files import load_picture
 from mi_splat.io.pictures import save_animation
@@ -283,11 +283,31 @@ def rising() -> list[NDArray[np.uint8]]:
     return [*frames, frames[-1], *frames[-1:0:-1], frames[0]]
 
 
+def hero() -> Image.Image:
+    """Four labelled images of the same sheet: clean and cloaked splat, from street level and from above."""
+    sheet = load_picture(IMAGES / "cloak_stealthy.jpg").convert("RGB")
+    side, gap, head, left = sheet.height / 4, 8, 34, 150
+    shown = round(1.8 * side)
+    made = Image.new("RGB", (left + 2 * shown + gap, head + 2 * shown + gap), (255, 255, 255))
+    draw, font = ImageDraw.Draw(made), ImageFont.load_default(18)
+    for column, name in enumerate(("clean images", "poisoned images")):
+        draw.text((left + column * (shown + gap) + shown / 2, head / 2), name, (20, 20, 20), font, anchor="mm")
+    for row, (name, number) in enumerate((("from street\nlevel", 0), ("from above", 7))):
+        top = head + row * (shown + gap)
+        draw.multiline_text((left / 2, top + shown / 2), name, (20, 20, 20), font, anchor="mm", align="center")
+        for column in range(2):
+            corner = (round(number * side), round(column * side))
+            part = sheet.crop((*corner, corner[0] + round(side), corner[1] + round(side)))
+            made.paste(part.resize((shown, shown), Image.Resampling.LANCZOS), (left + column * (shown + gap), top))
+    return made
+
+
 def main(folder: Path) -> None:
     """Write every figure."""
     for name, figure in FIGURES.items():
         (folder / f"{name}.svg").write_text(figure().svg())
     save_animation(rising(), folder / "cloak.webp", fps=2.5)
+    hero().save(folder / "hero.png", optimize=True)
 
 
 if __name__ == "__main__":
