@@ -11,7 +11,7 @@ from typing import Any
 
 from mi_splat._lazy import Previewed
 from mi_splat.camera_forms import MOST, parse_form
-from mi_splat.cameras import Camera, orbit_pose, sizes_of
+from mi_splat.cameras import Camera, focal_of, orbit_pose, sizes_of
 from mi_splat.datasets.transforms import read_cameras
 from mi_splat.errors import InvalidValueError
 
@@ -168,7 +168,7 @@ def grid(
 def framing(radius: float, *, fov: float, size: tuple[int, int]) -> tuple[float, float]:
     """Distance in world units from which a ball is seen whole, and focal length in pixels."""
     half = math.radians(fov) / 2
-    return MARGIN * radius / math.sin(half), min(size) / 2 / math.tan(half)
+    return MARGIN * radius / math.sin(half), focal_of(2 * half, min(size))
 
 
 def camera_set(

@@ -268,6 +268,16 @@ def orbit_pose(
     return pose
 
 
+def focal_of(angle: float, pixels: int) -> float:
+    """Focal length in pixels with which so many pixels span an angle of view, radians."""
+    return pixels / 2 / math.tan(angle / 2)
+
+
+def angle_of(focal: float, pixels: int) -> float:
+    """Angle of view of so many pixels, radians; the inverse of `focal_of`."""
+    return 2 * math.atan(pixels / 2 / focal)
+
+
 def project_points(points: Tensor, camera: Camera) -> tuple[Tensor, Tensor]:
     """Project world points with a camera."""
     pose = camera.to_camera.to(points)

@@ -136,8 +136,9 @@ class FrozenView:
         """The weights (None where nothing free is visible), the constant part of the picture, its alpha, `nbytes`."""
         import mitsuba as mi
 
-        from mi_splat.rasterization import layouts, pinhole
+        from mi_splat.rasterization import layouts
         from mi_splat.rasterization.frozen import aligned
+        from mi_splat.rasterization.pinhole import Pinhole
         from mi_splat.rasterization.pipeline import rasterize
         from mi_splat.rasterization.weights import HIDDEN_DC, freeze_pairs
 
@@ -146,7 +147,7 @@ class FrozenView:
         sh[self._fixed] = others
         sh[self.rows, 0] = HIDDEN_DC
         settings = self.settings
-        hole = pinhole.from_camera(self.camera, near=settings.near, antialiased=settings.antialiased)
+        hole = Pinhole(camera=self.camera, near=settings.near, antialiased=settings.antialiased)
         arrays = tuple(aligned(mi.Float(tensor.flatten())) for tensor in (*self._kept[:4], sh))
         picture = rasterize(layouts.TENSORS, arrays, hole, settings.background)
         towards = self._kept[0][self.rows].double() - self.camera.position.to(self._device, torch.float64)
@@ -218,10 +219,10 @@ def _indices(rows: Tensor | slice | None, count: int) -> Tensor:
 
 def _same_camera(first: object, second: Camera) -> bool:
     """Whether two cameras make the same picture."""
-    from mi_splat.rasterization import pinhole
+    from mi_splat.rasterization.pinhole import Pinhole
 
     return isinstance(first, Camera) and (
-        pinhole.from_camera(first, near=1.0).key() == pinhole.from_camera(second, near=1.0).key()
+        Pinhole(camera=first, near=1.0).key() == Pinhole(camera=second, near=1.0).key()
     )
 
 

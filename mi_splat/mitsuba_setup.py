@@ -1,11 +1,90 @@
 """What a process does with Mitsuba first: its log goes to stderr, and its own folder is searched for plugins first."""
 
+import os
+import platform
+import re
 import sys
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from mi_splat.errors import printable
+from mi_splat.errors import MiSplatError, printable
+
+MINIMUM_LLVM = 17
+
+_FOLDERS = (
+    "/usr/lib/*-linux-gnu",
+    "/usr/lib/llvm-*/lib",
+    "/usr/lib64",
+    "/usr/lib64/llvm*/lib",
+    "/usr/lib",
+    "/usr/lib/llvm*/lib",
+    "/usr/local/lib",
+    "/opt/homebrew/opt/llvm*/lib",
+    "/usr/local/opt/llvm*/lib",
+)
+_NAME = re.compile(r"^libLLVM(?:-(?P<dash>\d+)[\d.]*)?\.(?:so(?:\.(?P<dot>\d+)[\d.]*)?|dylib)$")
+
+
+class LLVMError(MiSplatError):
+    """No libLLVM of this machine can be used; the message says what to install."""
+
+
+def llvm_hint() -> str:
+    """One line that says how to install a libLLVM that Dr.Jit can use, for the systems we know."""
+    return (
+        f"install libLLVM >= {MINIMUM_LLVM} (Debian/Ubuntu: apt install libllvm19; Fedora: dnf install llvm-libs; "
+        "Arch: pacman -S llvm-libs; macOS: brew install llvm; conda: conda install -c conda-forge libllvm19) "
+        "or point DRJIT_LIBLLVM_PATH at one"
+    )
+
+
+def llvm_version(path: Path) -> int | None:
+    """Major version of a libLLVM shared library, read off its file name, its link's target or its folder."""
+    for candidate in (path, Path(os.path.realpath(path))):
+        match = _NAME.match(candidate.name)
+        if match and (match["dash"] or match["dot"]):
+            number = int(match["dash"] or match["dot"])
+            if not (match["dash"] is None and number == 1):  # libLLVM.so.1 says nothing
+                return number
+    folder = re.search(r"llvm(?:@|-)?(\d+)", str(Path(os.path.realpath(path)).parent))
+    folder = folder or re.search(r"/llvm/(\d+)", os.path.realpath(path))
+    return int(folder[1]) if folder else None
+
+
+def find_llvm(folders: Iterable[Path] | None = None) -> Path | None:
+    """The newest libLLVM of version 17 or later on this machine, or None."""
+    if folders is None:
+        folders = [match for pattern in _FOLDERS for match in Path("/").glob(pattern[1:])]
+        if "CONDA_PREFIX" in os.environ:
+            folders = [*folders, Path(os.environ["CONDA_PREFIX"]) / "lib"]
+    libraries: list[tuple[int, str]] = []
+    for folder in folders:
+        for path in folder.glob("libLLVM*"):
+            version = llvm_version(path) if _NAME.match(path.name) else None
+            if version is not None and version >= MINIMUM_LLVM and path.exists():
+                libraries.append((version, str(path)))
+    return Path(max(libraries)[1]) if libraries else None
+
+
+def prepare_llvm() -> Path | None:
+    """Point Dr.Jit at a usable libLLVM unless the environment already names one; call it before the first array."""
+    named = os.environ.get("DRJIT_LIBLLVM_PATH")
+    if named:
+        path = Path(named)
+        version = llvm_version(path)
+        if not path.exists():
+            raise LLVMError.of("DRJIT_LIBLLVM_PATH", "a libLLVM shared library", f"missing {named}", llvm_hint())
+        if version is not None and version < MINIMUM_LLVM:
+            raise LLVMError.of("DRJIT_LIBLLVM_PATH", f"LLVM >= {MINIMUM_LLVM}", f"LLVM {version}", llvm_hint())
+        return path
+    library = find_llvm()
+    if library is not None:
+        os.environ["DRJIT_LIBLLVM_PATH"] = str(library)
+    elif platform.system() == "Linux":
+        raise LLVMError.of("libLLVM", f"version {MINIMUM_LLVM} or later", "none on this machine", llvm_hint())
+    return library
 
 
 def set_up_mitsuba() -> None:

@@ -22,12 +22,13 @@ def overdraw(scene: GaussianScene, cameras: Sequence[Camera], *, near: float) ->
     variant.use()
     import mitsuba as mi
 
-    from mi_splat.rasterization import layouts, pinhole
+    from mi_splat.rasterization import layouts
     from mi_splat.rasterization.frozen import aligned
     from mi_splat.rasterization.layers import layers_of_tiles
+    from mi_splat.rasterization.pinhole import Pinhole
 
     geometry = [value.detach().float().contiguous().flatten() for value in scene.tensors()[:4]]
     grey = scene.sh.detach().new_zeros(3 * len(scene)).float()  # colours cost time, and hide nothing from a list
     arrays = tuple(aligned(mi.Float(value)) for value in (*geometry, grey))
     for camera in cameras:
-        yield layers_of_tiles(layouts.TENSORS, arrays, pinhole.from_camera(camera, near=near))
+        yield layers_of_tiles(layouts.TENSORS, arrays, Pinhole(camera=camera, near=near))

@@ -7,65 +7,54 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat import variant
 from mi_splat.cameras import Camera, as_cameras
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.rasterization.settings import checked_background, checked_near
+from mi_splat.io.documents import save_bytes
+from mi_splat.rasterization.settings import Method, RenderSettings
 from mi_splat.scene import GaussianScene, check_scene
-from mi_splat.side_outputs import SideOutputs
-
-Method = Literal["tile", "ray"]
-"""How a picture is made: "tile" as 3DGS does (`splat_tile`), "ray" by ray tracing (`splat_ray`)."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class RenderSettings:
-    """What a picture of a splat depends on besides the splat and the camera; the defaults are those of 3DGS.
+@dataclass(frozen=True, slots=True, eq=False)
+class SideOutputs:
+    """A picture with opacity and depths; w_i = alpha_i T_i is the weight of Gaussian i at a pixel.
 
     Attributes:
-        method: "tile" projects Gaussians to the screen and sorts them by the depth of their means, as 3DGS does; "ray"
-            meets each at its peak along the ray and sorts on every ray by itself.
-        background: sRGB colour behind the splat.
-        near: What is nearer than this (camera-space depth, world units) is culled: Gaussians by the depth of their
-            mean with "tile", by that of their peak with "ray".
-        colour_to_mean: For "ray": look a Gaussian's colour up in the direction of its mean, as "tile" always does, in
-            place of along the ray.
-        alpha: Append opacity (1 - transmittance) as a fourth channel.
-        linear: Return linear values instead of sRGB.
-        antialiased: For "tile": opacities take the 2D filter of Mip-Splatting (Yu et al. 2024) into account, as in the
-            mode of gsplat of this name, so that small Gaussians do not swell. Off is the picture of 3DGS.
-        variant: Mitsuba variant, "llvm_ad_rgb" or "cuda_ad_rgb"; the current one (or LLVM) if empty.
-
-    Raises:
-        InvalidValueError: There is no such method, a number is not finite, `near` is not positive, the background has
-            not three channels, or "ray" is asked for a filter on the screen.
+        image: (H, W, 3) as `Renderer.__call__` gives it, to the bit.
+        alpha: (H, W) opacity, the sum of w_i.
+        depth: (H, W) expected depth sum(w_i z_i) / sum(w_i), z_i the camera-space depth of the mean, world units. It is
+            0, with a gradient of 0, where alpha is 0.
+        median_depth: (H, W) depth of the Gaussian at which the transmittance falls to one half or below, world units; 0
+            where none does (alpha < 0.5). A step function of the scene: it is a constant to autograd.
     """
 
-    method: Method = "tile"
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    near: float = 0.2
-    colour_to_mean: bool = False
-    alpha: bool = False
-    linear: bool = False
-    antialiased: bool = False
-    variant: str = ""
+    image: Tensor
+    alpha: Tensor
+    depth: Tensor
+    median_depth: Tensor
 
-    def __post_init__(self) -> None:
-        if self.method not in get_args(Method):
-            expected = "one of " + ", ".join(get_args(Method))
-            raise InvalidValueError.of("method", expected, self.method, "choose one of them")
-        checked_background(self.background)
-        checked_near(self.near)
-        if self.antialiased and self.method == "ray":
-            do = 'leave antialiased out, or use the method "tile"'
-            raise InvalidValueError.of("antialiased", 'the method "tile"', '"ray", which projects nothing', do)
+
+def save_floats(channels: Mapping[str, NDArray[np.float32]], path: Path) -> None:
+    """Write (H, W) channels by their names as OpenEXR with 32-bit floats, without loss."""
+    variant.use()
+    import mitsuba as mi
+
+    stream, planes = mi.MemoryStream(), np.stack(list(channels.values()), -1)
+    mi.Bitmap(planes, mi.Bitmap.PixelFormat.MultiChannel, list(channels)).write(stream, mi.Bitmap.FileFormat.OpenEXR)
+    save_bytes(bytes(stream.raw_buffer()), path)
+
+
+__all__ = ["Method", "RenderSettings", "Renderer", "ScreenGradients"]
 
 
 class ScreenGradients:
@@ -221,10 +210,11 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
     import drjit as dr
     import mitsuba as mi
 
-    from mi_splat.rasterization import layouts, pinhole
+    from mi_splat.rasterization import layouts
     from mi_splat.rasterization.colour import develop, develop_backward
     from mi_splat.rasterization.frozen import aligned, buffer
     from mi_splat.rasterization.picture import Picture
+    from mi_splat.rasterization.pinhole import Pinhole
     from mi_splat.rasterization.pipeline import rasterize, rasterize_backward
     from mi_splat.raytracing.picture import RayPicture, raytrace, raytrace_backward
     from mi_splat.raytracing.splats import prepare
@@ -232,7 +222,7 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
     def make_pictures(arrays: tuple[Any, ...], job: _Job) -> list[Picture | RayPicture]:
         settings = job.settings
         cameras = [
-            pinhole.from_camera(camera, near=settings.near, antialiased=settings.antialiased) for camera in job.cameras
+            Pinhole(camera=camera, near=settings.near, antialiased=settings.antialiased) for camera in job.cameras
         ]
         if settings.method == "tile":
             depths = job.side_outputs

@@ -1,25 +1,28 @@
 """Scene files as values: an XML scene of splats or a bare splat file, and cameras for it."""
 
-import dataclasses
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
+from xml.etree import ElementTree
 
 import torch
+from torch import Tensor
 
 from mi_splat import variant
 from mi_splat._lazy import Previewed
 from mi_splat.bounds import bounds, near_plane
-from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cameras import Camera, focal_of, orbit_pose
 from mi_splat.errors import InvalidValueError, MiSplatError, listed, message
+from mi_splat.io import save_splat
+from mi_splat.io.documents import file_name, save_text
 from mi_splat.io.errors import SplatFileError, SplatFileWarning, path_name
-from mi_splat.io.scene_parts import check_scene_file
+from mi_splat.io.scene_parts import check_scene_file, scene_parts
 from mi_splat.io.splat_files import load_stored
 from mi_splat.rendering import RenderSettings
-from mi_splat.scene import GaussianScene, merge
+from mi_splat.scene import GaussianScene, check_scene, merge
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -109,29 +112,17 @@ def values_of(loaded: Any, path: str | Path, *, among: Literal["nothing", "surfa
 
 def _settings_of(integrator: Any, near: float, path: str | Path) -> RenderSettings:
     """Render settings of a scene's integrator; `near` where the file states none."""
-    if type(integrator).__name__ == "SplatRay":
-        return RenderSettings(
-            method="ray",
-            background=integrator.background,
-            near=near,
-            colour_to_mean=integrator.colour_to_mean,
-            alpha=integrator.alpha,
-            linear=integrator.linear,
-        )
-    if type(integrator).__name__ != "SplatTile":
-        if type(integrator).__name__ != "BasicVolumetricPrimitiveRadianceFieldIntegrator":
-            got = f"{integrator.class_name()}, which shows splats as grey lumps in Mitsuba"
-            do = 'they are drawn with splat_tile here: write <integrator type="splat_tile"/>'
-            text = message(str(path), "the integrator splat_tile or splat_ray", got, do)
-            warnings.warn(text, SplatFileWarning, stacklevel=4)
-        return RenderSettings(near=near)
-    return RenderSettings(
-        background=integrator.background,
-        near=integrator.near if integrator.near_is_set else near,
-        alpha=integrator.alpha,
-        linear=integrator.linear,
-        antialiased=integrator.antialiased,
-    )
+    from mi_splat.plugins.settings import IntegratorSettings
+
+    settings = getattr(integrator, "settings", None)
+    if isinstance(settings, IntegratorSettings):
+        return settings.values if "near" in settings.given else replace(settings.values, near=near)
+    if type(integrator).__name__ != "BasicVolumetricPrimitiveRadianceFieldIntegrator":
+        got = f"{integrator.class_name()}, which shows splats as grey lumps in Mitsuba"
+        do = 'they are drawn with splat_tile here: write <integrator type="splat_tile"/>'
+        text = message(str(path), "the integrator splat_tile or splat_ray", got, do)
+        warnings.warn(text, SplatFileWarning, stacklevel=4)
+    return RenderSettings(near=near)
 
 
 def _reason(error: RuntimeError, path: Path) -> MiSplatError:
@@ -151,7 +142,7 @@ def open_scene(path: Path, device: str = "cpu") -> SplatScene:
     """
     if path.suffix.lower() == ".xml":
         loaded = read_scene(path)
-        loaded = dataclasses.replace(loaded, settings=dataclasses.replace(loaded.settings, alpha=False, linear=False))
+        loaded = replace(loaded, settings=replace(loaded.settings, alpha=False, linear=False))
     else:
         stored = load_stored(path).settle(str(path), "raise", stacklevel=2)
         scene = stored.scene
@@ -160,8 +151,8 @@ def open_scene(path: Path, device: str = "cpu") -> SplatScene:
     if device == "cpu":
         return loaded
     variant.check_device(device)
-    settings = dataclasses.replace(loaded.settings, variant=variant.use("cuda_ad_rgb"))
-    return dataclasses.replace(loaded, scene=loaded.scene.to(device), settings=settings)
+    settings = replace(loaded.settings, variant=variant.use("cuda_ad_rgb"))
+    return replace(loaded, scene=loaded.scene.to(device), settings=settings)
 
 
 def orbit_camera(
@@ -185,7 +176,7 @@ def orbit_camera(
         distance = radius / math.sin(half)
     target = middle if centre is None else centre
     pose = orbit_pose(target, azimuth=azimuth, elevation=elevation, distance=distance)
-    return Camera(to_world=pose, focal=min(size) / 2 / math.tan(half), width=size[0], height=size[1])
+    return Camera(to_world=pose, focal=focal_of(2 * half, min(size)), width=size[0], height=size[1])
 
 
 def resized(camera: Camera, size: tuple[int, int]) -> Camera:
@@ -202,3 +193,134 @@ def resized(camera: Camera, size: tuple[int, int]) -> Camera:
         height=height,
         principal=(width / 2 + offset[0], height / 2 + offset[1]),
     )
+
+
+def write_scene(loaded: SplatScene, scene: GaussianScene, path: Path) -> list[Path]:
+    """Write a changed scene with the parts, cameras and settings that it was read with."""
+    if len(scene) != len(loaded.scene):
+        do = "pass the scene whose parts these are"
+        raise InvalidValueError.of("scene", f"{len(loaded.scene):,} Gaussians", f"{len(scene):,}", do)
+    root = ElementTree.Element("scene", version="3.0.0")
+    _integrator(root, loaded.settings)
+    files: list[Path] = []
+    for name, rows in loaded.objects.items():
+        file = path.with_name(f"{path.stem}_{file_name(name)}.ply")
+        if file in files:  # two names may differ in what a file name cannot hold
+            file = file.with_stem(f"{file.stem}_{len(files)}")
+        save_splat(scene.select(rows), file)
+        shape = ElementTree.SubElement(root, "shape", type="gaussians", id=name)
+        ElementTree.SubElement(shape, "string", name="filename", value=file.name)
+        files.append(file)
+    for name, camera in loaded.cameras.items():
+        _sensor(root, name, camera)
+    ElementTree.indent(root, "    ")
+    save_text(ElementTree.tostring(root, encoding="unicode") + "\n", path)
+    return [*files, path]
+
+
+def _integrator(root: ElementTree.Element, settings: RenderSettings) -> None:
+    integrator = ElementTree.SubElement(root, "integrator", type=f"splat_{settings.method}")
+    if settings.method == "tile":
+        ElementTree.SubElement(integrator, "float", name="near", value=repr(settings.near))
+    ElementTree.SubElement(integrator, "rgb", name="background", value=", ".join(map(repr, settings.background)))
+    if settings.method == "ray":
+        for name in ("colour_to_mean", "linear"):
+            value = str(getattr(settings, name)).lower()
+            ElementTree.SubElement(integrator, "boolean", name=name, value=value)
+    if settings.antialiased:
+        ElementTree.SubElement(integrator, "boolean", name="antialiased", value="true")
+
+
+def _sensor(root: ElementTree.Element, name: str, camera: Camera) -> None:
+    """A perspective sensor that takes a camera's picture."""
+    from mi_splat.plugins.sensor import mitsuba_pose, perspective
+
+    sensor = ElementTree.SubElement(root, "sensor", type="perspective", id=name)
+    for key, value in perspective(camera, f"camera {name}").items():
+        kind, text = ("string", value) if isinstance(value, str) else ("float", repr(value))
+        ElementTree.SubElement(sensor, kind, name=key, value=text)
+    transform = ElementTree.SubElement(sensor, "transform", name="to_world")
+    pose = mitsuba_pose(camera).ravel().tolist()
+    ElementTree.SubElement(transform, "matrix", value=" ".join(map(repr, pose)))
+    film = ElementTree.SubElement(sensor, "film", type="hdrfilm")
+    for key, size in (("width", camera.width), ("height", camera.height)):
+        ElementTree.SubElement(film, "integer", name=key, value=str(size))
+    ElementTree.SubElement(film, "rfilter", type="box")
+
+
+SPLATS = ("gaussians", "ellipsoids")
+"""Types of shapes that are splats."""
+
+SAMPLES = 64
+"""Samples a pixel where none are asked for."""
+
+
+def holds_surfaces(path: Path) -> bool:
+    """Whether a scene file names shapes that are no splats; False where it cannot be read."""
+    try:
+        elements = scene_parts(path).elements
+    except InvalidValueError:
+        return False
+    return any(element.get("type") not in SPLATS for element in elements if element.tag == "shape")
+
+
+class MixedScene:
+    """A Mitsuba scene of splats among surfaces; a `RenderFn` whose pictures have no gradient.
+
+    Args:
+        path: An XML scene with the integrator `splat_ray`.
+        samples: A pixel.
+        seed: Of the samples.
+        linear: Whether pictures have linear values, without an upper limit.
+        parameters: Take the place of the file's default values, for instance `sun_z=0.25`.
+
+    Attributes:
+        splats: Its Gaussians, objects and cameras.
+
+    Raises:
+        MiSplatError: The file cannot be read, holds no splat or no sensor, or has another integrator.
+    """
+
+    def __init__(
+        self, path: Path, *, samples: int = SAMPLES, seed: int = 0, linear: bool = False, **parameters: Any
+    ) -> None:
+        if samples < 1:
+            raise InvalidValueError.of("samples", "at least 1", samples, "64 are little noise")
+        variant.use()
+        self._loaded = load_mitsuba_scene(path, **parameters)
+        if type(self._loaded.integrator()).__name__ != "SplatRay":
+            do = 'write <integrator type="splat_ray"/>'
+            raise InvalidValueError.of(str(path), "the integrator splat_ray", "another one", do)
+        self.splats: SplatScene = values_of(self._loaded, path, among="surfaces")
+        self.samples, self.seed, self.linear = samples, seed, linear
+
+    def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
+        """Render one picture."""
+        import mitsuba as mi
+
+        from mi_splat.plugins.sensor import sensor_dict
+        from mi_splat.rasterization.colour import srgb_value
+
+        self._put(scene)
+        film = {"type": "hdrfilm", "width": camera.width, "height": camera.height, "pixel_format": "rgb"}
+        sensor = mi.load_dict({**sensor_dict(camera), "film": film})
+        picture = self._loaded.integrator().render(self._loaded, sensor, seed=self.seed, spp=self.samples)
+        flat = picture.array if self.linear else srgb_value(picture.array)
+        values = torch.from_numpy(flat.numpy().copy()).reshape(camera.height, camera.width, 3)
+        return values if self.linear else values.clamp(0.0, 1.0)
+
+    def _put(self, scene: GaussianScene) -> None:
+        """Put Gaussians into the shapes of the file."""
+        import mitsuba as mi
+
+        from mi_splat.plugins.shape import ellipsoid_arrays
+
+        check_scene("scene", scene)
+        if len(scene) != len(self.splats.scene):
+            expected, do = f"{len(self.splats.scene):,} Gaussians", "take a changed copy of the file's own"
+            raise InvalidValueError.of("scene", expected, f"{len(scene):,}", do)
+        params = mi.traverse(self._loaded)
+        for name, rows in self.splats.objects.items():
+            for key, value in ellipsoid_arrays(scene.select(torch.arange(len(scene))[rows])).items():
+                params[f"{name}.{key}"] = mi.Float(value.array)
+        params.update()

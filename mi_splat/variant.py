@@ -5,8 +5,7 @@ from contextlib import contextmanager
 
 from mi_splat import plugins
 from mi_splat.errors import MiSplatError
-from mi_splat.llvm import prepare_llvm
-from mi_splat.mitsuba_setup import set_up_mitsuba
+from mi_splat.mitsuba_setup import prepare_llvm, set_up_mitsuba
 from mi_splat.plugins import SUPPORTED_VARIANTS
 
 DEFAULT_VARIANT = "llvm_ad_rgb"

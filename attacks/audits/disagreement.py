@@ -17,7 +17,7 @@ from attacks.observe.look import report_cells
 from attacks.observe.views import detect_views
 from mi_splat.audit.frames import frame_of, targets
 from mi_splat.audit.surfaces import basis
-from mi_splat.cameras import Camera, look_at, project_box
+from mi_splat.cameras import Camera, focal_of, look_at, project_box
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 
@@ -105,4 +105,4 @@ def _direction(elevation: float, azimuth: float) -> torch.Tensor:
 
 def _camera(eye: torch.Tensor, centre: torch.Tensor, up: torch.Tensor) -> Camera:
     pose = look_at(eye.tolist(), centre.tolist(), up=up.tolist())
-    return Camera(to_world=pose, focal=_SIZE / 2 / math.tan(math.radians(_FOV / 2)), width=_SIZE, height=_SIZE)
+    return Camera(to_world=pose, focal=focal_of(math.radians(_FOV), _SIZE), width=_SIZE, height=_SIZE)

@@ -11,8 +11,7 @@ from attacks.dagger.report import write_files
 from attacks.dagger.result import Result
 from attacks.objectives import Objective
 from mi_splat.io.folders import new_folder
-from mi_splat.scene_files import SplatScene
-from mi_splat.scene_writing import write_scene
+from mi_splat.scene_files import SplatScene, write_scene
 from mi_splat.selection.config import Selection
 from mi_splat.selection.masks import save_mask
 

@@ -24,7 +24,7 @@ from typing import Literal
 from mi_splat.cli.console import import_at_once, progress, show_result
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import MiSplatError, install, nearest
-from mi_splat.llvm import llvm_hint
+from mi_splat.mitsuba_setup import llvm_hint
 from mi_splat.processes import python_command
 from mi_splat.provenance import versions
 from mi_splat.registry import brought_by_packages
@@ -148,7 +148,7 @@ def _answers(command: Sequence[str]) -> tuple[list[str], str]:
 
 
 def _llvm() -> str:
-    from mi_splat.llvm import llvm_version, prepare_llvm
+    from mi_splat.mitsuba_setup import llvm_version, prepare_llvm
     from mi_splat.variant import use
 
     path, variant = prepare_llvm(), use()

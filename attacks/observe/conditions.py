@@ -29,16 +29,15 @@ from torch import Tensor
 from attacks.transformations.draws import PictureChange, change_picture
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.comparison.methods import RENDERERS, load_method, method_names
-from mi_splat.directions import Point
+from mi_splat.directions import Point, sun_direction
 from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.fields import at_least, between, check
 from mi_splat.io import SplatLossWarning, load_splat, save_splat
-from mi_splat.mixed_scenes import SAMPLES, MixedScene
 from mi_splat.registry import Registry
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
+from mi_splat.scene_files import SAMPLES, MixedScene
 from mi_splat.sh import MAX_DEGREE, colour_to_dc
-from mi_splat.sun import sun_direction
 
 OWN = "own renderer"
 """What rows call the condition ""."""

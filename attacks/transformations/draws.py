@@ -17,7 +17,7 @@ from PIL import Image
 from torch import Tensor
 
 from attacks.transformations.config import CameraRegion, PictureChanges
-from mi_splat.cameras import Camera, RenderFn, orbit_pose
+from mi_splat.cameras import Camera, RenderFn, focal_of, orbit_pose
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.images import to_bytes
 from mi_splat.scene import GaussianScene
@@ -56,7 +56,7 @@ def draw_camera(
     camera = dataclasses.replace(reference, to_world=pose @ turn if region.roll else pose)
     if region.fovs is None:
         return camera
-    focal = reference.width / (2 * math.tan(math.radians(_between(region.fovs, fov)) / 2))
+    focal = focal_of(math.radians(_between(region.fovs, fov)), reference.width)
     return dataclasses.replace(camera, focal=(focal, focal * reference.fy / reference.fx))
 
 

@@ -9,7 +9,7 @@ from torch.nn import functional
 
 from mi_splat.audit.frames import SOLID, Target, quantile
 from mi_splat.audit.surfaces import SIZE
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras import Camera, focal_of, look_at
 from mi_splat.rotation import to_matrix
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import even_directions
@@ -118,7 +118,7 @@ def _camera(position: Tensor, target: Target) -> Camera:
     top = torch.eye(3, dtype=torch.float64)[int(ahead.abs().argmin())]
     return Camera(
         to_world=look_at(position.tolist(), target.centre.tolist(), up=tuple(top.tolist())),
-        focal=SIZE / 2 / math.tan(half),
+        focal=focal_of(2 * half, SIZE),
         width=SIZE,
         height=SIZE,
     )

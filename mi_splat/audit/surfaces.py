@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from mi_splat.audit.frames import Target
-from mi_splat.cameras import Camera, look_at
+from mi_splat.cameras import Camera, focal_of, look_at
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 
@@ -108,7 +108,7 @@ def cameras_around(target: Target) -> tuple[Camera, ...]:
         directions = lattice(CAMERAS_ALL_AROUND, -_HIGHEST, _HIGHEST)
     else:
         directions = lattice(CAMERAS, _LOWEST, _HIGHEST) @ basis(target.up).T
-    distance, focal = _DISTANCE * target.radius, SIZE / 2 / math.tan(math.radians(FOV / 2))
+    distance, focal = _DISTANCE * target.radius, focal_of(math.radians(FOV), SIZE)
     top = (0.0, 0.0, 1.0) if target.up is None else target.up.tolist()
     return tuple(
         Camera(

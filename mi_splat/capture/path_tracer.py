@@ -25,8 +25,7 @@ from mi_splat.assets.mesh import Asset, Floats, Mesh, to_linear, to_srgb
 from mi_splat.cameras import Camera, View
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.picture_files import check_texture
-from mi_splat.llvm import prepare_llvm
-from mi_splat.mitsuba_setup import set_up_mitsuba
+from mi_splat.mitsuba_setup import prepare_llvm, set_up_mitsuba
 from mi_splat.plugins.sensor import sensor_dict
 from mi_splat.scene_files import load_mitsuba_scene
 

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from mi_splat.cameras import Camera, RenderFn
-    from mi_splat.mixed_scenes import MixedScene
     from mi_splat.scene import GaussianScene
+    from mi_splat.scene_files import MixedScene
 
     Pixels = NDArray[np.uint8] | Mapping[str, NDArray[np.float32]]
 
@@ -130,7 +130,7 @@ def run(options: RenderOptions) -> None:
 def _mixed_scene(options: RenderOptions) -> MixedScene | None:
     """The scene, where it holds surfaces beside splats."""
     from mi_splat.io.pictures import is_floats
-    from mi_splat.mixed_scenes import MixedScene, holds_surfaces
+    from mi_splat.scene_files import MixedScene, holds_surfaces
 
     if options.scene.suffix.lower() != ".xml" or not holds_surfaces(options.scene):
         return None
@@ -214,7 +214,7 @@ def _save(pictures: Mapping[str, Pixels], cameras: Mapping[str, Camera], options
     from mi_splat.io.documents import file_name, save_json
     from mi_splat.io.folders import new_folder
     from mi_splat.io.pictures import is_animation, is_floats, is_picture, save_animation, save_picture
-    from mi_splat.side_outputs import save_floats
+    from mi_splat.rendering import save_floats
 
     out, shown = options.out, [pixels for pixels in pictures.values() if not isinstance(pixels, Mapping)]
     if is_animation(out):

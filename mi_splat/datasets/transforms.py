@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mi_splat.cameras import Camera
+from mi_splat.cameras import Camera, focal_of
 from mi_splat.datasets.distortion import Intrinsics
 from mi_splat.datasets.frames import (
     DatasetError,
@@ -222,7 +222,7 @@ def _focal(values: Mapping[str, Any], axis: str, pixels: int, where: str) -> flo
         return focal
     if not 0 < angle < math.pi:
         raise DatasetError.of(f"{where}: camera_angle_{axis}", "an angle between 0 and pi", angle, "give it in radians")
-    return 0.5 * pixels / math.tan(0.5 * angle)
+    return focal_of(angle, pixels)
 
 
 def _split(

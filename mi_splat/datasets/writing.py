@@ -4,7 +4,6 @@ Pictures are written one at a time. The files that list them are made from names
 not at all, so a set can be listed when its pictures are there.
 """
 
-import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mi_splat.cameras import Camera, View
+from mi_splat.cameras import Camera, View, angle_of
 from mi_splat.datasets.colmap import TEST_LIST
 from mi_splat.datasets.transforms import OPENGL, PARTS, POINTS
 from mi_splat.errors import InvalidValueError
@@ -168,8 +167,8 @@ def _document(entries: Sequence[tuple[str, Camera]], points: bool) -> dict[str, 
 def _intrinsics(camera: Camera) -> dict[str, float]:
     """A camera's intrinsics under the names of both families of readers."""
     angles = {
-        "camera_angle_x": 2 * math.atan(0.5 * camera.width / camera.fx),
-        "camera_angle_y": 2 * math.atan(0.5 * camera.height / camera.fy),
+        "camera_angle_x": angle_of(camera.fx, camera.width),
+        "camera_angle_y": angle_of(camera.fy, camera.height),
     }
     pixels = {"fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}
     return {**angles, **pixels, "w": camera.width, "h": camera.height}

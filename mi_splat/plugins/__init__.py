@@ -12,7 +12,7 @@ import os
 from typing import Any
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.llvm import prepare_llvm
+from mi_splat.mitsuba_setup import prepare_llvm
 
 SUPPORTED_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 """Mitsuba variants in which the plugins exist."""

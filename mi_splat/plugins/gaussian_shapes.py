@@ -8,7 +8,7 @@ import mitsuba as mi
 import torch
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.plugins.own_values import own_values
+from mi_splat.plugins.sensor import own_values
 from mi_splat.scene import GaussianScene, merge
 
 _KEYS = ("data", "opacities", "sh_coeffs")

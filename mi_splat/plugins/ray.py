@@ -38,13 +38,15 @@ import mitsuba as mi
 from mi_splat.errors import InvalidValueError
 from mi_splat.plugins.gaussian_shapes import GaussianShapes
 from mi_splat.plugins.mixed import Mixed, MixedCache
-from mi_splat.plugins.paths import radiance
-from mi_splat.plugins.settings import RAY_SETTINGS, SettingValues, common_methods, name_integrator, setting_property
-from mi_splat.plugins.stretches import Adjoint, PathSettings
+from mi_splat.plugins.paths import Adjoint, PathSettings, radiance
+from mi_splat.plugins.settings import IntegratorSettings, common_methods, name_integrator, setting_property
 from mi_splat.rasterization.binning import TILE
 from mi_splat.rasterization.colour import linear_value
+from mi_splat.rasterization.settings import RenderSettings
 from mi_splat.rasterization.sorting import by_block
 from mi_splat.raytracing.splats import gradients, zero_sums
+
+_SETTINGS = ("background", "alpha", "linear", "colour_to_mean")
 
 
 def integrator_class(variant: str) -> Any:
@@ -63,7 +65,7 @@ def integrator_class(variant: str) -> Any:
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             name_integrator(self, props)
-            self.settings = SettingValues(RAY_SETTINGS, props)
+            self.settings = IntegratorSettings(RenderSettings(method="ray", linear=True), _SETTINGS, props)
             self._hide = bool(props.get("hide_emitters", False))
             self._cache = MixedCache()
             self._sums: Any = None

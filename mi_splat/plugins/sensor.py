@@ -3,6 +3,7 @@
 Mitsuba's camera looks along its +z with x to the left and y up; ours (OpenCV) has x right and y down.
 """
 
+import functools
 import math
 from typing import Any
 
@@ -10,11 +11,46 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
-from mi_splat.cameras import Camera
+from mi_splat.cameras import Camera, angle_of, focal_of
 from mi_splat.errors import InvalidValueError
-from mi_splat.plugins.own_values import own_values
 from mi_splat.rasterization.pinhole import Pinhole
+
+
+@functools.cache
+def _collector(variant: str) -> Any:
+    """The callback's class for one variant; its base class exists only once a variant is set."""
+
+    class OwnValues(mi.TraversalCallback):  # type: ignore[misc]
+        """Keeps what an object says that its values are, and looks at no object in it."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.values: dict[str, tuple[Any, Any]] = {}
+
+        def put(self, name: str, value: Any, flags: Any, kind: Any = None) -> None:
+            """Told of everything by name."""
+            if not isinstance(value, mi.Object):
+                self.values[name] = value, kind
+
+        put_value = put
+
+        def put_object(self, name: str, node: Any, flags: Any) -> None:
+            """Told of the objects in it."""
+
+    return OwnValues
+
+
+def own_values(node: Any) -> dict[str, Any]:
+    """What `mi.traverse(node)` has without a dot in its name: the values of the object, not of those in it."""
+    callback = _collector(mi.variant())()
+    node.traverse(callback)
+    return {
+        name: value if kind is None else mi.get_property(value, kind, node)
+        for name, (value, kind) in callback.values.items()
+    }
+
 
 _LENS = ("x_fov", "principal_point_offset_x", "principal_point_offset_y")
 _MITSUBA_TO_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -27,23 +63,6 @@ def is_pinhole(sensor: Any) -> bool:
 
 def _has_lens(values: dict[str, Any]) -> bool:
     return all(name in values for name in _LENS)
-
-
-def _intrinsics(sensor: Any) -> tuple[Any, float, tuple[float, float], Any, Any]:
-    """Pose (OpenCV, rigid), focal length and principal point in pixels of the whole film, crop offset, crop size."""
-    values = own_values(sensor)
-    if not _has_lens(values):
-        raise InvalidValueError.of(
-            f'sensor "{sensor.id()}"', "a perspective sensor", sensor.class_name(), "change its type to perspective"
-        )
-    pose = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4) @ _MITSUBA_TO_OPENCV
-    pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
-    film = sensor.film()
-    width, height = (int(v) for v in film.size())
-    focal = 0.5 * width / math.tan(math.radians(float(np.array(values["x_fov"]).item())) / 2)
-    offset = [float(np.array(values[f"principal_point_offset_{axis}"]).item()) for axis in "xy"]
-    principal = ((0.5 - offset[0]) * width, (0.5 - offset[1]) * height)
-    return pose, focal, principal, film.crop_offset(), film.crop_size()
 
 
 def identity(sensor: Any) -> tuple[tuple[Any, ...], list[Any]]:
@@ -67,49 +86,61 @@ def _flat(arrays: list[Any]) -> list[Any]:
 
 def pinhole(sensor: Any, *, near: float, antialiased: bool = False) -> Pinhole:
     """The kernels' camera for a perspective sensor; a crop window shows the same pixels as the whole film would."""
-    pose, focal, principal, offset, crop = _intrinsics(sensor)
-    width, height = (int(v) for v in sensor.film().size())
-    return Pinhole(
-        to_camera=np.linalg.inv(pose),
-        focal=(focal, focal),
-        principal=(principal[0] - float(offset[0]), principal[1] - float(offset[1])),
-        size=(int(crop[0]), int(crop[1])),
-        field=(0.5 * width / focal, 0.5 * height / focal),
-        near=near,
-        antialiased=antialiased,
-    )
+    seen, film = camera(sensor), sensor.film().size()
+    field = 0.5 * int(film[0]) / seen.fx, 0.5 * int(film[1]) / seen.fy
+    return Pinhole(camera=seen, near=near, antialiased=antialiased, field=field)
 
 
 def camera(sensor: Any) -> Camera:
     """Our camera for a perspective sensor (of its crop window, if it has one)."""
-    pose, focal, principal, offset, crop = _intrinsics(sensor)
-    centre = (principal[0] - float(offset[0]), principal[1] - float(offset[1]))
-    size = (int(crop[0]), int(crop[1]))
-    centred = np.allclose(centre, (size[0] / 2, size[1] / 2), rtol=0, atol=1e-6)
+    values = own_values(sensor)
+    if not _has_lens(values):
+        raise InvalidValueError.of(
+            f'sensor "{sensor.id()}"', "a perspective sensor", sensor.class_name(), "change its type to perspective"
+        )
+    pose = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4) @ _MITSUBA_TO_OPENCV
+    pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
+    film = sensor.film()
+    size, crop, start = film.size(), film.crop_size(), film.crop_offset()
+    angle, *offset = (float(np.array(values[name]).item()) for name in _LENS)
+    x, y = ((0.5 - offset[axis]) * int(size[axis]) - float(start[axis]) for axis in range(2))
+    width, height = int(crop[0]), int(crop[1])
+    centred = np.allclose((x, y), (width / 2, height / 2), rtol=0, atol=1e-6)
     return Camera(
         to_world=torch.from_numpy(pose),
-        focal=focal,
-        width=size[0],
-        height=size[1],
-        principal=None if centred else centre,
+        focal=focal_of(math.radians(angle), int(size[0])),
+        width=width,
+        height=height,
+        principal=None if centred else (x, y),
     )
+
+
+def perspective(camera: Camera, what: str = "camera") -> dict[str, Any]:
+    """What a perspective sensor of Mitsuba says of our camera's lens."""
+    if not math.isclose(camera.fx, camera.fy, rel_tol=1e-6):
+        raise InvalidValueError.of(what, "square pixels", (camera.fx, camera.fy), "resample to square pixels first")
+    return {
+        "fov_axis": "x",
+        "fov": math.degrees(angle_of(camera.fx, camera.width)),
+        "principal_point_offset_x": 0.5 - camera.cx / camera.width,
+        "principal_point_offset_y": 0.5 - camera.cy / camera.height,
+    }
+
+
+def mitsuba_pose(camera: Camera) -> NDArray[np.float64]:
+    """(4, 4) pose of our camera with the axes of Mitsuba's."""
+    pose: NDArray[np.float64] = camera.to_world.numpy() @ _MITSUBA_TO_OPENCV
+    return pose
 
 
 def sensor_dict(camera: Camera) -> dict[str, Any]:
     """A perspective sensor for `mi.load_dict` that takes our camera's picture through a box filter."""
-    if not math.isclose(camera.fx, camera.fy, rel_tol=1e-6):
-        raise InvalidValueError.of(
-            "camera.focal", "fx equal to fy", (camera.fx, camera.fy), "resample to square pixels first"
-        )
     return {
         "type": "perspective",
-        "fov_axis": "x",
-        "fov": math.degrees(2 * math.atan(camera.width / 2 / camera.fx)),
-        "principal_point_offset_x": 0.5 - camera.cx / camera.width,
-        "principal_point_offset_y": 0.5 - camera.cy / camera.height,
+        **perspective(camera),
         "near_clip": 0.01,
         "far_clip": 2000.0,
-        "to_world": mi.ScalarTransform4f(camera.to_world.numpy() @ _MITSUBA_TO_OPENCV),
+        "to_world": mi.ScalarTransform4f(mitsuba_pose(camera)),
         "film": {
             "type": "hdrfilm",
             "width": camera.width,

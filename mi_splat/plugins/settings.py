@@ -1,142 +1,96 @@
-"""The settings of the integrators: plain values from whatever a user gives, and Dr.Jit arrays for `mi.traverse`."""
+"""The settings of the integrators: a `RenderSettings`, and Dr.Jit arrays for `mi.traverse`."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.rasterization.settings import checked_background, checked_near
-
-_DISTANCE, _COLOUR, _SWITCH = "a positive distance", "three finite numbers", "true or false"
+from mi_splat.rasterization.settings import RenderSettings
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """One parameter of the integrator.
-
-    Attributes:
-        default: Its value where none is given.
-        checked: (any value) -> its plain value; raises InvalidValueError if it cannot be one.
-        array: (plain value) -> Dr.Jit array of the current variant.
-    """
-
-    default: Any
-    checked: Callable[[Any], Any]
-    array: Callable[[Any], Any]
-
-
-def _numbers(name: str, expected: str, value: Any) -> list[float]:
-    """All numbers in a plain, NumPy or Dr.Jit value."""
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InvalidValueError.of(name, expected, repr(value), "give numbers") from None
-    return [float(v) for v in np.ravel(array)]
-
-
-def _near(value: Any) -> float:
-    numbers = _numbers("near", _DISTANCE, value)
-    if len(numbers) != 1:
-        raise InvalidValueError.of("near", _DISTANCE, numbers, "give one number")
-    return checked_near(numbers[0])
-
-
-def _background(value: Any) -> tuple[float, float, float]:
-    numbers = _numbers("background", _COLOUR, value)
-    return checked_background(numbers * 3 if len(numbers) == 1 else numbers)
-
-
-def _switch(name: str, value: Any) -> bool:
-    numbers = _numbers(name, _SWITCH, value)
-    if len(numbers) != 1 or numbers[0] not in (0.0, 1.0):
-        raise InvalidValueError.of(name, _SWITCH, value, "give a boolean")
-    return bool(numbers[0])
-
-
-TILE_SETTINGS = {
-    "background": Setting((0.0, 0.0, 0.0), _background, lambda value: mi.Color3f(value)),
-    "near": Setting(0.2, _near, lambda value: mi.Float(value)),
-    "alpha": Setting(False, lambda value: _switch("alpha", value), lambda value: mi.Bool(value)),
-    "linear": Setting(False, lambda value: _switch("linear", value), lambda value: mi.Bool(value)),
-    "antialiased": Setting(False, lambda value: _switch("antialiased", value), lambda value: mi.Bool(value)),
-}
-"""Those of `splat_tile` by name; the table in `tile` says what each means."""
-
-RAY_SETTINGS = {
-    "background": TILE_SETTINGS["background"],
-    "alpha": TILE_SETTINGS["alpha"],
-    "linear": Setting(True, lambda value: _switch("linear", value), lambda value: mi.Bool(value)),
-    "colour_to_mean": Setting(False, lambda value: _switch("colour_to_mean", value), lambda value: mi.Bool(value)),
-}
-"""Those of `splat_ray` by name; the table in `ray` says what each means."""
-
-
-class SettingValues:
-    """The settings of one integrator: plain values, and what `mi.traverse` shows of them.
+class IntegratorSettings:
+    """The settings of one integrator, and what `mi.traverse` shows of them.
 
     The plain values count: reading the shown arrays waits for every kernel in flight.
 
     Args:
-        settings: By name.
+        usual: The values of those that are not given.
+        names: The fields that the integrator has.
         props: Mitsuba's properties; those that are given are taken.
 
     Raises:
         InvalidValueError: A value cannot be one.
     """
 
-    def __init__(self, settings: dict[str, Setting], props: Any) -> None:
-        self._settings = settings
-        self.values = {name: setting.default for name, setting in settings.items()}
-        self._shown = {name: setting.array(setting.default) for name, setting in settings.items()}
-        self.given: set[str] = set()
-        for name in settings:
+    def __init__(self, usual: RenderSettings, names: Sequence[str], props: Any) -> None:
+        self.values, self._names, self.given = usual, names, set[str]()
+        self._shown = {name: _array(getattr(usual, name)) for name in names}
+        for name in names:
             if name in props:
-                self.set(name, props[name])
+                self.set(**{name: props[name]})
 
-    def set(self, name: str, value: Any) -> None:
-        """Take a new value for a setting."""
-        self.values[name] = self._settings[name].checked(value)
-        self.given.add(name)
-        self._show(name)
+    def set(self, **values: Any) -> None:
+        """Take new values: all, or none if one of them cannot be."""
+        kept = {name: _plain(name, getattr(self.values, name), value) for name, value in values.items()}
+        self.values = replace(self.values, **kept)
+        self.given |= kept.keys()
+        self._show(kept)
 
-    def _show(self, name: str) -> None:
+    def _show(self, names: Any) -> None:
         # In place, as SceneParameters does it: one made before shall show the new value.
-        mi.set_property(self._shown[name], self._settings[name].array(self.values[name]))
+        for name in names:
+            mi.set_property(self._shown[name], _array(getattr(self.values, name)))
 
     def traverse(self, callback: Any) -> None:
         """Show every setting to `mi.traverse`."""
         for name, array in self._shown.items():
             callback.put(name, array, mi.ParamFlags.NonDifferentiable)
 
-    def changed(self, keys: list[str]) -> None:
+    def changed(self, keys: Sequence[str]) -> None:
         """Take over what `mi.traverse` was given; a value that cannot be is refused, and the old one stays."""
-        names = [name for name in self._settings if name in keys]
+        names = [name for name in self._names if name in keys]
         try:
-            values = {name: self._settings[name].checked(self._shown[name]) for name in names}
+            self.set(**{name: self._shown[name] for name in names})
         except InvalidValueError:
-            for name in names:
-                self._show(name)
+            self._show(names)
             raise
-        for name, value in values.items():
-            self.set(name, value)
 
     def __str__(self) -> str:
-        return ", ".join(f"{name} = {value}" for name, value in self.values.items())
+        return ", ".join(f"{name} = {getattr(self.values, name)}" for name in self._names)
+
+
+def _array(value: Any) -> Any:
+    """A plain value as an array of the current variant."""
+    kind = mi.Bool if isinstance(value, bool) else mi.Color3f if isinstance(value, tuple) else mi.Float
+    return kind(value)
+
+
+def _plain(name: str, old: Any, value: Any) -> Any:
+    """A value as plain Python has it, of the kind of the old one, from a plain, NumPy or Dr.Jit value."""
+    expected = {bool: "true or false", float: "a positive distance", tuple: "three finite numbers"}[type(old)]
+    try:
+        numbers = [float(number) for number in np.ravel(np.array(value, dtype=np.float64))]
+    except (TypeError, ValueError):
+        raise InvalidValueError.of(name, expected, repr(value), "give numbers") from None
+    if isinstance(old, tuple):
+        return tuple(numbers * 3 if len(numbers) == 1 else numbers)
+    if len(numbers) != 1 or (isinstance(old, bool) and numbers[0] not in (0.0, 1.0)):
+        raise InvalidValueError.of(name, expected, value, "give one value")
+    return type(old)(numbers[0])
 
 
 def setting_property(name: str) -> property:
-    """Attribute of an integrator, whose `settings` are `SettingValues`, that reads and sets one of them."""
-    return property(lambda self: self.settings.values[name], lambda self, value: self.settings.set(name, value))
+    """Attribute of an integrator, whose `settings` are `IntegratorSettings`, that reads and sets one of them."""
+    return property(
+        lambda self: getattr(self.settings.values, name), lambda self, value: self.settings.set(**{name: value})
+    )
 
 
 def common_methods(plugin: str) -> tuple[Callable[..., None], Callable[..., None], Callable[..., Any]]:
-    """`traverse`, `parameters_changed` and `render_forward` of an integrator, whose `settings` are `SettingValues`.
-
-    There is no forward mode: `render_forward` raises InvalidValueError, whatever it is given.
-    """
+    """`traverse`, `parameters_changed` and `render_forward`, which is refused, of an integrator with `settings`."""
 
     def traverse(self: Any, callback: Any) -> None:
         self.settings.traverse(callback)
@@ -151,11 +105,7 @@ def common_methods(plugin: str) -> tuple[Callable[..., None], Callable[..., None
     return traverse, parameters_changed, render_forward
 
 
-DEFAULT_ID = "integrator"
-"""Id of an integrator without one, as in the usual dict; Mitsuba would name it by its address."""
-
-
 def name_integrator(integrator: Any, props: Any) -> None:
-    """Give an integrator without an id the usual one."""
+    """Give an integrator without an id the usual one; Mitsuba would name it by its address."""
     if not props.id() or props.id().startswith("_unnamed_"):
-        integrator.set_id(DEFAULT_ID)
+        integrator.set_id("integrator")

@@ -36,15 +36,17 @@ from mi_splat.bounds import near_plane
 from mi_splat.errors import InvalidValueError
 from mi_splat.plugins import sensor as sensors
 from mi_splat.plugins.gaussian_shapes import GaussianShapes
-from mi_splat.plugins.settings import TILE_SETTINGS, SettingValues, common_methods, name_integrator, setting_property
+from mi_splat.plugins.settings import IntegratorSettings, common_methods, name_integrator, setting_property
 from mi_splat.rasterization.colour import develop, develop_backward
 from mi_splat.rasterization.frozen import aligned
 from mi_splat.rasterization.layouts import ELLIPSOIDS
 from mi_splat.rasterization.picture import Picture
 from mi_splat.rasterization.pinhole import Pinhole
 from mi_splat.rasterization.pipeline import rasterize, rasterize_backward
+from mi_splat.rasterization.settings import RenderSettings
 
 _CACHED_PICTURES = 2
+_SETTINGS = ("background", "near", "alpha", "linear", "antialiased")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +75,7 @@ def integrator_class(variant: str) -> Any:
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             name_integrator(self, props)
-            self.settings = SettingValues(TILE_SETTINGS, props)
+            self.settings = IntegratorSettings(RenderSettings(), _SETTINGS, props)
             self._pictures: OrderedDict[Any, CachedPicture] = OrderedDict()
             self._camera: tuple[Any, Any, Pinhole] | None = None
 
@@ -86,7 +88,7 @@ def integrator_class(variant: str) -> Any:
             """Set near to what suits the scene, unless it has a value."""
             if not self.near_is_set and shapes.arrays:
                 cameras = [sensors.camera(sensor) for sensor in scene.sensors() if sensors.is_pinhole(sensor)]
-                self.settings.set("near", near_plane(shapes.scene(), cameras))
+                self.settings.set(near=near_plane(shapes.scene(), cameras))
 
         def _camera_of(self, sensor: Any) -> Pinhole:
             """The camera of a sensor; the last one is cached, since a gradient is asked for right after its picture."""

@@ -8,7 +8,6 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from mi_splat.cameras import Camera
 
@@ -18,48 +17,39 @@ GUARD = 1.3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pinhole:
-    """Everything of a camera that the kernels need.
+    """A camera with what else the projection depends on.
 
     Attributes:
-        to_camera: (4, 4) float64 world to camera (x right, y down, z forward).
-        focal: (fx, fy) in pixels.
-        principal: (cx, cy) in pixels of the picture that is made (a crop window shifts it).
-        size: (width, height) in pixels of the picture that is made.
-        field: (tan(fov_x / 2), tan(fov_y / 2)) of the uncropped picture.
+        camera: The camera.
         near: Means with a smaller camera-space depth are culled, world units.
         antialiased: Whether a Gaussian keeps its weight under the low-pass filter, see `projection.project`.
+        field: (tan(fov_x / 2), tan(fov_y / 2)) of the uncropped picture, where the camera shows a part of one.
     """
 
-    to_camera: NDArray[np.float64]
-    focal: tuple[float, float]
-    principal: tuple[float, float]
-    size: tuple[int, int]
-    field: tuple[float, float]
+    camera: Camera
     near: float
     antialiased: bool = False
+    field: tuple[float, float] | None = None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels of the picture that is made."""
+        return self.camera.width, self.camera.height
 
     def numbers(self) -> Any:
         """The 22 floats of `KernelCamera` as one array of the current variant, made anew."""
-        pose = self.to_camera
-        position = -pose[:3, :3].T @ pose[:3, 3]
-        row = np.concatenate(
-            [
-                pose[:3, :3].ravel(),
-                pose[:3, 3],
-                position,
-                self.focal,
-                self.principal,
-                GUARD * np.asarray(self.field),
-                [self.near],
-            ]
-        )
+        camera, pose = self.camera, self.camera.to_camera.numpy()
+        field = self.field or (0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy)
+        row = [pose[:3, :3].ravel(), pose[:3, 3], -pose[:3, :3].T @ pose[:3, 3], (camera.fx, camera.fy)]
+        row += [(camera.cx, camera.cy), GUARD * np.asarray(field), [self.near]]
         # As a list: Dr.Jit copies that to memory of its own, where it would borrow a NumPy array's (see `aligned`).
-        return mi.Float(row.tolist())
+        return mi.Float(np.concatenate(row).tolist())
 
     def key(self) -> tuple[Any, ...]:
         """Equal for two cameras that make the same picture."""
-        numbers = self.to_camera.tobytes(), self.focal, self.principal, self.size, self.field, self.near
-        return *numbers, self.antialiased
+        camera = self.camera
+        lens = camera.fx, camera.fy, camera.cx, camera.cy
+        return camera.to_world.numpy().tobytes(), lens, self.size, self.field, self.near, self.antialiased
 
     def for_stages(self) -> StageCamera:
         """The camera's numbers as one array, as the frozen stages take them."""
@@ -99,18 +89,5 @@ def unpack(numbers: Any, *, antialiased: bool = False) -> KernelCamera:
         principal=mi.Point2f(*v[17:19]),
         guard=mi.Vector2f(*v[19:21]),
         near=v[21],
-        antialiased=antialiased,
-    )
-
-
-def from_camera(camera: Camera, *, near: float, antialiased: bool = False) -> Pinhole:
-    """The kernels' camera for one of ours; the settings are those of `Pinhole`."""
-    return Pinhole(
-        to_camera=camera.to_camera.numpy(),
-        focal=(camera.fx, camera.fy),
-        principal=(camera.cx, camera.cy),
-        size=(camera.width, camera.height),
-        field=(0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy),
-        near=near,
         antialiased=antialiased,
     )

@@ -14,8 +14,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mi_splat.rasterization.projection import CUTOFF
-from mi_splat.raytracing.splats import HALF_LOG2_E, RECORD, Splats
-from mi_splat.raytracing.tree import LEAF, NODE
+from mi_splat.raytracing.splats import HALF_LOG2_E, LEAF, NODE, RECORD, Splats
 
 AT_ONCE = 8
 """Peaks that one walk finds."""

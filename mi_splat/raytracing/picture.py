@@ -15,7 +15,7 @@ from mi_splat.rasterization.binning import TILE
 from mi_splat.rasterization.frozen import buffer
 from mi_splat.rasterization.picture import tile_columns
 from mi_splat.rasterization.pinhole import Pinhole
-from mi_splat.raytracing import adjoint, segments
+from mi_splat.raytracing import segments
 from mi_splat.raytracing.peaks import Stretch
 from mi_splat.raytracing.splats import Splats, gradients, zero_sums
 
@@ -93,6 +93,6 @@ def raytrace_backward(picture: RayPicture, grad_colour: Any, grad_opacity: Any |
         grad_through -= dr.gather(mi.Float, grad_opacity, pixel, active)
     sums = zero_sums(picture.splats)
     gradient = grad_seen, grad_through
-    adjoint.blend_backward(picture.splats, stretch, active, picture.seen, gradient, sums, to_mean=picture.to_mean)
+    segments.blend_backward(picture.splats, stretch, active, picture.seen, gradient, sums, to_mean=picture.to_mean)
     dr.eval(sums.moments, sums.pulls, sums.sh)
     return gradients(picture.splats, sums)

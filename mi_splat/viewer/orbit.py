@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.cameras import Camera, angle_of, focal_of, orbit_pose
 from mi_splat.directions import POLE, UP, Point
 from mi_splat.errors import InvalidValueError, message
 from mi_splat.io.camera_records import OF
@@ -75,7 +75,7 @@ class Orbit:
 
     def vertical_fov(self, size: tuple[int, int]) -> float:
         """Vertical field of view in radians of a picture of (width, height) pixels."""
-        return 2 * math.atan(size[1] / 2 / focal_length(self.fov, size))
+        return angle_of(focal_length(self.fov, size), size[1])
 
     def is_at(self, position: Sequence[float], look_at: Sequence[float]) -> bool:
         """Whether this camera stands at `position` (3,) and looks at `look_at` (3,)."""
@@ -109,7 +109,7 @@ class Orbit:
 
 def focal_length(fov: float, size: tuple[int, int]) -> float:
     """Focal length in pixels for a field of view (degrees, over the shorter side) at (width, height)."""
-    return min(size) / 2 / math.tan(math.radians(fov) / 2)
+    return focal_of(math.radians(fov), min(size))
 
 
 def orbit_of(camera: Camera, centre: Point, *, source: str = "") -> Orbit:
@@ -130,7 +130,7 @@ def orbit_of(camera: Camera, centre: Point, *, source: str = "") -> Orbit:
         azimuth = math.degrees(math.atan2(-float(pose[0, 0]), float(pose[1, 0])))
     level = orbit_pose((0.0, 0.0, 0.0), azimuth=azimuth, elevation=elevation, distance=1.0)
     right = level[:3, :2].T @ pose[:3, 0]
-    fov = 2 * math.degrees(math.atan(min(camera.width, camera.height) / 2 / camera.fx))
+    fov = math.degrees(angle_of(camera.fx, min(camera.width, camera.height)))
     return Orbit(
         target=[round(value, _CAMERA_DIGITS) for value in (camera.position + distance * forward).tolist()],
         azimuth=round(azimuth, _CAMERA_DIGITS),

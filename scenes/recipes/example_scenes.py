@@ -21,7 +21,7 @@ from torch import Tensor
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import ellipsoid
 from mi_splat.assets.recipes import RECIPES, SceneRecipe, around
-from mi_splat.cameras import Camera, View, look_at
+from mi_splat.cameras import Camera, View, angle_of, look_at
 from mi_splat.capture.path_tracer import capture, depth_maps, scene_dict
 from mi_splat.capture.surface_points import nearness, surface_samples
 from mi_splat.io import load_splat, save_splat
@@ -121,7 +121,7 @@ def scene_xml(name: str, recipe: SceneRecipe) -> str:
             "    </shape>",
         ]
     centre = np.array(recipe.centre)
-    fov = math.degrees(2 * math.atan(SIZE / 2 / FOCAL))
+    fov = math.degrees(angle_of(FOCAL, SIZE))
     for sensor, offset in recipe.sensors.items():
         origin = ", ".join(f"{v:.6g}" for v in centre + offset)
         target = ", ".join(f"{v:.6g}" for v in centre)

@@ -165,7 +165,7 @@ def test_overdraw_is_the_length_of_the_rasteriser_s_lists() -> None:
     camera = Camera(to_world=look_at((2, 1, 1), (0, 0, 0.2)), focal=60, width=71, height=50)
     layers = next(overdraw(scene, [camera], near=0.05))
     arrays = tuple(aligned(mi.Float(value.contiguous().flatten())) for value in scene.tensors())
-    state = rasterize(layouts.TENSORS, arrays, pinhole.from_camera(camera, near=0.05), (0, 0, 0)).state
+    state = rasterize(layouts.TENSORS, arrays, pinhole.Pinhole(camera=camera, near=0.05), (0, 0, 0)).state
     assert state is not None
     first, last = (edge.numpy().astype(np.int64) for edge in state.pair_ranges)
     assert layers.shape == (13, 18)

@@ -27,9 +27,8 @@ from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.ledger import Ledger, Out
-from mi_splat.mixed_scenes import MixedScene
 from mi_splat.scene import GaussianScene, merge
-from mi_splat.scene_files import SplatScene
+from mi_splat.scene_files import MixedScene, SplatScene
 from tests import oracle
 from tests.cloak.test_study_rates import study_rows
 from tests.cloak.tiny_study import STUDY, Redness

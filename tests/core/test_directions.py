@@ -8,9 +8,8 @@ import torch
 from hypothesis import strategies as st
 
 from mi_splat.cameras import Camera, orbit_pose
-from mi_splat.directions import Direction, azimuth_gap, depth_in_band, depth_in_wedge, direction_of
+from mi_splat.directions import Direction, azimuth_gap, depth_in_band, depth_in_wedge, direction_of, sun_direction
 from mi_splat.errors import InvalidValueError
-from mi_splat.sun import sun_direction
 
 CENTRE = (1.0, -2.0, 0.5)
 

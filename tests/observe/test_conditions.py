@@ -20,10 +20,9 @@ from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, look_at
 from mi_splat.comparison.methods import load_method
 from mi_splat.errors import InvalidValueError
-from mi_splat.mixed_scenes import MixedScene
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
-from mi_splat.scene_files import read_scene
+from mi_splat.scene_files import MixedScene, read_scene
 from mi_splat.sh import colour_to_dc
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 from tests.gaussians import random_scene

@@ -29,16 +29,12 @@ RENDERERS = (
     "mi_splat.mitsuba_setup",
     "mi_splat.variant",
     "mi_splat.rendering",
-    "mi_splat.side_outputs",
     "mi_splat.frozen_view",
     "mi_splat.overdraw",
     "mi_splat.volprim",
 )
 """Parts that may import Mitsuba or Dr.Jit, besides those of `PATH_TRACERS` and the reader of scene files."""
-PATH_TRACERS = (
-    *("mi_splat.capture.path_tracer", "mi_splat.capture.path_tracer"),
-    *("mi_splat.scene_files", "mi_splat.mixed_scenes"),
-)
+PATH_TRACERS = ("mi_splat.capture.path_tracer", "mi_splat.scene_files")
 LOADERS = ("attacks.detectors", "attacks.classifiers", "attacks.cli", "attacks.cloak.kinds", "attacks.report")
 """Parts of attacks that know a particular detector, or judge it, or read weights as detectors do; all others see
 `detectors.base` only."""

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from mi_splat import llvm, variant
-from mi_splat.llvm import LLVMError, find_llvm, llvm_version, prepare_llvm
+from mi_splat import mitsuba_setup, variant
+from mi_splat.mitsuba_setup import LLVMError, find_llvm, llvm_version, prepare_llvm
 from mi_splat.variant import VariantError
 
 
@@ -54,7 +54,7 @@ def test_the_users_choice_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_none_at_all_gets_a_hint(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
-    monkeypatch.setattr(llvm, "find_llvm", lambda: None)
+    monkeypatch.setattr(mitsuba_setup, "find_llvm", lambda: None)
     monkeypatch.setattr("platform.system", lambda: "Linux")
     with pytest.raises(LLVMError, match="apt install"):
         prepare_llvm()

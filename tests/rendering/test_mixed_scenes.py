@@ -14,10 +14,8 @@ from mi_splat.cameras import Camera, look_at
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.picture_files import picture_header
-from mi_splat.mixed_scenes import MixedScene
 from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene_files import SplatScene, open_scene, read_scene, resized
-from mi_splat.scene_writing import write_scene
+from mi_splat.scene_files import MixedScene, SplatScene, open_scene, read_scene, resized, write_scene
 from tests.fakes import camera, toy_scene
 from tests.project.layers import ROOT
 

@@ -14,8 +14,7 @@ from mi_splat.attributes import Attribute
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import ATTRIBUTES, GaussianScene
-from mi_splat.scene_files import SplatScene, read_scene
-from mi_splat.scene_writing import write_scene
+from mi_splat.scene_files import SplatScene, read_scene, write_scene
 from tests import oracle
 from tests.rendering.test_plugins import dict_scene
 from tests.rendering.test_rasterization import BACKGROUND, GRADIENT_ERROR, PICTURE_ERROR, camera, smooth_scene

@@ -15,9 +15,9 @@ from attacks.studies.look import clean_and_attacked
 from attacks.studies.scenes import AttackScene, attack_scene, jittered
 from mi_splat.cameras import Camera, project_points
 from mi_splat.errors import InvalidValueError
-from mi_splat.mixed_scenes import MixedScene
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
+from mi_splat.scene_files import MixedScene
 from tests.fakes import blobs, camera, toy_scene
 from tests.project.layers import ROOT
 from tests.studies.toy import SCENE, write_toy

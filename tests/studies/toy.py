@@ -16,8 +16,7 @@ from mi_splat.ledger.engines import InProcess
 from mi_splat.ledger.plans import Driver, Result
 from mi_splat.ledger.running import task_for
 from mi_splat.rendering import RenderSettings
-from mi_splat.scene_files import SplatScene
-from mi_splat.scene_writing import write_scene
+from mi_splat.scene_files import SplatScene, write_scene
 from tests.fakes import CoarseDetector, ColourDetector, camera, register, toy_scene
 
 DETECTORS: dict[str, Detector] = {one.name: one for one in (ColourDetector(), CoarseDetector())}
