@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -83,6 +83,11 @@ class Rate:
         """Counts, fraction and interval for people; a dash if nothing was counted."""
         return f"{self.counts} = {percent(self.fraction)} ({self.ends})" if self.total else "-"
 
+    def short(self, *, interval: bool = False) -> str:
+        """The counts in a cell of a wide table, with the 95 % interval if so asked."""
+        count, (low, high) = f"{self.successes}/{self.total}", self.interval
+        return f"{count} ({low:.2f} to {high:.2f})" if interval and self.total else count
+
     def as_dict(self) -> dict[str, Any]:
         """Rate (None when nothing was counted), successes, total and interval, as JSON can hold them."""
         return {
@@ -91,3 +96,31 @@ class Rate:
             "total": self.total,
             "interval": list(self.interval),
         }
+
+
+def rate_of(value: Mapping[str, Any] | None) -> Rate | None:
+    """A rate as JSON has it; None where there is none."""
+    return None if value is None else Rate.of(value)
+
+
+def pooled(rates: Iterable[Rate | Mapping[str, Any] | None]) -> Rate:
+    """All of them together, as they are or as JSON has them."""
+    known = [Rate.of(rate) if isinstance(rate, Mapping) else rate for rate in rates if rate is not None]
+    return Rate(successes=sum(rate.successes for rate in known), total=sum(rate.total for rate in known))
+
+
+def spread(rates: Iterable[Rate], *, intervals: bool = True) -> str:
+    """Lowest to highest of some rates, each with its interval if so asked."""
+    ordered = sorted(rates, key=lambda rate: rate.fraction)
+    if not ordered:
+        return "nothing counted"
+    low, high = (
+        f"{percent(rate.fraction)} ({rate.ends})" if intervals else percent(rate.fraction)
+        for rate in (ordered[0], ordered[-1])
+    )
+    return f"{low} to {high}"
+
+
+def number(value: float | None, form: str = ".1f", unit: str = "") -> str:
+    """A number in a format, or a dash for none."""
+    return "-" if value is None else format(value, form) + (f"{FIXED}{unit}" if unit else "")

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.observe.drawing import annotated, stacked
-from attacks.observe.look import Looked, camera_cells, detection_rows, report_cells
+from attacks.observe.look import Looked, report_cells, tabled
 from attacks.observe.measures import REPORTED, Confidence, comparison_measures, with_control
 from attacks.observe.rates import count
-from attacks.observe.rows import ATTACKED, CLEAN, Cell, Row, frame_of
+from attacks.observe.rows import ATTACKED, CLEAN, Cell
 from attacks.observe.views import ViewDetections
 from attacks.rate import Rate
 from mi_splat.errors import InvalidValueError
@@ -70,23 +70,19 @@ def compared_rows(
     min_confidence: float = REPORTED,
 ) -> Looked:
     """What detectors report on a clean and an attacked splat, row by row."""
-    rows, detections = list[Row](), list[Row]()
     clean = {(view.detector, view.view): view for view in seen[CLEAN]}
     shown = {
         name: [view for view in seen[CLEAN] if view.detector == name and view.box is not None] for name, _ in clean
     }
     originals = {name: original or usual_label(views, min_confidence) for name, views in shown.items()}
-    for splat, views in seen.items():
-        for view in views:
-            before = clean[view.detector, view.view]
-            same = splat == CLEAN or torch.equal(before.pixels, view.pixels)
-            ids: dict[str, Cell] = {"splat": splat, "detector": view.detector, "view": view.view}
-            known = {"original": originals[view.detector], "target": target}
-            change = None if same else float(psnr(before.image, view.image))
-            cells = report_cells(view.detections, view.box, **known)
-            rows.append({**ids, **camera_cells(view.camera, view.box), **cells, "psnr": change})
-            detections += detection_rows(ids, view.detections, view.box)
-    return Looked(rows=frame_of(rows), detections=frame_of(detections))
+
+    def cells(view: ViewDetections) -> dict[str, Cell]:
+        before = clean[view.detector, view.view]
+        change = None if torch.equal(before.pixels, view.pixels) else float(psnr(before.image, view.image))
+        known = report_cells(view.detections, view.box, original=originals[view.detector], target=target)
+        return {**known, "psnr": change}
+
+    return tabled((({"splat": splat}, view) for splat, views in seen.items() for view in views), cells)
 
 
 def compare(rows: pl.DataFrame, *, confidence: Confidence = REPORTED) -> list[Comparison]:

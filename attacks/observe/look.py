@@ -4,8 +4,8 @@ A row is put together from its parts: what it is of (`ids`), where the camera is
 the object (`report_cells`), and whether that reaches an aim (`verdict_cells`).
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -111,18 +111,30 @@ def look(
     batch: int = BATCH,
 ) -> Looked:
     """Run every detector on every splat from every camera, under every condition."""
+
+    def views() -> Iterator[tuple[dict[str, Cell], ViewDetections]]:
+        for condition in conditions:
+            numbers = [view for view, camera in enumerate(cameras) if condition.holds(camera)]
+            moved = [condition.move(cameras[view]) for view in numbers]
+            where = [boxes(camera) for camera in moved]
+            for name, splat in splats.items():
+                shown, render = condition.show(splat)
+                for seen in detect_views(shown, moved, detectors, render=render, boxes=where, batch=batch):
+                    yield {"condition": condition.name, "splat": name}, replace(seen, view=numbers[seen.view])
+
+    return tabled(views(), cells)
+
+
+def tabled(
+    views: Iterable[tuple[Mapping[str, Cell], ViewDetections]],
+    cells: Callable[[ViewDetections], Mapping[str, Cell]],
+) -> Looked:
+    """A row for each view, with what it is of and with further cells, and one for each of its detections."""
     rows, detections = list[Row](), list[Row]()
-    for condition in conditions:
-        views = [view for view, camera in enumerate(cameras) if condition.holds(camera)]
-        moved = [condition.move(cameras[view]) for view in views]
-        where = [boxes(camera) for camera in moved]
-        for name, splat in splats.items():
-            shown, render = condition.show(splat)
-            for seen in detect_views(shown, moved, detectors, render=render, boxes=where, batch=batch):
-                ids: dict[str, Cell] = {"condition": condition.name, "splat": name}
-                ids |= {"detector": seen.detector, "view": views[seen.view]}
-                rows.append({**ids, **camera_cells(seen.camera, seen.box), **cells(seen)})
-                detections += detection_rows(ids, seen.detections, seen.box)
+    for of, seen in views:
+        ids = {**of, "detector": seen.detector, "view": seen.view}
+        rows.append({**ids, **camera_cells(seen.camera, seen.box), **cells(seen)})
+        detections += detection_rows(ids, seen.detections, seen.box)
     return Looked(rows=frame_of(rows), detections=frame_of(detections))
 
 

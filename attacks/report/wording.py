@@ -3,27 +3,10 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from attacks.rate import FIXED, Rate
 from attacks.tables import named_settings
 
 MOST_VALUES = 12
 """Values of one setting that are listed where several attacks differ in it."""
-
-
-def number(value: float | None, form: str = ".1f", unit: str = "") -> str:
-    """A number in a format, or a dash for none."""
-    return "-" if value is None else format(value, form) + (f"{FIXED}{unit}" if unit else "")
-
-
-def rate_of(value: Mapping[str, Any] | None) -> Rate | None:
-    """A rate as the JSONs have it; None where there is none."""
-    return None if value is None else Rate.of(value)
-
-
-def pooled(rates: Iterable[Rate | Mapping[str, Any] | None]) -> Rate:
-    """All of them together, as they are or as JSON has them."""
-    known = [Rate.of(rate) if isinstance(rate, Mapping) else rate for rate in rates if rate is not None]
-    return Rate(successes=sum(rate.successes for rate in known), total=sum(rate.total for rate in known))
 
 
 def duration(seconds: float) -> str:

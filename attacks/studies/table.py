@@ -40,15 +40,8 @@ def number(value: Any, form: str = "g") -> str:
     return "-" if value is None else format(value, form) if isinstance(value, (int, float)) else str(value)
 
 
-def counted(rate: Record, *, interval: bool = False) -> str:
-    """A rate as its count, with its 95 % interval."""
-    low, high = Rate.of(rate).interval
-    count = f"{rate['successes']}/{rate['total']}"
-    return f"{count} ({low:.2f} to {high:.2f})" if interval and rate["total"] else count
-
-
 def _rate(name: str, *, interval: bool = False) -> Cell:
-    return lambda line: counted(line[name], interval=interval)
+    return lambda line: Rate.of(line[name]).short(interval=interval)
 
 
 def _number(name: str, form: str = "g") -> Cell:
@@ -139,7 +132,9 @@ def _matrix(caption: str, looks: Sequence[Record], kind: str) -> Table:
     def cell(row: str, column: str) -> str:
         look = cells.get((row, column) if turned else (column, row))
         return (
-            "-" if look is None else counted(look[kind], interval=True) + (" *" if look["white_box"] and marked else "")
+            "-"
+            if look is None
+            else Rate.of(look[kind]).short(interval=True) + (" *" if look["white_box"] and marked else "")
         )
 
     def noise(row: str) -> str:

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from attacks.detectors.catalogue import SMALL_CLASSES
-from attacks.rate import Rate
-from attacks.report.wording import listed, number, pooled
+from attacks.rate import Rate, number, pooled
+from attacks.report.wording import listed
 from attacks.tables import Table, cell
 
 if TYPE_CHECKING:

@@ -41,11 +41,7 @@ def numbers(rows: pl.DataFrame, measure: Measure, *by: str) -> dict[tuple[object
 
 def test_what_cannot_be_said_does_not_hold_and_counts() -> None:
     assert numbers(ROWS, REPORTED) == {(): (2, 5)}
-
-
-def test_only_rows_that_are_given_count() -> None:
-    measure = Measure(holds=pl.col("score") >= 0.5, given=pl.col("view") == 0)
-    assert numbers(ROWS, measure) == {(): (2, 4)}
+    assert numbers(ROWS, Measure(holds=REPORTED.holds, given=pl.col("view") == 0)) == {(): (2, 4)}
 
 
 def test_groups_come_in_the_order_of_their_first_rows() -> None:
@@ -83,16 +79,6 @@ def test_views_that_agree_make_a_wide_interval() -> None:
         widths[agree] = high - low
     assert widths[True] == pytest.approx(2 * 1.96 * 0.5 / 20**0.5, rel=0.15)  # of 20 independent draws
     assert widths[False] < 0.4 * widths[True]
-
-
-def test_a_resampled_interval_is_the_same_every_time() -> None:
-    first, second = (
-        count(many(agree=True), {"rate": Measure(holds=pl.col("holds"))}, clusters=("block", "seed"))[()][
-            "rate"
-        ].interval
-        for _ in range(2)
-    )
-    assert first == second
 
 
 @pytest.mark.parametrize(("blocks", "holds"), [(4, None), (20, True), (20, False)])
@@ -280,8 +266,3 @@ def test_cloak_is_counted_by_the_depth_inside_the_trigger_or_inside_the_poison()
     assert rates["target_rate"] == (0, 0)
     assert cloak(confidence=0.25)["nothing_reported"] == (0, 3)
     assert cloak(depth=POISON_DEPTH)["trigger_miss_rate"] == (6, 11)
-
-
-def test_a_null_does_not_hold() -> None:
-    rows = frame_of([{"view": 0, "success": None}, {"view": 1, "success": True}])
-    assert counts(count(rows, {"success": Measure(holds=pl.col("success"))})[()]) == {"success": (1, 2)}

@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from attacks.bench.row import HEADS, row_of
-from attacks.rate import Rate
+from attacks.rate import Rate, pooled
 from attacks.report.section import Figure, Section
-from attacks.report.wording import pooled
 
 
 def read(folder: Path, record: Mapping[str, Any]) -> Section:

@@ -44,12 +44,12 @@ from attacks.observe.rows import (
     read_rows,
 )
 from attacks.observe.views import BATCH, ViewDetections
-from attacks.rate import Rate, percent
+from attacks.rate import Rate, rate_of
 from attacks.report.checking import Tables
 from attacks.report.kinds.thresholds import threshold_charts
 from attacks.report.rescoring import Rescoring
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section
-from attacks.report.wording import listed, plural, rate_of, settings
+from attacks.report.wording import listed, plural, settings
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import decode
@@ -358,9 +358,3 @@ def _of_rows(folder: Path, summary: Mapping[str, Any]) -> Iterator[Chart]:
             ),
             shade=None if None in ends else ends,  # type: ignore[arg-type]
         )
-
-
-def spread(rates: Sequence[Rate]) -> str:
-    """Lowest to highest of some rates, each with its interval."""
-    least, most = (pick(rates, key=lambda rate: rate.fraction) for pick in (min, max))
-    return f"{percent(least.fraction)} ({least.ends}) to {percent(most.fraction)} ({most.ends})"

@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from attacks.observe.rows import ROWS
-from attacks.rate import Rate
+from attacks.rate import Rate, rate_of, spread
 from attacks.report.checking import Tables
 from attacks.report.kinds.cloak import figures as cloak_figures
-from attacks.report.kinds.cloak import headline_of, spread, study_of
+from attacks.report.kinds.cloak import headline_of, study_of
 from attacks.report.section import FEW, Chart, Figure, Line, Role, Section
-from attacks.report.wording import capital, listed, plural, rate_of, sentence, shared
+from attacks.report.wording import capital, listed, plural, sentence, shared
 from attacks.studies.cloak import by_part, pooled, pooled_tables, tables
 
 KIND = "CLOAK, one thing varied at a time"
@@ -53,12 +53,12 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         title=f"{record['name']}, varied" if len(points) > 1 else str(record["name"]),
         done=_done(record, groups),
         conclusion=(
-            f"{capital(label)}, over all values: {spread(rates) if rates else 'nothing counted'}. Compare values "
+            f"{capital(label)}, over all values: {spread(rates)}. Compare values "
             "within one chart; where intervals overlap, the study cannot tell them apart."
             f"{_conditions(points)}{_pooled(record)}"
         ),
-        headline=Figure(label=f"{label}, lowest to highest", words=_range(rates)),
-        control=Figure(label="clean splats, the same", words=_range(controlled)),
+        headline=Figure(label=f"{label}, lowest to highest", words=spread(rates, intervals=False)),
+        control=Figure(label="clean splats, the same", words=spread(controlled, intervals=False)),
         figures=(
             Figure(label="studies", words=str(len(points))),
             Figure(label="seeds of each", words=" to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))),
@@ -106,13 +106,6 @@ def _pooled(record: Mapping[str, Any]) -> str:
         if by_name:
             texts.append(f" Over {over['objects']} objects together it is missed in {by_name}.")
     return "".join(texts)
-
-
-def _range(rates: list[Rate]) -> str:
-    if not rates:
-        return "nothing counted"
-    low, high = (pick(rate.fraction for rate in rates) for pick in (min, max))
-    return f"{100 * low:.0f} to {100 * high:.0f} %"
 
 
 def _conditions(points: Sequence[Mapping[str, Any]]) -> str:
