@@ -17,23 +17,7 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneRecipe:
-    """One scene: a target object in surroundings.
-
-    Attributes:
-        target: Id of the target's shape in the scene file.
-        surroundings: Id of the other shape.
-        assets: Builds target and surroundings, both placed in the world.
-        light: Daylight.
-        centre: Point that cameras look at, metres.
-        sensors: Camera positions by sensor id, relative to `centre`.
-        distance: Shortest and longest distance of the pictures' cameras from `centre`.
-        elevation: Lowest and highest elevation of them, degrees.
-        azimuth: Lowest and highest azimuth of them, degrees.
-        counts: Number of samples on target, surroundings and sky before hidden ones are dropped.
-        views: Pictures to fit to.
-        steps: Steps of the training.
-        limit: Largest number of Gaussians.
-    """
+    """One scene: a target object in surroundings."""
 
     target: str
     surroundings: str

@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mi_splat.assets.daylight import Light, daylight, sky_map
+from mi_splat.assets.daylight import Light, sky_map
 from mi_splat.assets.mesh import Asset, Floats, Mesh, to_linear, to_srgb
 from mi_splat.cameras import Camera, View
 from mi_splat.errors import InvalidValueError
@@ -219,21 +219,6 @@ NEAR = 0.01
 PASSES = 2
 """The most passes of one picture; seeds of pictures are so many apart."""
 
-__all__ = [
-    "Light",
-    "PathTracer",
-    "capture",
-    "check_camera",
-    "corner_normals",
-    "daylight",
-    "depth_maps",
-    "in_front",
-    "scene_dict",
-    "shapes",
-    "to_linear",
-    "to_srgb",
-    "tracing_variant",
-]
 
 _Depths = TypeVar("_Depths", NDArray[Any], Tensor)
 

@@ -13,12 +13,13 @@ import torch
 from numpy.typing import NDArray
 
 from mi_splat.assets import ASSETS, build
+from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.recipes import RECIPES
 from mi_splat.assets.textures import Kind, square_of_ground
 from mi_splat.cameras import Camera
 from mi_splat.capture.mesh_files import SUFFIXES, LoadedMesh, load_mesh
-from mi_splat.capture.path_tracer import Light, PathTracer, read_environment, scene_dict
+from mi_splat.capture.path_tracer import PathTracer, read_environment, scene_dict
 from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.points import PointCloud

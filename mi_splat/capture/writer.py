@@ -50,18 +50,7 @@ OnStep = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WrittenCapture:
-    """What a capture left on the disk.
-
-    Attributes:
-        train: Number of pictures for training.
-        test: Number of pictures held out.
-        rendered: How many of both were rendered by this call; the others were on the disk.
-        points: Points of the cloud.
-        files: The point cloud and the files that list the pictures.
-        seconds: Wall time of the rendering.
-        begun_by: Version of the project that began the capture.
-        warnings: What the user should know of the pictures.
-    """
+    """What a capture left on the disk."""
 
     train: int
     test: int

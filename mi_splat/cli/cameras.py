@@ -223,13 +223,7 @@ def _turned(camera: Camera, centre: tuple[float, float, float], up: tuple[float,
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Chosen:
-    """An object, and where it is looked at from.
-
-    Attributes:
-        mask: (N,) bool, the object's Gaussians.
-        cameras: By name.
-        render: Makes their pictures.
-    """
+    """An object, and where it is looked at from."""
 
     mask: Tensor
     cameras: dict[str, Camera]

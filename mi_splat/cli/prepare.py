@@ -53,7 +53,7 @@ def run(options: PrepareOptions) -> None:
 
     check_no_input_in(options.out, options.source)
     with progress("preparing") as advance:
-        record = prepare(options.source, options.out, options.config, force=options.force, told=follow(advance))
+        record = prepare(options.source, options.out, options.config, force=options.force, on_progress=follow(advance))
     pictures, missing = record["pictures"], not_placed(record)
     counts = {part: sum(row["part"] == part for row in pictures) for part in ("train", "test")}
     if missing:

@@ -171,22 +171,22 @@ def _train(options: TrainOptions) -> None:
     _warn_of_culled(start, views, near)
     begun = time.monotonic()
     lpips = load_lpips() if options.lpips else None
-    words = _Words()
+    describe = _ProgressText()
     sets = (views, held_out) if len(held_out) else (views,)
     with (
-        _page(options, sets, start, near) as following,
+        _page(options, sets, start, near) as page,
         progress("training", total=config.iterations) as advance,
     ):
 
-        def resumed(state: TrainState) -> None:
+        def on_resume(state: TrainState) -> None:
             whole = f"the run has all its {config.iterations:,} steps; only its results are written again"
             rest = f"going on from step {state.iteration:,} of {config.iterations:,}"
             warn(whole if state.iteration >= config.iterations else rest)
             advance("training", state.iteration)
 
-        def heard(line: Progress) -> None:
-            advance(words(line))
-            following.note(line)
+        def on_step(line: Progress) -> None:
+            advance(describe(line))
+            page.note(line)
 
         trained = train(
             views,
@@ -200,10 +200,10 @@ def _train(options: TrainOptions) -> None:
             lpips=lpips,
             settings={"near": near, "background": list(options.background), "device": options.device},
             dataset=options.dataset,
-            on_resume=resumed,
-            on_start=following.begin,
-            on_step=heard,
-            hold=following.hold,
+            on_resume=on_resume,
+            on_start=page.begin,
+            on_step=on_step,
+            hold=page.hold,
         )
     figures, seconds = read_json(options.out / METRICS), time.monotonic() - begun
     lines = [f"{options.out / SPLAT}: {len(trained.scene):,} Gaussians after {config.iterations} steps"]
@@ -217,7 +217,7 @@ def _train(options: TrainOptions) -> None:
     show_result({**figures, "out": str(options.out), "seconds": seconds}, *lines, as_json=options.json)
 
 
-class _Following:
+class _NoPage:
     """Nobody follows the training."""
 
     def begin(self, state: TrainState) -> None:
@@ -234,10 +234,10 @@ class _Following:
 @contextlib.contextmanager
 def _page(
     options: TrainOptions, sets: Sequence[Dataset], start: GaussianScene, near: float
-) -> Iterator[_Following | LiveTraining]:
+) -> Iterator[_NoPage | LiveTraining]:
     """The page that follows the training, if there is to be one."""
     if not options.live:
-        yield _Following()
+        yield _NoPage()
         return
     from mi_splat.rendering import Renderer, RenderSettings
     from mi_splat.training.resume import SPLAT
@@ -311,7 +311,7 @@ def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
     return from_points(cloud.points, cloud.colours)
 
 
-class _Words:
+class _ProgressText:
     """What the progress bar says of a step."""
 
     def __init__(self) -> None:

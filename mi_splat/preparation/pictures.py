@@ -129,8 +129,8 @@ def _decoded(path: Path, longest_side: int) -> Iterator[Pixels | None]:
             raise PreparationError.of(str(path), "a video that ffmpeg can read", got, "save it as MP4")
 
 
-Told = Callable[[str, int, int], None]
-"""Told what is going on, how much of it is done, and of how much."""
+OnProgress = Callable[[str, int, int], None]
+"""OnProgress what is going on, how much of it is done, and of how much."""
 
 FEWEST_PICTURES = 3
 """Of which cameras can be found."""
@@ -178,14 +178,14 @@ def check_count(source: str, pictures: Sequence[object]) -> None:
 
 
 def take_photographs(
-    folder: Path, images: Path, config: PrepareConfig, told: Told
+    folder: Path, images: Path, config: PrepareConfig, on_progress: OnProgress
 ) -> tuple[list[Picture], dict[str, str]]:
     """Write the pictures of a folder into images/, turned as EXIF says and without what else it says."""
     paths = pictures_in(folder, config.max_pictures)
     taken: list[Picture] = []
     broken: dict[str, str] = {}
     for number, path in enumerate(paths):
-        told("reading pictures", number, len(paths))
+        on_progress("reading pictures", number, len(paths))
         try:
             picture_size(path)
             photograph = load_picture(path, upright=True)
@@ -208,7 +208,7 @@ def take_photographs(
     return taken, broken
 
 
-def take_frames(video: Path, images: Path, config: PrepareConfig, told: Told) -> list[Picture]:
+def take_frames(video: Path, images: Path, config: PrepareConfig, on_progress: OnProgress) -> list[Picture]:
     """Write the sharpest pictures of a video into images/."""
     taken: list[Picture] = []
     frames = sharpest_frames(
@@ -216,7 +216,7 @@ def take_frames(video: Path, images: Path, config: PrepareConfig, told: Told) ->
         longest_side=config.longest_side,
         interval=config.interval,
         most=config.max_pictures,
-        on_second=lambda done, total: told("reading the video", done, total),
+        on_second=lambda done, total: on_progress("reading the video", done, total),
     )
     for second, pixels in frames:
         name = f"frame_{len(taken):05d}.jpg"

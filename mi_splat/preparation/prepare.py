@@ -22,7 +22,7 @@ from mi_splat.io.picture_files import load_picture
 from mi_splat.io.pictures import save_picture
 from mi_splat.labels import write_label
 from mi_splat.preparation.config import PreparationError, PrepareConfig
-from mi_splat.preparation.pictures import Picture, Told, check_video, pictures_in, take_frames, take_photographs
+from mi_splat.preparation.pictures import OnProgress, Picture, check_video, pictures_in, take_frames, take_photographs
 from mi_splat.preparation.reconstruction import Reconstruct, Reconstruction, by_colmap, check_colmap
 
 RECORD = "prepare.json"
@@ -37,7 +37,7 @@ def prepare(
     config: PrepareConfig,
     *,
     force: bool = False,
-    told: Told,
+    on_progress: OnProgress,
     reconstruct: Reconstruct | None = None,
 ) -> dict[str, Any]:
     """Write a set of pictures with cameras, whole or not at all: images/, sparse/0, the sheet and the record.
@@ -58,10 +58,10 @@ def prepare(
         images.mkdir()
         broken: Mapping[str, str] = {}
         if is_video:
-            pictures = take_frames(source, images, config, told)
+            pictures = take_frames(source, images, config, on_progress)
         else:
-            pictures, broken = take_photographs(source, images, config, told)
-        done = (reconstruct or by_colmap)(root, pictures, is_video, config.features, told)
+            pictures, broken = take_photographs(source, images, config, on_progress)
+        done = (reconstruct or by_colmap)(root, pictures, is_video, config.features, on_progress)
         if not done.models:
             raise _nothing_placed(source, pictures, done)
         shutil.rmtree(root / "colmap", ignore_errors=True)
@@ -150,13 +150,7 @@ _COLUMNS, _GAP, _HEAD, _LETTERS = 8, 4, 28, 24
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tile:
-    """A picture of the sheet.
-
-    Attributes:
-        file: The picture.
-        text: What is written on it.
-        part: Of the set; "none" is grey and has a red frame.
-    """
+    """A picture of the sheet."""
 
     file: Path
     text: str

@@ -13,7 +13,7 @@ from typing import Any
 
 from mi_splat.errors import install
 from mi_splat.preparation.config import PreparationError
-from mi_splat.preparation.pictures import FEWEST_PICTURES, Picture, Told
+from mi_splat.preparation.pictures import FEWEST_PICTURES, OnProgress, Picture
 
 ALL_PAIRS = 100
 """Pictures up to which each is compared with every other one, unless they come from a video."""
@@ -52,7 +52,7 @@ class Reconstruction:
     made_by: str = ""
 
 
-Reconstruct = Callable[[Path, Sequence[Picture], bool, int, Told], Reconstruction]
+Reconstruct = Callable[[Path, Sequence[Picture], bool, int, OnProgress], Reconstruction]
 """Writes the largest model of a set's pictures into sparse/0: see `by_colmap`."""
 
 
@@ -71,7 +71,9 @@ def pairs_of(count: int, *, in_order: bool) -> list[tuple[int, int]]:
     return sorted(near.union(itertools.combinations(range(0, count, -(-count // ANCHORS)), 2)))
 
 
-def by_colmap(root: Path, pictures: Sequence[Picture], in_order: bool, features: int, told: Told) -> Reconstruction:
+def by_colmap(
+    root: Path, pictures: Sequence[Picture], in_order: bool, features: int, on_progress: OnProgress
+) -> Reconstruction:
     """Find the cameras of pictures, and write the largest model, turned so that z is up, into sparse/0."""
     import pycolmap
 
@@ -79,10 +81,10 @@ def by_colmap(root: Path, pictures: Sequence[Picture], in_order: bool, features:
     pycolmap.set_random_seed(_SEED)
     database = root / "colmap" / "database.db"
     database.parent.mkdir()
-    _extract(pycolmap, database, root / "images", pictures, features, told)
-    _match(pycolmap, database, pictures, pairs_of(len(pictures), in_order=in_order), told)
+    _extract(pycolmap, database, root / "images", pictures, features, on_progress)
+    _match(pycolmap, database, pictures, pairs_of(len(pictures), in_order=in_order), on_progress)
     counted, overlaps = _statistics(pycolmap, database)
-    mapped = _map(pycolmap, database, root / "images", len(pictures), told)
+    mapped = _map(pycolmap, database, root / "images", len(pictures), on_progress)
     models = _trimmed(mapped)
     points: dict[str, int] = {}
     if models:
@@ -102,7 +104,7 @@ def by_colmap(root: Path, pictures: Sequence[Picture], in_order: bool, features:
 
 
 def _extract(
-    pycolmap: Any, database: Path, images: Path, pictures: Sequence[Picture], features: int, told: Told
+    pycolmap: Any, database: Path, images: Path, pictures: Sequence[Picture], features: int, on_progress: OnProgress
 ) -> None:
     """Find the features of all pictures; those of one size and focal length have one camera."""
     options = pycolmap.FeatureExtractionOptions(max_image_size=max(max(p.size) for p in pictures))
@@ -119,7 +121,7 @@ def _extract(
             )
             number = opened.write_camera(camera)
         for start in range(0, len(names), _CHUNK):
-            told("finding features", done, len(pictures))
+            on_progress("finding features", done, len(pictures))
             chunk = names[start : start + _CHUNK]
             pycolmap.extract_features(
                 database_path=str(database),
@@ -141,14 +143,18 @@ def _by_lens(pictures: Sequence[Picture]) -> Iterator[tuple[tuple[tuple[int, int
 
 
 def _match(
-    pycolmap: Any, database: Path, pictures: Sequence[Picture], pairs: Sequence[tuple[int, int]], told: Told
+    pycolmap: Any,
+    database: Path,
+    pictures: Sequence[Picture],
+    pairs: Sequence[tuple[int, int]],
+    on_progress: OnProgress,
 ) -> None:
     """Compare pairs of pictures."""
     listed = database.with_name("pairs.txt")
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = _SEED
     for start in range(0, len(pairs), _PAIRS_AT_ONCE):
-        told("comparing pairs of pictures", start, len(pairs))
+        on_progress("comparing pairs of pictures", start, len(pairs))
         chunk = pairs[start : start + _PAIRS_AT_ONCE]
         listed.write_text("".join(f"{pictures[i].name} {pictures[j].name}\n" for i, j in chunk), "utf-8")
         pycolmap.match_image_pairs(
@@ -173,12 +179,12 @@ def _statistics(pycolmap: Any, database: Path) -> tuple[dict[str, int], dict[str
     return features, overlaps
 
 
-def _map(pycolmap: Any, database: Path, images: Path, count: int, told: Told) -> list[Any]:
+def _map(pycolmap: Any, database: Path, images: Path, count: int, on_progress: OnProgress) -> list[Any]:
     """The models."""
     placed = itertools.count(2)
 
     def one_more() -> None:
-        told("placing cameras", min(next(placed), count), count)
+        on_progress("placing cameras", min(next(placed), count), count)
 
     options = pycolmap.IncrementalPipelineOptions(min_model_size=FEWEST_PICTURES, random_seed=_SEED)
     output = database.with_name("models")

@@ -25,14 +25,13 @@ from torch import Tensor
 
 from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_SIDE
 from mi_splat.assets import build, street
+from mi_splat.assets.daylight import Light, daylight
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.assets.primitives import ellipsoid
 from mi_splat.cameras import Camera, RenderFn, View, orbit_pose, project_points
 from mi_splat.capture.path_tracer import (
     FEW_PICTURES,
-    Light,
     capture,
-    daylight,
     depth_maps,
     in_front,
     scene_dict,

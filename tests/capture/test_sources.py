@@ -84,38 +84,6 @@ def test_another_texture_is_another_scene_however_it_is_named(before: str, named
     assert open_source(scene).digest != first
 
 
-def test_what_a_scene_includes_belongs_to_it(tmp_path: Path) -> None:
-    """The textures of an included file lie beside the scene, as Mitsuba has it."""
-    textured(tmp_path, "", '<string name="filename" value="a.png"/>')
-    (tmp_path / "a.xml").rename(tmp_path / "inner" / "scene")
-    (tmp_path / "a.xml").write_text('<scene version="3.0.0"><include filename="inner/scene"/></scene>')
-    paint(tmp_path, 200)
-    digests = {open_source(str(tmp_path / "a.xml")).digest}
-    paint(tmp_path, 100)
-    digests.add(open_source(str(tmp_path / "a.xml")).digest)
-    text = (tmp_path / "inner" / "scene").read_text()
-    (tmp_path / "inner" / "scene").write_text(text.replace("cube", "sphere"))
-    digests.add(open_source(str(tmp_path / "a.xml")).digest)
-    assert len(digests) == 3
-
-
-@pytest.mark.parametrize(
-    "shape",
-    [
-        '<shape type="gaussians"/>',
-        "<shape id = 'x > y' type = 'gaussians'/>",
-        '<default name="t" value="gaussians"/><shape type="$t"/>',
-        '<include filename="splats"/>',
-        '<integrator type="splat_tile"/>',
-    ],
-)
-def test_splats_are_seen_however_they_are_named(shape: str, tmp_path: Path) -> None:
-    (tmp_path / "splats").write_text('<scene version="3.0.0"><shape type="gaussians"/></scene>')
-    (tmp_path / "a.xml").write_text(f'<scene version="3.0.0">{shape}</scene>')
-    with pytest.raises(InvalidValueError, match="expected a scene of meshes, got a scene of splats"):
-        open_source(str(tmp_path / "a.xml"))
-
-
 def test_an_asset_by_name_and_seed_is_a_source() -> None:
     one, other, same = (open_source(name) for name in ("car:3", "car:4", "car:3"))
     assert one.digest == same.digest != other.digest

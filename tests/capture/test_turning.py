@@ -136,21 +136,3 @@ def test_what_differs_is_said_in_words(tmp_path: Path, capsys: pytest.CaptureFix
     write_ply(tmp_path, truck().placed(scale=1.01))
     assert cli.main(first) == 1
     assert "another scene (what its files hold)" in capsys.readouterr().err
-
-
-def test_captures_of_other_versions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = str(write_ply(tmp_path, truck()))
-    file = tmp_path / "out" / "capture.json"
-    assert cli.main(command(tmp_path, path)) == 0
-    record = json.loads(file.read_text())
-    file.write_text(json.dumps({**record, "version": "0.0.1"}))
-    assert cli.main(command(tmp_path, path)) == 0
-    assert "begun by 0.0.1" in capsys.readouterr().out
-    for change, says in (
-        ({"pictures": 0}, "pictures 0, now 2"),
-        ({"mitsuba": "3.0"}, "mitsuba '3.0'"),
-        ({"version": "0.0.1", "scene": "0"}, "where 0.0.1 began"),
-    ):
-        file.write_text(json.dumps({**record, **change}))
-        assert cli.main(command(tmp_path, path)) == 1
-        assert says in capsys.readouterr().err

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import torch
 
+from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import box, quad
 from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import Camera
-from mi_splat.capture.path_tracer import Light, PathTracer, capture, scene_dict
+from mi_splat.capture.path_tracer import PathTracer, capture, scene_dict
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
 from mi_splat.capture.writer import surface_points, write_capture

@@ -5,7 +5,6 @@ splat is a .splat file, as a web viewer has it, of one object on a floor, writte
 """
 
 import json
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -51,20 +50,6 @@ def spread(path: str) -> float:
         return float(np.asarray(picture.convert("RGB"), np.float64).std())
 
 
-def write_web_splat(path: Path) -> None:
-    """A red ball on a grey floor, in the format of the first web viewer: 32 bytes a Gaussian, y down."""
-    generator = np.random.default_rng(0)
-    ball = generator.normal(size=(1500, 3))
-    ball *= 0.3 / np.linalg.norm(ball, axis=1, keepdims=True)
-    ball[:, 2] += 0.35
-    floor = np.column_stack([generator.uniform(-2, 2, (3000, 2)), np.zeros(3000)])
-    with path.open("wb") as file:
-        for position, size, colour in [(p, 0.03, (220, 20, 20)) for p in ball] + [
-            (p, 0.05, (90, 90, 90)) for p in floor
-        ]:
-            file.write(struct.pack("<3f3f4B4B", *position, size, size, size, *colour, 250, 255, 128, 128, 128))
-
-
 def test_a_foreign_mesh_through_every_command(walk: Walk, tmp_path: Path) -> None:
     write_glb(tmp_path, truck().placed(scale=100.0, move=UTM, y_up=True))
     shot = "--cameras hemisphere:14 --test 3 --size 48 --samples 4 --points 1500 --format both"
@@ -98,16 +83,3 @@ def test_a_foreign_mesh_through_every_command(walk: Walk, tmp_path: Path) -> Non
     judged = "--cameras orbit:3@20 --size 96 --target person --detectors fasterrcnn_small"
     assert walk.json(f"evaluate run/splat.ply attacked/attacked.ply {judged} --out judged")
     walk("detect attacked/attacked.ply one.jpg --size 96 --out seen")
-
-
-@pytest.mark.parametrize("ending", ["compressed.ply", "spz", "sog", "glb", "ply"])
-@pytest.mark.filterwarnings("ignore::mi_splat.io.SplatLossWarning")
-def test_a_foreign_splat_through_every_format(ending: str, walk: Walk, tmp_path: Path) -> None:
-    write_web_splat(tmp_path / "web.splat")
-    document = walk.json(f"convert web.splat desk.{ending}")
-    assert document["gaussians"] == 4500
-    walk(f"render desk.{ending} --azimuth 10 --elevation 25 --size 64 --out {ending}.png")
-    assert spread(f"{ending}.png") > 20
-    walk(f"info desk.{ending}")
-    picked = walk.json(f"select desk.{ending} --click 32,32 --azimuth 0 --elevation 25 --size 64 --out ball.npy")
-    assert 1400 <= picked["gaussians"] <= 1600

@@ -38,9 +38,10 @@ from attacks.detectors.torchvision import (
 from attacks.detectors.weights import apply_weights, fingerprint
 from attacks.testing import check_detector
 from mi_splat.assets import build
+from mi_splat.assets.daylight import daylight
 from mi_splat.assets.street import plain
 from mi_splat.cameras import Camera, orbit_pose, project_box
-from mi_splat.capture.path_tracer import capture, daylight, scene_dict
+from mi_splat.capture.path_tracer import capture, scene_dict
 from mi_splat.errors import InvalidValueError
 from tests.detectors.contract import random_detector, slope_is_the_gradient, warm_up
 

@@ -27,11 +27,11 @@ from mi_splat.preparation.reconstruction import Reconstruction, _trimmed
 from mi_splat.rotation import from_z
 from tests.project.layers import ROOT
 
-Told = Callable[[str, int, int], None]
+OnProgress = Callable[[str, int, int], None]
 
 
 def silent(text: str, done: int, total: int) -> None:
-    """Told of progress, and says nothing."""
+    """OnProgress of progress, and says nothing."""
 
 
 def photographs(folder: Path, count: int, size: tuple[int, int] = (40, 30)) -> Path:
@@ -45,7 +45,7 @@ def photographs(folder: Path, count: int, size: tuple[int, int] = (40, 30)) -> P
 
 
 def all_but_the_last(
-    root: Path, pictures: Sequence[Picture], in_order: bool, features: int, told: Told
+    root: Path, pictures: Sequence[Picture], in_order: bool, features: int, on_progress: OnProgress
 ) -> Reconstruction:
     """Places all pictures but the last on a circle."""
     entries = []
@@ -68,7 +68,7 @@ def test_what_is_placed_is_a_set_and_the_rest_is_listed(tmp_path: Path) -> None:
     (source / "IMG 4.png").write_bytes(b"no picture")
     (source / "notes.txt").write_text("no picture either")
     out = tmp_path / "set"
-    record = prepare(source, out, PrepareConfig(), told=silent, reconstruct=all_but_the_last)
+    record = prepare(source, out, PrepareConfig(), on_progress=silent, reconstruct=all_but_the_last)
 
     train, test = (load_dataset(out, split=split) for split in ("train", "test"))
     assert [path.name for path in test.paths] == ["IMG_0.png", "IMG_8.png"]  # every eighth
@@ -98,7 +98,7 @@ def test_what_is_placed_is_a_set_and_the_rest_is_listed(tmp_path: Path) -> None:
 
 def test_the_input_is_looked_at_before_pycolmap_is_asked_for(tmp_path: Path) -> None:
     with pytest.raises(PreparationError, match="at least 3 pictures"):
-        prepare(photographs(tmp_path / "photos", 2), tmp_path / "set", PrepareConfig(), told=silent)
+        prepare(photographs(tmp_path / "photos", 2), tmp_path / "set", PrepareConfig(), on_progress=silent)
 
 
 def test_photographs_are_turned_shrunk_and_named_safely(tmp_path: Path) -> None:
@@ -196,24 +196,24 @@ def test_pictures_with_few_points_leave_their_models_and_small_models_go() -> No
         ),
     ],
 )
-def test_what_cannot_be_a_set_is_told_and_leaves_nothing(
+def test_sources_that_are_no_data_set_are_refused_and_leave_nothing(
     count: int, reconstruct: Any, change: dict[str, Any], says: str, tmp_path: Path
 ) -> None:
     source, out = photographs(tmp_path / "photos", count), tmp_path / "set"
     with pytest.raises(PreparationError, match=says):
-        prepare(source, out, PrepareConfig(**change), told=silent, reconstruct=reconstruct)
+        prepare(source, out, PrepareConfig(**change), on_progress=silent, reconstruct=reconstruct)
     assert [path.name for path in tmp_path.iterdir()] == ["photos"]
 
 
 def test_only_a_prepared_set_is_replaced(tmp_path: Path) -> None:
     source, out = photographs(tmp_path / "photos", 5), tmp_path / "set"
-    prepare(source, out, PrepareConfig(), told=silent, reconstruct=all_but_the_last)
+    prepare(source, out, PrepareConfig(), on_progress=silent, reconstruct=all_but_the_last)
     with pytest.raises(MiSplatError, match="a new or an empty folder"):
-        prepare(source, out, PrepareConfig(), told=silent, reconstruct=all_but_the_last)
-    prepare(source, out, PrepareConfig(), told=silent, reconstruct=all_but_the_last, force=True)
+        prepare(source, out, PrepareConfig(), on_progress=silent, reconstruct=all_but_the_last)
+    prepare(source, out, PrepareConfig(), on_progress=silent, reconstruct=all_but_the_last, force=True)
     (tmp_path / "a.txt").write_text("")
     with pytest.raises(MiSplatError, match=r"\.mp4.*got \.txt"):
-        prepare(tmp_path / "a.txt", tmp_path / "b", PrepareConfig(), told=silent, reconstruct=all_but_the_last)
+        prepare(tmp_path / "a.txt", tmp_path / "b", PrepareConfig(), on_progress=silent, reconstruct=all_but_the_last)
 
 
 def test_the_command_says_what_was_placed(
@@ -277,4 +277,4 @@ def test_pictures_of_many_kinds_are_refused_in_words(tmp_path: Path) -> None:
     source = photographs(tmp_path / "photos", 2)
     (source / "IMG_1.HEIC").write_bytes(b"\0\0\0\x18ftypheic" + bytes(20))
     with pytest.raises(PreparationError, match=r"IMG_1\.HEIC for instance: .*convert it"):
-        prepare(source, tmp_path / "set", PrepareConfig(), told=silent, reconstruct=all_but_the_last)
+        prepare(source, tmp_path / "set", PrepareConfig(), on_progress=silent, reconstruct=all_but_the_last)

@@ -4,14 +4,13 @@ import dataclasses
 
 import pytest
 import torch
-from torch import Tensor
 
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
 from mi_splat.training.loop import FitConfig, TrainingError, TrainState, advance, fit, scene_extent
-from mi_splat.training.strategies import ClassicConfig, Edit, FixedConfig, Step, Strategy
+from mi_splat.training.strategies import ClassicConfig, Edit, FixedConfig
 from tests.training.sets import SHORT, scene_and_views, watching
 
 
@@ -89,30 +88,6 @@ def test_a_plain_renderer_cannot_densify() -> None:
         fit([], start, render=watching(), config=SHORT)
     with pytest.raises(InvalidValueError, match="start: expected at least one Gaussian"):
         fit(views, start.select(slice(0, 0)), render=watching(), config=SHORT)
-
-
-def test_the_hooks_are_called_with_what_they_are_told() -> None:
-    """What a strategy adds to the loss counts, it hears of every step but the last, and views are scored on time."""
-    _, views, start = scene_and_views()
-    steps: list[Step] = []
-
-    class Recorder(Strategy):
-        def before_backward(self, loss: Tensor, scene: GaussianScene) -> Tensor:
-            return loss + 100
-
-        def after_step(self, step: Step, state: dict[str, Tensor]) -> None:
-            steps.append(step)
-
-    config = FitConfig(iterations=7, sh_degree=1, eval_interval=3, strategy=FixedConfig())
-    state = TrainState(start, config, scene_extent=2.0, seed=0)
-    state.strategy = Recorder()
-    trained = advance(state, views, render=watching(), held_out=views[:1])
-    assert [line.iteration for line in trained.history] == [3, 6, 7]
-    assert all(line.loss > 100 and line.held_out is not None for line in trained.history)
-    assert [step.iteration for step in steps] == [1, 2, 3, 4, 5, 6]
-    assert [step.lr_means for step in steps] == pytest.approx([2 * 1.6e-4 * 0.01 ** (i / 7) for i in range(1, 7)])
-    assert {(step.iterations, step.scene_extent) for step in steps} == {(7, 2.0)}
-    assert all(step.screen_gradients is not None for step in steps)
 
 
 # What a run is made of: the order of its views, the degree that is trained, and what Adam keeps for each row
