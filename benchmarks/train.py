@@ -22,7 +22,7 @@ from cpu_time import Clock, Run, add_cpu_flag, clock
 from torch import Tensor
 
 from mi_splat.cameras import Camera, View, orbit_pose
-from mi_splat.datasets import has_tests, load_dataset
+from mi_splat.datasets import load_dataset
 from mi_splat.io import load_splat
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
@@ -103,7 +103,7 @@ def main() -> None:
     torch.set_num_threads(1)
     background = tuple(options.background)
     views = load_dataset(options.set, split="train", background=background)
-    held_out = load_dataset(options.set, split="test", background=background) if has_tests(options.set) else ()
+    held_out = load_dataset(options.set, split="test", background=background)
     if views.points is None:
         raise SystemExit("the set has no point cloud; capture it with --points")
     strategy = strategy_config(options.strategy, max_gaussians=options.max_gaussians)

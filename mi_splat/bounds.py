@@ -73,6 +73,8 @@ def culled_in_view(scene: GaussianScene, camera: Camera, near: float) -> int:
 
 def nothing_in_view(scene: GaussianScene, cameras: Sequence[Camera]) -> str | None:
     """The warning that no Gaussian reaches the images of some cameras; None if all see one."""
+    if not len(scene):
+        return "the splat has no Gaussians, so that its images are empty"
     middle, radius = bounds(scene)
     means, reach = scene.means.detach().double().cpu(), _SIGMAS * scene.scales.detach().double().cpu().amax(1)
     step = max(1, len(means) // _SAMPLE)  # a few of a large splat are enough for most cameras

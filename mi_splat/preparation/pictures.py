@@ -130,7 +130,7 @@ def _decoded(path: Path, longest_side: int) -> Iterator[Pixels | None]:
 
 
 OnProgress = Callable[[str, int, int], None]
-"""OnProgress what is going on, how much of it is done, and of how much."""
+"""Called with what is going on, how much of it is done, and of how much."""
 
 FEWEST_PICTURES = 3
 """Of which cameras can be found."""

@@ -168,9 +168,4 @@ def _restore(state: TrainState, notes: Fields, generator: Tensor | None) -> None
     state.data_digest = notes.text("data_digest")
     state.iteration = notes.whole("iteration", 0, state.config.iterations)
     state.view_queue = notes.wholes("view_queue", 0, _MOST_VIEWS)
-    if len(set(state.view_queue)) != len(state.view_queue):
-        raise notes.bad("view_queue", "views, each once", state.view_queue)
     state.history = [read_line(Progress, line) for line in notes.objects("history")]
-    steps = [line.iteration for line in state.history]
-    if steps != sorted(set(steps)) or not all(0 < step <= state.iteration for step in steps):
-        raise notes.bad("history", f"growing steps from 1 to {state.iteration}, the run's", steps)

@@ -64,7 +64,6 @@ def train(
         if path.is_file():
             state = _resumed(folder, config, seed=seed, digest=digest, settings=settings or {})
             state.to(start.means.device)
-            _check_queue(state, len(views), path)
             if on_resume is not None:
                 on_resume(state)
         else:
@@ -140,18 +139,6 @@ def _check_same(state: TrainState, config: FitConfig, seed: int, data: str, fold
         differs = ", ".join(f"{key} {old[key]} and not {new[key]}" for key in old if old[key] != new[key])
         raise CheckpointError.of(
             str(folder), f"a run with {differs}", "another", "use those, or train in another folder"
-        )
-
-
-def _check_queue(state: TrainState, views: int, path: Path) -> None:
-    """Raise if the run is to see a view next that there is not, or has exposures of others."""
-    if state.exposures is not None and len(state.exposures.maps) != views:
-        got, do = len(state.exposures.maps), "train anew in another folder"
-        raise CheckpointError.of(f"checkpoint {path}: exposures", f"{views}, one a view", got, do)
-    if state.view_queue and max(state.view_queue) >= views:
-        got = max(state.view_queue)
-        raise CheckpointError.of(
-            f"checkpoint {path}: view_queue", f"views below {views}", got, "train anew in another folder"
         )
 
 

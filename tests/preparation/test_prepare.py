@@ -31,7 +31,7 @@ OnProgress = Callable[[str, int, int], None]
 
 
 def silent(text: str, done: int, total: int) -> None:
-    """OnProgress of progress, and says nothing."""
+    """Progress that nobody hears of."""
 
 
 def photographs(folder: Path, count: int, size: tuple[int, int] = (40, 30)) -> Path:

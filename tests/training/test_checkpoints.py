@@ -86,7 +86,6 @@ def begun(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 BROKEN: dict[str, tuple[Change, str]] = {
     "a parameter of NaN": (lambda n, t: t["parameters/means"][1].fill_(torch.nan), "finite numbers in parameters/mea"),
-    "an infinite moment": (lambda n, t: t["exp_avg/sh0"].fill_(-torch.inf), "finite numbers in exp_avg/sh0"),
     "a parameter of one row": (lambda n, t: t.update({"parameters/scales": torch.zeros(1, 3)}), "parameters, scales"),
     "a parameter of doubles": (
         lambda n, t: t.update({"parameters/scales": t["parameters/scales"].double()}),
@@ -99,18 +98,10 @@ BROKEN: dict[str, tuple[Change, str]] = {
     "a strategy of other rows": (lambda n, t: t.update({"strategy/grad2d": torch.zeros(3)}), "strategy, grad2d"),
     "a strategy that lacks something": (lambda n, t: t.pop("strategy/grad2d"), "strategy, grad2d"),
     "no generator": (lambda n, t: t.pop("generator"), "the state of a generator, got none"),
-    "a short generator": (lambda n, t: t.update(generator=t["generator"][:-1]), "generator: expected"),
     "a wrong generator": (lambda n, t: t["generator"].fill_(255), "the state of a generator"),
-    "a view twice": (lambda n, t: n.update(view_queue=[1, 1]), "view_queue: expected views, each once"),
     "a negative view": (lambda n, t: n.update(view_queue=[-1]), "view_queue: expected whole numbers from 0"),
-    "half a view": (lambda n, t: n.update(view_queue=[1.5]), "view_queue: expected whole numbers"),
-    "no queue": (lambda n, t: n.update(view_queue=None), "view_queue: expected whole numbers"),
-    "steps before the first": (lambda n, t: n.update(iteration=-1), "iteration: expected a whole number from 0 to 3"),
     "steps after the last": (lambda n, t: n.update(iteration=4), "iteration: expected a whole number from 0 to 3"),
-    "fewer steps than in the history": (lambda n, t: n.update(iteration=1), "history: expected growing steps from 1"),
-    "a history that goes back": (lambda n, t: n["history"].reverse(), "history: expected growing steps"),
     "a history of something else": (lambda n, t: n["history"][0].update(loss="low"), "loss: expected a finite number"),
-    "a history with more": (lambda n, t: n["history"][0].update(more=1), "more: expected no such field"),
     "scores of something else": (
         lambda n, t: n["history"][0].update(held_out={"psnr": 1.0}),
         r"held_out: ssim: expected a finite number, got None",
