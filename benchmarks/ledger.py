@@ -48,7 +48,7 @@ def timed(what: Callable[[], Any]) -> float:
 
 def fill(store: Store, name: str, jobs: dict[str, Job]) -> None:
     """Write the store as if all jobs had been done."""
-    index = Index(store.folder, name)
+    index = Index(store, name)
     for label, job in jobs.items():
         task = task_for(job, store, {})
         index.add(job, label)

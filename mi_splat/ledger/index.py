@@ -164,7 +164,7 @@ def status(store: Store, name: str) -> list[Entry]:
     if not path.is_file():
         raise InvalidValueError.of(str(path), "a plan", "none", "plan or run the study first")
     lines = _read(path)
-    finished, live, failed = store.keys(), store.leases.live(), store.failed()
+    finished, failed = store.keys(), store.failed()
     others = sorted(other for other in path.parent.glob("*.json") if other != path)
     known = _keys([*others, path])  # what another plan has done, this one knows
     coded = {identity: known.get(identity, ("", "")) for identity, *_ in lines}
@@ -179,8 +179,10 @@ def status(store: Store, name: str) -> list[Entry]:
     def state(identity: str) -> str:
         if is_done(identity):
             return "done"
-        if keys[identity] in live or keys[identity] in failed:
-            return "running" if keys[identity] in live else "failed"
+        if keys[identity] and store.is_held(keys[identity]):
+            return "running"
+        if keys[identity] in failed:
+            return "failed"
         return "ready" if all(map(is_done, earlier[identity])) else "waiting"
 
     return [

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from mi_splat.errors import InvalidValueError, MiSplatError
+from mi_splat.io.locks import LockedError
 from mi_splat.ledger.values import digest, encoded, is_frozen
 
 ALL = "*"
@@ -173,8 +174,8 @@ class DiskFullError(MiSplatError):
     """The disk that holds the store is full."""
 
 
-class HeldError(MiSplatError):
-    """Another process does the job now."""
+HeldError = LockedError
+"""Another process does the job now."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -122,7 +122,7 @@ class Driver:
                 self._on_event(Event(state="kept", key=task.key, kind=task.kind))
                 return self._store.existing(task.key)
             while len(tries := self._store.failures(task.key)) < TRIES:
-                if task.key in self._running or not self._store.leases.free(task.key):
+                if task.key in self._running or self._store.is_held(task.key):
                     return None
                 self._running.add(task.key)
                 outcome = await self._outcome(task)

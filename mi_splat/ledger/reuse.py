@@ -79,7 +79,7 @@ def _compare(store: Store, key: str, rerun_key: str, outcome: Outcome) -> None:
 def _take(store: Store, key: str, task: Task, note: dict[str, object]) -> None:
     """The result of an older job as that of a new one; the disk holds its files once, where it can."""
     done = store.existing(key)
-    with store.leases.held(task.key), store.making(task.key) as (temporary, _):
+    with store.held(task.key), store.making(task.key) as (temporary, _):
         for name in done.record["files"]:
             target = temporary / FILES / name
             target.parent.mkdir(parents=True, exist_ok=True)

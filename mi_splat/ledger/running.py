@@ -39,7 +39,7 @@ def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Done:
         on_event(Event(state="kept", key=task.key, kind=task.kind))
         return done
     try:
-        with store.leases.held(task.key):
+        with store.held(task.key):
             if not store.has(task.key):  # nobody has done it while this process came to the lease
                 _make(store, task, on_event)
     except Exception as error:

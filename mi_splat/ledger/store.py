@@ -5,22 +5,20 @@ import functools
 import hashlib
 import os
 import re
-import secrets
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.atomic import _sync_names
+from mi_splat.io.atomic import publish, sweep_temporary, temporary_folder
 from mi_splat.io.documents import save_json, sha256
 from mi_splat.io.errors import from_os_error
+from mi_splat.io.locks import is_locked, locked_file
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger.job import Done, Task, fits_any
-from mi_splat.ledger.leases import Leases
 from mi_splat.ledger.values import canonical, digest
 
 RECORD, FILES = "job.json", "files"
@@ -29,7 +27,6 @@ TRIES = 3
 AGAIN = "delete its folder, so that it is made again"
 _RECORDS = DocumentReader(expected="the record of a job", do=AGAIN, most=1 << 28)
 _KEY = re.compile(r"[0-9a-f]{32}")
-_SYNCED_AT_ONCE = 8
 _versions, _commit = functools.cache(provenance.versions), functools.cache(provenance.commit)
 
 
@@ -37,18 +34,12 @@ _versions, _commit = functools.cache(provenance.versions), functools.cache(prove
 class Store:
     """A folder of results; any number of processes of any number of machines may use it at once.
 
-    Below it are `jobs/ab/KEY` (`job.json`, `files`), `leases`, `tmp` (what is being made), `partial` (what a job goes
-    on with), `failed`, and `different` (what a job left that was made before with other bytes).
-
-    Attributes:
-        folder: Where it is; it is made if need be.
+    Below it are `jobs/ab/KEY` (`job.json`, `files`), `locks` (of the jobs that are being done), `tmp` (what is being
+    made), `partial` (what a job goes on with), `failed`, and `different` (what a job left that was made before with
+    other bytes).
     """
 
     folder: Path
-    leases: Leases = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "leases", Leases(folder=self.path("leases")))
 
     def path(self, *parts: str) -> Path:
         """A path below the folder, no part of which may be a link: it could lead out of the folder."""
@@ -119,51 +110,47 @@ class Store:
                 raise InvalidValueError.of(path, "the rows that the job wrote", "others", AGAIN)
             yield key, _RECORDS.json_value(rows, path)
 
+    def held(self, key: str) -> contextlib.AbstractContextManager[None]:
+        """Have a job for this process alone; `HeldError` if another one has it."""
+        self.path("locks").mkdir(parents=True, exist_ok=True)
+        return locked_file(str(self.path("locks", checked_key(key))), f"job {key}")
+
+    def is_held(self, key: str) -> bool:
+        """Whether a process does a job now."""
+        return is_locked(str(self.path("locks", checked_key(key))))
+
     @contextlib.contextmanager
     def making(self, key: str) -> Iterator[tuple[Path, Path]]:
-        """Folders for who has the lease of a job: a new one for its result, and the one that it goes on with."""
-        temporary = self.path("tmp") / f"{checked_key(key)}.{secrets.token_hex(8)}"
-        for name in _names(temporary.parent):
-            if name.startswith(key):  # its maker has died
-                shutil.rmtree(temporary.with_name(name), ignore_errors=True)
-        partial = self.path("partial", key)
-        try:
-            (temporary / FILES).mkdir(parents=True)
-            yield temporary, partial
-        finally:
-            if temporary.exists():
-                shutil.rmtree(temporary, ignore_errors=True)
-            with contextlib.suppress(OSError):
-                partial.rmdir()  # nothing was written into it
+        """Folders for who has a job: a new one for its result, and the one that it goes on with."""
+        partial = self.path("partial", checked_key(key))
+        with temporary_folder(self.path("tmp")) as temporary:
+            (temporary / FILES).mkdir()
+            try:
+                yield temporary, partial
+            finally:
+                with contextlib.suppress(OSError):
+                    partial.rmdir()  # nothing was written into it
 
     def publish(self, temporary: Path, record: Mapping[str, Any], key: str) -> list[str]:
-        """Give a finished folder its name; the record gets what stands for its files."""
+        """Give a finished folder its name; names of the files that another result of the job has with other bytes."""
         files = {name: sha256(path) for name, path in _files(temporary / FILES).items()}
         target = self.folder_of(key)
         try:
             (temporary / RECORD).write_text(record_text(record, files), "utf-8")
             if not files:
-                shutil.rmtree(temporary / FILES)
-            _sync(temporary)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                os.rename(temporary, target)
-            except OSError:
-                if not self.has(key):
-                    raise
-                return self._second(temporary, {**record, "files": files}, key)
+                (temporary / FILES).rmdir()
+            different = list[str]()
+            if second := self.has(key):  # a disk without locks has let another process make it, too
+                different = differences(self.record(key), {**record, "files": files})
+                target = self.path("different") / temporary.name
+            if different or not second:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                publish(temporary, target)
         except OSError as error:
             raise from_os_error(str(target), "a folder that can be written", error) from error
         shutil.rmtree(self.path("partial", key), ignore_errors=True)
         self.forgive(key)
-        return []
-
-    def _second(self, temporary: Path, whole: Mapping[str, Any], key: str) -> list[str]:
-        names = differences(self.record(key), whole)
-        if names:
-            self.path("different").mkdir(exist_ok=True)
-            os.rename(temporary, self.folder / "different" / temporary.name)
-        return names
+        return different
 
     def failures(self, key: str) -> list[dict[str, Any]]:
         """The tries of a job that failed: `error`, and what ran it."""
@@ -199,23 +186,19 @@ class Store:
 
     def remove(self, key: str) -> None:
         """Delete a finished job and its failures, in one step for all who look."""
-        aside = self.path("tmp") / f"{checked_key(key)}.{secrets.token_hex(8)}"
-        aside.parent.mkdir(parents=True, exist_ok=True)
-        with contextlib.suppress(FileNotFoundError):
-            os.rename(self.folder_of(key), aside)
-        shutil.rmtree(aside, ignore_errors=True)
+        folder = self.folder_of(key)
+        with temporary_folder(self.path("tmp")) as aside, contextlib.suppress(FileNotFoundError):
+            os.rename(folder, aside / "job")
         self.forgive(key)
 
     def sweep(self) -> None:
-        """Remove what killed processes have left: leases, folders in `tmp`, and `partial` of jobs that are done."""
-        self.leases.live()
-        # Listed before anybody is asked: who begins meanwhile makes a folder of another name.
-        for folder in [self.folder / "tmp" / name for name in _names(self.path("tmp"))]:
-            if self.leases.free(folder.name[:32]):
-                shutil.rmtree(folder, ignore_errors=True)
+        """Remove what killed processes have left: locks, folders in `tmp`, and `partial` of jobs that are done."""
+        for key in filter(_KEY.fullmatch, _names(self.path("locks"))):
+            self.is_held(key)
+        sweep_temporary(self.path("tmp"))
         for key in filter(_KEY.fullmatch, _names(self.path("partial"))):
-            if self.has(key) and self.leases.free(key):
-                shutil.rmtree(self.folder / "partial" / key, ignore_errors=True)
+            if self.has(key) and not self.is_held(key):
+                shutil.rmtree(self.path("partial", key), ignore_errors=True)
 
 
 def checked_key(key: str) -> str:
@@ -287,27 +270,6 @@ def _files(folder: Path) -> dict[str, Path]:
     """Every file below a folder by its name there; none if the folder is not there."""
     paths = (Path(base, name) for base, _, names in os.walk(folder) for name in names)
     return dict(sorted((path.relative_to(folder).as_posix(), path) for path in paths))
-
-
-def _sync(folder: Path) -> None:
-    """Bring a folder to the disk, all of its parts at once: one after the other they take five times as long."""
-
-    def sync(path: Path) -> None:
-        if path.is_dir():
-            _sync_names(path)
-            return
-        descriptor = os.open(path, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-
-    list(_syncing().map(sync, [folder, *folder.rglob("*")]))
-
-
-@functools.cache
-def _syncing() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(_SYNCED_AT_ONCE, thread_name_prefix="fsync")
 
 
 def _different(first: Mapping[str, str], second: Mapping[str, str]) -> list[str]:

@@ -8,6 +8,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import drjit as dr
@@ -130,7 +131,7 @@ def test_a_child_that_is_stopped_keeps_what_it_has_and_counts_no_try(tmp_path: P
     child.close()
     assert sorted(path.name for path in (tmp_path / "partial" / task.key).iterdir()) == ["interrupted", "kept"]
     assert not Store(tmp_path).failures(task.key)
-    assert Store(tmp_path).leases.free(task.key)
+    assert not Store(tmp_path).is_held(task.key)
 
 
 def test_a_plan_is_looked_at_before_it_is_run(tmp_path: Path) -> None:
@@ -143,7 +144,7 @@ def test_a_plan_is_looked_at_before_it_is_run(tmp_path: Path) -> None:
     seconds = store.record(next(iter(store.keys())))["seconds"]
     assert forecast(store, status(store, "plan")) == (2 * seconds, 0)
     (entry,) = (entry for entry in status(store, "plan") if entry.labels == ("second",))
-    with store.leases.held(entry.key):
+    with store.held(entry.key):
         assert states(tmp_path) == {"ready": 1, "done": 1, "running": 1}
     with pytest.raises(InvalidValueError, match="expected a plan, got none"):
         status(store, "other")
@@ -163,11 +164,11 @@ def test_two_drivers_run_no_job_twice(tmp_path: Path) -> None:
 def test_a_child_ends_with_its_driver(tmp_path: Path) -> None:
     driver = subprocess.Popen([sys.executable, "-m", "tests.ledger.drive", str(tmp_path), "2", "2", "60"], cwd=ROOT)
     try:
-        until(lambda: len(list((tmp_path / "leases").glob("?" * 32))) == 2)
+        until(lambda: len(list((tmp_path / "locks").glob("?" * 32))) == 2)
     finally:
         driver.send_signal(signal.SIGKILL)
         driver.wait()
-    until(lambda: not Store(tmp_path).leases.live())
+    until(lambda: not any(map(Store(tmp_path).is_held, os.listdir(tmp_path / "locks"))))
 
 
 def until(condition: Callable[[], bool], seconds: float = 120.0) -> None:
@@ -177,23 +178,22 @@ def until(condition: Callable[[], bool], seconds: float = 120.0) -> None:
         time.sleep(0.02)
 
 
-def test_a_driver_waits_for_a_job_of_another_machine_until_that_has_died(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("mi_splat.ledger.leases.STALE", 0.7)
-    store, job = Store(tmp_path), walk(1)
-    path = store.leases.folder / task_for(job, store, {}).key
-    path.parent.mkdir(parents=True)
-    path.write_text('{"host": "another", "process": 1}')
-    begun = time.monotonic()
-    assert isinstance(run(tmp_path, {"held": job, "other": walk(2)})["held"], Done)
-    assert time.monotonic() - begun > 0.7
+def test_a_driver_waits_for_a_job_that_another_process_does(tmp_path: Path) -> None:
+    store, job, events = Store(tmp_path), walk(1), list[Event]()
+    key = task_for(job, store, {}).key
+    with ThreadPoolExecutor() as pool:
+        with store.held(key):
+            result = pool.submit(run, tmp_path, {"held": job, "other": walk(2)}, events=events)
+            until(lambda: "done" in [event.state for event in events])
+            time.sleep(0.7)
+            assert not store.has(key)
+        assert isinstance(result.result()["held"], Done)
 
 
 def test_an_engine_that_is_closed_blames_no_job(tmp_path: Path) -> None:
     engine = Processes(tmp_path, workers=1)
     outcome = engine.submit(_task(tmp_path, walk(0, steps=1, seconds=60.0)))
-    until(lambda: bool(Store(tmp_path).leases.live()))
+    until(lambda: (tmp_path / "locks").is_dir() and bool(os.listdir(tmp_path / "locks")))
     engine.close()
     assert outcome.result().state == "stopped"
     assert not (tmp_path / "failed").exists()

@@ -49,7 +49,7 @@ def test_a_job_is_done_once_and_its_inputs_first(tmp_path: Path) -> None:
     events.clear()
     assert Ledger(tmp_path, on_event=events.append).do(second) == done
     assert states(events) == ["kept", "kept"]
-    assert not [path for name in ("tmp", "partial", "leases") for path in (tmp_path / name).glob("[!.]*")]
+    assert not [path for name in ("tmp", "partial", "locks") for path in (tmp_path / name).glob("[!.]*")]
 
 
 def test_a_job_that_many_read_is_looked_at_once(tmp_path: Path) -> None:
@@ -234,6 +234,8 @@ def check(folder: Path, count: int, processes: Killing, least: int) -> None:
     assert sum(processes.kills.values()) >= least, processes.kills
     assert bytes_of(folder / "killed") == unkilled(folder / "whole", count)
     assert not (folder / "killed" / "different").exists()
+    for left in (folder / "killed" / "tmp").iterdir():
+        os.utime(left, (time.time() - 90,) * 2)
     Store(folder / "killed").sweep()
     assert not [*(folder / "killed" / "tmp").iterdir(), *(folder / "killed" / "partial").iterdir()]
 

@@ -10,6 +10,7 @@ import os
 import shutil
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -143,7 +144,8 @@ def test_a_full_disk_is_an_error_that_leaves_nothing_half_written(
             calls, limit, at = 0, at, 0
             for key in Store(store).keys():  # noqa: SIM118 - not a dictionary's
                 Store(store).existing(key)
-            left = [path for name in ("failed", "tmp", "leases") for path in (store / name).glob("*[!k]")]
+            Store(store).sweep()
+            left = [path for name in ("failed", "tmp", "locks") for path in (store / name).glob("*[!k]")]
             assert left == [], "a full disk is no fault of a job, and leaves nothing half-written"
             at = limit
     assert at > 15
@@ -154,11 +156,14 @@ def test_what_killed_processes_leave_is_swept(tmp_path: Path) -> None:
     store = Store(tmp_path)
     done = Ledger(tmp_path).do(walk(1))
     unfinished = "f" * 32
-    for name in (f"tmp/{unfinished}.abc", f"partial/{done.key}", f"partial/{unfinished}"):
+    for name in ("tmp/.0123456789abcdef.tmp", f"partial/{done.key}", f"partial/{unfinished}"):
         (tmp_path / name).mkdir(parents=True)
         (tmp_path / name / "rest").write_text("rest")
+    os.utime(tmp_path / "tmp" / ".0123456789abcdef.tmp", (time.time() - 90,) * 2)
+    (tmp_path / "locks" / unfinished).write_text("")
     store.sweep()
     assert [path.name for path in (tmp_path / "partial").iterdir()] == [unfinished]
+    assert not list((tmp_path / "locks").iterdir())
     assert not list((tmp_path / "tmp").iterdir())
 
 
