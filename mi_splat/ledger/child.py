@@ -38,12 +38,7 @@ _BETWEEN = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What a job may use; None is as much as it likes.
-
-    Attributes:
-        seconds: Time.
-        megabytes: Resident memory.
-    """
+    """What a job may use; None is as much as it likes."""
 
     seconds: float | None = None
     megabytes: float | None = None
@@ -58,13 +53,7 @@ class Limits:
 
 
 class Child:
-    """A process that runs tasks one after the other, and a new one when that has ended.
-
-    Args:
-        folder: The store.
-        limits: Of each task.
-        environment: Variables that differ from those of this process.
-    """
+    """A process that runs tasks one after the other, and a new one when that has ended."""
 
     def __init__(
         self, folder: Path, *, limits: Limits | None = None, environment: Mapping[str, str] | None = None

@@ -25,18 +25,7 @@ _LOST_WORKERS = 3
 
 
 class Cluster:
-    """Runs tasks on the workers of a Dask scheduler.
-
-    Args:
-        folder: The store, as all machines see it.
-        scheduler: Address of the scheduler, as `tcp://host:8786`.
-        limits: Of each task.
-        timeout: Seconds to wait for the scheduler.
-        on_event: Told of the end of each task.
-
-    Raises:
-        EngineError: Dask is not installed, or there is no such scheduler.
-    """
+    """Runs tasks on the workers of a Dask scheduler."""
 
     window = _WINDOW
 

@@ -24,20 +24,12 @@ _OTHERS = 0.02
 
 
 class Engine(Protocol):
-    """Runs tasks of a store.
-
-    Attributes:
-        window: Most tasks that it is given at a time.
-    """
+    """Runs tasks of a store."""
 
     window: int
 
     def submit(self, task: Task) -> Future[Outcome]:
-        """Run a task some time; the future raises what is the engine's own error, and none of a job's.
-
-        Returns:
-            What becomes the outcome of the task.
-        """
+        """Run a task some time; the future raises what is the engine's own error, and none of a job's."""
         ...
 
     def close(self) -> None:
@@ -73,12 +65,6 @@ class Processes:
     torch has one thread in each of them; Dr.Jit has the task's share of the processor's cores, which is all of them
     while no other task is there, and a cache of kernels of its own in the store, so that no two write into the same
     one.
-
-    Args:
-        folder: The store.
-        workers: How many.
-        limits: Of each task.
-        on_event: Told what happens, by one thread at a time.
     """
 
     def __init__(self, folder: Path, *, workers: int, limits: Limits | None = None, on_event: OnEvent = nobody) -> None:

@@ -30,14 +30,7 @@ _READER = DocumentReader(expected="a list of jobs", do="plan the study again", m
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """A job of an index.
-
-    Attributes:
-        labels: What the plan calls it; empty if only other jobs ask for it.
-        kind: Of the job.
-        state: One of `STATES`.
-        key: Empty while it is not known, as what it reads is not done.
-    """
+    """A job of an index."""
 
     labels: tuple[str, ...]
     kind: str
@@ -46,12 +39,7 @@ class Entry:
 
 
 class Index:
-    """The jobs of a plan by name: labels, and the keys as a driver has last known them.
-
-    Args:
-        store: That of the jobs.
-        name: Of the plan.
-    """
+    """The jobs of a plan by name: labels, and the keys as a driver has last known them."""
 
     def __init__(self, store: Store, name: str) -> None:
         self._path = store.path("plans") / f"{name}.json"

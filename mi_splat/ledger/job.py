@@ -12,7 +12,7 @@ from typing import Any
 
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.locks import LockedError
-from mi_splat.ledger.values import digest, encoded, is_frozen
+from mi_splat.ledger.values import digest, encoded, is_frozen, without_modules
 
 ALL = "*"
 _SIGNS_OF_PATTERNS = frozenset("*?[")
@@ -96,15 +96,7 @@ def by_depth(jobs: Iterable[Job]) -> list[list[Job]]:
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """A job whose inputs are done: all that a process needs to run it, as JSON can hold it.
-
-    Attributes:
-        kind: See `Job`.
-        config: As JSON.
-        inputs: By name: `content`, and either `path`, or `job` (its key) and `part`.
-        code: Digest of the code of the kind.
-        key: 32 hex digits, by which the result is kept.
-    """
+    """A job whose inputs are done: all that a process needs to run it, as JSON can hold it."""
 
     kind: str
     config: Any
@@ -114,20 +106,14 @@ class Task:
 
     def __post_init__(self) -> None:
         contents = {name: source["content"] for name, source in self.inputs.items()}
-        key = digest({"kind": self.kind, "config": self.config, "inputs": contents, "code": self.code})
+        # The code stands for the kind: neither it nor the configuration's classes are known by where they lie.
+        key = digest({"config": without_modules(self.config), "inputs": contents, "code": self.code})
         object.__setattr__(self, "key", key)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Done:
-    """A finished job.
-
-    Attributes:
-        key: Its key.
-        folder: Where its files are.
-        record: What job.json says: kind, config, inputs, code, versions, commit, seconds, files (SHA-256 of each) and
-            rows.
-    """
+    """A finished job."""
 
     key: str
     folder: Path
@@ -180,18 +166,7 @@ HeldError = LockedError
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """What happens to a job.
-
-    Attributes:
-        state: "running", "progress", "note" (a line for people to keep), "done", "kept" (it was there), "held" (another
-            process does it), "failed" (one try), or "different" (made twice, with other bytes).
-        key: Of the job.
-        kind: Of the job.
-        text: What goes on, or why it failed.
-        done: Units of the work that are done.
-        total: Units that there are; 0 for unknown.
-        seconds: How long it ran, at its end.
-    """
+    """What happens to a job: running, progress, note (for people to keep), done, kept, held, failed or different."""
 
     state: str
     key: str
@@ -211,12 +186,7 @@ class EngineError(MiSplatError):
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How an engine's try of a task ended.
-
-    Attributes:
-        state: "done", "held" (another process does it), "failed" (one try), or "stopped" (nothing can be done now).
-        text: Why.
-    """
+    """How an engine's try of a task ended: done, held (by another process), failed or stopped."""
 
     state: str
     text: str = ""

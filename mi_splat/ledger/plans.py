@@ -28,12 +28,6 @@ class Driver:
     """Gives the jobs of plans to an engine, the ones before the others, until all have ended.
 
     Each job is a coroutine that waits for those which it reads, and then for a free place of the engine.
-
-    Args:
-        folder: The store.
-        engine: What runs them.
-        name: Of the index that keeps labels, keys and states; empty for none.
-        on_event: Told of jobs that were done before, or have failed for good.
     """
 
     def __init__(self, folder: Path, engine: Engine, *, name: str = "", on_event: OnEvent = nobody) -> None:

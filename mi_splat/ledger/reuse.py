@@ -15,13 +15,7 @@ from mi_splat.ledger.values import decoded, encoded
 
 @dataclass(frozen=True, kw_only=True)
 class Reuse:
-    """What was taken over.
-
-    Attributes:
-        code: Digest of the code that made it; empty if there was nothing of older code.
-        verified: Keys of the jobs that were made again.
-        taken: Keys of those that were not.
-    """
+    """What was taken over."""
 
     code: str
     verified: tuple[str, ...]

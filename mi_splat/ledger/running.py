@@ -51,11 +51,7 @@ def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Done:
 
 
 class Ledger:
-    """A store of results and what does jobs in this process.
-
-    Attributes:
-        store: The folder of results.
-    """
+    """A store of results and what does jobs in this process."""
 
     def __init__(self, folder: Path, *, on_event: OnEvent = nobody) -> None:
         self.store, self._on_event = Store(folder), on_event

@@ -48,6 +48,15 @@ def encoded(value: Any, where: str = "config") -> Any:
     raise InvalidValueError.of(where, expected, kind.__name__, do)
 
 
+def without_modules(value: Any) -> Any:
+    """The JSON of a configuration with the names of its classes alone, which stay when a module is moved."""
+    if isinstance(value, list):
+        return [without_modules(item) for item in value]
+    if not isinstance(value, Mapping):
+        return value
+    return {key: str(item).rpartition(":")[2] if key == CLASS else without_modules(item) for key, item in value.items()}
+
+
 def is_frozen(value: Any) -> bool:
     """Whether a value is one of a frozen dataclass."""
     parameters = getattr(type(value), "__dataclass_params__", None)

@@ -27,7 +27,7 @@ from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Event, Job, Ledger, running
 from mi_splat.ledger.engines import InProcess
 from mi_splat.ledger.index import plan, status
-from mi_splat.ledger.job import DiskFullError
+from mi_splat.ledger.job import DiskFullError, Task
 from mi_splat.ledger.plans import Driver, grid
 from mi_splat.ledger.running import run_job, task_for
 from mi_splat.ledger.store import Store, content_of_path, record_text
@@ -249,6 +249,14 @@ def test_the_code_of_its_kind_is_in_the_key_and_the_ledger_is_not(
     usual = keys(tmp_path, NumbersConfig())
     monkeypatch.setattr(running, "code_digest", lambda kind: "0123456789abcdef")
     assert not set(keys(tmp_path, NumbersConfig()).values()) & set(usual.values())
+
+
+def test_where_a_kind_and_its_configuration_lie_is_not_in_the_key() -> None:
+    config = encoded(NumbersConfig())
+    moved = json.loads(json.dumps(config).replace("tests.ledger.kinds.configs:", "elsewhere:"))
+    assert moved != config
+    keys = {Task(kind=kind, config=json_, inputs={}, code="0").key for kind, json_ in ((NUMBERS, config), ("x", moved))}
+    assert len(keys) == 1
 
 
 @pytest.mark.parametrize("value", [1.0, 0.1 + 0.2, 5e-324, -0.0, math.inf, -math.inf])
