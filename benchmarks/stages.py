@@ -85,7 +85,7 @@ def watched(clock: Clock) -> Iterator[None]:
     """Let a clock look before and after each stage of the rasteriser."""
     import drjit as dr
 
-    from mi_splat.rasterization import frozen, pipeline, sorting
+    from mi_splat.rasterization import binning, frozen, pipeline
 
     def timed(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
         def run(*arguments: Any) -> Any:
@@ -102,8 +102,8 @@ def watched(clock: Clock) -> Iterator[None]:
 
     sorts = [
         (dr, "argsort", "sort by depth"),
-        (sorting, "order_below", "sort by tile"),
-        (sorting, "by_length", "sort tiles"),
+        (binning, "order_below", "sort by tile"),
+        (binning, "by_length", "sort tiles"),
     ]
     with contextlib.ExitStack() as patches:
         patches.enter_context(mock.patch.object(pipeline, "run", run))

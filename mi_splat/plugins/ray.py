@@ -37,13 +37,11 @@ import mitsuba as mi
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.plugins.gaussian_shapes import GaussianShapes
-from mi_splat.plugins.mixed import Mixed, MixedCache
-from mi_splat.plugins.paths import Adjoint, PathSettings, radiance
+from mi_splat.plugins.paths import Adjoint, Mixed, MixedCache, PathSettings, radiance
 from mi_splat.plugins.settings import IntegratorSettings, common_methods, name_integrator, setting_property
-from mi_splat.rasterization.binning import TILE
+from mi_splat.rasterization.binning import TILE, by_block
 from mi_splat.rasterization.colour import linear_value
 from mi_splat.rasterization.settings import RenderSettings
-from mi_splat.rasterization.sorting import by_block
 from mi_splat.raytracing.splats import gradients, zero_sums
 
 _SETTINGS = ("background", "alpha", "linear", "colour_to_mean")

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from mi_splat.rasterization import binning, pinhole
 from mi_splat.rasterization.binning import TILE
-from mi_splat.rasterization.forward import projected
 from mi_splat.rasterization.frozen import buffer, numbers, run
 from mi_splat.rasterization.layouts import Layout
 from mi_splat.rasterization.picture import sh_terms, tile_columns, width_and_height
 from mi_splat.rasterization.pinhole import Pinhole, StageCamera
+from mi_splat.rasterization.stages import projected
 
 
 def layers_of_tiles(layout: Layout, arrays: tuple[Any, ...], camera: Pinhole) -> NDArray[np.int64]:

@@ -7,11 +7,10 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from mi_splat.rasterization.binning import TILE
+from mi_splat.rasterization.binning import TILE, by_block
 from mi_splat.rasterization.frozen import buffer, numbers
 from mi_splat.rasterization.layouts import Layout
 from mi_splat.rasterization.pinhole import StageCamera
-from mi_splat.rasterization.sorting import by_block
 
 
 @dataclass(eq=False)  # not frozen: dr.freeze assigns the fields again
@@ -39,7 +38,7 @@ class BackwardState:
     row_ranges: tuple[Any, Any]  # first and one-past-last row of each Gaussian that holds a pair, in depth order
     pairs: tuple[Any, Any]  # in tile order: Gaussian, and row (place before the sort by tile)
     pair_ranges: tuple[Any, Any]  # first and one-past-last pair of each tile
-    walked: Any  # UInt32, keys for `sorting.by_length`: how much of its list each tile has walked
+    walked: Any  # UInt32, keys for `binning.by_length`: how much of its list each tile has walked
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mi_splat.errors import MiSplatError
-from mi_splat.rasterization import backward, forward, sorting
+from mi_splat.rasterization import binning, stages
 from mi_splat.rasterization.binning import NO_TILE, TILE
 from mi_splat.rasterization.blending import RECORD
 from mi_splat.rasterization.frozen import aligned, buffer, index_of, numbers, run
@@ -39,12 +39,12 @@ def rasterize(
     records = (buffer(RECORD * count), *(buffer(count) for _ in range(2 if depths else 1)))
     index = numbers(mi.variant(), count)
     terms = sh_terms(arrays)
-    depth_key, touched = run(forward.project_gaussians, layout, terms, arrays, index, buffers, stage_camera, records)
+    depth_key, touched = run(stages.project_gaussians, layout, terms, arrays, index, buffers, stage_camera, records)
     # Not inside a frozen function: a recorded argsort keeps the size that it was recorded with.
     depth_order = dr.argsort(depth_key)
-    first, last, total = run(forward.allot_rows, touched, depth_order)
+    first, last, total = run(stages.allot_rows, touched, depth_order)
     number = int(total[0])  # the one time that the host waits for the kernels
-    if number >= forward.BROKEN_ROWS:
+    if number >= stages.BROKEN_ROWS:
         check_finite(layout, arrays)
     if number == 0:
         return _nothing_visible(buffers, layout, arrays)
@@ -53,14 +53,14 @@ def rasterize(
             "picture", f"at most {MAX_PAIRS} tile touches", number, "render it smaller or shrink the Gaussians"
         )
     pairs = buffer(2 * number, mi.UInt32, NO_TILE)
-    used = run(forward.write_pairs, records[0], depth_order, first, last, buffers.size, pairs)
+    used = run(stages.write_pairs, records[0], depth_order, first, last, buffers.size, pairs)
     tiles = len(buffers.tiles)
     index, ranges = index_of(number), tuple(buffer(tiles, mi.UInt32, 0) for _ in range(2))
-    rows = sorting.order_below(dr.gather(mi.UInt32, pairs, 2 * index), tiles)
-    gaussians, length_key = run(forward.find_lists, pairs, rows, index, total, buffers, ranges)
-    order, walked = sorting.by_length(length_key), buffer(tiles, mi.UInt32)
+    rows = binning.order_below(dr.gather(mi.UInt32, pairs, 2 * index), tiles)
+    gaussians, length_key = run(stages.find_lists, pairs, rows, index, total, buffers, ranges)
+    order, walked = binning.by_length(length_key), buffer(tiles, mi.UInt32)
     canvas = tuple(buffer(width * TILE * TILE * tiles) for width in ((4, 3) if depths else (4,)))
-    run(forward.blend_tiles, records, (gaussians, *ranges), order, buffers, canvas, walked)
+    run(stages.blend_tiles, records, (gaussians, *ranges), order, buffers, canvas, walked)
     state = BackwardState(
         buffers=buffers,
         camera=stage_camera,
@@ -95,17 +95,17 @@ def rasterize_backward(
     grad_picture = tuple(aligned(grad) for grad in (grad_colour, grad_opacity, grad_depth) if grad is not None)
     pixels_of_tiles = TILE * TILE * len(state.buffers.tiles)
     grad_tiles = tuple(buffer(width * pixels_of_tiles, value=0.0) for width in (4, 1, 2)[: len(grad_picture)])
-    run(backward.gradient_to_tiles, state.buffers, grad_picture, grad_tiles)
+    run(stages.gradient_to_tiles, state.buffers, grad_picture, grad_tiles)
     pairs = len(state.pairs[0])
     moments = (buffer(RECORD * pairs), *(buffer(pairs) for _ in range(1 if grad_depth is None else 2)))
     gaussians = len(state.depth_order)
     scratch = tuple(buffer(gaussians, mi.UInt32) for _ in range(2))
-    rows, row_ranges = run(backward.rows_by_gaussian, state.depth_order, state.row_ranges, state.pairs, scratch)
-    lists, order = (state.pairs[0], rows, *state.pair_ranges), sorting.by_length(state.walked)
-    run(backward.blend_backward, state.records, lists, order, state.buffers, grad_tiles, moments)
+    rows, row_ranges = run(stages.rows_by_gaussian, state.depth_order, state.row_ranges, state.pairs, scratch)
+    lists, order = (state.pairs[0], rows, *state.pair_ranges), binning.by_length(state.walked)
+    run(stages.blend_backward, state.records, lists, order, state.buffers, grad_tiles, moments)
     index = numbers(mi.variant(), gaussians)
     run(
-        backward.project_backward,
+        stages.project_backward,
         picture.layout,
         sh_terms(arrays),
         arrays,

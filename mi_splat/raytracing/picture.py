@@ -16,7 +16,7 @@ from mi_splat.rasterization.frozen import buffer
 from mi_splat.rasterization.picture import tile_columns
 from mi_splat.rasterization.pinhole import Pinhole
 from mi_splat.raytracing import segments
-from mi_splat.raytracing.peaks import Stretch
+from mi_splat.raytracing.segments import Stretch
 from mi_splat.raytracing.splats import Splats, gradients, zero_sums
 
 _FAR = 1e9  # world units; no peak is farther away

@@ -20,13 +20,13 @@ variant.use()
 import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
-from mi_splat.rasterization import backward, binning, forward, pipeline  # noqa: E402
+from mi_splat.rasterization import binning, pipeline, stages  # noqa: E402
 from mi_splat.rasterization.frozen import aligned, buffer, frozen  # noqa: E402
 
 STAGES = (
-    *(forward.project_gaussians, forward.allot_rows, forward.write_pairs, forward.find_lists),
-    *(forward.blend_tiles, backward.gradient_to_tiles, backward.rows_by_gaussian, backward.blend_backward),
-    backward.project_backward,
+    *(stages.project_gaussians, stages.allot_rows, stages.write_pairs, stages.find_lists),
+    *(stages.blend_tiles, stages.gradient_to_tiles, stages.rows_by_gaussian, stages.blend_backward),
+    stages.project_backward,
 )
 VIEW = Camera(
     to_world=orbit_pose((0.0, 0.0, 0.0), azimuth=10.0, elevation=20.0, distance=3.0), focal=40.0, width=37, height=29

@@ -115,7 +115,7 @@ variant.use()
 import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
-from mi_splat.rasterization import sorting  # noqa: E402
+from mi_splat.rasterization import binning  # noqa: E402
 from mi_splat.rasterization.binning import NO_TILE, bounds_of_tiles  # noqa: E402
 from mi_splat.rasterization.blending import exp2_of_alpha  # noqa: E402
 from mi_splat.rasterization.projection import CUTOFF  # noqa: E402
@@ -131,16 +131,16 @@ def uints(values: NDArray[np.int64]) -> mi.UInt32:
 def test_pairs_are_sorted_by_tile_and_keep_their_order(tiles: int) -> None:
     keys = np.random.default_rng(tiles).integers(0, tiles, 3000)
     keys[:2] = 0, tiles - 1
-    assert np.array_equal(sorting.order_below(uints(keys), tiles).numpy(), np.argsort(keys, kind="stable"))
+    assert np.array_equal(binning.order_below(uints(keys), tiles).numpy(), np.argsort(keys, kind="stable"))
 
 
 @pytest.mark.parametrize(("columns", "rows"), [(1, 1), (5, 3), (16, 16), (17, 33), (160, 40)])
 def test_every_tile_is_worked_on_once_with_its_neighbours(columns: int, rows: int) -> None:
-    tiles = sorting.by_block(mi.variant(), columns, rows).numpy()
+    tiles = binning.by_block(mi.variant(), columns, rows).numpy()
     assert sorted(tiles) == list(range(columns * rows))
-    first = tiles[: min(sorting.BLOCK, columns) * min(sorting.BLOCK, rows)]
-    assert (first % columns).max() < sorting.BLOCK
-    assert (first // columns).max() < sorting.BLOCK
+    first = tiles[: min(binning.BLOCK, columns) * min(binning.BLOCK, rows)]
+    assert (first % columns).max() < binning.BLOCK
+    assert (first // columns).max() < binning.BLOCK
 
 
 def test_bounds_of_tiles_are_those_of_the_runs() -> None:
