@@ -98,7 +98,7 @@ def aim_figures(
 ) -> dict[str, Any]:
     """Every rate of an attack, as JSON can hold it."""
     together, success = count(joint_views(rows), AIMS)[()], AIMS["success"]
-    told = {
+    figures = {
         "rate": together["success"].as_dict(),
         "rates": {name: _of_detector(rows.filter(detector=name)) for name in detectors},
         "clean_rate": together["clean_success"].as_dict(),
@@ -106,9 +106,9 @@ def aim_figures(
         "unambiguous_rate": together["unambiguous"].as_dict(),
     }
     if elevations is None:
-        return told
+        return figures
     return {
-        **told,
+        **figures,
         "by_azimuth": banded(rows, "azimuth", (0.0, 360.0), AZIMUTHS, success),
         "by_elevation": banded(rows, "elevation", elevations, ELEVATIONS, success),
     }

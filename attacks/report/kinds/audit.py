@@ -298,10 +298,10 @@ def _numbers(values: Sequence[float]) -> str:
 
 def along_paths(section: Section, seen: Iterable[Seen]) -> Section:
     """The section of an audit with what detectors report along paths of cameras: evidence, and no rule."""
-    told = list(seen)
+    paths = list(seen)
     return replace(
         section,
-        charts=(*section.charts, *map(_along, told)),
+        charts=(*section.charts, *map(_along, paths)),
         tables=(
             *section.tables,
             Table.of(
@@ -318,7 +318,7 @@ def along_paths(section: Section, seen: Iterable[Seen]) -> Section:
                         **{"number": seen_path.number, "path": seen_path.path, "detector": seen_path.detector},
                         **{"runs": ", ".join(seen_path.runs), "comes_back": seen_path.comes_back},
                     }
-                    for seen_path in told
+                    for seen_path in paths
                 ],
             ),
         ),

@@ -15,8 +15,8 @@ _MOST_PICTURES = 8
 
 def read(folder: Path, record: Mapping[str, Any]) -> Section:
     """The section of a study of the audit."""
-    told, chosen = record["figures"], record["chosen_on"]
-    parts = told["parts"]
+    counted, chosen = record["figures"], record["chosen_on"]
+    parts = counted["parts"]
     honest = [row for row in negatives(record["files"]) if row["content"] not in chosen]
     worst = max(honest, key=lambda row: row["evidence"], default=None)
     figures = [
@@ -42,7 +42,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         headline=Figure(
             label="splats that hide something, found", rate=pooled([parts["all"]["found"]] if parts else [])
         ),
-        control=Figure(label="honest splats that are called hidden", rate=Rate.of(told["false_alarms"])),
+        control=Figure(label="honest splats that are called hidden", rate=Rate.of(counted["false_alarms"])),
         counting="splats",
         figures=figures,
         pictures=[

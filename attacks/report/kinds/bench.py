@@ -13,7 +13,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
     """The section of a row."""
     columns, score, name = record["columns"], record["score"], record["detector"]["name"]
     filled = {head: columns[column] for column, head in HEADS.items() if columns[column]["robust"] is not None}
-    figures = [Figure(label=f"still named, {head}", rate=Rate.of(told["robust"])) for head, told in filled.items()]
+    figures = [Figure(label=f"still named, {head}", rate=Rate.of(column["robust"])) for head, column in filled.items()]
     words = "no score: a column cannot be filled" if score is None else f"{score['mean']:.3f}"
     return Section(
         kind="Scoreboard",
@@ -21,7 +21,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         done=f"The attacks of the suite were made for {name}. Rates are of views in which it names the clean object.",
         conclusion=f"Score: {words}. Higher is more robust. It holds for the attacks and scenes of this suite.",
         headline=Figure(label="score", words=words),
-        control=Figure(label="clean object named", rate=pooled(told["named_clean"] for told in columns.values())),
+        control=Figure(label="clean object named", rate=pooled(column["named_clean"] for column in columns.values())),
         attacked=False,
         warnings=record["warnings"],
         figures=figures,

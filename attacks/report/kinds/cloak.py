@@ -250,11 +250,11 @@ def _conclusion(summary: Mapping[str, Any], headline: Figure, control: Figure | 
 def _figures(summary: Mapping[str, Any]) -> tuple[Figure, ...]:
     """The other rates, over all detectors, and what the pictures lost."""
     hides = rate_of(summary["trigger_miss_rate"]) is not None
-    told = {"trigger_miss_rate"} if hides else {"target_rate", "control_target_rate"}
+    headlines = {"trigger_miss_rate"} if hides else {"target_rate", "control_target_rate"}
     rates = [
         Figure(label=words, rate=rate)
         for key, words in RATES.items()
-        if key not in told and (rate := rate_of(summary[key])) is not None
+        if key not in headlines and (rate := rate_of(summary[key])) is not None
     ]
     pairs = list(costs(summary).items())
     if "seconds" in summary:
