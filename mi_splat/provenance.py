@@ -51,11 +51,12 @@ def torch_arithmetic() -> dict[str, Any] | None:
 
 
 def rendered_with(render: object) -> dict[str, Any]:
-    """What pictures depend on besides the splat and the camera, `background` and `near`, as JSON can hold it."""
+    """What pictures depend on besides the splat and the camera, as JSON can hold it."""
     settings: Any = getattr(render, "settings", None)
     if not (hasattr(settings, "background") and hasattr(settings, "near")):
         return {}
-    return {"background": [float(part) for part in settings.background], "near": float(settings.near)}
+    mode = {"antialiased": True} if getattr(settings, "antialiased", False) else {}
+    return {"background": [float(part) for part in settings.background], "near": float(settings.near), **mode}
 
 
 def versions() -> dict[str, str]:

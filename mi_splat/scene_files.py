@@ -19,6 +19,7 @@ from mi_splat.errors import InvalidValueError, MiSplatError, listed, message
 from mi_splat.io import save_splat
 from mi_splat.io.documents import file_name, save_text
 from mi_splat.io.errors import SplatFileError, SplatFileWarning, path_name
+from mi_splat.io.loaded import Loaded
 from mi_splat.io.scene_parts import check_scene_file, scene_parts
 from mi_splat.io.splat_files import load_stored
 from mi_splat.rendering import RenderSettings
@@ -134,17 +135,17 @@ def _reason(error: RuntimeError, path: Path) -> MiSplatError:
     return InvalidValueError.of(str(path), "a Mitsuba scene", lines[-1] if lines else "an error", "mend the file")
 
 
-def open_scene(path: Path, device: str = "cpu") -> SplatScene:
+def open_scene(path: Path, device: str = "cpu", *, stored: Loaded | None = None) -> SplatScene:
     """The scene in `path`, to be rendered as detectors and PNG files want it: three channels, sRGB.
 
     A bare splat file becomes a scene of one object without cameras, in front of black, drawn in the mode (plain or
-    antialiased) that the file says it was trained in.
+    antialiased) that the file says it was trained in. What it holds may have been read already.
     """
     if path.suffix.lower() == ".xml":
         loaded = read_scene(path)
         loaded = replace(loaded, settings=replace(loaded.settings, alpha=False, linear=False))
     else:
-        stored = load_stored(path).settle(str(path), "raise", stacklevel=2)
+        stored = (stored or load_stored(path)).settle(str(path), "raise", stacklevel=2)
         scene = stored.scene
         settings = RenderSettings(near=near_plane(scene), antialiased=stored.is_antialiased)
         loaded = SplatScene(scene=scene, objects={path.stem: slice(0, len(scene))}, cameras={}, settings=settings)

@@ -61,7 +61,7 @@ def write_files(result: Result, folder: Path) -> list[Path]:
     images = {CONTACT: contact_sheet(result)} if drawn else _pictures(result)
     for name, pixels in images.items():
         save_png(pixels, folder / name)
-    save_splat(result.scene, folder / ATTACKED)
+    save_splat(result.scene, folder / ATTACKED, antialiased=bool(result.origin.get("antialiased")))
     save_json(_cameras(result), folder / CAMERAS, indent=0)
     save_json(summary(result), folder / RECORD)
     return [*(folder / name for name in (*images, ATTACKED, CAMERAS, RECORD)), *result.looked.write(folder)]
@@ -77,7 +77,7 @@ def _cameras(result: Result) -> dict[str, Any]:
         }
         for judged in result.views_of(result.detectors[0])
     ]
-    rendered = {name: result.origin[name] for name in ("background", "near") if name in result.origin}
+    rendered = {name: result.origin[name] for name in ("background", "near", "antialiased") if name in result.origin}
     return cameras_document(entries, **rendered)
 
 

@@ -68,7 +68,8 @@ def result_cameras(values: Mapping[str, Any], where: str) -> ResultCameras:
         pairs = zip(cameras, entries, strict=True)
         changes = {camera: _change(entry["change"]) for camera, entry in pairs if "change" in entry}
         red, green, blue = (float(part) for part in values["background"])
-        settings = RenderSettings(background=(red, green, blue), near=float(values["near"]))
+        mode = values.get("antialiased") is True
+        settings = RenderSettings(background=(red, green, blue), near=float(values["near"]), antialiased=mode)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         expected, do = "cameras, boxes, background and near", "get the result again"
         raise InvalidValueError.of(where, expected, repr(error)[:200], do) from error

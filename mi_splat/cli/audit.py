@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from mi_splat.audit.lint.checking import Lint
     from mi_splat.audit.results import Audit
     from mi_splat.cameras import Camera
+    from mi_splat.io.loaded import Loaded
     from mi_splat.scene import GaussianScene
 
 
@@ -204,13 +205,14 @@ def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str
     if is_dataset(path):
         return _audited_pictures(path, folder, options)
     with progress(f"auditing {path.name}"):
-        lint = _linted(path) if options.only != "looks" else None
+        stored = _stored(path)
+        lint = _linted(path, stored) if options.only != "looks" else None
         scene, judged, cameras, unjudged = None, None, None, "only lint was asked for"
         if lint is not None and any(item.rule == "overdraw" and item.severity == "error" for item in lint.findings):
             unjudged = "it would stop the renderer, see overdraw"
         elif options.only != "lint":
             try:
-                scene, judged, cameras = _looked_at(path, options)
+                scene, judged, cameras = _looked_at(path, stored, options)
             except MiSplatError as error:
                 if lint is None or not any(item.severity == "error" for item in lint.findings):
                     raise
@@ -239,22 +241,35 @@ def _audited_pictures(path: Path, folder: Path | None, options: AuditOptions) ->
     return {"file": str(path), **account, "files": [str(file) for file in files]}
 
 
-def _linted(path: Path) -> Lint:
+def _stored(path: Path) -> Loaded | None:
+    """What a splat file holds, read once; None of a scene XML, and of a file that cannot be read."""
+    from mi_splat.io.errors import SplatFileError
+    from mi_splat.io.splat_files import load_stored
+
+    try:
+        return None if path.suffix.lower() == ".xml" else load_stored(path)
+    except SplatFileError:
+        return None
+
+
+def _linted(path: Path, stored: Loaded | None) -> Lint:
     """What the rules say of a splat file, as it is stored, or of what a scene XML loads."""
     from mi_splat.audit.lint.checking import lint_file, lint_scene
     from mi_splat.scene_files import open_scene
 
-    return lint_scene(open_scene(path).scene) if path.suffix.lower() == ".xml" else lint_file(path)
+    return lint_scene(open_scene(path).scene) if path.suffix.lower() == ".xml" else lint_file(path, stored)
 
 
-def _looked_at(path: Path, options: AuditOptions) -> tuple[GaussianScene, Audit, Sequence[Camera] | None]:
+def _looked_at(
+    path: Path, stored: Loaded | None, options: AuditOptions
+) -> tuple[GaussianScene, Audit, Sequence[Camera] | None]:
     """A scene, its hidden looks, and the cameras that were given."""
     from mi_splat.audit.against import changes
     from mi_splat.audit.auditing import audit
     from mi_splat.cli.cameras import find_cameras
     from mi_splat.scene_files import open_scene
 
-    loaded = open_scene(path)
+    loaded = open_scene(path, stored=stored)
     cameras = None
     if options.cameras:
         wanted = CameraOptions(cameras=options.cameras, up=options.up or CameraOptions().up)

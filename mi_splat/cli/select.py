@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from mi_splat.cameras import Camera, RenderFn
     from mi_splat.scene import GaussianScene
+    from mi_splat.scene_files import SplatScene
 
 
 EXAMPLES = (
@@ -74,7 +75,7 @@ def run(options: SelectOptions) -> None:
         first = next(iter(chosen.cameras.values()))
         for path in options.out:
             path.parent.mkdir(parents=True, exist_ok=True)
-            _save(path, scene, mask, next(iter(weights.values())), first, chosen.render)
+            _save(path, loaded, mask, next(iter(weights.values())), first, chosen.render)
     views: list[dict[str, Any]] = [
         {
             "camera": name,
@@ -105,7 +106,7 @@ def run(options: SelectOptions) -> None:
     show_result(document, *lines, *map(str, options.out), as_json=options.json)
 
 
-def _save(path: Path, scene: GaussianScene, mask: Tensor, weight: Tensor, camera: Camera, render: RenderFn) -> None:
+def _save(path: Path, loaded: SplatScene, mask: Tensor, weight: Tensor, camera: Camera, render: RenderFn) -> None:
     """Write one of the files, of the kind that its name says."""
     from mi_splat.io import save_splat
     from mi_splat.io.pictures import save_picture
@@ -114,9 +115,9 @@ def _save(path: Path, scene: GaussianScene, mask: Tensor, weight: Tensor, camera
     if path.suffix.lower() == ".npy":
         save_mask(mask, path)
     elif path.suffix.lower() == ".ply":
-        save_splat(scene.select(mask), path)
+        save_splat(loaded.scene.select(mask), path, antialiased=loaded.settings.antialiased)
     else:
-        save_picture(tinted(scene, weight, camera, render), path)
+        save_picture(tinted(loaded.scene, weight, camera, render), path)
 
 
 def tinted(scene: GaussianScene, weight: Tensor, camera: Camera, render: RenderFn) -> NDArray[np.uint8]:

@@ -1,10 +1,15 @@
 """One splat through several methods: their pictures, and each two of them beside each other."""
 
+import contextlib
+import gc
 import math
+import re
+import statistics
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -13,7 +18,6 @@ from torch import Tensor
 from mi_splat._lazy import Previewed
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera
-from mi_splat.comparison.costs import Cost, Run, costs_of
 from mi_splat.comparison.measures import (
     GradientAgreement,
     PictureDistance,
@@ -28,11 +32,15 @@ from mi_splat.fields import Checked, Count, Seed
 from mi_splat.io.images import quantise
 from mi_splat.metrics import Perceptual
 from mi_splat.scene import GaussianScene
+from mi_splat.variant import release_memory
 
 FORWARD, GRADIENT = "picture", "picture_and_gradient"
 """Kinds of calls whose cost is measured."""
 Agreement = dict[str, GradientAgreement]
 """Of two methods, by attribute."""
+Run = Callable[[], None]
+_MIB = 2.0**20
+_STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,13 +61,7 @@ class CompareConfig(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pair:
-    """Two methods beside each other.
-
-    Attributes:
-        bits: Of a channel, with which their pictures were compared.
-        distances: Between their pictures, by camera.
-        agreement: Between their gradients over all cameras, by attribute; None if it was not measured.
-    """
+    """Two methods: the distances of their pictures by camera, with so many bits a channel, and of their gradients."""
 
     bits: int
     distances: dict[str, PictureDistance]
@@ -71,16 +73,23 @@ class Pair:
         return pooled(list(self.distances.values()))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cost:
+    """Seconds of each round, the median ratio to the first method, and MiB that a call takes (None if unknown)."""
+
+    seconds: tuple[float, ...]
+    ratio: float
+    memory: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """As JSON can hold it."""
+        middle = statistics.median(self.seconds)
+        return {"seconds": middle, "rounds": list(self.seconds), "ratio": self.ratio, "memory_mib": self.memory}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Comparison(Previewed):
-    """What came of it.
-
-    Attributes:
-        pictures: (H, W, 3) sRGB by camera and method.
-        pairs: Each two methods.
-        first_seconds: Of the first call of each method that renders, in which it may compile.
-        costs: By the kind of call, and by method; empty if they were not measured.
-    """
+    """Pictures by camera and method, each two methods, the seconds of first calls (which may compile), and costs."""
 
     pictures: dict[str, dict[str, Tensor]]
     pairs: dict[tuple[str, str], Pair]
@@ -202,6 +211,71 @@ def _costs(
         for kind, timed in runs.items()
         if timed
     }
+
+
+def costs_of(runs: Mapping[str, Run], *, rounds: int, on_step: Callable[[str], None]) -> dict[str, Cost]:
+    """The cost of each method.
+
+    In each round all take their turn, since a machine that others use changes its speed within minutes.
+    """
+    memory, seconds = {}, {name: list[float]() for name in runs}
+    for name, run in runs.items():
+        on_step(f"{name}: memory")
+        run()
+        memory[name] = peak_memory(run)
+    for number in range(1, rounds + 1):
+        for name, run in runs.items():
+            on_step(f"{name}: time, round {number} of {rounds}")
+            begun = time.perf_counter()
+            run()
+            seconds[name].append(time.perf_counter() - begun)
+    first = next(iter(seconds.values()), [])
+    return {
+        name: Cost(
+            seconds=tuple(times),
+            ratio=statistics.median(time / base for time, base in zip(times, first, strict=True)),
+            memory=memory[name],
+        )
+        for name, times in seconds.items()
+    }
+
+
+def peak_memory(run: Run) -> float | None:
+    """MiB by which a call made the process grow at most; of a GPU's memory, if one was used, what torch took there.
+
+    Linux keeps the most memory that a process ever had, and forgets it when asked. What was in use before the call is
+    not counted, so the scene itself is not.
+    """
+    gc.collect()
+    release_memory()
+    on_gpu = torch.cuda.is_available()
+    if on_gpu:
+        torch.cuda.empty_cache()
+        torch.cuda.reset_peak_memory_stats()
+    before = _resident_after_reset()
+    gpu_before = torch.cuda.memory_allocated() if on_gpu else 0
+    run()
+    gpu = (torch.cuda.max_memory_allocated() - gpu_before) / _MIB if on_gpu else 0.0
+    if gpu > 0:
+        return gpu
+    after = _status("VmHWM")
+    return None if before is None or after is None else max(0.0, (after - before) / _MIB)
+
+
+def _resident_after_reset() -> float | None:
+    """Bytes that the process has now, from where its peak counts again; None where that cannot be had."""
+    with contextlib.suppress(OSError):
+        _CLEAR.write_text("5")
+        return _status("VmRSS")
+    return None
+
+
+def _status(key: str) -> float | None:
+    """A figure of this process in bytes."""
+    with contextlib.suppress(OSError):
+        match = re.search(rf"^{key}:\s*(\d+) kB", _STATUS.read_text(), flags=re.MULTILINE)
+        return None if match is None else 1024.0 * int(match[1])
+    return None
 
 
 def as_dict(comparison: Comparison, methods: Mapping[str, Method]) -> dict[str, Any]:

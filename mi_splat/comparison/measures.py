@@ -19,14 +19,7 @@ LEAST_SSIM, LEAST_LPIPS = 11, 32
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureDistance:
-    """How far apart two pictures are, clipped to [0, 1].
-
-    Attributes:
-        pixels: How many pixels were compared.
-        mse: Mean squared error.
-        ssim: At most 1; None if the pictures are too small for it.
-        lpips: At least 0, less is better; None if it was not measured.
-    """
+    """How far apart two pictures are, clipped to [0, 1]; None is what was not measured."""
 
     pixels: int
     mse: float

@@ -36,14 +36,7 @@ MakeRender = Callable[[RenderSettings], RenderFn]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Method:
-    """One way to make the pictures.
-
-    Attributes:
-        render: Scene and camera to (H, W, 3) sRGB.
-        differentiable: Whether its gradients are compared.
-        renders: Whether it does its work when it is called, so that its time and memory mean something.
-        bits: Of a channel of its pictures: 32 of floats, 8 of files.
-    """
+    """One way to make the pictures; `renders` says that its time means something, `bits` are of a channel."""
 
     render: RenderFn
     differentiable: bool = True

@@ -39,15 +39,9 @@ HIGHER_BANDS: Notice = ("SH of degree 0 to 3", "4", "the highest band was left o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loaded:
-    """The content of a splat file.
+    """All Gaussians of a splat file, which are not valid (and why the first is not), and what else there is to say.
 
-    Attributes:
-        arrays: All its Gaussians, unchecked.
-        invalid: Rows that are not valid, in order.
-        reason: What is wrong with the first of these.
-        is_antialiased: Whether it was trained with the 2D filter of Mip-Splatting, and is to be drawn with it.
-        notices: What is to be said about the reading.
-        unread: Names of properties and elements that a scene cannot hold.
+    `unread` names properties and elements that a scene cannot hold.
     """
 
     arrays: Arrays

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from mi_splat.errors import InvalidValueError, MiSplatError, message
-from mi_splat.io.errors import SplatFileError
+from mi_splat.io.errors import LFS_ADVICE, LFS_POINTER, SplatFileError
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -37,14 +37,7 @@ _SHOWN = 100
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DocumentReader:
-    """How documents of one kind are read, and what is said of one that is broken.
-
-    Attributes:
-        expected: What a document should be, for messages.
-        do: What to do about a broken one, for messages.
-        error: What is raised.
-        most: Bytes that a document may have.
-    """
+    """How documents of one kind are read: words for messages, what is raised, and how many bytes one may have."""
 
     expected: str = "a JSON object"
     do: str = "make the result again"
@@ -86,6 +79,8 @@ class DocumentReader:
             raise self.broken(repr(str(path)), str(error)) from error
         if len(data) > self.most:
             raise self.broken(str(path), "a longer one", f"{self.expected} of at most {self.most:,} bytes")
+        if data.startswith(LFS_POINTER):
+            raise self.error(message(str(path), self.expected, *LFS_ADVICE))
         return data
 
     def broken(self, where: str, got: object, expected: str | None = None) -> MiSplatError:
@@ -171,14 +166,7 @@ def _whole(text: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Fields:
-    """One JSON object.
-
-    Attributes:
-        values: Its content.
-        where: What it is part of, for messages; starts with the path of the file.
-        error: What is raised for a field that is something else.
-        do: What to do about one, for messages.
-    """
+    """The fields of a JSON object that somebody else wrote, each asked for with its kind and range."""
 
     values: Mapping[str, object]
     where: str

@@ -22,8 +22,8 @@ Rows = NDArray[np.void]
 
 HEADER_LIMIT = 64 * 1024
 """Longest header in bytes; the ones that 3DGS writes have 1.5 KB."""
-_MOST_LISTS = 1 << 21
-"""Lists that a file may have: plyfile makes an object of each."""
+_MOST_LISTS, _LONGEST_LINE = 1 << 21, 1 << 20
+"""Lists that a file may have, and bytes of a line of text: plyfile makes an object of each list and each word."""
 
 _ORDERS = {b"ascii": "", b"binary_little_endian": "<", b"binary_big_endian": ">"}
 """Byte order in NumPy's letters of each encoding, empty for text."""
@@ -184,10 +184,12 @@ def _read_with_plyfile(file: io.FileIO, header: Header, elements: tuple[Element,
     file.seek(header.size)
     data = file.read()
     if not header.order:
-        data = re.sub(rb"\s*[\r\n]\s*", b"\n", data.strip()) + b"\n"
+        data = re.sub(rb"[\r\n]\s*", b"\n", data.strip()) + b"\n"
         lines, rows = data.count(b"\n") * (len(data) > 1), sum(element.count for element in header.elements)
         if lines != rows:
             raise _mismatch(header, f"{rows} lines", f"{lines}", path)
+        if max(map(len, data.split(b"\n"))) > _LONGEST_LINE:
+            raise ply_error(path, f"lines of at most {_LONGEST_LINE} bytes", "a longer one", "export it as binary")
     encoding = next(name for name, letter in _ORDERS.items() if letter == header.order)
     head = [b"ply", b"format " + encoding + b" 1.0"]
     for element in elements:

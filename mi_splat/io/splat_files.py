@@ -71,13 +71,13 @@ def load_splat(path: str | os.PathLike[str], *, on_invalid: Literal["raise", "dr
     name = path_name(path)
     loaded = load_stored(name).settle(name, on_invalid, stacklevel=2)
     if loaded.is_antialiased:
-        do = "draw it with RenderSettings(antialiased=True)"
+        do = "draw it with antialiased=True, of RenderSettings or splat_tile"
         text = message(name, "a splat for plain 3DGS rendering", "one that was trained with antialiasing", do)
         warnings.warn(text, SplatFileWarning, stacklevel=2)
     return loaded.scene
 
 
-def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
+def save_splat(scene: GaussianScene, path: str | os.PathLike[str], *, antialiased: bool = False) -> None:
     """Save a splat in the format that the ending of `path` names.
 
     `.ply` (as 3DGS writes it), `.glb` and OpenUSD hold all of a scene: means and SH of a float32 scene are kept bit for
@@ -88,6 +88,7 @@ def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
         scene: The scene, on any device.
         path: The file to write: .ply, .compressed.ply, .spz, .sog, .glb, .usdc, .usda, .usdz or .splat; a file that is
             there is replaced.
+        antialiased: Note in the file, where its format can (PLY, SOG, SPZ), that it is to be drawn with antialiasing.
 
     Raises:
         SplatFileError: The file cannot be written, or the name fits no format; what was there before is unchanged.
@@ -97,7 +98,7 @@ def save_splat(scene: GaussianScene, path: str | os.PathLike[str]) -> None:
     Warns:
         SplatLossWarning: Something is lost beyond that rounding: SH bands are dropped, values are clamped.
     """
-    losses = write_splat_file(scene, path).losses
+    losses = write_splat_file(scene, path, antialiased=antialiased).losses
     if losses:
         got = "; ".join(str(loss) for loss in losses)
         text = message(os.fspath(path), "a scene that fits the format", got, "save it as .ply or .glb to keep all")

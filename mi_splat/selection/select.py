@@ -57,14 +57,22 @@ def select(
         raise InvalidValueError.of("selection", "which Gaussians are meant", "nothing", do).hinted(_FLAGS)
     mask = torch.ones(len(scene), dtype=torch.bool)
     if selection.object is not None:
-        mask &= _part(selection.object, objects or {}, len(scene))
+        if selection.object not in (objects or {}):
+            expected = f"one of {', '.join(objects)}" if objects else "no name, since the scene has no parts"
+            raise InvalidValueError.of("object", expected, selection.object, _HOW).hinted(_FLAGS)
+        part = torch.zeros_like(mask)
+        part[(objects or {})[selection.object]] = True
+        mask &= part
     if selection.box is not None:
         mask &= box_mask(scene, selection.box, selection.box_rotation)
     if selection.mask is not None:
         given = selection.mask
         mask &= load_mask(given, scene) if isinstance(given, Path) else mask_of(given, len(scene))
     if selection.cluster is not None:
-        mask &= _component(_clusters(scene, selection), selection.cluster)
+        labels = _clusters(scene, selection)
+        if selection.cluster > (count := len(labels.bincount())):
+            raise InvalidValueError.of("cluster", f"1 to {count:,}", selection.cluster, "1 is the largest")
+        mask &= labels == selection.cluster - 1
     if selection.click:
         mask &= _clicked(scene, selection, camera, render)
     if not bool(mask.any()):
@@ -105,24 +113,6 @@ def _hidden(weights: Mapping[str, Tensor]) -> str:
     names = ", ".join(list(hidden)[:_NAMED]) + (", ..." if len(hidden) > _NAMED else "")
     counts = f"{len(hidden)} of {len(weights)} cameras"
     return f"from {names} ({counts}; at most {max(hidden.values()):.0%} of any pixel is its)"
-
-
-def _part(name: str, objects: Mapping[str, slice], count: int) -> Tensor:
-    """The Gaussians of a part of the scene file."""
-    if name not in objects:
-        expected = f"one of {', '.join(objects)}" if objects else "no name, since the scene has no parts"
-        raise InvalidValueError.of("object", expected, name, _HOW).hinted(_FLAGS)
-    mask = torch.zeros(count, dtype=torch.bool)
-    mask[objects[name]] = True
-    return mask
-
-
-def _component(labels: Tensor, number: int) -> Tensor:
-    """The Gaussians of the component of that size."""
-    sizes = labels.bincount()
-    if number > len(sizes):
-        raise InvalidValueError.of("cluster", f"1 to {len(sizes):,}", number, "1 is the largest")
-    return labels == number - 1
 
 
 def _clusters(scene: GaussianScene, selection: Selection) -> Tensor:

@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera, look_at
-from mi_splat.comparison.compare import CompareConfig, compare
-from mi_splat.comparison.costs import costs_of, peak_memory
+from mi_splat.comparison.compare import CompareConfig, compare, costs_of, peak_memory
 from mi_splat.comparison.measures import GradientAgreement, gradients, picture_distance, pooled, weighting
 from mi_splat.comparison.methods import Method
 from mi_splat.errors import InvalidValueError
@@ -165,5 +164,5 @@ def test_gradients_of_volprim_are_its_finite_differences(attribute: str) -> None
 def test_what_volprim_cannot_do_is_refused() -> None:
     with pytest.raises(InvalidValueError, match="three channels in sRGB"):
         Volprim(RenderSettings(alpha=True))
-    with pytest.raises(InvalidValueError, match="fx equal to fy"):
+    with pytest.raises(InvalidValueError, match="square pixels"):
         Volprim()(apart(), view(focal=(120.0, 100.0)))

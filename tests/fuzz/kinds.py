@@ -42,6 +42,7 @@ from tests.fakes import camera
 from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SCENE_NAMES, SOG, Document
 from tests.fuzz.folders import clean, links, plan_with_keys, write_among_links
 from tests.io.format_files import tame_scene, valid
+from tests.io.ply_files import LISTS, ROWS, encoded, listed
 from tests.io.test_picture_files import many_scans
 from tests.report.results import MAKERS
 from tests.training.sets import SHORT, scene_and_views
@@ -176,7 +177,7 @@ def _scans(folder: Path) -> Path:
 
 def _rows(name: str, folder: Path) -> Path:
     more = {f"depth: {number}": 1.0 for number in range(190 if name.startswith("wide") else 0)}
-    data = rows_bytes(frame_of({"view": view, "splat": "clean", "iou": 0.5 / (view + 1)} | more for view in range(20)))
+    data = rows_bytes(frame_of({"view": view, "splat": "clean", "iou": 0.5 / (view + 1), **more} for view in range(20)))
     (folder / name).write_bytes(packed(data) if name.endswith(".xz") else data)
     return folder / name
 
@@ -193,6 +194,8 @@ def _ply(folder: Path) -> Path:
 
 _SPLATS: tuple[str, ...] = ("a.compressed.ply", "a.glb", "a.sog", "a.splat", "v2.spz", "v3.spz", "v4.spz")
 _SPLATS += ("a.usdc", "a.usda") if importlib.util.find_spec("pxr") else ()
+_PLY_FORMS = {"text.ply": encoded(ROWS[:5], "ascii")}
+_PLY_FORMS["lists.ply"] = listed("binary_little_endian", ROWS[:5], LISTS[:5])
 _KSPLATS = sorted(path.name.removesuffix(".gz") for path in (ROOT / "tests/io/data").glob("*.ksplat.gz"))
 
 
@@ -200,6 +203,8 @@ def _kinds() -> Iterator[tuple[str, Kind]]:
     for name in (*_SPLATS, *_KSPLATS[:1]):
         yield f"splat {name}", _splat(name)
     yield "splat a.ply", Kind(make=_ply, read=load_splat)
+    for name in _PLY_FORMS:
+        yield f"splat {name}", Kind(make=_written(name, partial(_PLY_FORMS.get, name)), read=load_splat)
     yield "points", Kind(make=_ply, read=load_points)
     cameras: dict[str, Callable[[], Any]] = {
         "cameras.json": lambda: [describe("left", camera())],

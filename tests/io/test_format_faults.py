@@ -89,14 +89,14 @@ def small(path: Path, contents: bytes) -> None:
 
 
 @pytest.mark.parametrize("name", [*NAMES, *PLY])
-@hypothesis.settings(max_examples=40, deadline=None)
+@hypothesis.settings(max_examples=25, deadline=None)
 @hypothesis.given(data=st.data())
 def test_damaged_files(name: str, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
     small(tmp_path_factory.getbasetemp() / name, changed(data, PLY.get(name) or valid(name)))
 
 
 @pytest.mark.parametrize("name", ["v2.spz", "v3.spz"])
-@hypothesis.settings(max_examples=40, deadline=None)
+@hypothesis.settings(max_examples=25, deadline=None)
 @hypothesis.given(data=st.data())
 def test_damage_inside_of_a_valid_gzip_stream(
     name: str, data: st.DataObject, tmp_path_factory: pytest.TempPathFactory

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from mi_splat.io import SplatFileError, SplatLossWarning, load_splat, save_splat
 from mi_splat.io.formats import sog
-from mi_splat.io.formats.detection import BY_SUFFIX, Precision, markdown
+from mi_splat.io.formats.detection import FORMATS, Precision, markdown
 from mi_splat.io.splat_files import write_splat_file
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.sh import colour_to_dc, dc_to_colour
@@ -68,7 +68,7 @@ def limit(precision: Precision, values: Tensor, float_step: float) -> float:
 
 def check(scene: GaussianScene, again: GaussianScene, suffix: str, factor: float = 1.0) -> None:
     """Raise unless two scenes with the same rows are as close as the table says."""
-    entry = BY_SUFFIX[suffix]
+    entry = next(entry for entry in FORMATS if entry.suffix == suffix)
     step = 4e-7 * float(scene.means.abs().max())
     colours = dc_to_colour(scene.sh[:, 0])
     allowed = {
@@ -92,7 +92,7 @@ def sorted_as(scene: GaussianScene, order: np.ndarray | None) -> GaussianScene:
 
 
 @pytest.mark.parametrize("suffix", WRITTEN)
-@hypothesis.settings(max_examples=25, deadline=None)
+@hypothesis.settings(max_examples=12, deadline=None)
 @hypothesis.given(scene=scenes())
 def test_round_trips_stay_within_the_table(suffix: str, scene: GaussianScene, folder: Path) -> None:
     path = folder / f"a{suffix}"
@@ -115,7 +115,7 @@ def test_a_second_round_trip_changes_nothing(suffix: str, degree: int, tmp_path:
 
 
 @pytest.mark.parametrize("suffix", WRITTEN)
-@hypothesis.settings(max_examples=40, deadline=None)
+@hypothesis.settings(max_examples=15, deadline=None)
 @hypothesis.given(scene=wild_scenes())
 def test_any_scene_is_saved_or_refused(suffix: str, scene: GaussianScene, folder: Path) -> None:
     """Values at the ends of float32 as well: what is loaded is a valid scene."""

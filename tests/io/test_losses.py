@@ -16,6 +16,7 @@ from mi_splat.io.formats import axes
 from mi_splat.io.loaded import arrays_of, as_scene
 from mi_splat.io.points import load_points
 from mi_splat.io.splat_files import TAGGED, load_stored, write_splat_file
+from mi_splat.provenance import rendered_with
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import to_matrix
 from mi_splat.scene import LARGEST, GaussianScene, Similarity, scene_hash
@@ -164,10 +165,12 @@ def test_nodes_of_gltf_place_their_splats(tmp_path: Path) -> None:
 def test_formats_that_can_keep_the_render_mode(suffix: str, tmp_path: Path) -> None:
     write_splat_file(SCENE, tmp_path / f"plain{suffix}")
     write_splat_file(SCENE, tmp_path / f"a{suffix}", antialiased=True)
-    with pytest.warns(SplatFileWarning, match=r"trained with antialiasing; draw it with RenderSettings") as caught:
+    with pytest.warns(SplatFileWarning, match=r"trained with antialiasing; draw it with antialiased=True") as caught:
         assert_close(load_splat(tmp_path / f"a{suffix}"), load_splat(tmp_path / f"plain{suffix}"))
     assert caught[0].filename == __file__
-    assert open_scene(tmp_path / f"a{suffix}").settings.antialiased
+    settings = open_scene(tmp_path / f"a{suffix}").settings
+    assert settings.antialiased
+    assert rendered_with(Renderer(settings))["antialiased"]  # in the records of results
     assert not open_scene(tmp_path / f"plain{suffix}").settings.antialiased
 
 

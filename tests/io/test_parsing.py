@@ -81,6 +81,12 @@ def test_what_is_within_the_bounds_is_read(tmp_path: Path) -> None:
     assert DocumentReader().read_toml(tmp_path / "a.toml") == {"a": 1, "b": {"c": [1.5]}}
 
 
+def test_a_git_lfs_pointer_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text("version https://git-lfs.github.com/spec/v1\n")
+    with pytest.raises(InvalidValueError, match="a Git LFS pointer in place of the file; run `git lfs pull`"):
+        READER.read_json(tmp_path / "a.json")
+
+
 def test_files_that_cannot_be_read_raise_the_error_of_their_reader(tmp_path: Path) -> None:
     class OwnError(MiSplatError):
         pass

@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import RenderFn
-from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.selection.clusters import clusters, components, find_plane
@@ -98,11 +97,6 @@ def test_what_stands_on_a_plane_is_apart(on_the_ground: GaussianScene) -> None:
         assert int(mine.sum()) == int(mine[rows].sum())
 
 
-def test_without_planes_the_ground_joins_them(on_the_ground: GaussianScene) -> None:
-    labels = clusters(on_the_ground, planes=0)
-    assert int(labels[400]) == int(labels[1000]) == int(labels[4000]) == 0
-
-
 def test_order_and_size_of_the_world_do_not_matter(on_the_ground: GaussianScene) -> None:
     order = torch.randperm(len(on_the_ground))
     moved = on_the_ground.replace(means=on_the_ground.means * 1000, scales=on_the_ground.scales * 1000)
@@ -118,10 +112,6 @@ def test_colour_tells_what_touches_apart() -> None:
     labels = clusters(scene, planes=0, link_colour=0.2)
     assert int((labels[:600] == 0).sum()) > 590
     assert int((labels[600:] == 1).sum()) > 390
-
-
-def test_a_scene_of_one_is_a_cluster() -> None:
-    assert clusters(gaussians(torch.zeros(1, 3), (0.5, 0.5, 0.5))).tolist() == [0]
 
 
 # Weights of Gaussians and of objects in pictures, against the float64 oracle and against each other
@@ -167,14 +157,6 @@ def test_rows_and_gradients_of_the_scene_change_nothing(variant: str) -> None:
     assert not again.requires_grad
 
 
-@pytest.mark.parametrize("box", [(0, 0, 41, 31), (-1, 0, 3, 3), (3, 3, 3, 4), (3, 4, 4, 3)])
-def test_bad_boxes(box: tuple[int, int, int, int]) -> None:
-    with pytest.raises(InvalidValueError, match="box: expected x0 < x1 and y0 < y1 inside 40 x 31"):
-        contributions(SCENE, HERE, render=Renderer(), boxes=[box])
-    with pytest.raises(InvalidValueError, match="boxes: expected 1, one a camera, got 2"):
-        contributions(SCENE, HERE, render=Renderer(), boxes=[box, box])
-
-
 def test_two_objects_beside_each_other(variant: str) -> None:
     left, right = (blobs([2.0, 2.5], [0.9, 0.9], scale=0.1) for _ in range(2))
     shift = torch.tensor([0.6, 0.0, 0.0])
@@ -204,18 +186,3 @@ def test_weights_of_objects_add_up_to_the_opacity(variant: str) -> None:
     clear = lead.abs() > 1e-5
     assert torch.equal((first.ids == 0)[clear], (lead > 0)[clear])
     assert set(first.ids.flatten().tolist()) == {-1, 0}
-
-
-def test_weights_of_objects_have_gradients(variant: str) -> None:
-    opacities = SCENE.opacities.clone().requires_grad_(True)
-    maps = object_maps(SCENE.replace(opacities=opacities), [slice(0, 75)], HERE, render=Renderer())
-    maps.weights.sum().backward()  # type: ignore[no-untyped-call]
-    assert opacities.grad is not None
-    assert float(opacities.grad[:75].sum()) > 0 > float(opacities.grad[75:].sum())  # these hide what is behind them
-
-
-def test_bad_objects() -> None:
-    with pytest.raises(InvalidValueError, match="objects: expected at least one"):
-        object_maps(SCENE, [], HERE, render=Renderer())
-    with pytest.raises(InvalidValueError, match="got 10 of object 1 that belong to one before it"):
-        object_maps(SCENE, [slice(0, 20), slice(10, 30)], HERE, render=Renderer())

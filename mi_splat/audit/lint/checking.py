@@ -67,14 +67,14 @@ class Lint:
         }
 
 
-def lint_file(path: Path) -> Lint:
-    """Check a splat file, also one that `load_splat` refuses because Gaussians in it are not valid."""
+def lint_file(path: Path, stored: Loaded | None = None) -> Lint:
+    """Check a splat file, also one with Gaussians that are not valid; what it holds may have been read already."""
     findings: list[Finding] = []
     data = path.read_bytes() if path.suffix.lower() == ".glb" else b""
     if data.startswith(b"glTF"):
         findings = validate(open_glb(data, str(path)))
     try:
-        loaded = load_stored(path)
+        loaded = stored or load_stored(path)
     except SplatFileError:
         if any(finding.severity == "error" for finding in findings):
             return Lint(findings=tuple(findings))

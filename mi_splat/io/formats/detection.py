@@ -10,13 +10,7 @@ from mi_splat.io.errors import LFS_ADVICE, LFS_POINTER, SplatFileError
 
 
 class Precision(NamedTuple):
-    """How far a value may be off after it was saved and loaded.
-
-    Attributes:
-        error: Largest error of a value that was not clamped; 0 is to the bit.
-        of: What the error is measured in.
-        limits: Smallest and largest value that is kept, empty where there are none.
-    """
+    """Largest error of a value after it was saved and loaded (0: to the bit), and the range of what is kept."""
 
     error: float
     of: str = ""
@@ -33,21 +27,7 @@ EXACT = Precision(0.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Format:
-    """A file format of splats.
-
-    Attributes:
-        name: Its name.
-        suffix: How its files end.
-        writes: Whether mi-splat writes it.
-        degree: Largest SH degree that it holds.
-        means: Precision of the means.
-        scales: Of the logarithms of the standard deviations.
-        rotations: Of the rotations.
-        opacities: Of the opacities.
-        colours: Of the sRGB colour 0.5 + C0 dc that the first SH coefficient stands for.
-        sh: Of the other SH coefficients.
-        order: Whether the Gaussians stay in their order.
-    """
+    """A file format: the largest SH degree that it holds, its precision, and whether Gaussians keep their order."""
 
     name: str
     suffix: str
@@ -120,9 +100,6 @@ FORMATS: tuple[Format, ...] = (
     ),
 )
 """All formats, the most precise first; `ksplat` is read as it is, so that its precision is that of its writer."""
-
-BY_SUFFIX = {entry.suffix: entry for entry in FORMATS}
-"""The formats by how their files end."""
 
 HEAD = 32
 """First bytes of a file that `by_content` looks at."""

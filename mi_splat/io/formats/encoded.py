@@ -17,14 +17,7 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """Something of a scene that its file does not hold, beyond the rounding that the table of formats states.
-
-    Attributes:
-        what: What is lost.
-        gaussians: Of how many Gaussians.
-        largest: How much in the worst of them.
-        unit: What `largest` is measured in.
-    """
+    """What a file does not hold of a scene, beyond the rounding of its format; `largest` is of the worst Gaussian."""
 
     what: str
     gaussians: int
@@ -37,13 +30,7 @@ class Loss:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Encoded:
-    """A splat file in memory.
-
-    Attributes:
-        data: Its bytes.
-        losses: What is not in them.
-        order: Row of the scene that each row of the file holds; None where the order is kept.
-    """
+    """A splat file in memory, what is not in it, and of which row of the scene each row is (None: the same one)."""
 
     data: bytes
     losses: tuple[Loss, ...]
@@ -52,16 +39,7 @@ class Encoded:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Values:
-    """The arrays of a scene in float64, for packing.
-
-    Attributes:
-        means: (N, 3) world units.
-        log_scales: (N, 3) natural logarithms of the standard deviations.
-        rotations: (N, 4) unit quaternions (w, x, y, z).
-        opacities: (N,).
-        colours: (N, 3) sRGB of the first SH coefficient, not clamped.
-        sh: (N, K, 3).
-    """
+    """The arrays of a scene in float64, for packing: unit quaternions, and colours that are not clamped."""
 
     means: Array
     log_scales: Array
