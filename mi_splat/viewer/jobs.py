@@ -111,3 +111,5 @@ class Job:
         """Send a signal to the process and to all that it has started, if it still runs."""
         if self.status is None:
             os.killpg(self._process.pid, number)
+            if number == signal.SIGKILL:
+                self._process.wait()

@@ -99,7 +99,7 @@ def window(
         opened.page.close()
 
 
-def test_it_shows_both_splats_and_what_the_api_says_of_them(chromium: Any) -> None:
+def test_it_shows_both_splats_and_the_keyboard_moves_the_camera(chromium: Any) -> None:
     with window(chromium, painter(inspector=MeanInspector())) as opened:
         expected = painter(inspector=MeanInspector())
         for name in ("clean", "attacked"):
@@ -108,9 +108,6 @@ def test_it_shows_both_splats_and_what_the_api_says_of_them(chromium: Any) -> No
         opened.until(lambda: min(opened.colours()) > 2000)  # the last picture comes after its words
         assert set(expected.commands(START).values()) <= set(opened.commands())
 
-
-def test_the_keyboard_moves_the_camera_and_chooses_what_is_shown(chromium: Any) -> None:
-    with window(chromium, painter(inspector=MeanInspector())) as opened:
         keys, named = opened.page.keyboard, opened.page.get_by_role("slider", name="Elevation")
         named.wait_for()
         for _ in range(40):  # to the first slider, as with the tab key
@@ -122,7 +119,7 @@ def test_the_keyboard_moves_the_camera_and_chooses_what_is_shown(chromium: Any) 
         for _ in range(5):
             keys.press("ArrowRight")
         there = replace(START, elevation=START.elevation + 5)
-        opened.says(painter(inspector=MeanInspector()).inspect("clean", there).text)
+        opened.says(expected.inspect("clean", there).text)
 
         opened.page.get_by_role("combobox", name="Show").focus()
         chosen = "() => document.querySelector('[role=option][data-combobox-selected]')?.textContent"

@@ -26,7 +26,7 @@ from mi_splat.scene_files import read_scene
 from mi_splat.viewer.content import content_of_file
 from mi_splat.viewer.layout import DIFFERENCE, MARGIN, SIDE_BY_SIDE, Pixels, compose, difference, lay_out
 from mi_splat.viewer.orbit import Orbit
-from mi_splat.viewer.painter import LARGEST_THINNING, MOST_PIXELS, Painter, Thinned, thinning, within
+from mi_splat.viewer.painter import MOST_PIXELS, Painter, Thinned, within
 from mi_splat.viewer.session import Pace, Step, ViewState
 from tests import oracle
 from tests.fakes import blobs
@@ -104,13 +104,6 @@ def test_what_is_inspected_has_8_bits_and_is_inspected_once_at_rest() -> None:
     assert np.array_equal(work.paint(state, Step.INSPECTED, Pace()).pixels, work.paint(state, *FULL).pixels)
 
 
-def test_similarity_is_that_of_the_inspected_pictures() -> None:
-    work = painter()
-    first, second = (work.picture(name, START) for name in ("clean", "attacked"))
-    assert work.similarity(START) == pytest.approx(float(psnr(first, second)))
-    assert painter(1).similarity(START) is None
-
-
 @pytest.mark.parametrize("canvas", [(1, 1), (16, 8192), (8192, 8192), (4000, 4000)])
 def test_no_window_is_too_large_or_too_small(canvas: tuple[int, int]) -> None:
     width, height = within(canvas, MOST_PIXELS)
@@ -128,14 +121,6 @@ def test_a_quarter_of_the_gaussians_looks_like_all() -> None:
     similarity = psnr(render(quarter, camera), full)
     assert similarity > 22
     assert psnr(render(small, camera), full) < similarity - 4
-
-
-@pytest.mark.parametrize(
-    ("count", "pixels", "every"),
-    [(0, 1, 1), (900, 900, 1), (901, 900, 2), (3600, 900, 4), (1_000_000, 150_000, 8), (10**9, 1, LARGEST_THINNING)],
-)
-def test_pictures_of_few_pixels_have_few_gaussians(count: int, pixels: int, every: int) -> None:
-    assert thinning(count, pixels) == every
 
 
 @pytest.mark.parametrize("mode", ["clean", SIDE_BY_SIDE, DIFFERENCE])

@@ -25,7 +25,6 @@ from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.session import Pace, Step, ViewState
 from tests import oracle
 from tests.fakes import blobs
-from tests.viewer.wire import connection, headers_of, serving
 
 ROLLS = (0.0, 35.0, -120.0, 180.0, 90.0, 10.0)
 
@@ -144,10 +143,3 @@ def test_what_cannot_be_shown_together(folder: Path) -> None:
         open_content(folder / "set", cameras=folder / "colmap")
     with pytest.raises(InvalidValueError, match=r"cameras: expected a data set .* nothing there"):
         open_content(folder / "splat.ply", cameras=folder / "none")
-
-
-def test_a_set_alone_is_served(folder: Path) -> None:
-    content = open_content(folder / "set")
-    with serving(Painter(content, blobs)) as page, connection(page.address, headers_of(page.address)) as browser:
-        browser.look(content.start, (96, 80))
-        assert browser.picture((80, 96)).std() > 10

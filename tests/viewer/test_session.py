@@ -15,50 +15,27 @@ STATE = ViewState(
 MOVED = replace(STATE, orbit=replace(STATE.orbit, azimuth=1.0))
 
 
-def rest(session: Session) -> float:
-    return session.changed + REST + 0.01
-
-
 def test_the_order_of_pictures() -> None:
-    session = Session(state=STATE, changed=10.0)
-    seen = []
-    now = 10.0
-    while (step := session.due(now, inspector=True) or session.due(rest(session), inspector=True)) is not None:
-        seen.append(step)
-        session = session.done(step, session.state, 0.01)
-    assert seen == [Step.COARSE, Step.FULL, Step.INSPECTED]
+    session, seen = Session(state=STATE, changed=10.0), list[Step | None]()
+    for now in (10.0, 10.0 + 0.9 * REST, 10.1 + REST, 10.1 + REST, 10.1 + REST):
+        seen.append(step := session.due(now, inspector=True))
+        session = session if step is None else session.done(step, session.state, 0.01)
+    assert seen == [Step.COARSE, None, Step.FULL, Step.INSPECTED, None]
+    assert session.change(replace(STATE), 15.0) is session
+    assert session.change(MOVED, 15.0).due(15.0, inspector=True) is Step.COARSE
 
 
-def test_nothing_full_before_the_rest() -> None:
-    session = Session(state=STATE, changed=10.0).done(Step.COARSE, STATE, 0.01)
-    assert session.due(10.0 + 0.9 * REST, inspector=True) is None
-    assert session.due(rest(session), inspector=True) is Step.FULL
-
-
-@pytest.mark.parametrize(("inspector", "wanted"), [(False, True), (True, False)])
-def test_no_inspection_without_somebody_or_a_wish(inspector: bool, wanted: bool) -> None:
-    state = replace(STATE, inspected=wanted)
-    session = Session(state=state, changed=0.0, painted=Step.FULL)
+@pytest.mark.parametrize(("inspector", "inspected"), [(False, True), (True, False)])
+def test_no_inspection_without_an_inspector_or_when_it_is_off(inspector: bool, inspected: bool) -> None:
+    session = Session(state=replace(STATE, inspected=inspected), changed=0.0, painted=Step.FULL)
     assert session.due(100.0, inspector=inspector) is None
 
 
-def test_a_change_begins_anew_and_the_same_is_none() -> None:
-    session = Session(state=STATE, changed=0.0, painted=Step.INSPECTED)
-    assert session.change(replace(STATE), 5.0) is session
-    changed = session.change(MOVED, 5.0)
-    assert (changed.changed, changed.painted) == (5.0, None)
-    assert changed.due(5.0, inspector=True) is Step.COARSE
-
-
-def test_a_picture_of_what_has_changed_meanwhile_is_not_the_last() -> None:
+def test_a_picture_of_an_older_state_counts_only_for_the_pace() -> None:
     session = Session(state=STATE, changed=0.0).change(MOVED, 1.0)
     late = session.done(Step.COARSE, STATE, 0.5)
     assert late.due(1.0, inspector=True) is Step.COARSE
-    assert late.pace.scale < session.pace.scale  # but its time counts
-
-
-def test_only_coarse_pictures_set_the_pace() -> None:
-    session = Session(state=STATE, changed=0.0)
+    assert late.pace.scale < session.pace.scale
     assert session.done(Step.FULL, STATE, 9.0).pace == session.pace
 
 
