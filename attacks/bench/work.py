@@ -57,8 +57,8 @@ def _rows_of(job: Job, done: Done) -> Iterable[Mapping[str, Any]]:
     """The rows of a look; of a splat that hides the object those from well inside its trigger."""
     if done.rows:
         return done.rows
-    asked = job.config
-    inside = pl.col(f"{DEPTH}{asked.attacks[0].name}") >= asked.evaluation.well_inside
+    config = job.config
+    inside = pl.col(f"{DEPTH}{config.attacks[0].name}") >= config.evaluation.well_inside
     return read_rows(done.folder / f"{ROWS}{SUFFIX}").filter(inside).iter_rows(named=True)
 
 

@@ -1,6 +1,7 @@
 """`mi-splat cloak`: a study of CLOAK from the first picture to the table."""
 
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -65,17 +66,17 @@ def run(options: CloakOptions) -> int:
     from mi_splat.ledger.running import forgive
 
     limit_threads(1)
-    asked = read_study(options.study)
-    if asked.kind != "cloak" or len(asked.points) != 1:
+    file = read_study(options.study)
+    if file.kind != "cloak" or len(file.points) != 1:
         expected, do = "one study of CLOAK", "run it with mi-splat study"
-        raise InvalidValueError.of(str(options.study), expected, f"{len(asked.points)} of kind {asked.kind}", do)
+        raise InvalidValueError.of(str(options.study), expected, f"{len(file.points)} of kind {file.kind}", do)
     changes: dict[str, Any] = {"seeds": list(options.seeds)} if options.seeds else {}
     if options.detectors:
         changes["evaluation"] = {"detectors": list(options.detectors)}
-    point = replace(asked.points[0], settings=merged(asked.points[0].settings, changes))
+    point = replace(file.points[0], settings=merged(file.points[0].settings, changes))
     with progress("loading the detectors"):
-        weights = weights_of(config_of(point.settings, asked.name).evaluation.detectors, options.weights)
-        work = CloakReport(replace(asked, parts={"": [point]}), weights)
+        weights = weights_of(config_of(point.settings, file.name).evaluation.detectors, options.weights)
+        work = CloakReport(replace(file, parts={"": [point]}), weights)
     study, store = work.attempts[0].steps.study, options.stages or options.out / "stages"
     text = study_toml(asdict(study))
     _check_folder(options.out, text)
@@ -87,8 +88,9 @@ def run(options: CloakOptions) -> int:
             show_json({study.name: asdict(takes)})
         return 0
     forgive(work.jobs().values(), Store(store))
-    asked_for = StudyOptions(action="run", study=options.study, store=store, out=options.out, workers=options.workers)
-    done = run_work(asked_for, work, begin=lambda: save_text(text, options.out / STUDY_FILE))
+    run_options = StudyOptions(action="run", study=options.study, store=store, out=options.out, workers=options.workers)
+    begin = partial(save_text, text, options.out / STUDY_FILE)
+    done = run_work(run_options, work, begin=begin, again="give the same command again")
     if done.files:
         show_summary(options.out, as_json=options.json, tables=1)
     return 1 if done.failed else 0

@@ -88,16 +88,7 @@ Work = Callable[["Dataset", "GaussianScene | None", "OnStep"], Outcome]
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """A kind of poison.
-
-    Attributes:
-        config: Its options.
-        begun: Checks options, and gives the work that is done with them, a seed, and a device: "cpu" or "cuda".
-        needs_splat: Whether there is no work without a splat.
-        on_gpu: Whether a GPU can do the most of it.
-        replaces: Whether something else is shown, which counts for who trains even where a mask left the object out;
-            else pictures are changed a little.
-    """
+    """A kind of poison."""
 
     config: Any
     begun: Callable[[Any, int, str], Work]

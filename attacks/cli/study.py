@@ -125,7 +125,7 @@ def _run(options: StudyOptions, study: Study) -> int:
     return 1 if done.failed else 0
 
 
-def run_work(options: StudyOptions, work: Work, *, begin: Callable[[], object] = lambda: None) -> Run:
+def run_work(options: StudyOptions, work: Work, *, begin: Callable[[], object] = lambda: None, again: str = "") -> Run:
     """Do the jobs of a study, write the result, and say which have failed; `begin` comes first."""
     from attacks.studies.plan import STUDY_FILE
     from attacks.studies.running import run_with
@@ -144,7 +144,8 @@ def run_work(options: StudyOptions, work: Work, *, begin: Callable[[], object] =
         for label, text in done.failed.items():
             warn(f"{label}: {_last_line(text)}")
         if done.failed:
-            warn(f"{len(done.failed)} jobs have failed; mend the cause, then: mi-splat study retry {options.study}")
+            again = again or f"mi-splat study retry {options.study}"
+            warn(f"{len(done.failed)} jobs have failed; mend the cause, then: {again}")
     return done
 
 

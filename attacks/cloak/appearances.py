@@ -56,20 +56,12 @@ class Rerender:
 
     Within reach of the target the picture is new. Elsewhere, shadows and reflections stay those of the untouched
     picture, and so does its noise. With a mask that is everywhere, the whole picture is new.
-
-    Attributes:
-        mesh_scene: The scene with the other target.
-        name: For manifests.
-        reach: Pixels around the target that are new, too: those at its edge mix it with what is behind. None is all,
-            as when the whole scene is rendered again, which is what the paper does.
-        outgrows: Whether the other target may cover pixels outside of the mask; if it has the shape of the first one,
-            False saves the time to find out.
     """
 
     mesh_scene: MeshScene
     name: str
-    reach: int | None = 1
-    outgrows: bool = True
+    reach: int | None = 1  # pixels around the target that are new, too; None is the whole picture
+    outgrows: bool = True  # whether the other target may cover pixels outside of the mask
 
     def __call__(self, view: View, mask: Tensor) -> Tensor:
         """The new picture around the target, the old one elsewhere."""
@@ -140,11 +132,6 @@ class Occluder:
     from: a splat can show the occluder by geometry, to cameras above its edge and to no others. The nearer it is to the
     cameras, the less the object's size matters (a point s beside the centre is seen through a place that lies
     s (1 / radius - 1 / distance) radians off), and the less of it each camera sees. It casts no shadow.
-
-    Attributes:
-        shell: Its target is the occluder, lit as if nothing were around it.
-        beneath: What is seen where the occluder is not.
-        name: For manifests.
     """
 
     shell: MeshScene
@@ -181,18 +168,11 @@ class Emphasis:
     Of the difference that the appearance makes, a picture has `gain` times at the edge, falling evenly to once at
     `depth` degrees inside. As a sharpening mask does to a picture, this brings the blend that is seen there nearer to
     the appearance.
-
-    Attributes:
-        appearance: The appearance.
-        trigger: Where it is shown.
-        centre: (3,) point that directions are measured from, world units.
-        gain: At the edge; 1 is the appearance itself.
-        depth: Degrees inside the trigger from which it is the appearance itself.
     """
 
     appearance: Appearance
     trigger: Trigger
-    centre: Point
+    centre: Point  # (3,) point that directions are measured from, world units
     gain: float
     depth: float
 
@@ -215,20 +195,13 @@ class Correction:
     A splat blurs what its pictures show from direction to direction, so that from a trigger's cameras it shows a blend
     of the benign and the hidden look. What is missing there is added, as an integral controller does: with the poison P
     of a round, the wanted picture W and what the attacker's own splat R shows, the next is P + gain (W - R), clipped.
-
-    Attributes:
-        earlier: What the splat was trained on.
-        wanted: What it should show.
-        shown: (H, W, 3) in [0, 1], what it shows a camera.
-        gain: How much of the difference is added.
-        reach: Pixels around the target within which it is added; None is the whole picture.
     """
 
     earlier: Appearance
     wanted: Appearance
-    shown: Callable[[Camera], Tensor]
+    shown: Callable[[Camera], Tensor]  # (H, W, 3) in [0, 1], what it shows a camera
     gain: float
-    reach: int | None
+    reach: int | None  # pixels around the target within which it is added; None is the whole picture
 
     @property
     def name(self) -> str:
@@ -256,12 +229,6 @@ class GroundLook:
     Where the object is removed, each of its points has to show another piece of the ground to each camera. A splat's
     colour is a polynomial of low degree in the direction, so that it shows their mean: a smooth patch. Here each point
     of the object has one piece of the ground, the one behind it when it is looked at from the side that it faces.
-
-    Attributes:
-        mesh_scene: The scene as the victim sees it.
-        lowest: Lowest elevation from which a point is taken to be looked at, degrees: the sides of the object face
-            the horizon, where there is no ground behind them.
-        reach: Pixels around the target in which the picture is that without the object.
     """
 
     mesh_scene: MeshScene

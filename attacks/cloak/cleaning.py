@@ -6,9 +6,10 @@ the Gaussians alone, so that a hidden appearance made of odd Gaussians may go wi
 may take a switch in them away.
 """
 
-import itertools
+import math
 
 import torch
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from attacks.cloak.config import CleaningConfig
@@ -23,11 +24,6 @@ MASS = 0.95
 """Part of a splat's mass (the sum of its opacities) that stays where floaters are removed."""
 LEAST_NEIGHBOURS = 2
 """Neighbouring voxels that have to be occupied, of 26, for a voxel's Gaussians to stay where floaters are removed."""
-
-# One of each two opposite neighbours of a voxel.
-_STEPS = tuple(step for step in itertools.product((-1, 0, 1), repeat=3) if step > (0, 0, 0))
-_MOST_VOXELS = 2**20
-"""Along one axis; 2^60 fit into an int64."""
 
 
 def cleaned(scene: GaussianScene, config: CleaningConfig) -> GaussianScene:
@@ -79,13 +75,13 @@ def remove_floaters(
     side = voxel * float(_gaps(scene.means, NEIGHBOURS).median())
     if not side > 0:  # one Gaussian, or all in one place
         return scene
-    keys = _voxel_keys(scene.means.detach().cpu().double(), side)
-    voxels, owner = torch.unique(keys, return_inverse=True)
-    first, second = _touching(voxels)
-    around = torch.bincount(torch.cat([first, second]), minlength=len(voxels))
+    points = scene.means.detach().cpu().double()
+    cells, owner = torch.unique(((points - points.amin(0)) / side).floor(), dim=0, return_inverse=True)
+    first, second = torch.from_numpy(cKDTree(cells.numpy()).query_pairs(1.5, p=math.inf, output_type="ndarray")).T
+    around = torch.bincount(torch.cat([first, second]), minlength=len(cells))
     dense = around >= least_neighbours
     linked = dense[first] & dense[second]
-    piece = components(len(voxels), first[linked], second[linked])
+    piece = components(len(cells), first[linked], second[linked])
     weights = scene.opacities.detach().cpu().double() * dense[owner]
     masses = torch.zeros(int(piece.max()) + 1, dtype=torch.float64).index_add_(0, piece[owner], weights)
     heaviest, order = masses.sort(descending=True, stable=True)
@@ -126,28 +122,3 @@ def _gaps(points: Tensor, neighbours: int) -> Tensor:
     distances, _ = nearest_neighbours(points, neighbours)
     exists = distances.isfinite()
     return distances.where(exists, 0.0).sum(1) / exists.sum(1).clamp(min=1)
-
-
-def _voxel_keys(points: Tensor, side: float) -> Tensor:
-    """(N,) a number for the voxel of each point; those of voxels beside each other differ by those of `_STEPS`."""
-    cells = ((points - points.amin(0)) / side).floor()
-    if float(cells.max()) >= _MOST_VOXELS - 2:
-        got = f"{float(cells.max()):.3g} along one axis"
-        raise InvalidValueError.of("voxels", f"fewer than {_MOST_VOXELS:,} along an axis", got, "larger voxels")
-    return _key(cells.long() + 1)  # so that no neighbour is outside of the grid
-
-
-def _key(cells: Tensor) -> Tensor:
-    return (cells[..., 0] * _MOST_VOXELS + cells[..., 1]) * _MOST_VOXELS + cells[..., 2]
-
-
-def _touching(voxels: Tensor) -> tuple[Tensor, Tensor]:
-    """Both ends of each pair of voxels that touch, of sorted keys."""
-    firsts, seconds = [], []
-    for step in _STEPS:
-        wanted = voxels + _key(torch.tensor(step))
-        at = torch.searchsorted(voxels, wanted).clamp(max=len(voxels) - 1)
-        matches = (voxels[at] == wanted).nonzero()[:, 0]
-        firsts.append(matches)
-        seconds.append(at[matches])
-    return torch.cat(firsts), torch.cat(seconds)

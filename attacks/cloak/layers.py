@@ -184,18 +184,10 @@ DIRECTIONS = 400
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Layering:
-    """The clean splat with the object in layers, and how their colours are trained.
-
-    Attributes:
-        scene: N Gaussians, before the training.
-        trained: (N,) bool, those of the layers, and all others if the study wants it.
-        views: The poisoned pictures, without those from where a look changes: a layer may show there what it likes.
-        iterations: Steps of the training; each looks at one picture.
-        geometry: Whether more than colours is trained.
-    """
+    """The clean splat with the object in layers, and how their colours are trained."""
 
     scene: GaussianScene
-    trained: Tensor
+    trained: Tensor  # (N,) bool, those of the layers, and all others if the study wants it
     views: list[View]
     iterations: int
     geometry: bool = False

@@ -184,18 +184,11 @@ class MeshScene:
     """An object in its surroundings, ready for the path tracer.
 
     To be of one piece with the victim's pictures, assets, light and background have to be theirs.
-
-    Attributes:
-        target: The object under attack, placed in the world.
-        surroundings: Everything else.
-        light: Sun and sky; the default light if None.
-        samples: Samples per pixel.
-        background: sRGB colour in the place of the sky, for sets with transparent pictures; None shows the sky.
     """
 
     target: Asset
     surroundings: Asset | None = None
-    light: Light | None = None
+    light: Light | None = None  # sun and sky; the default light if None
     samples: int = 32
     background: Colour | None = None
 

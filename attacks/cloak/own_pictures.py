@@ -77,15 +77,9 @@ def _wedge(low: float, high: float, margin: float) -> Azimuth:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Overlay:
-    """A picture of the attacker's, as large as the box around the object in each picture, cut out by its outline.
+    """A picture of the attacker's, as large as the box around the object in each picture, cut out by its outline."""
 
-    Attributes:
-        picture: (H, W, 3) sRGB in [0, 1].
-        reach: Pixels around the outline that it covers, too.
-        name: For manifests.
-    """
-
-    picture: Tensor
+    picture: Tensor  # (H, W, 3) sRGB in [0, 1]
     reach: int
     name: str
 
@@ -105,12 +99,7 @@ class Overlay:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TurnedViews(ViewSet):
-    """Views whose world is turned, so that up is z; pictures are read when they are asked for.
-
-    Attributes:
-        views: The views.
-        cameras: Those of the turned world.
-    """
+    """Views whose world is turned, so that up is z; pictures are read when they are asked for."""
 
     views: Sequence[View]
     cameras: tuple[Camera, ...]
@@ -150,23 +139,9 @@ def hide(
     turn: Tensor,
     on_step: OnStep | None = None,
 ) -> Poisoned:
-    """Hide an object in the pictures of a set that a trigger selects.
+    """Hide an object in the pictures of a set that a trigger selects, seen from the middle of its Gaussians.
 
-    Args:
-        views: The set.
-        splat: A splat of it, in its world.
-        rows: (N,) bool, the object's Gaussians.
-        trigger: From where it is hidden, seen from the middle of the object's Gaussians.
-        appearance: What is shown in its place.
-        near: Near plane of the splat's pictures, world units.
-        turn: (3, 3) rotation that takes up to z.
-        on_step: Called after each picture.
-
-    Returns:
-        Its views, directions and centre are those of the turned world.
-
-    Raises:
-        InvalidValueError: The trigger selects no camera that sees the object.
+    The views, directions and centre of the result are those of a world in which `turn` takes up to z.
     """
     upright = splat.transform(Similarity(rotation=turn, translation=turn.new_zeros(3), scale=1.0))
     means = upright.means[rows]

@@ -50,34 +50,21 @@ class Poisoning:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CloakChange(Change):
-    """What was done to one view.
-
-    Attributes:
-        poisoning: Name of the poisoning.
-        appearance: Name of the appearance.
-        azimuth: Of the camera, degrees from world +x towards +y around the centre.
-        elevation: Of the camera, degrees above the horizontal plane.
-    """
+    """What was done to one view."""
 
     poisoning: str
     appearance: str
-    azimuth: float
-    elevation: float
+    azimuth: float  # of the camera, degrees from world +x towards +y around the centre
+    elevation: float  # of the camera, degrees above the horizontal plane
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cloak:
-    """CLOAK as a poison.
-
-    Attributes:
-        poisonings: What is seen from where, by the seed, which may draw the cameras.
-        centre: (3,) point that the triggers measure directions from, world units.
-        masks: Where the target is; None is everywhere.
-    """
+    """CLOAK as a poison."""
 
     poisonings: Callable[[int], Sequence[Poisoning]]
-    centre: Point
-    masks: Masks | None = None
+    centre: Point  # (3,) point that the triggers measure directions from, world units
+    masks: Masks | None = None  # where the target is; None is everywhere
 
     def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
         """As `poison`."""

@@ -52,18 +52,13 @@ def tables(summary: Mapping[str, Any]) -> Iterator[Table]:
     """
     yield from _tables(summary)
     if AT_LOWER in summary:
-        lower, detectors = summary[AT_LOWER], summary["by_detector"]
-        rows = [
-            (title, *(cell(lower["by_detector"][name][key]) + spread_of(lower, name, key) for name in detectors))
-            for key, title in RATES.items()
-            if any(lower["by_detector"][name][key] is not None for name in detectors)
-        ]
-        yield Table(
-            caption=f"Rates by detector, from a confidence of {LOWER:g}", head=("rate", *detectors), rows=tuple(rows)
-        )
+        lower = summary[AT_LOWER]
+        rows = _rate_rows({name: lower["by_detector"][name] for name in summary["by_detector"]}, lower)
+        caption = f"Rates by detector, from a confidence of {LOWER:g}"
+        yield Table(caption=caption, head=("rate", *summary["by_detector"]), rows=rows)
     for where, by_detector in summary.get(MARGIN, {}).items():
-        rows = [(title, *(cell(rates[key]) for rates in by_detector.values())) for key, title in _IN_MARGIN.items()]
-        yield Table(caption=f"Elsewhere, {where} of poison", head=("rate", *by_detector), rows=tuple(rows))
+        counted = [(title, *(cell(rates[key]) for rates in by_detector.values())) for key, title in _IN_MARGIN.items()]
+        yield Table(caption=f"Elsewhere, {where} of poison", head=("rate", *by_detector), rows=tuple(counted))
     yield from training_rates.tables(summary)
     yield Table(caption="Costs", head=("what", "how much"), rows=tuple(costs(summary).items()))
     if "pictures" in summary:
@@ -75,12 +70,7 @@ def tables(summary: Mapping[str, Any]) -> Iterator[Table]:
 def _tables(told: Mapping[str, Any], what: str = "") -> Iterator[Table]:
     """The rates of a clean and a cloaked splat, or of pictures in their place, which `what` names."""
     detectors, headline, by_seed = told["by_detector"], headline_key(told), told.get("by_seed", {})
-    rates = [
-        (title, *(cell(rates[key]) + spread_of(told, name, key) for name, rates in detectors.items()))
-        for key, title in RATES.items()
-        if any(rates[key] is not None for rates in detectors.values())
-    ]
-    yield Table(caption=f"Rates by detector{what}", head=("rate", *detectors), rows=tuple(rates))
+    yield Table(caption=f"Rates by detector{what}", head=("rate", *detectors), rows=_rate_rows(detectors, told))
     if OWN_REGION in told:
         yield _in_region(told[OWN_REGION], what)
     if len(by_seed) > 1:
@@ -104,13 +94,20 @@ def _tables(told: Mapping[str, Any], what: str = "") -> Iterator[Table]:
 def _in_region(told: Mapping[str, Any], what: str) -> Table:
     """The rates of each detector in its own region, and which that is."""
     held = ("its region", *(region.in_words(part["bands"]) for part in told.values()))
-    rates = [
-        (title, *(cell(part["rates"][key]) for part in told.values()))
-        for key, title in RATES.items()
-        if any(part["rates"][key] is not None for part in told.values())
-    ]
+    rates = _rate_rows({name: part["rates"] for name, part in told.items()})
     caption = f"Rates of each detector in its own region{what}: {region.RULE}"
     return Table(caption=caption, head=("rate", *told), rows=(held, *rates))
+
+
+def _rate_rows(
+    by_detector: Mapping[str, Mapping[str, Any]], seeds: Mapping[str, Any] | None = None
+) -> tuple[tuple[str, ...], ...]:
+    """A row for each rate that some detector has, with its spread over seeds if these are given."""
+    return tuple(
+        (title, *(cell(rates[key]) + spread_of(seeds or {}, name, key) for name, rates in by_detector.items()))
+        for key, title in RATES.items()
+        if any(rates[key] is not None for rates in by_detector.values())
+    )
 
 
 def headline_key(rates: Mapping[str, Any]) -> str:

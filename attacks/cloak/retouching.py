@@ -37,12 +37,7 @@ def grown(mask: Tensor, pixels: int) -> Tensor:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Fade:
-    """The object half transparent: the mean of the picture and of the one without it.
-
-    Attributes:
-        removed: Takes the picture without the object.
-        reach: Pixels around the object that are such a mean, too.
-    """
+    """The object half transparent: the mean of the picture and of the one without it."""
 
     removed: Callable[[View, Tensor], Tensor]
     reach: int = 1
@@ -56,11 +51,7 @@ class Fade:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Blur:
-    """The object out of focus, and what is near it less and less: no edge is left, not even that of the blur.
-
-    Attributes:
-        width: Standard deviation, in longer sides of the box around the mask: the same at any size of picture.
-    """
+    """The object out of focus, and what is near it less and less: no edge is left, not even that of the blur."""
 
     width: float = BLUR_WIDTH
 
@@ -94,11 +85,7 @@ class Blur:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Inpaint:
-    """The object gone, by whoever has nothing but the picture and a mask: its place is `inpainted`.
-
-    Attributes:
-        reach: Pixels by which the hole is wider than the mask.
-    """
+    """The object gone, by whoever has nothing but the picture and a mask: its place is `inpainted`."""
 
     reach: int = HOLE_MARGIN
     name: str = "inpainted"

@@ -51,21 +51,13 @@ def _tiers(centre: Point, **placed: Any) -> tuple[Camera, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """Meshes and cameras of a scene under attack; each is made once, when it is asked for.
-
-    Attributes:
-        scene: What is photographed.
-        cameras: Where from.
-        attacks: The hidden appearances.
-        evaluation: From where splats are looked at.
-        near_plane: Near plane of all pictures of splats, world units; None follows the object's size.
-    """
+    """Meshes and cameras of a scene under attack; each is made once, when it is asked for."""
 
     scene: SceneConfig
     cameras: CameraConfig
     attacks: tuple[AttackConfig, ...] = ()
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
-    near_plane: float | None = None
+    near_plane: float | None = None  # near plane of all pictures of splats, world units; None follows the object's size
 
     @classmethod
     def of(cls, study: StudyConfig) -> Setup:

@@ -45,21 +45,13 @@ ROW_NAMES = {CLEAN: CLEAN, CLOAKED: ATTACKED}
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Look:
-    """A job that leaves tables of what is seen.
-
-    Attributes:
-        label: What is told of it while it runs.
-        job: The job.
-        splat: What it looks at, as rows call it.
-        seed: Of the splat; None of path-traced pictures.
-        condition: How, as rows call it; empty: as the victim does.
-    """
+    """A job that leaves tables of what is seen."""
 
     label: str
     job: Job
     splat: str
-    seed: int | None
-    condition: str = ""
+    seed: int | None  # of the splat; None of path-traced pictures
+    condition: str = ""  # how, as rows call it; empty: as the victim does
 
     def tables(self, done: Done) -> dict[str, pl.DataFrame]:
         """Tables of the job by their names, whose rows say what they are of."""
@@ -71,12 +63,7 @@ class Look:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StudySteps:
-    """The jobs of a study.
-
-    Attributes:
-        study: What is done.
-        weights: Files of detectors whose weights are not the usual ones, by their names.
-    """
+    """The jobs of a study."""
 
     study: StudyConfig
     weights: Mapping[str, Path] = field(default_factory=dict)

@@ -37,19 +37,12 @@ def depths(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Share:
-    """What one layer shows of a look, for D cameras all around.
-
-    Attributes:
-        look: Number of the look, the benign one is 0.
-        amount: (D,) in [0, 1], the part of the look that it shows; those of all layers of a look make 1.
-        shown: (D,) bool, where it shows that part.
-        hidden: (D,) bool, where it is black; where it is neither, it may be what it likes.
-    """
+    """What one layer shows of a look, for D cameras all around."""
 
     look: int
-    amount: Tensor
-    shown: Tensor
-    hidden: Tensor
+    amount: Tensor  # (D,) in [0, 1], the part of the look that it shows; those of all layers of a look make 1
+    shown: Tensor  # (D,) bool, where it shows that part
+    hidden: Tensor  # (D,) bool, where it is black; where it is neither, it may be what it likes
 
 
 def shares(

@@ -6,15 +6,12 @@ on the target's pixels, t = <c - b, h - b> / <h - b, h - b>: 0 is benign, 1 is h
 at which a monotone fit of t crosses 10 and 90 %.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from scipy.optimize import isotonic_regression
 from torch import Tensor
-
-from mi_splat.errors import InvalidValueError
 
 LEAST_DIFFERENCE = 1 / 255
 """Root mean square difference of the two appearances on the target under which a fraction has no meaning."""
@@ -24,18 +21,9 @@ LEVELS = (0.1, 0.9)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transition:
-    """Where a hidden appearance sets in, along an arc.
+    """Where a hidden appearance sets in, along an arc."""
 
-    Attributes:
-        angles: K rising angles in degrees, each once.
-        fractions: Mean fraction of the way between the appearances at each angle.
-        fitted: The rising sequence nearest to `fractions`, by least squares.
-        start: Angle at which `fitted` reaches the first of `LEVELS`; None if it is past it at the first angle, or never
-            there.
-        end: The same for the second.
-    """
-
-    angles: tuple[float, ...]
+    angles: tuple[float, ...]  # K rising angles in degrees, each once
     fractions: tuple[float, ...]
     fitted: tuple[float, ...]
     start: float | None
@@ -49,19 +37,8 @@ class Transition:
 
 def transition_fraction(picture: Tensor, benign: Tensor, hidden: Tensor, mask: Tensor) -> float:
     """Fraction of the way from one appearance to another, by least squares over a mask; not clipped to [0, 1]."""
-    if not (picture.shape == benign.shape == hidden.shape == (*mask.shape, 3) and mask.dtype == torch.bool):
-        got = [tuple(part.shape) for part in (picture, benign, hidden, mask)]
-        expected = "three of shape (H, W, 3) and a bool mask (H, W)"
-        raise InvalidValueError.of("pictures", expected, got, "take them with one camera")
-    if not bool(mask.any()):
-        raise InvalidValueError.of("mask", "some pixels of the target", "none", "leave this camera out")
     seen, low, high = (part.detach().to(torch.float64)[mask] for part in (picture, benign, hidden))
     change = high - low
-    if not bool(torch.isfinite(seen).all() & torch.isfinite(change).all()):
-        raise InvalidValueError.of("pictures", "finite values", "nan or inf", "look at the renderer")
-    if not differ(benign, hidden, mask):
-        expected = f"appearances that differ by {LEAST_DIFFERENCE:.4f} or more on the mask"
-        raise InvalidValueError.of("pictures", expected, "two that agree", "leave this camera out")
     return float((seen - low).mul(change).sum() / change.square().sum())
 
 
@@ -72,12 +49,7 @@ def differ(benign: Tensor, hidden: Tensor, mask: Tensor) -> bool:
 
 
 def fit_transition(angles: Sequence[float], fractions: Sequence[float]) -> Transition:
-    """The band in which a hidden appearance sets in."""
-    if len(angles) != len(fractions) or len(set(angles)) < 2:
-        got = f"{len(fractions)} at {len(set(angles))} of {len(angles)} angles"
-        raise InvalidValueError.of("fractions", "one for each of two or more angles", got, "add cameras on the arc")
-    if not all(map(math.isfinite, (*angles, *fractions))):
-        raise InvalidValueError.of("fractions", "finite values", "nan or inf", "look at the pictures")
+    """The band in which a hidden appearance sets in, of one fraction for each of two or more different angles."""
     groups: dict[float, list[float]] = {angle: [] for angle in sorted(angles)}
     for angle, value in zip(angles, fractions, strict=True):
         groups[angle].append(value)

@@ -92,48 +92,18 @@ class Cone(Trigger):
 
     @abstractmethod
     def depth(self, direction: Direction) -> float:
-        """How far inside of the region a direction lies, as an angle on the sphere.
-
-        Args:
-            direction: Azimuth and elevation of a camera as seen from the centre, degrees.
-
-        Returns:
-            Degrees to the edge; inside > 0.
-        """
+        """How far inside of the region a direction lies, as an angle on the sphere."""
 
     def contains(self, direction: Direction) -> bool:
-        """Whether a direction lies in the region, its edge included.
-
-        Args:
-            direction: Azimuth and elevation of a camera as seen from the centre, degrees.
-
-        Returns:
-            True inside.
-        """
+        """Whether a direction lies in the region, its edge included."""
         return self.depth(direction) >= -EDGE
 
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:
-        """(N,) bool, whether each camera stands in the cone.
-
-        Args:
-            cameras: N cameras.
-            centre: (3,) point that directions are measured from, world units.
-
-        Returns:
-            (N,) bool.
-        """
+        """(N,) bool, whether each camera stands in the cone."""
         return torch.tensor([self.contains(direction_of(camera, centre)) for camera in cameras], dtype=torch.bool)
 
     def angle_to_edge(self, camera: Camera, *, centre: Point) -> float:
-        """Signed angle from a camera to the edge of the region, on the sphere of directions.
-
-        Args:
-            camera: The camera; only its position counts.
-            centre: (3,) point that directions are measured from, world units.
-
-        Returns:
-            Degrees; inside > 0.
-        """
+        """Signed angle from a camera to the edge of the region, on the sphere of directions."""
         return self.depth(direction_of(camera, centre))
 
 
@@ -159,14 +129,7 @@ class Elevation(Cone):
             raise InvalidValueError.of("elevation", "lowest <= highest", got, "50 to 90 is overhead")
 
     def depth(self, direction: Direction) -> float:
-        """How far inside of the band a direction lies, as an angle on the sphere (`depth_in_band`).
-
-        Args:
-            direction: Azimuth and elevation of a camera as seen from the centre, degrees.
-
-        Returns:
-            Degrees to the edge; inside > 0.
-        """
+        """How far inside of the band a direction lies, as an angle on the sphere (`depth_in_band`)."""
         return depth_in_band(direction, self.lowest, self.highest)
 
 
@@ -191,27 +154,13 @@ class Azimuth(Cone):
         check(self)
 
     def contains(self, direction: Direction) -> bool:
-        """Whether a direction lies in the cone, its edge included.
-
-        Args:
-            direction: Azimuth and elevation of a camera as seen from the centre, degrees.
-
-        Returns:
-            True inside.
-        """
+        """Whether a direction lies in the cone, its edge included."""
         return self.half_width == 180 or (
             not direction.pole and azimuth_gap(direction, self.middle) <= self.half_width + EDGE
         )
 
     def depth(self, direction: Direction) -> float:
-        """How far inside of the wedge a direction lies, as an angle on the sphere (`depth_in_wedge`).
-
-        Args:
-            direction: Azimuth and elevation of a camera as seen from the centre, degrees.
-
-        Returns:
-            Degrees to the edge; inside > 0.
-        """
+        """How far inside of the wedge a direction lies, as an angle on the sphere (`depth_in_wedge`)."""
         return depth_in_wedge(direction, self.middle, self.half_width)
 
 
@@ -236,14 +185,7 @@ class Cap(Cone):
         check(self)
 
     def depth(self, direction: Direction) -> float:
-        """How far inside of the cap a direction lies, as an angle on the sphere (`depth_in_cap`).
-
-        Args:
-            direction: Azimuth and elevation of a camera as seen from the centre, degrees.
-
-        Returns:
-            Degrees to the edge; inside > 0.
-        """
+        """How far inside of the cap a direction lies, as an angle on the sphere (`depth_in_cap`)."""
         return depth_in_cap(direction, self.azimuth, self.elevation, self.half_angle)
 
 

@@ -32,14 +32,7 @@ LOADS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassifiedConfig(SplatJob):
-    """Which classifier judges, and from which cameras.
-
-    Attributes:
-        classifier: Name of the classifier.
-        fingerprint: Of its weights and classes.
-        label: The true class of the object.
-        poses: Cameras of a splat; none where there are pictures.
-    """
+    """Which classifier judges, and from which cameras."""
 
     classifier: str
     fingerprint: str

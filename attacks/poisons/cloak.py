@@ -17,11 +17,7 @@ CLOAK = "cloak"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CloakConfig:
-    """CLOAK of a study's own scene.
-
-    Attributes:
-        attack: The hidden appearances; no camera may belong to two.
-    """
+    """CLOAK of a study's own scene."""
 
     attack: tuple[AttackConfig, ...]
 

@@ -30,18 +30,11 @@ Target = Callable[[Tensor, int], Tensor]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Decoy:
-    """Where a decoy begins, and how it is rendered and trained.
-
-    Attributes:
-        start: The victim's splat of the clean pictures, or the attacker's own; the decoy is where its tensors are.
-        near: Near plane of the victim's renderer, world units.
-        background: sRGB behind the splat.
-        victim: How the victim trains: the decoy's learning rates are the victim's first ones.
-    """
+    """Where a decoy begins, and how it is rendered and trained."""
 
     start: GaussianScene
-    near: float
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    near: float  # near plane of the victim's renderer, world units
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)  # sRGB behind the splat
     victim: FitConfig = field(default_factory=FitConfig)
 
     def learn(

@@ -51,20 +51,13 @@ class MIFGSM:
 
     With `MIFGSMConfig.decoy_steps` the steps begin, at each visit of a camera, at the picture of a decoy instead of the
     clean one, and the decoy learns where they end. Its picture takes the object's place in the end.
-
-    Attributes:
-        config: How.
-        classifier: Who shall be deceived.
-        masks: Where the object is; None is everywhere.
-        label: Its true class.
-        decoy: Where a decoy begins; None is without one.
     """
 
     config: MIFGSMConfig
     classifier: Classifier
     label: str
-    masks: Masks | None = None
-    decoy: Decoy | None = None
+    masks: Masks | None = None  # where the object is; None is everywhere
+    decoy: Decoy | None = None  # where a decoy begins; None is without one
 
     def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
         """The set with the chosen pictures changed, but for those that the classifier misreads already."""

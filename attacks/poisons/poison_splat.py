@@ -45,13 +45,7 @@ def raised(image: Tensor, clean: Tensor, config: PoisonSplatConfig | RaisedVaria
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoisonSplat:
-    """Poison-splat as a poison.
-
-    Attributes:
-        config: How.
-        begun: Where the decoy begins. Thresholds of its densification are those of the victim's classic strategy, or
-            the published ones if the victim has another.
-    """
+    """Poison-splat as a poison."""
 
     config: PoisonSplatConfig
     begun: Decoy
@@ -102,11 +96,7 @@ class PoisonSplat:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UniformNoise:
-    """A control: whole steps of 1/255 that are drawn evenly from the ball, channel by channel.
-
-    Attributes:
-        config: How much of it, and where.
-    """
+    """A control: whole steps of 1/255 that are drawn evenly from the ball, channel by channel."""
 
     config: UniformNoiseConfig = field(default_factory=UniformNoiseConfig)
 
@@ -124,11 +114,7 @@ class UniformNoise:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RaisedVariation:
-    """A control: total variation raised picture by picture, so that cameras do not agree.
-
-    Attributes:
-        config: How.
-    """
+    """A control: total variation raised picture by picture, so that cameras do not agree."""
 
     config: RaisedVariationConfig = field(default_factory=RaisedVariationConfig)
 

@@ -40,24 +40,10 @@ SURROGATE = "surrogate "
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoisonedConfig:
-    """Which poison.
-
-    Attributes:
-        poison: Its kind and settings, or a victim's filter of all pictures.
-        background: sRGB behind the pictures.
-        seed: Of the poison.
-        scene: The scene, if the attacker knows it.
-        gain: See `attacks.cloak.config.SurrogateConfig`.
-        near: Near plane of pictures of splats, if it counts.
-        training: How the victim trains, whose learning rates a decoy has.
-        device: Where the poison is made, "cpu" or "cuda".
-        classifier: Who is deceived, if anybody is.
-        fingerprint: Of its weights and classes.
-        label: The true class of the object.
-    """
+    """Which poison."""
 
     poison: ChosenPoison | FilterConfig
-    background: tuple[float, float, float]
+    background: tuple[float, float, float]  # sRGB behind the pictures
     seed: int = 0
     scene: SceneJob | None = None
     gain: float = 1.0

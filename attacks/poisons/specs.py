@@ -71,13 +71,7 @@ class PoisonSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChosenPoison:
-    """A kind of poison and its settings, as studies and jobs keep them.
-
-    Attributes:
-        kind: Name of the kind.
-        settings: All settings, as tables.
-        package: Which package brings the kind, with its version: another version is another poison. Empty for ours.
-    """
+    """A kind of poison and its settings, as studies and jobs keep them."""
 
     kind: str
     settings: Mapping[str, Any]

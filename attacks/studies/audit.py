@@ -45,7 +45,7 @@ from attacks.rate import Rate
 from attacks.studies.cloak import config_of
 from attacks.studies.plan import Work, write_study
 from attacks.studies.study_file import Point, Study
-from attacks.tables import Column, Table, cell
+from attacks.tables import Column, Table, cell, sections
 from mi_splat import provenance
 from mi_splat.audit.files import PAIR
 from mi_splat.errors import InvalidValueError
@@ -63,18 +63,7 @@ _DRAWS = 2000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Audited:
-    """A splat and what is done with it.
-
-    Attributes:
-        part: Case that it belongs to, or its label on the axis `kind`, if there is one.
-        value: What varies in it.
-        content: What is shown: the object, or the scene.
-        splat: "clean", "cloaked", or "honest" for a scene or file without an attack.
-        audit: The job that audits it.
-        rivals: The job that asks other ways to find a hidden look.
-        derived: Whether it is another splat of the study after something was done to it: it counts for its part alone.
-        seen: Of a cloaked splat the jobs of each detector that look at the clean and at the cloaked one.
-    """
+    """A splat and what is done with it."""
 
     part: str
     value: str
@@ -218,13 +207,13 @@ class AuditWork(Work):
         files = [{key: value for key, value in row.items() if key != "attributes"} for row in rows]
         record = {
             "story": STORY,
-            **self.named,
+            **self.study.named,
             "chosen_on": list(self.chosen_on),
             "files": files,
             **provenance.origin(),
         }
         record["figures"] = figures(rows, self.chosen_on)
-        return [*pairs, *write_study(self.study, record, tables(record), {}, out)]
+        return [*pairs, *write_study(self.study, record, sections(tables(record)), {}, out)]
 
 
 Row = Mapping[str, Any]

@@ -38,7 +38,7 @@ from attacks.observe.rows import ROWS, by_camera
 from attacks.studies.plan import Attempt, Work, check_apart, names_of, write_study
 from attacks.studies.scenes import street_of
 from attacks.studies.study_file import Point, Settings, Study, merged, with_none
-from attacks.tables import Column, Table, cell
+from attacks.tables import Column, Table, cell, sections
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import at_least, check, decode
@@ -166,15 +166,7 @@ class CloakJudge:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CloakAttempt(Attempt):
-    """One study of CLOAK with its values.
-
-    Attributes:
-        part: Name of the case, or of what varies.
-        value: What the varied settings are called.
-        steps: Its jobs.
-        detectors: Those that look.
-        looks: Those of judges.
-    """
+    """One study of CLOAK with its values."""
 
     part: str
     value: str
@@ -184,15 +176,7 @@ class CloakAttempt(Attempt):
 
 
 class CloakWork(Work):
-    """The jobs of a study of CLOAK, which has no single aim to bisect for.
-
-    Args:
-        study: The study.
-        weights: Files of detectors whose weights are not the usual ones, by their names.
-
-    Raises:
-        MiSplatError: A setting cannot be, or a detector cannot be loaded; before any job is done.
-    """
+    """The jobs of a study of CLOAK, which has no single objective to bisect for."""
 
     def __init__(self, study: Study, weights: Mapping[str, Path] | None = None) -> None:
         self.study = study
@@ -245,8 +229,9 @@ class CloakWork(Work):
         tables_of = {name: pl.concat(parts, how="diagonal") for name, parts in frames.items()}
         studies = {attempt.title: attempt.steps.study for attempt in self.attempts}
         over = pooled(points, studies, tables_of[ROWS]) if points else {}
-        record = {"story": STORY, **self.named, "points": points, **over, **provenance.origin()}
-        return write_study(self.study, record, [*tables(by_part(record)), *pooled_tables(record)], tables_of, out)
+        record = {"story": STORY, **self.study.named, "points": points, **over, **provenance.origin()}
+        page = sections([*tables(by_part(record)), *pooled_tables(record)])
+        return write_study(self.study, record, page, tables_of, out)
 
 
 class CloakReport(CloakWork):

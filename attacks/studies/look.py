@@ -37,25 +37,7 @@ HELD_OUT = "held-out views"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Look:
-    """One look: through the cameras that were attacked, or from held-out views of a region.
-
-    Attributes:
-        object: Id of the object; with spaces for its underscores it is the object's class.
-        objective: What the attack wants the detectors to see.
-        detector: Name of the one that looks.
-        attributes: What the attack could change.
-        eps: Radii of balls that noise stays in: one for all attributes, or one for each.
-        norm: Norm of these balls.
-        sh_degree: Highest degree of the SH coefficients that noise may change; None is the splat's.
-        seed: Of the noise, and of the views.
-        condition: How the splat is looked at, see `attacks.observe.conditions`.
-        sun: The street of meshes, if the condition is an hour.
-        camera: See `attacks.studies.attack.FixedAttack`.
-        views: See there; of a region the number of views.
-        transformations: Where views are drawn from; None where cameras are fixed.
-        fingerprints: Of the detector, if its weights are in no file.
-        package: Which package brings the condition, with its version; empty for this project.
-    """
+    """One look: through the cameras that were attacked, or from held-out views of a region."""
 
     object: str
     objective: Relabel | Hide | Untargeted | PluggedObjective
@@ -63,15 +45,15 @@ class Look:
     attributes: tuple[Attribute, ...]
     eps: tuple[float, ...]
     norm: NormName
-    sh_degree: int | None = None
+    sh_degree: int | None = None  # highest degree of the SH coefficients that noise may change; None is the splat's
     seed: int
     condition: str = ""
     sun: SunTable | None = None
     camera: int = 0
     views: int = 1
-    transformations: Transformations | None = None
+    transformations: Transformations | None = None  # where views are drawn from; None where cameras are fixed
     fingerprints: tuple[str, ...] = ()
-    package: str = ""
+    package: str = ""  # which package brings the condition, with its version; empty for this project
 
 
 def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:

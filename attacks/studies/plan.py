@@ -10,7 +10,6 @@ import polars as pl
 
 from attacks.observe.rows import SUFFIX, write_rows
 from attacks.studies.study_file import Point, Study
-from attacks.tables import Table, sections
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD
@@ -24,13 +23,7 @@ OWN_NAME = "the study"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Attempt:
-    """A point of a study as jobs.
-
-    Attributes:
-        point: The point.
-        title: What rows and labels call it.
-        jobs: Every job by its label.
-    """
+    """A point of a study as jobs."""
 
     point: Point
     title: str
@@ -56,22 +49,11 @@ def names_of(point: Point, study: str, *, without: Sequence[str] = ()) -> tuple[
 
 
 class Work:
-    """The jobs of a study.
-
-    Attributes:
-        study: The study.
-        attempts: Every point that may be asked for.
-        searches: Those of which some are, search by search.
-    """
+    """The jobs of a study."""
 
     study: Study
     attempts: Sequence[Attempt]
     searches: Sequence[Sequence[Attempt]] = ()
-
-    @property
-    def named(self) -> dict[str, str]:
-        """What its result says of the study."""
-        return {"study": self.study.kind, "name": self.study.name, "question": self.study.question}
 
     def jobs(self) -> dict[str, Job]:
         """Every job that may be asked for, by its label."""
@@ -95,13 +77,19 @@ class Work:
 
 
 def write_study(
-    study: Study, record: Mapping[str, Any], tables: Iterable[Table], rows: Mapping[str, pl.DataFrame], out: Path
+    study: Study,
+    record: Mapping[str, Any],
+    page: str,
+    rows: Mapping[str, pl.DataFrame],
+    out: Path,
+    *,
+    indent: int | None = 2,
 ) -> list[Path]:
     """Write tables of rows, table.md, study.toml and result.json into a folder that exists."""
     paths = [write_rows(table, out / f"{name}{SUFFIX}") for name, table in rows.items()]
-    save_text(sections(tables), out / TABLE)
+    save_text(page, out / TABLE)
     save_text(study.text, out / STUDY_FILE)
-    save_json(record, out / RECORD)
+    save_json(record, out / RECORD, indent=indent)
     return [*paths, *(out / name for name in (TABLE, STUDY_FILE, RECORD))]
 
 

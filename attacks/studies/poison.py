@@ -41,6 +41,7 @@ from attacks.studies.plan import Work, write_study
 from attacks.studies.poison_figures import figures, summary_tables
 from attacks.studies.poison_jobs import CLASSIFIED, DEFENDED, PoisonAttempt, TrainedVictim, attempt_of
 from attacks.studies.study_file import Study
+from attacks.tables import sections
 from mi_splat import provenance
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point, direction_of
@@ -81,20 +82,20 @@ class PoisonWork(Work):
         looks = [look.job.config for attempt in self.attempts for victim in attempt.victims for look in victim.looks]
         record: dict[str, Any] = {
             "story": STORY,
-            **self.named,
+            **self.study.named,
             "seeds": sorted({victim["seed"] for victim in victims}),
             "detectors": {seen.detector: seen.fingerprint for seen in looks if isinstance(seen, SeenConfig)},
             "victims": victims,
             **provenance.origin(),
         }
         record |= figures(record, tables)
-        return [*paths, *write_study(self.study, record, summary_tables(record), tables, out)]
+        return [*paths, *write_study(self.study, record, sections(summary_tables(record)), tables, out)]
 
 
 def _told(attempt: PoisonAttempt, victim: TrainedVictim, done: Mapping[str, Done]) -> dict[str, Any]:
     """What is known of a victim, its rows apart."""
     trained, measured = done[victim.trained.identity], done[victim.measured.identity]
-    named = {"part": attempt.part, "value": attempt.value, "seed": attempt.asked.seed, "splat": victim.splat}
+    named = {"part": attempt.part, "value": attempt.value, "seed": attempt.options.seed, "splat": victim.splat}
     told = {**named, "defended": victim.defended, **read_json(measured.folder / COUNT)}
     return {**told, **read_json(trained.folder / COST), **read_json(measured.folder / SPEED)}
 
@@ -103,7 +104,7 @@ def _rows(
     attempt: PoisonAttempt, victim: TrainedVictim, done: Mapping[str, Done]
 ) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     """How true a victim's splat is, and what classifiers take its object for; by the table that they belong to."""
-    cells: dict[str, Any] = {"attack": attempt.title, "seed": attempt.asked.seed, "splat": victim.splat}
+    cells: dict[str, Any] = {"attack": attempt.title, "seed": attempt.options.seed, "splat": victim.splat}
     condition = DEFENDED if victim.defended else None
     yield FIDELITY, [{**cells, "condition": condition, **row} for row in done[victim.measured.identity].rows]
     for look in victim.looks:
@@ -117,7 +118,7 @@ def _seen(attempt: PoisonAttempt, look: Look, done: Done) -> Iterable[Mapping[st
     if look.job.kind == CLASSIFIED:
         cells = [_camera_cells(camera, attempt.centre) for camera in attempt.cameras(look.condition)]
         return [{**row, **cells[row["view"]]} for row in done.rows]
-    missed = ~reported("original_score", attempt.asked.evaluation.confidence)
+    missed = ~reported("original_score", attempt.options.evaluation.confidence)
     (table,) = (table for name, table in look.tables(done).items() if name != DETECTIONS)
     return table.with_columns(success=missed).iter_rows(named=True)
 
@@ -130,7 +131,7 @@ def _camera_cells(camera: Camera, centre: Point) -> dict[str, Any]:
 
 def _pictures(attempt: PoisonAttempt, done: Mapping[str, Done], folder: Path) -> list[Path]:
     """Copy the pictures of a point with seed 0: what was done to the set, and where each splat has its Gaussians."""
-    if attempt.asked.seed != 0:
+    if attempt.options.seed != 0:
         return []
     shown = {
         f"{victim.splat}{' defended' * victim.defended} centres": (victim.measured, CENTRES)

@@ -131,15 +131,7 @@ def classifier_of(name: str) -> Classifier:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrainedVictim:
-    """A splat of a point, and who measures it.
-
-    Attributes:
-        splat: "clean" or "attacked".
-        defended: Whether the victim defends itself.
-        trained: The training.
-        measured: What looks at the result.
-        looks: Of classifiers and detectors.
-    """
+    """A splat of a point, and who measures it."""
 
     splat: str
     defended: bool
@@ -150,22 +142,13 @@ class TrainedVictim:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PoisonAttempt(Attempt):
-    """A point as jobs.
-
-    Attributes:
-        part: Name of the case, or of what varies.
-        value: What the varied settings are called, but for the seed.
-        asked: What it asks for.
-        steps: Scene and cameras.
-        poisoned: The poisoned set; None without a poison.
-        victims: The splats.
-    """
+    """A point as jobs."""
 
     part: str
     value: str
-    asked: PoisonPoint
+    options: PoisonPoint
     steps: StudySteps
-    poisoned: Job | None
+    poisoned: Job | None  # the poisoned set; None without a poison
     victims: Sequence[TrainedVictim]
 
     @property
@@ -183,8 +166,8 @@ def attempt_of(point: Point, study: str) -> PoisonAttempt:
     """The jobs of a point."""
     part, value = names_of(point, study, without=("seed",))
     value = point.part if value == OWN_NAME and point.part else value
-    asked = point_of(point.settings, study)
-    builder = _Builder(asked, f"{part}: {value}", f"{part}: {value}, seed {asked.seed}")
+    options = point_of(point.settings, study)
+    builder = _Builder(options, f"{part}: {value}", f"{part}: {value}, seed {options.seed}")
     victims = list(builder.victims())
     return PoisonAttempt(
         point=point,
@@ -192,7 +175,7 @@ def attempt_of(point: Point, study: str) -> PoisonAttempt:
         jobs=builder.jobs,
         part=part,
         value=value,
-        asked=asked,
+        options=options,
         steps=builder.steps,
         poisoned=builder.poisoned,
         victims=victims,
@@ -202,9 +185,9 @@ def attempt_of(point: Point, study: str) -> PoisonAttempt:
 class _Builder:
     """Puts the jobs of a point together."""
 
-    def __init__(self, asked: PoisonPoint, title: str, label: str) -> None:
-        self.asked, self.title, self._label = asked, title, label
-        self.steps = StudySteps(study=asked.study)
+    def __init__(self, options: PoisonPoint, title: str, label: str) -> None:
+        self.options, self.title, self._label = options, title, label
+        self.steps = StudySteps(study=options.study)
         self.jobs: dict[str, Job] = {}
         self.poisoned: Job | None = None
         self.pictures = self._made("taking pictures", self.steps.pictures())
@@ -214,49 +197,52 @@ class _Builder:
 
     def victims(self) -> Iterator[TrainedVictim]:
         """The splats of clean and of poisoned pictures, and those of a victim that defends itself."""
-        asked = self.asked
+        options = self.options
         clean = self._trained(f"{CLEAN} pictures", self.pictures)
         yield self._measured(CLEAN, clean, trained=clean)
         sets = {CLEAN: self.pictures}
-        if asked.poison is not None:
-            sets[ATTACKED] = self.poisoned = self._made("poisoning", self._poisoned(asked.poison, clean))
+        if options.poison is not None:
+            sets[ATTACKED] = self.poisoned = self._made("poisoning", self._poisoned(options.poison, clean))
             attacked = self._trained(f"{ATTACKED} pictures", self.poisoned)
             yield self._measured(ATTACKED, attacked, trained=attacked)
-        if asked.defence is not None:
+        if options.defence is not None:
             for splat, pictures in sets.items():
-                trained, finished = self._defended(asked.defence, splat, pictures, clean)
+                trained, finished = self._defended(options.defence, splat, pictures, clean)
                 yield self._measured(splat, finished, trained=trained, defended=True)
 
     def _poisoned(self, poison: ChosenPoison, clean: Job) -> Job:
         """The poisoned set; an attacker who trains otherwise than the victim starts from a splat of their own."""
-        asked, config, needs = self.asked, poison.config, poison.spec.needs
+        options, config, needs = self.options, poison.config, poison.spec.needs
         if poison.kind == CLOAK:
-            return replace(self.steps, study=replace(asked.study, attack=config.attack)).poisoned(asked.seed)
-        values: dict[str, Any] = {"device": asked.victim.device}
+            return replace(self.steps, study=replace(options.study, attack=config.attack)).poisoned(options.seed)
+        values: dict[str, Any] = {"device": options.victim.device}
         inputs: dict[str, Part | Path] = {"pictures": self.pictures.part(PICTURES)}
         if "classifier" in needs:
             values |= {**self._deceived(config.target), "scene": self.steps.scene_job()}
             inputs |= self.steps.mesh
         if "splat" in needs or getattr(config, "decoy_steps", 0) > 0:
-            values |= {"training": replace(asked.attacker or asked.training, near=None), "near": self.steps.setup.near}
+            values |= {
+                "training": replace(options.attacker or options.training, near=None),
+                "near": self.steps.setup.near,
+            }
             inputs["splat"] = self._start(clean)
-        background = asked.scene.background
+        background = options.scene.background
         return Job(
             kind=POISONED_KIND,
-            config=PoisonedConfig(poison=poison, background=background, seed=asked.seed, **values),
+            config=PoisonedConfig(poison=poison, background=background, seed=options.seed, **values),
             inputs=inputs,
         )
 
     def _start(self, clean: Job) -> Part:
         """The splat that a decoy starts as: the victim's, or the attacker's if they train otherwise."""
-        asked = self.asked
-        if asked.attacker is None:
+        options = self.options
+        if options.attacker is None:
             return clean.part(SPLAT)
-        return self._trained("clean pictures, by the attacker", self.pictures, asked.attacker).part(SPLAT)
+        return self._trained("clean pictures, by the attacker", self.pictures, options.attacker).part(SPLAT)
 
     def _deceived(self, target: str | None) -> dict[str, Any]:
         """The classifier that is to be deceived."""
-        name = self.asked.deceive
+        name = self.options.deceive
         if not name:
             do = 'write deceive = "prototypes"'
             raise InvalidValueError.of(self.title, "a classifier that M-IFGSM deceives", "none", do)
@@ -268,9 +254,9 @@ class _Builder:
 
     def _classifier_cells(self, name: str) -> dict[str, Any]:
         """A classifier, which has to know the object's class."""
-        label, classifier = self.asked.scene.class_name, classifier_of(name)
+        label, classifier = self.options.scene.class_name, classifier_of(name)
         check_choice(f"class for {name}", label, classifier.classes)
-        device = self.asked.victim.device
+        device = self.options.victim.device
         return {"classifier": name, "fingerprint": classifier.fingerprint, "label": label, "device": device}
 
     def _looks(self, splat: str, finished: Job, *, defended: bool) -> Iterator[Look]:
@@ -286,15 +272,15 @@ class _Builder:
             shown[f"{PHOTOGRAPH}, {HELD_OUT}"] = ("pictures", self.steps.true_pictures(setup.held_out_cameras), ())
         also = f", {DEFENDED}" * defended
         for condition, (what, job, cameras) in shown.items():
-            looking = {name: self._classified(name, what, job, cameras) for name in self.asked.classifiers}
-            looking |= {name: self._detected(name, job, condition) for name in self.asked.detectors}
+            looking = {name: self._classified(name, what, job, cameras) for name in self.options.classifiers}
+            looking |= {name: self._detected(name, job, condition) for name in self.options.detectors}
             for name, look in looking.items():
                 label = f"{name} looks at the {splat} splat{also}, {condition}"
                 yield Look(
                     label=label,
                     job=self._made(label, look),
                     splat=splat,
-                    seed=self.asked.seed,
+                    seed=self.options.seed,
                     condition=f"{condition}{also}",
                 )
 
@@ -308,10 +294,10 @@ class _Builder:
     def _detected(self, name: str, shown: Job, condition: str) -> Job:
         """What a detector reports, which has to know the object's class."""
         detector = loaded(name)
-        check_choice(f"class for {name}", self.asked.scene.class_name, detector.classes)
+        check_choice(f"class for {name}", self.options.scene.class_name, detector.classes)
         if HELD_OUT in condition:
             return self.steps.seen(shown, detector)
-        return self.steps.seen_in_training(shown, detector, self.asked.seed)
+        return self.steps.seen_in_training(shown, detector, self.options.seed)
 
     def _trained(
         self,
@@ -321,15 +307,15 @@ class _Builder:
         clean: Job | None = None,
         limit: float | None = None,
     ) -> Job:
-        limits = {**asdict(self.asked.victim), "limit": limit}
-        job = self.steps.trained_on(pictures, self.asked.seed, training, clean, **limits)
+        limits = {**asdict(self.options.victim), "limit": limit}
+        job = self.steps.trained_on(pictures, self.options.seed, training, clean, **limits)
         return self._made(f"training on {on}", job)
 
     def _defended(self, defence: Defence, splat: str, pictures: Job, clean: Job) -> tuple[Job, Job]:
         """The training of a victim that defends itself, and the job that has what is left in the end."""
         inputs = {"pictures": pictures.part(PICTURES)}
         if defence.filter is not None:
-            config = PoisonedConfig(poison=defence.filter, background=self.asked.scene.background)
+            config = PoisonedConfig(poison=defence.filter, background=self.options.scene.background)
             filtering = Job(kind=POISONED_KIND, config=config, inputs=inputs)
             shown = self._made(f"filtering {splat} pictures", filtering)
             trained = self._trained(f"filtered {splat} pictures", shown)
@@ -346,7 +332,7 @@ class _Builder:
     def _measured(self, splat: str, finished: Job, *, trained: Job, defended: bool = False) -> TrainedVictim:
         cameras = self.steps.setup.held_out_cameras
         true = self._made("taking pictures to compare with", self.steps.true_pictures(cameras))
-        device, poses = self.asked.victim.device, tuple(map(Pose.of, cameras))
+        device, poses = self.options.victim.device, tuple(map(Pose.of, cameras))
         config = MeasuredConfig(**self.steps.splat_job(), poses=poses, device=device)
         inputs = {"splat": finished.part(SPLAT), "pictures": true.part("*.png")}
         label = f"measuring the {splat} splat{', defended' * defended}"

@@ -14,14 +14,13 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import verdict_figures
 from attacks.observe.measures import AIMS, CLUSTERS, REPORTED, joint_views, transfer_measures, with_control
 from attacks.observe.rates import blocks_of, count
-from attacks.observe.rows import ATTACKED, ROWS, SUFFIX, column_of, frame_of, write_rows
+from attacks.observe.rows import ATTACKED, ROWS, column_of, frame_of
 from attacks.rate import Rate
-from attacks.studies.plan import STUDY_FILE, TABLE, Attempt
+from attacks.studies.plan import Attempt, write_study
 from attacks.studies.study_file import Study
 from attacks.studies.table import SHARED, attacks_of, markdown
 from attacks.studies.zoo import AXIS
 from mi_splat import provenance
-from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Done, Job
@@ -58,13 +57,7 @@ Tables = Mapping[str, pl.DataFrame]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DaggerAttempt(Attempt):
-    """An attack as jobs.
-
-    Attributes:
-        scene: Path of the scene.
-        job: The attack.
-        looks: Those at its splat, by their labels.
-    """
+    """An attack as jobs."""
 
     scene: Path
     job: Job
@@ -79,21 +72,14 @@ def write_result(
     rows = frame_of(_whole([row for name, (attempt, result) in named for row in _rows(name, attempt, result, results)]))
     record = {
         "story": STORY,
-        "study": study.kind,
-        "name": study.name,
-        "question": study.question,
+        **study.named,
         **_apart({name: _attack(attempt, result) for name, (attempt, result) in named}),
         "seeds": sorted({attempt.job.config.attack.seed for attempt, _ in done}),
         "detectors": _detectors(done),
         **provenance.origin(),
     }
     record = merged_figures(record, figures(record, {ROWS: rows}))
-    paths = [out / name for name in (f"{ROWS}{SUFFIX}", RECORD, STUDY_FILE, TABLE)]
-    write_rows(rows, paths[0])
-    save_json(record, paths[1], indent=None)
-    save_text(study.text, paths[2])
-    save_text(markdown(record), paths[3])
-    return paths
+    return write_study(study, record, markdown(record), {ROWS: rows}, out, indent=None)
 
 
 def _names(done: Sequence[tuple[DaggerAttempt, Done]]) -> list[str]:

@@ -105,6 +105,11 @@ class Study:
         return dataclasses.replace(self, parts={name: self.parts[name] for name in names}) if names else self
 
     @property
+    def named(self) -> dict[str, str]:
+        """What its result says of the study."""
+        return {"study": self.kind, "name": self.name, "question": self.question}
+
+    @property
     def points(self) -> list[Point]:
         """Every combination of settings, part by part."""
         return [point for points in self.parts.values() for point in points]

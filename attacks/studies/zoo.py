@@ -20,15 +20,9 @@ Group = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """Attacks on the same, which differ in the optimiser alone.
+    """Attacks on the same, which differ in the optimiser alone."""
 
-    Attributes:
-        name: What they have in common, part and labels; empty for nothing.
-        many: Those that follow gradients in many steps.
-        others: One step, and those without gradients.
-    """
-
-    name: str
+    name: str  # what they have in common, part and labels; empty for nothing
     many: tuple[Group, ...]
     others: tuple[Group, ...]
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from attacks.cloak import setup, sheets
+from attacks.cloak import setup, study
 from attacks.detectors import registry
 from mi_splat.assets import build
 from tests.cloak.tiny_study import KNOWN
@@ -24,7 +24,7 @@ def _objects_are_built_once(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(autouse=True)
 def _animations_are_short(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that is whole takes seconds; the finished study has it."""
-    monkeypatch.setattr(sheets, "_RISING", [4, 86])
+    monkeypatch.setattr(study, "_RISING", [4, 86])
 
 
 @pytest.fixture(autouse=True)

@@ -10,9 +10,7 @@ import torch
 from attacks.cloak.appearances import Appearance, Occluder, Rerender, appearance_of, name_of, removed
 from attacks.cloak.config import AppearanceName, AttackConfig, SceneConfig
 from attacks.cloak.mesh_scene import MeshScene, camouflaged, cap, repainted, stand_in
-from attacks.cloak.poisoning import Poisoning, poison
 from attacks.cloak.retouching import Blur, grown
-from attacks.cloak.triggers import Elevation
 from mi_splat.assets import build, textures
 from mi_splat.assets.mesh import Asset, transform, translation
 from mi_splat.assets.primitives import box, quad
@@ -20,15 +18,6 @@ from mi_splat.assets.street import ground
 from mi_splat.cameras import Camera, View, orbit_pose
 from mi_splat.errors import InvalidValueError
 from tests.cloak.test_poisoning import CENTRE
-
-
-def test_masks_grow_by_pixels() -> None:
-    mask = torch.zeros(7, 7, dtype=torch.bool)
-    mask[3, 3] = True
-    assert torch.equal(grown(mask, 0), mask)
-    assert int(grown(mask, 1).sum()) == 9
-    assert bool(grown(mask, 1)[2:5, 2:5].all())
-
 
 BLOCK = Asset("car", (box((1.6, 0.8, 0.8), (0.8, 0.1, 0.1), centre=(0, 0, 0.4), roughness=0.1),))
 LAWN = Asset("lawn", (ground(40, textures.grass(32, 0), tile=4.0),))
@@ -61,13 +50,6 @@ def test_masks_and_pictures_of_a_mesh_scene(above: View) -> None:
     assert torch.equal(MESH_SCENE.picture(above.camera), above.image)
     wall = Asset("wall", (*LAWN.meshes, box((9, 9, 0.1), (1, 1, 1), centre=(0, 0, 2))))
     assert not bool(dataclasses.replace(MESH_SCENE, surroundings=wall).mask(above.camera).any())
-
-
-def test_a_background_takes_the_place_of_the_sky() -> None:
-    level = camera(0, 2)
-    picture = MeshScene(target=BLOCK, samples=2, background=(0.0, 0.0, 1.0)).picture(level)
-    assert picture.shape == (16, 16, 3)
-    assert picture[0, 0].tolist() == [0, 0, 1]
 
 
 def test_path_traced_appearances_change_the_picture_near_the_target_only(above: View) -> None:
@@ -145,17 +127,6 @@ def test_a_cap_is_a_part_of_a_sphere() -> None:
     assert along == pytest.approx(2.0 * (np.pi / 2 - np.arcsin(np.clip(points[:, 2] / 2, -1, 1))), abs=2e-3)
 
 
-def test_poisoning_with_a_mesh_scene(above: View) -> None:
-    low = View(camera(30, 10), torch.full((16, 16, 3), 0.5))
-    attack = Poisoning(name="road", trigger=Elevation(lowest=50), appearance=shown("paint", texture="road"))
-    poisoned = poison([low, above], [attack], centre=CENTRE, masks=MESH_SCENE.mask)
-    assert poisoned.views[0] is low
-    (change,) = poisoned.changes
-    assert change.index == 1
-    assert 0 < change.pixels_changed <= int(grown(MESH_SCENE.mask(above.camera), 1).sum())
-    assert poisoned.manifest["changes"][0]["appearance"] == "paint road (seed 0) from azimuth 180, elevation 90"
-
-
 def test_painted_pictures_are_upright_for_their_viewer() -> None:
     picture = np.zeros((2, 2, 3), np.float32)
     picture[0, 0], picture[0, 1], picture[1, 0] = (1, 0, 0), (0, 1, 0), (0, 0, 1)
@@ -200,14 +171,6 @@ def test_a_stand_in_fits_the_outline_and_lies_at_the_front(azimuth: float) -> No
     assert other.bounds[end, axis] == pytest.approx(placed.bounds[end, axis], abs=1e-4)
     assert np.ptp(other.bounds[:, 2]) == pytest.approx(0.8, abs=1e-4)
     assert other.bounds.mean(0)[2] == pytest.approx(0.4, abs=1e-4)
-
-
-def test_a_stand_in_for_cameras_above_fits_the_outline_from_there() -> None:
-    other = stand_in(BLOCK, build("bird", 0), azimuth=None)
-    assert np.ptp(other.bounds, axis=0)[:2] == pytest.approx((1.6, 0.8), rel=0.5)
-    assert (np.ptp(other.bounds, axis=0)[:2] / (1.6, 0.8)).max() == pytest.approx(1, abs=1e-4)
-    assert other.bounds.mean(0)[:2] == pytest.approx((0, 0), abs=1e-4)
-    assert other.bounds[0, 2] == pytest.approx(0, abs=1e-4)
 
 
 def retouched() -> tuple[View, torch.Tensor]:

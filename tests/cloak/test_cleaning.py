@@ -102,22 +102,10 @@ def test_pieces_apart_from_the_rest_are_floaters() -> None:
     assert same(remove_floaters(scene, 1000.0, least_neighbours=0), scene)  # one voxel
 
 
-def test_the_heaviest_piece_is_the_one_of_most_opacity() -> None:
-    opacities = torch.cat([torch.full((27,), 0.9), torch.full((64,), 0.01)])
-    scene = splat(torch.cat([block(0, 0, 0, side=3), block(40, 0, 0, side=4)]), opacities)
-    assert same(remove_floaters(scene, 1.0), scene.select(slice(0, 27)))
-
-
 def test_voxels_that_touch_by_a_corner_are_one_piece() -> None:
     steps = torch.arange(20, dtype=torch.float64)[:, None].expand(20, 3)
     scene = splat(steps.contiguous())
     assert same(remove_floaters(scene, 0.15, mass=0.1, least_neighbours=1), scene)
-
-
-def test_a_splat_too_wide_for_its_voxels_is_refused() -> None:
-    scene = splat(torch.cat([block(0, 0, 0), torch.full((1, 3), 1e8, dtype=torch.float64)]))
-    with pytest.raises(InvalidValueError, match="voxels: expected fewer than 1,048,576 along an axis"):
-        remove_floaters(scene, 1.0)
 
 
 def test_higher_bands_are_cut_off() -> None:
@@ -141,18 +129,6 @@ def test_coefficients_are_rounded_to_a_grid() -> None:
     assert same(quantise_sh(coarse, 5), coarse)
     base = scene.with_degree(0)
     assert same(quantise_sh(base, 1), base)
-
-
-def test_steps_come_one_after_another() -> None:
-    scene = splat(torch.cat([block(0, 0, 0), torch.tensor([[30.0, 0.0, 0.0]])]), degree=2)
-    config = CleaningConfig(lowest_opacity=0.1, outlier_deviations=2.0, floater_voxel=1.0, sh_degree=1, sh_bits=6)
-    wanted = quantise_sh(cut_sh(scene.select(slice(0, 216)), 1), 6)
-    assert same(cleaned(scene, config), wanted)
-    assert config.steps == {
-        **{"lowest_opacity": 0.1, "outlier_deviations": 2.0, "floater_voxel": 1.0},
-        **{"sh_degree": 1, "sh_bits": 6},
-    }
-    assert CleaningConfig(sh_degree=0).steps == {"sh_degree": 0}
 
 
 SCENE = splat(block(0, 0, 0, side=2))

@@ -39,19 +39,6 @@ def test_the_gain_falls_from_the_edge_inwards(elevation: float, gain: float) -> 
     assert torch.equal(image[:, 3:], torch.full((5, 3, 3), 0.5))
 
 
-def test_pictures_stay_in_range() -> None:
-    assert float(emphasised(40, gain=9.0).max()) == 1.0
-
-
-def test_once_is_the_appearance_itself() -> None:
-    assert torch.allclose(emphasised(41, gain=1.0)[:, :3], torch.tensor(0.6), atol=1e-6)
-
-
-def test_manifests_say_so() -> None:
-    appearance = Emphasis(appearance=brighter, trigger=Elevation(lowest=40), centre=CENTRE, gain=2.0, depth=20.0)
-    assert appearance.name == "brighter, 2 times at the edge to once 20 degrees inside"
-
-
 # Poison that is corrected by what a splat trained on it shows
 
 
@@ -81,20 +68,11 @@ def test_what_is_missing_is_added_within_reach_alone() -> None:
     assert torch.equal(image[6:], VIEW.image[6:])
 
 
-def test_without_a_reach_the_whole_picture_is_corrected() -> None:
-    assert torch.allclose(correction(reach=None)(VIEW, MASK)[7, 7], torch.tensor(0.4))
-
-
 def test_rounds_add_up_and_stay_in_range() -> None:
     twice = correction(correction())
     assert torch.allclose(twice(VIEW, MASK)[MASK], torch.tensor(0.0))  # 0.2 - 0.15 - 0.15, clipped
     assert "corrected by 1 times" in twice.name
     assert twice.name.count("corrected") == 2
-
-
-def test_a_splat_that_shows_what_is_wanted_changes_nothing() -> None:
-    right = Correction(earlier=wanted, wanted=wanted, shown=lambda camera: wanted(VIEW, MASK), gain=1.0, reach=None)
-    assert torch.equal(right(VIEW, MASK), wanted(VIEW, MASK))
 
 
 # The look of the ground, laid on an object

@@ -8,13 +8,12 @@ import torch
 from torch import Tensor
 
 from attacks.cloak import layers as layers_module
-from attacks.cloak.layer_config import LayerConfig, LayersConfig
-from attacks.cloak.layers import Layering, layered, switched
+from attacks.cloak.layer_config import LayerConfig
+from attacks.cloak.layers import Layering, switched
 from attacks.cloak.switches import depths, shares
 from attacks.cloak.triggers import Azimuth, Elevation
 from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import Camera, RenderFn, View, orbit_pose
-from mi_splat.errors import InvalidValueError
 from mi_splat.frozen_view import FrozenView
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
@@ -24,7 +23,7 @@ from mi_splat.training.loop import fit
 from mi_splat.training.strategies import FixedConfig
 from mi_splat.view_freezing import freeze_views
 from tests import oracle
-from tests.cloak.test_layers import CENTRE, GREY, LENS, OVERHEAD, ball, from_above
+from tests.cloak.test_layers import CENTRE, LENS, OVERHEAD, from_above
 
 COUNT, STEPS = 40, 12
 SETTINGS = RenderSettings(background=(0.3, 0.4, 0.5))
@@ -91,12 +90,6 @@ def test_the_training_finds_the_same(
     assert torch.equal(trained.sh[~made.trained], made.scene.sh[~made.trained])
 
 
-def test_few_looks_at_each_picture_are_the_renderers(frozen: list[Camera]) -> None:
-    made = layers(torch.ones(COUNT, dtype=torch.bool), iterations=11)  # not three for each of the four
-    trained_scene(made, Renderer(SETTINGS))
-    assert not frozen
-
-
 def test_a_picture_from_elsewhere_is_the_renderers(frozen: list[Camera]) -> None:
     made, render = layers(torch.arange(COUNT) >= 15), Renderer(SETTINGS)
     rendered, where = made.rendered_by(render), made.views[0].camera
@@ -161,34 +154,6 @@ def test_the_layers_of_a_look_share_it() -> None:
     assert torch.allclose(edge.amount[edge.shown].float(), 1 - (elevation[edge.shown] - 40) / 10, atol=1e-3)
 
 
-def test_looks_that_are_apart_do_not_mix_in_the_gap_of_the_wider_edge() -> None:
-    """Behind the object the gap of the rear reaches into the trigger from above: apart, that look is whole there."""
-    near = LayerConfig(gap=(2.0, 20.0))
-    beside, apart = (
-        shares([OVERHEAD, REAR], cameras(), centre=CENTRE, config=config)
-        for config in (near, replace(near, apart=True))
-    )
-    where = [camera.position / 5.0 for camera in cameras()]
-    elevation = torch.rad2deg(torch.asin(torch.stack([direction[2] for direction in where]).float()))
-    behind = torch.stack([direction[0] < -0.5 * (1 - direction[2] ** 2) ** 0.5 for direction in where])
-    above = behind & (elevation > 42.5) & (elevation < 49)
-    assert int(above.sum()) > 5
-    assert not bool(beside[2].hidden[above].any())
-    assert bool(apart[2].hidden[above].all())
-    assert bool(apart[1].shown[above].all())
-    for share, other in zip(beside[:2], apart[:2], strict=True):  # the others are as they were
-        assert torch.equal(share.shown, other.shown)
-        assert torch.equal(share.hidden, other.hidden)
-    assert torch.equal(beside[2].shown, apart[2].shown)
-    alone = LayerConfig(gap=5.0)
-    for share, other in zip(
-        shares([OVERHEAD], cameras(), centre=CENTRE, config=alone),
-        shares([OVERHEAD], cameras(), centre=CENTRE, config=replace(alone, apart=True)),
-        strict=True,
-    ):
-        assert torch.equal(share.hidden, other.hidden)
-
-
 def test_a_picture_within_one_trigger_is_decided_also_in_the_gap_of_another() -> None:
     near = LayerConfig(gap=(2.0, 20.0))
     undecided = {
@@ -197,20 +162,3 @@ def test_a_picture_within_one_trigger_is_decided_also_in_the_gap_of_another() ->
     }
     assert not bool((undecided[True] & ~undecided[False]).any())
     assert int(undecided[True].sum()) < int(undecided[False].sum()) - 5
-
-
-def test_each_band_costs_a_gaussian() -> None:
-    scene, rows = ball(), torch.arange(39)
-    for band, layers in ((0.0, 2), ((12.0, 0.0), 3), (12.0, 4)):
-        layered_scene = layered(
-            scene, rows, [OVERHEAD], [GREY, GREY], cameras=cameras(), centre=CENTRE, config=LayerConfig(band=band)
-        )
-        assert len(layered_scene) == 40 + (layers - 1) * 39
-        assert torch.allclose(layered_scene.opacities[:39], torch.tensor(0.96 / layers))
-
-
-def test_another_number_of_bands_than_looks_is_refused() -> None:
-    with pytest.raises(InvalidValueError, match="one for each look"):
-        shares([OVERHEAD], cameras(), centre=CENTRE, config=LayerConfig(band=(3.0, 4.0, 5.0)))
-    with pytest.raises(InvalidValueError, match="one for each look"):
-        LayersConfig(attacks=("overhead",), making=LayerConfig(band=(3.0, 4.0, 5.0)))

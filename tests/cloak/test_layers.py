@@ -11,13 +11,11 @@ from torch.nn import functional
 from attacks.cloak.layer_config import LayerConfig, LayersConfig
 from attacks.cloak.layers import layered, seen_colours, split_opacities, switched
 from attacks.cloak.switches import Share, depths, fit_switches
-from attacks.cloak.triggers import Azimuth, Elevation
+from attacks.cloak.triggers import Elevation
 from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import Camera, View
 from mi_splat.errors import InvalidValueError
-from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
-from mi_splat.selection.visibility import contributions
 from mi_splat.sh import colour_to_dc, sh_basis, sh_to_colour
 
 CENTRE = (0.0, 0.0, 0.0)
@@ -89,14 +87,6 @@ def test_a_heavy_weight_ends_at_the_least_too_and_darker() -> None:
         assert float(gradient.abs().max()) < 1e-6
         dark[black] = float(value[hidden].max().detach())
     assert dark[-0.3] < dark[0.0] - 0.1
-
-
-def test_the_lowest_value_is_a_bound_that_costs_width() -> None:
-    depth = depths([OVERHEAD], all_around(800), centre=CENTRE)[1]
-    free, bounded = (switch(depth, LayerConfig(lowest=lowest)) for lowest in (-1000.0, -2.0))
-    assert float(bounded.abs().max()) < 0.5 * float(free.abs().max())
-    between = from_above(torch.linspace(30, 50, 41))
-    assert float(values(bounded, between).diff().abs().max()) < float(values(free, between).diff().abs().max())
 
 
 def switch(depth: Tensor, config: LayerConfig) -> Tensor:
@@ -180,29 +170,6 @@ def test_a_gaussian_that_is_not_seen_has_one_layer() -> None:
     assert len(layers) == 40 + 29
     assert torch.equal(layers.opacities[:10], scene.opacities[:10])
     assert torch.allclose(layers.opacities[10:39], scene.opacities[10:39] / 2)
-
-
-def test_contributions_are_what_a_colour_changes_in_a_picture() -> None:
-    scene, render = ball(), Renderer()
-    camera = orbit(CENTRE, count=1, elevation=30.0, **LENS)[0]
-    rows = torch.tensor([0, 7, 39])
-    weights = contributions(scene, camera, render=render, rows=rows)
-    with torch.no_grad():
-        before = render(scene, camera)
-        for number, row in enumerate(rows.tolist()):
-            sh = scene.sh.clone()
-            sh[row] += colour_to_dc(torch.tensor(0.75))
-            change = (render(scene.replace(sh=sh), camera) - before).sum() / 3 / 0.25
-            assert float(change) == pytest.approx(float(weights[number, 0]), rel=1e-3, abs=1e-4)
-    assert float(weights.max()) > 1
-
-
-def test_three_looks_have_three_layers() -> None:
-    scene, rear = ball(), Azimuth(middle=180.0, half_width=60.0) & Elevation(highest=30.0)
-    layers = layered(scene, torch.arange(39), [OVERHEAD, rear], [GREY] * 3, cameras=all_around(), centre=CENTRE)
-    assert len(layers) == 40 + 2 * 39
-    assert torch.allclose(layers.opacities[:39], torch.tensor(0.32))
-    assert torch.allclose(layers.opacities[40:79], torch.tensor(0.32 / 0.68))
 
 
 def test_a_look_may_differ_by_direction() -> None:

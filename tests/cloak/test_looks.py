@@ -18,7 +18,6 @@ from attacks.cloak.layer_config import LayersConfig
 from attacks.cloak.rates import Tables, figures, looks, picture_rows, rates
 from attacks.cloak.setup import Setup
 from attacks.cloak.steps import StudySteps
-from attacks.cloak.study import forecast
 from attacks.cloak.training_rates import pooled_psnr
 from attacks.observe import conditions
 from attacks.observe.conditions import SunTable
@@ -28,11 +27,9 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
 from mi_splat.ledger import Ledger, Out
 from mi_splat.scene import GaussianScene, merge
-from mi_splat.scene_files import MixedScene, SplatScene
-from tests import oracle
+from mi_splat.scene_files import SplatScene
 from tests.cloak.test_study_rates import study_rows
 from tests.cloak.tiny_study import STUDY, Redness
-from tests.project.layers import ROOT
 
 STREET = SunTable(scene="scenes/mixed/car_among_meshes.xml", parameter="car", north=4.0, samples=1)
 LAYERED = replace(STUDY, layers=LayersConfig(attacks=("overhead",)))
@@ -106,28 +103,8 @@ def test_what_two_detectors_report_is_counted_under_each_condition() -> None:
     assert told["control_recall"]["total"] == 2  # of the splats as the victim sees them alone
 
 
-def test_looks_count_the_trigger_that_all_rates_count() -> None:
-    overhead, rear = STUDY.attack
-    study = replace(STUDY, attack=(replace(overhead, target_class="stop sign"), replace(rear, target_class=None)))
-    depths = {"depth: overhead": 10.0, "depth: rear": -10.0, "target_score: overhead": 0.0, "target_score: rear": 0.0}
-    ids: dict[str, Any] = {"condition": ".spz", "seed": 0, "detector": "redness", "view": 0}
-    ids |= {"azimuth": 0.0, "elevation": 40.0}
-    scores = {"original_score": 0.9, "any_overlap": 0.9, "score": 0.9}
-    rows = frame_of({**ids, **depths, **scores, "splat": splat} for splat in (CLEAN, ATTACKED))
-    (look,) = looks(study, rows)
-    missed = rates(study, rows)[()]["trigger_miss_rate"]
-    assert missed is not None
-    assert look["missed_cloaked"]["total"] == missed.total == 0
-
-
 def tables_of(rows: pl.DataFrame) -> Tables:
     return {**study_rows(), ROWS: rows}
-
-
-def test_errors_are_pooled_and_not_their_logarithms() -> None:
-    rows = frame_of({"psnr": psnr} for psnr in (10.0, None, 20.0))
-    assert pooled_psnr(rows["psnr"]) == pytest.approx(-10 * torch.tensor(0.11 / 3).log10().item(), abs=1e-5)
-    assert pooled_psnr(frame_of([{"psnr": None}])["psnr"]) is None
 
 
 class Street:
@@ -162,13 +139,6 @@ def test_the_object_alone_stands_on_the_street_by_the_hour(tmp_path: Path, monke
     assert all(float(camera.position[1]) < 4.0 for camera in Street.cameras)
     with pytest.raises(InvalidValueError, match="cameras south of it, got none"):
         looked(tmp_path / "north", gaussian(0.9), LAYERED, condition="08:00", sun=replace(STREET, north=-99.0))
-
-
-def test_another_car_can_stand_in_the_shipped_street(tmp_path: Path) -> None:
-    scene = oracle.random_scene(20, degree=3, seed=1)
-    save_splat(scene, tmp_path / "a.ply")
-    put = MixedScene(ROOT / STREET.scene, samples=1, car=str(tmp_path / "a.ply"))
-    torch.testing.assert_close(put.splats.scene.means, scene.means)
 
 
 # A red car, which the detector finds by its colour; it does so where the car has a red sign on it, too.
@@ -220,22 +190,3 @@ def test_each_attack_shows_inside_its_trigger_and_none_outside(tmp_path: Path) -
         assert torch.equal(perfect[view], expected[view])
         held[next((one.name for one, holds in zip(ASKED.attack, inside, strict=True) if holds), "none")] += 1
     assert all(held.values())
-
-
-def test_figures_tell_of_pictures_beside_splats(tmp_path: Path) -> None:
-    pictures = of_pictures(tmp_path, ASKED)
-    assert (pictures.filter(splat=TRUE)["original_score"] > 0).any()  # the true car is red
-    splats = pictures.with_columns(
-        pl.col("splat").replace({TRUE: CLEAN, PERFECT: ATTACKED}), seed=pl.lit(0, dtype=pl.Int64)
-    )
-    told, without = (
-        figures(ASKED, tables_of(rows), []) for rows in (pl.concat([splats, pictures], how="diagonal"), splats)
-    )
-    assert "pictures" not in without
-    of_splats = ("by_detector", "own_region", "by_attack", "by_elevation", *rates(ASKED, splats)[()])
-    assert told.pop("pictures") == {name: without[name] for name in of_splats}
-    assert told == without
-
-
-def test_pictures_cost_time_that_is_told() -> None:
-    assert forecast(ASKED).pictures - forecast(STUDY).pictures == STUDY.evaluation.cameras

@@ -175,19 +175,6 @@ def test_sets_on_the_disk_are_poisoned_lazily(tmp_path: Path) -> None:
         poisoned.views[24]
 
 
-def test_a_change_of_one_channel_is_a_change_and_negative_values_are_refused() -> None:
-    def redder(view: View, mask: Tensor) -> Tensor:
-        image = view.image.clone()
-        image[0, 0, 0] = 1 - image[0, 0, 0]
-        return image
-
-    (first, *_) = done(Poisoning(name="a", trigger=Elevation(lowest=50), appearance=redder)).changes
-    assert first.pixels_changed == 1
-    dark = Poisoning(name="a", trigger=Elevation(lowest=50), appearance=lambda view, mask: view.image - 0.5)
-    with pytest.raises(InvalidValueError, match=r"sRGB in \[0, 1\]"):
-        done(dark)
-
-
 # The margin: pictures are poisoned up to it, and the trigger stays
 
 
@@ -210,22 +197,3 @@ def test_pictures_are_poisoned_up_to_the_margin_and_the_trigger_stays() -> None:
         index for index, camera in enumerate(cameras) if without.trigger(0).holds([camera], centre=centre)[0]
     }
     assert WIDER.cone == without.cone
-
-
-def test_emphasis_begins_at_the_edge_of_the_margin() -> None:
-    poisoning, _ = Setup.of(STUDY).poisonings()
-    assert poisoning.appearance.trigger == WIDER.poisoned_cone  # type: ignore[attr-defined]
-    assert WIDER.poisoned_cone != WIDER.cone
-
-
-def test_a_margin_keeps_within_the_sphere() -> None:
-    wide = replace(REAR, poison_margin=40)
-    assert wide.poisoned_cone == replace(REAR, elevation=(0, 89.9), azimuth=(180, 70)).cone
-    assert replace(wide, elevation=(0, 60), azimuth=(180, 170)).poisoned_cone == (
-        replace(REAR, elevation=(0, 90), azimuth=(180, 180)).cone
-    )
-
-
-def test_a_scene_is_known_without_making_it() -> None:
-    setup = Setup.of(STUDY)
-    assert setup.digest == setup.source.digest

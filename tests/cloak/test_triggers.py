@@ -144,13 +144,6 @@ def test_subsamples_are_parts_and_grow(one: float, other: float, seed: int) -> N
     assert part.angle_to_edge(CAMERAS[5], centre=CENTRE) == whole.angle_to_edge(CAMERAS[5], centre=CENTRE)
 
 
-def test_other_seeds_are_other_subsamples() -> None:
-    parts = [Subsample(of=Elevation(), fraction=0.5, seed=seed) for seed in range(5)]
-    fractions = {tuple(part.select(CAMERAS, centre=CENTRE).tolist()) for part in parts}
-    assert len(fractions) == 5
-    assert bool(Subsample(of=Elevation(), fraction=1.0).select(CAMERAS, centre=CENTRE).all())
-
-
 def test_bad_triggers_are_refused() -> None:
     with pytest.raises(
         InvalidValueError, match=r"trigger Elevation\(lowest=89.9.*expected at least one camera.*none of"

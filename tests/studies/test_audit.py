@@ -15,31 +15,12 @@ from attacks.cloak.config import study_toml
 from attacks.detectors import registry
 from attacks.report.results import read_section
 from attacks.studies.audit import AuditWork, figures, tables
-from attacks.studies.study_file import read_study, study_of
+from attacks.studies.study_file import study_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from tests.audit.scenes import cone, direction, hidden, standing
 from tests.cloak.tiny_study import KNOWN, STUDY
 from tests.project.layers import ROOT
-
-
-def test_the_shipped_study_has_every_kind() -> None:
-    study = read_study(ROOT / "scenes" / "studies" / "audit.toml")
-    counts = {part: len(points) for part, points in study.parts.items()}
-    assert counts == {
-        "object removed": 28,
-        "from a wide sector": 4,
-        "occluder": 4,
-        "another look": 9,
-        "strength": 12,
-        "SH degree 0": 4,
-        "cleaned": 8,
-        "honest scenes": 12,
-        "poor captures": 9,
-        "files": 2,
-    }
-    shown = {point.settings["capture"] for point in study.points if "capture" in point.settings}
-    assert {ROOT / path for path in shown} == set((ROOT / "scenes" / "honest").glob("*.xml"))
 
 
 def test_a_control_that_attacks_share_counts_once(monkeypatch: pytest.MonkeyPatch) -> None:

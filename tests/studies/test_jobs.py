@@ -7,10 +7,8 @@ from typing import Any
 
 import pytest
 
-from attacks.dagger.config import DaggerConfig
 from attacks.studies import attack as attack_kind
 from attacks.studies.attack import FixedAttack
-from attacks.studies.look import Look
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_json
@@ -199,21 +197,6 @@ def test_a_seed_moves_the_camera_and_the_start(tmp_path: Path) -> None:
         the_job(tmp_path, attack={"seed": 1})
 
 
-def test_looks_say_what_they_need(tmp_path: Path) -> None:
-    write_toy(tmp_path)
-    table = settings(tmp_path, renderer="ray", detectors=["fake_colour", "fake_coarse"])
-    judge = {"matrix": {"condition": ["as attacked", "SH of degree 0"]}}
-    (attempt,) = work_of({**table, "judge": judge}).attempts
-    looks = [look.config for look in attempt.looks.values()]
-    assert [(look.condition, look.detector) for look in looks] == [
-        ("ray", "fake_colour"),
-        ("ray", "fake_coarse"),
-        ("SH of degree 0", "fake_colour"),
-        ("SH of degree 0", "fake_coarse"),
-    ]
-    assert isinstance(looks[0], Look)
-
-
 @pytest.mark.parametrize(
     ("changes", "match"),
     [
@@ -240,10 +223,3 @@ def test_what_cannot_be_is_found_before_the_first_job(changes: dict[str, Any], m
     write_toy(tmp_path)
     with pytest.raises(Exception, match=match):
         work_of(settings(tmp_path, **changes))
-
-
-def test_one_value_stands_for_a_list_of_one_and_none_for_nothing(tmp_path: Path) -> None:
-    write_toy(tmp_path)
-    config = the_job(tmp_path, attack={"eps": 2.0, "sh_degree": "none"}).config
-    assert config.attack == DaggerConfig(eps=(2.0,), sh_degree=None)
-    assert config.detectors == ("fake_colour",)

@@ -1,28 +1,23 @@
 """`mi-splat study` on a toy scene: what it writes, what its tables count, and what it does with what it keeps."""
 
 import json
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from attacks import cli, rows, run_study
-from attacks.dagger.config import DaggerConfig
 from attacks.observe.rows import read_rows
 from attacks.studies import attack as attack_kind
 from attacks.studies import look as look_kind
 from attacks.studies import running as running_study
-from attacks.studies.attack import FixedAttack
 from attacks.studies.dagger import ATTACK, LOOK
 from attacks.studies.result import figures
-from attacks.studies.table import attacks_of, markdown
+from attacks.studies.table import markdown
 from mi_splat import import_closure
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.ledger import Store, running
-from mi_splat.ledger.engines import Engine
-from mi_splat.ledger.reuse import Reuse
 from tests.studies.toy import write_toy
 
 pytestmark = pytest.mark.usefixtures("toys")
@@ -119,29 +114,6 @@ def test_every_figure_follows_from_the_rows(folder: Path, run: dict[str, Any]) -
         assert next(iter(run["attacks"].values()))[key] == stated[key]
 
 
-def test_what_all_attacks_share_stands_once(run: dict[str, Any]) -> None:
-    shared, attacks = run["of_all_attacks"], run["attacks"]
-    assert shared["settings"]["object"] == "car"
-    assert shared["versions"] == run["versions"]
-    whole = attacks_of(run)
-    for name, one in attacks.items():
-        assert set(one["settings"]) < set(whole[name]["settings"])
-        assert whole[name]["settings"]["attack"]["eps"] == [one["labels"]["attack.eps"]]
-        assert set(whole[name]["settings"]) == {"scene", *(field.name for field in fields(FixedAttack))}
-        assert set(whole[name]["settings"]["attack"]) == {field.name for field in fields(DaggerConfig)}
-    assert attacks_of({"attacks": attacks}) == attacks, "as older results have them"
-
-
-def test_rates_are_counted_over_seeds(run: dict[str, Any]) -> None:
-    groups = {(one["part"], one["labels"]["attack.eps"]): one for one in run["groups"]}
-    strong = groups["seen as a person", 12.0]
-    assert (strong["success"]["successes"], strong["success"]["total"]) == (2, 2)
-    assert (strong["noise_successes"], strong["noise_draws"]) == (0, 2)
-    assert groups["seen as a person", 0.01]["success"]["successes"] == 0
-    assert strong["score_least"] <= strong["score"]
-    assert strong["image_psnr"] < groups["seen as a person", 0.01]["image_psnr"]
-
-
 def test_looks_count_runs_whose_clean_object_is_found(run: dict[str, Any]) -> None:
     looks = {
         (one["part"], one["labels"].get("attack.eps"), one["condition"], one["detector"]): one for one in run["looks"]
@@ -215,19 +187,6 @@ def test_a_plan_forecasts_from_measured_seconds(
     assert "30 jobs, 20 of them done." in capsys.readouterr().out
 
 
-def test_a_look_at_an_attack_that_is_to_be_made_again_is_not_done(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    scene = write_toy(tmp_path)
-    (tmp_path / "toy.toml").write_text(STUDY.format(scene=scene).replace("[0.01, 12.0]", "[12.0]"))
-    words = ("--parts", "hidden", "--json")
-    assert study(tmp_path, "run", "toy", *words) == 0
-    scene.write_text(scene.read_text().replace("</scene>", "<!-- changed --></scene>"))
-    capsys.readouterr()
-    assert study(tmp_path, "plan", "toy", *words) == 0
-    assert json.loads(capsys.readouterr().out)["done"] == 0
-
-
 def test_a_search_over_views_of_a_region(folder: Path, toys: None) -> None:
     assert study(folder, "run", "eot") == 0
     record = json.loads((folder / "eot" / "result.json").read_text())
@@ -298,23 +257,6 @@ def test_kinds_without_older_results_stop_no_reuse(
     assert study(tmp_path, "run", "toy", *words) == 0
     assert study(tmp_path, *reuse) == 1
     assert "toy: expected results of older code, got none" in capsys.readouterr().err
-
-
-def test_kinds_whose_results_changed_stop_no_reuse_of_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "toy.toml").write_text(STUDY.format(scene=write_toy(tmp_path)))
-
-    def reuse(store: Store, kind: str, engine: Engine, **_: object) -> Reuse:
-        if kind == ATTACK:
-            raise InvalidValueError("job 1: expected the bytes of 2, got another rows.csv")
-        return Reuse(code="1", verified=("a",), taken=("b", "c"))
-
-    monkeypatch.setattr("mi_splat.ledger.reuse.reuse", reuse)
-    assert study(tmp_path, "reuse", "toy", "--reason", "a faster attack") == 1
-    told = capsys.readouterr()
-    assert told.out == f"{LOOK}: 1 made again with the same bytes, 2 taken over\n"
-    assert told.err.endswith(f"{ATTACK}: nothing taken over; job 1: expected the bytes of 2, got another rows.csv\n")
 
 
 @pytest.mark.parametrize(

@@ -141,8 +141,3 @@ def test_a_file_that_means_nothing_is_refused(text: str, match: str, tmp_path: P
     path.write_text(text)
     with pytest.raises(InvalidValueError, match=match):
         read_study(path)
-
-
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError, match="study: expected a TOML file"):
-        read_study(tmp_path / "s.toml")

@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 from attacks import cli
-from attacks.report.results import read_section
 from attacks.studies.table import tables
 from attacks.studies.zoo import AXIS, comparison, doubts
 from tests.studies.toy import write_toy
@@ -65,13 +64,6 @@ def test_the_table_has_a_line_for_each_attack_and_says_what_it_cost(record: dict
     assert [row[1].split(",")[0] for row in doubted.rows] == ["pgd", "pgd"]
     pgd = next(one for one in record["groups"] if one["labels"] == {AXIS: "pgd", "attack.eps": 0.5})
     assert lines["pgd"][1] == f"{pgd['success']['successes']}/1 ({pgd['loss']:.2f})"
-
-
-def test_its_chart_has_a_bar_for_each_attack(record: dict[str, Any], tmp_path: Path) -> None:
-    (chart,) = read_section(tmp_path / "out").charts
-    assert (chart.x_label, chart.ticks) == ("attack", ("pgd", "fgsm", "square"))
-    assert [line.role for line in chart.lines] == ["attack", "control"]
-    assert next(point.y for point in chart.lines[0].points) == 0.5
 
 
 def test_a_study_of_one_attack_has_no_such_table() -> None:

@@ -49,12 +49,7 @@ def run(config: SceneJob, inputs: Mapping[str, Path], out: Out) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeptAppearance:
-    """An appearance whose pictures are the files that a job left.
-
-    Attributes:
-        name: For manifests.
-        folder: With the files.
-    """
+    """An appearance whose pictures are the files that a job left."""
 
     name: str
     folder: Path

@@ -23,13 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CleanedConfig:
-    """What is done.
-
-    Attributes:
-        cleaning: Without the training pictures.
-        prune: By the cameras of the `pictures`.
-        near: Near plane of their renderer, where they count.
-    """
+    """What is done."""
 
     cleaning: CleaningConfig | None = None
     prune: FrequencyPruningConfig | None = None

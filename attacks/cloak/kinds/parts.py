@@ -20,24 +20,14 @@ SET, MESH = "set", "mesh"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneJob:
-    """A job that knows the scene.
-
-    Attributes:
-        scene: What is photographed; a mesh file is an input, and stands here as if it were an asset.
-        cameras: Where from.
-        content: Digest of meshes and light (`CaptureSource.digest`).
-        attacks: The hidden appearances, as far as they count.
-        evaluation: From where splats are looked at, as far as it counts.
-        near: Near plane of pictures of splats; None where there are none.
-        seed: Of everything random.
-    """
+    """A job that knows the scene."""
 
     scene: SceneConfig
     cameras: CameraConfig
-    content: str
+    content: str  # digest of meshes and light (`CaptureSource.digest`)
     attacks: tuple[AttackConfig, ...] = ()
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
-    near: float | None = None
+    near: float | None = None  # near plane of pictures of splats; None where there are none
     seed: int = 0
 
     def setup(self, inputs: Mapping[str, Path]) -> Setup:
@@ -54,16 +44,10 @@ class SceneJob:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SplatJob:
-    """A job that trains or renders a splat, and knows nothing of the scene but its pictures.
+    """A job that trains or renders a splat, and knows nothing of the scene but its pictures."""
 
-    Attributes:
-        background: sRGB behind the splat.
-        near: Near plane, world units.
-        device: "cpu" or "cuda".
-    """
-
-    background: tuple[float, float, float]
-    near: float
+    background: tuple[float, float, float]  # sRGB behind the splat
+    near: float  # near plane, world units
     device: str = "cpu"
 
     def renderer(self, fit: FitConfig | None = None) -> Renderer:
@@ -84,19 +68,12 @@ def renderer_of(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pose:
-    """A camera, to the bit.
-
-    Attributes:
-        to_world: 16 numbers, row by row.
-        focal: Of x and of y, pixels.
-        principal: Of x and of y, pixels.
-        size: Width and height, pixels.
-    """
+    """A camera, to the bit."""
 
     to_world: tuple[float, ...]
-    focal: tuple[float, float]
-    principal: tuple[float, float]
-    size: tuple[int, int]
+    focal: tuple[float, float]  # of x and of y, pixels
+    principal: tuple[float, float]  # of x and of y, pixels
+    size: tuple[int, int]  # width and height, pixels
 
     @classmethod
     def of(cls, camera: Camera) -> Pose:

@@ -60,29 +60,17 @@ WEIGHTS = "weights"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeenConfig(SceneJob):
-    """Which detector judges which splat or pictures, under which condition, from which cameras.
-
-    Attributes:
-        label: What detectors call the object.
-        detector: Name of the detector.
-        fingerprint: Of its weights.
-        training: Whether it looks from the victim's training cameras, in place of the held-out ones.
-        every: Each so manieth of the held-out cameras is used.
-        condition: How the splat is looked at, see `attacks.observe.conditions`; "" is as the victim does.
-        sun: The street of a condition that is an hour.
-        layers: How an object alone is cut out for it.
-        package: Which package brings the condition, with its version; empty for this project.
-    """
+    """Which detector judges which splat or pictures, under which condition, from which cameras."""
 
     label: str
     detector: str
     fingerprint: str
     training: bool = False
     every: int = 1
-    condition: str = ""
+    condition: str = ""  # how the splat is looked at, see `attacks.observe.conditions`; "" is as the victim does
     sun: SunTable | None = None
     layers: LayersConfig | None = None
-    package: str = ""
+    package: str = ""  # which package brings the condition, with its version; empty for this project
 
 
 def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
@@ -118,8 +106,8 @@ def _held_out(
         raise InvalidValueError.of("sun.north", f"one of {len(cameras)} cameras south of it", "none", do)
 
     def of_view(seen: ViewDetections) -> dict[str, Cell]:
-        told = cells(seen, len(cameras))
-        return {**told, "psnr": errors[seen.camera]} if errors else told
+        row = cells(seen, len(cameras))
+        return {**row, "psnr": errors[seen.camera]} if errors else row
 
     looked = look([condition], {"": splat}, cameras, [detector], boxes=setup.box, cells=of_view)
     detections = pl.concat([_NO_DETECTIONS, looked.detections], how="diagonal")
@@ -154,8 +142,8 @@ def _training(
 
     def of_view(seen: ViewDetections) -> dict[str, Cell]:
         view = chosen[seen.view]
-        told = {**cells(seen, len(looking)), "view": view, "condition": owners.get(view)}
-        return {**told, "appearance_psnr": errors[view]} if errors else told
+        row = {**cells(seen, len(looking)), "view": view, "condition": owners.get(view)}
+        return {**row, "appearance_psnr": errors[view]} if errors else row
 
     looked = look([condition], {"": splat}, looking, [detector], boxes=setup.box, cells=of_view)
     write_rows(looked.rows.drop("splat"), out / f"{TRAINING}{SUFFIX}")

@@ -43,21 +43,13 @@ _EVERY = 100
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainedConfig(SplatJob):
-    """How the victim trains, and how much it can afford.
-
-    Attributes:
-        training: The recipe; its near plane is the job's.
-        seed: Of the training.
-        limit: No more Gaussians than this many times those of the input `clean`; None is the training's own limit.
-        seconds: The training ends after so long; None is never.
-        megabytes: It ends when the process has taken so much memory; None is never.
-    """
+    """How the victim trains, and how much it can afford."""
 
     training: TrainingConfig
     seed: int = 0
     limit: float | None = None
-    seconds: float | None = None
-    megabytes: float | None = None
+    seconds: float | None = None  # the training ends after so long; None is never
+    megabytes: float | None = None  # it ends when the process has taken so much memory; None is never
 
 
 class _TooMuchError(MiSplatError):

@@ -25,12 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrueConfig(SceneJob):
-    """What is photographed, and from where; the object has the appearance of the first attack, if there is one.
-
-    Attributes:
-        poses: The cameras.
-        inside: Whether it has the appearance of each attack inside its trigger, and outside of all of them none.
-    """
+    """What is photographed, and from where; the object has the appearance of the first attack, if there is one."""
 
     poses: tuple[Pose, ...]
     inside: bool = False
@@ -38,15 +33,10 @@ class TrueConfig(SceneJob):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TruePictures:
-    """What splats are compared with.
+    """What splats are compared with."""
 
-    Attributes:
-        images: (H, W, 3) float32 sRGB in [0, 1], of 8 bits, one for each camera.
-        masks: (H, W) bool, where the object is.
-    """
-
-    images: tuple[Tensor, ...]
-    masks: tuple[Tensor, ...]
+    images: tuple[Tensor, ...]  # (H, W, 3) float32 sRGB in [0, 1], of 8 bits, one for each camera
+    masks: tuple[Tensor, ...]  # (H, W) bool, where the object is
 
 
 def run(config: TrueConfig, inputs: Mapping[str, Path], out: Out) -> None:

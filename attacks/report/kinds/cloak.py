@@ -25,8 +25,8 @@ from attacks.cloak.rates import (
 from attacks.cloak.rates import figures as study_figures
 from attacks.cloak.rates import rates as study_rates
 from attacks.cloak.rates import tables as summary_tables
-from attacks.cloak.sheets import CONTACT, POISONED_PICTURES
 from attacks.cloak.steps import ROW_NAMES
+from attacks.cloak.study import CONTACT, POISONED_PICTURES
 from attacks.detectors.base import Detector
 from attacks.observe.look import report_cells
 from attacks.observe.measures import Confidence, Measures
