@@ -154,8 +154,7 @@ def _last_line(text: str) -> str:
 
 
 def _engine(options: StudyOptions, on_event: Callable[[Event], None]) -> Engine:
-    from mi_splat.ledger.child import Limits
-    from mi_splat.ledger.engines import InProcess, Processes
+    from mi_splat.ledger.engines import InProcess, Limits, Processes
 
     limits = Limits(seconds=options.seconds, megabytes=options.megabytes)
     if options.scheduler is not None:

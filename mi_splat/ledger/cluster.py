@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from mi_splat.errors import install
-from mi_splat.ledger.child import Child, Limits
-from mi_splat.ledger.engines import environment, free_cache
+from mi_splat.ledger.engines import Child, Limits, environment, free_cache
 from mi_splat.ledger.job import EngineError, Event, OnEvent, Outcome, Task, nobody
 from mi_splat.ledger.store import Store
 

@@ -17,8 +17,7 @@ import pytest
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_text
 from mi_splat.ledger import Done, Event, Job, Ledger, Store, index
-from mi_splat.ledger.child import Child, Limits, keep_to
-from mi_splat.ledger.engines import InProcess, Processes, share_of_cores
+from mi_splat.ledger.engines import Child, InProcess, Limits, Processes, keep_to, share_of_cores
 from mi_splat.ledger.index import Index, forecast, plan, status
 from mi_splat.ledger.job import EngineError, OnEvent, Outcome, Task
 from mi_splat.ledger.plans import Driver, Plan, Result, grid

@@ -16,9 +16,8 @@ import pytest
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.ledger import Event, Job, Ledger, Part, Store
-from mi_splat.ledger.child import Limits
 from mi_splat.ledger.cluster import Cluster
-from mi_splat.ledger.engines import InProcess, Processes
+from mi_splat.ledger.engines import InProcess, Limits, Processes
 from mi_splat.ledger.index import plan, status
 from mi_splat.ledger.job import EngineError
 from mi_splat.ledger.plans import Driver, grid
