@@ -136,7 +136,7 @@ class _Nameless(ast.NodeTransformer):
 
     def visit_ImportFrom(self, node: ast.ImportFrom) -> ast.ImportFrom:
         """What is imported from a module of ours, wherever that lies."""
-        return ast.ImportFrom("", node.names, 0) if _file(str(node.module)) is not None else node
+        return ast.ImportFrom(module="", names=node.names, level=0) if _file(str(node.module)) is not None else node
 
     def visit_Constant(self, node: ast.Constant) -> ast.Constant:
         """The name of a module in a table, likewise."""

@@ -94,7 +94,7 @@ def read_model(cameras_file: Path) -> Model:
         raise DatasetError.of(str(cameras_file), "a file that can be read", got, "check the path") from error
     if rows is None:
         return Model(lenses, poses, None)
-    points, colours = torch.from_numpy(rows.reshape(-1, 6)).split(3, dim=1)
+    points, colours = torch.from_numpy(rows.reshape(-1, 6)).tensor_split(2, dim=1)
     try:
         return Model(lenses, poses, PointCloud(points, colours / 255))
     except InvalidValueError as error:

@@ -112,9 +112,9 @@ def test_one_file_for_all_pictures_with_intrinsics_by_frame(tmp_path: Path) -> N
 
 def test_a_set_of_one_image_has_no_held_out_image(tmp_path: Path) -> None:
     write_transforms(tmp_path, VIEWS[:1])
-    assert [len(load_dataset(tmp_path, split=split)) for split in ("train", "test")] == [1, 0]  # type: ignore[arg-type]
+    assert [len(load_dataset(tmp_path, split=split)) for split in ("train", "test")] == [1, 0]
     (tmp_path / "transforms_train.json").rename(tmp_path / "transforms.json")
-    assert [len(load_dataset(tmp_path, split=split)) for split in ("train", "test")] == [1, 0]  # type: ignore[arg-type]
+    assert [len(load_dataset(tmp_path, split=split)) for split in ("train", "test")] == [1, 0]
 
 
 def test_a_point_cloud_that_is_missing_is_warned_of(tmp_path: Path) -> None:

@@ -17,8 +17,13 @@ from attacks.cli import COMMANDS, command_of, parse
 from attacks.cli.doctor import REGISTRIES
 from tests.browser import CHROMIUM
 from tests.project.documented_commands import BENCHMARKS, ROOT, Line, blocks, lines, pages
-from tests.project.test_extras import PROJECT, tomllib
+from tests.project.test_extras import PROJECT
 from tests.warm import Warm
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 LINES = list(lines())
 OURS = [line for line in LINES if line.program == "mi-splat"]
