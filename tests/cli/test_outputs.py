@@ -37,7 +37,7 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     "compare": (["compare", "a.ply"], "{}", ("mi_splat.comparison.compare.compare",)),
     "select": (["select", "a.ply", "--cluster", "1"], "{}/a.npy", ("mi_splat.cli.cameras.choose",)),
     "dagger": (["dagger", "a.ply", "--cluster", "1"], "{}", ("attacks.dagger.attack.attack",)),
-    "study": (["study", "run", "attacks.toml"], "{}", ("attacks.studies.dagger.DaggerWork",)),
+    "study": (["study", "run", "study.toml"], "{}", ("attacks.cli.study._engine",)),
     "dagger --sanity": (["dagger", "--sanity", "a.ply", "--cluster", "1"], "{}", ("attacks.cli.dagger_sanity._case",)),
     "dagger --region": (
         ["dagger", "--region", "a.ply", "--cluster", "1"],
@@ -45,7 +45,7 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
         ("attacks.dagger.attack.attack_views",),
     ),
     "artifact": (["artifact", "set"], "{}", ("attacks.report.checking.pack",)),
-    "cloak": (["cloak", "study.toml"], "{}", ("attacks.cloak.study.run_study",)),
+    "cloak": (["cloak", "study.toml"], "{}", ("attacks.cli.study._engine",)),
     "detect": (["detect", "a.ply"], "{}", ("attacks.cli.names.load_detectors",)),
     "evaluate": (["evaluate", "a.ply", "b.ply"], "{}", ("attacks.cli.names.load_detectors",)),
 }
@@ -63,7 +63,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     save_splat(random_scene(60), tmp_path / "a.ply")
     save_splat(random_scene(60), tmp_path / "b.ply")
     (tmp_path / "study.toml").write_text(STUDY)
-    (tmp_path / "attacks.toml").write_text('study = "dagger"')
     return tmp_path
 
 
