@@ -20,15 +20,10 @@ _ROUNDING = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
-    """Everything a detector considered in one image, before any threshold or non-maximum suppression.
+    """Everything a detector considered in one image, before any threshold or non-maximum suppression."""
 
-    Attributes:
-        boxes: (A, C, 4) pixels; candidate a as foreground class c would be reported with boxes[a, c].
-        scores: (A, C) in [0, 1], confidence of class `detector.classes[c]`. Both are differentiable in the image.
-    """
-
-    boxes: Tensor
-    scores: Tensor
+    boxes: Tensor  # (A, C, 4) pixels; candidate a as foreground class c would be reported with boxes[a, c]
+    scores: Tensor  # (A, C) in [0, 1], confidence of class `detector.classes[c]`. Both are differentiable in the image
 
     def __post_init__(self) -> None:
         if self.boxes.shape != (*self.scores.shape, 4) or self.scores.ndim != 2:
@@ -50,17 +45,11 @@ class Candidates:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detections:
-    """What a user of the library gets for one image, best first.
+    """What a user of the library gets for one image, best first."""
 
-    Attributes:
-        boxes: (D, 4) pixels.
-        scores: (D,) in [0, 1].
-        labels: D class names.
-    """
-
-    boxes: Tensor
-    scores: Tensor
-    labels: tuple[str, ...]
+    boxes: Tensor  # (D, 4) pixels
+    scores: Tensor  # (D,) in [0, 1]
+    labels: tuple[str, ...]  # D class names
 
     def __post_init__(self) -> None:
         count = len(self.labels)

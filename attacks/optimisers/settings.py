@@ -24,29 +24,17 @@ _RESTARTS, _STEPS = 1 << 8, 1 << 20
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SearchSettings:
-    """A search as its optimiser sees it.
+    """A search as its optimiser sees it."""
 
-    Attributes:
-        ball: What the parameters may not leave.
-        reference: Its centre, one tensor for each parameter; the first dimension is the Gaussian.
-        positions: (N, 3) means of the clean object's Gaussians, world units.
-        step: Length of a step for each parameter, in the norm of the ball.
-        steps: Number of steps of a run.
-        momentum: Share of the sum of earlier gradients that is kept at each step, in [0, 1).
-        schedule: How steps become shorter.
-        power: Of the gradients' absolute values, in [0, 1].
-        seed: Of everything random.
-    """
-
-    ball: Budget
-    reference: Parameters
-    positions: Tensor
-    step: Mapping[str, float]
-    steps: int
-    momentum: float = 0.0
-    schedule: Schedule = "constant"
-    power: float = 1.0
-    seed: int = 0
+    ball: Budget  # what the parameters may not leave
+    reference: Parameters  # its centre, one tensor for each parameter; the first dimension is the Gaussian
+    positions: Tensor  # (N, 3) means of the clean object's Gaussians, world units
+    step: Mapping[str, float]  # length of a step for each parameter, in the norm of the ball
+    steps: int  # number of steps of a run
+    momentum: float = 0.0  # share of the sum of earlier gradients that is kept at each step, in [0, 1)
+    schedule: Schedule = "constant"  # how steps become shorter
+    power: float = 1.0  # of the gradients' absolute values, in [0, 1]
+    seed: int = 0  # of everything random
 
     def generator(self, memory: OptimiserState) -> Generator:
         """Random numbers of one step; the same ones again where a search is taken up again."""

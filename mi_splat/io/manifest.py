@@ -23,17 +23,11 @@ _DO = "get the result again"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Manifest:
-    """What manifest.json says.
+    """What manifest.json says."""
 
-    Attributes:
-        sha256: Of manifest.json, hexadecimal: what the result is called by.
-        files: By the name of each file its SHA-256 and its length in bytes.
-        without: Names of folders beside it that are no part of the result.
-    """
-
-    sha256: str
-    files: Mapping[str, tuple[str, int]]
-    without: tuple[str, ...] = ()
+    sha256: str  # of manifest.json, hexadecimal: what the result is called by
+    files: Mapping[str, tuple[str, int]]  # by the name of each file its SHA-256 and its length in bytes
+    without: tuple[str, ...] = ()  # names of folders beside it that are no part of the result
 
 
 def write_manifest(folder: Path, *, without: Collection[str] = ()) -> str:

@@ -18,8 +18,7 @@ from attacks import cli
 from attacks.report.results import read_section
 from mi_splat import load_splat, save_splat
 from mi_splat.audit.lint import cost
-from mi_splat.audit.lint.checking import fill_ratio, lint_file, lint_scene
-from mi_splat.audit.lint.gltf import validate
+from mi_splat.audit.lint.checking import fill_ratio, lint_file, lint_scene, validate
 from mi_splat.audit.lint.rules import RULES, Rule, Stored
 from mi_splat.cameras import Camera, look_at
 from mi_splat.io import SplatFileError

@@ -8,8 +8,17 @@ import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera, look_at
-from mi_splat.comparison.compare import CompareConfig, compare, costs_of, peak_memory
-from mi_splat.comparison.measures import GradientAgreement, gradients, picture_distance, pooled, weighting
+from mi_splat.comparison.compare import (
+    CompareConfig,
+    GradientAgreement,
+    compare,
+    costs_of,
+    gradients,
+    peak_memory,
+    picture_distance,
+    pooled,
+    weighting,
+)
 from mi_splat.comparison.methods import Method
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings

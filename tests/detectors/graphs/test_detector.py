@@ -8,9 +8,8 @@ from torch import Tensor
 
 from attacks.detectors import load_detector
 from attacks.detectors.catalogue import COCO_CLASSES, NPM_DETECTORS, DetectorError, weights_of
-from attacks.detectors.graphs.detector import DEVIATION, FAMILIES, MEAN, Family, GraphDetector, load
+from attacks.detectors.graphs.detector import DEVIATION, FAMILIES, MEAN, Family, GraphDetector, GraphNetwork, load
 from attacks.detectors.graphs.graph import GraphModel, Node
-from attacks.detectors.graphs.network import GraphNetwork
 from attacks.testing import check_detector
 from mi_splat.io.images import quantise
 from mi_splat.rendering import Renderer

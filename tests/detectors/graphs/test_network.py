@@ -6,8 +6,8 @@ import json
 import numpy as np
 import torch
 
+from attacks.detectors.graphs.detector import GraphNetwork
 from attacks.detectors.graphs.graph import GraphModel, Node, read_graph_model
-from attacks.detectors.graphs.network import GraphNetwork
 
 KERNEL = np.arange(12, dtype=np.float32).reshape(1, 1, 3, 4)
 

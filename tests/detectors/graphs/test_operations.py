@@ -10,8 +10,8 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
+from attacks.detectors.graphs.detector import GraphNetwork
 from attacks.detectors.graphs.graph import GraphModel, Node
-from attacks.detectors.graphs.network import GraphNetwork
 from attacks.detectors.graphs.operations import OPERATIONS
 
 Array = NDArray[Any]

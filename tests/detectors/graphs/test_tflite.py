@@ -8,9 +8,8 @@ import torch
 from torch import Tensor
 
 from attacks.detectors.catalogue import NPM_DETECTORS, OPEN_IMAGES_LABELS, weights_of
-from attacks.detectors.graphs.detector import FAMILIES, anchors, load
+from attacks.detectors.graphs.detector import FAMILIES, GraphNetwork, anchors, load
 from attacks.detectors.graphs.graph import read_tflite
-from attacks.detectors.graphs.network import GraphNetwork
 from tests.detectors.graphs.test_operations import convolved
 
 tflite = pytest.importorskip("tflite", reason="the package tflite, which reads TFLite files, is not installed")
