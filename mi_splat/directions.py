@@ -50,17 +50,11 @@ def up_of(turns: Tensor) -> Tensor:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Direction:
-    """Where a camera stands, as seen from the centre.
+    """Where a camera stands, as seen from the centre."""
 
-    Attributes:
-        azimuth: Degrees in [0, 360) from world +x towards +y; 0 straight above and below, where there is none.
-        elevation: Degrees above the horizontal plane, in [-90, 90].
-        pole: Whether the camera stands straight above or below.
-    """
-
-    azimuth: float
-    elevation: float
-    pole: bool
+    azimuth: float  # degrees in [0, 360) from world +x towards +y; 0 straight above and below, where there is none
+    elevation: float  # degrees above the horizontal plane, in [-90, 90]
+    pole: bool  # whether the camera stands straight above or below
 
 
 def direction_of(camera: Camera, centre: Point, up: Point = UP) -> Direction:

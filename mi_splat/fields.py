@@ -38,23 +38,14 @@ class FieldError(InvalidValueError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Range:
-    """The numbers that a field takes, each number of it if it takes several.
+    """The numbers that a field takes, each number of it if it takes several."""
 
-    Attributes:
-        low: The least, -inf for none.
-        high: The greatest, inf for none; infinite numbers are never taken.
-        open_low: Whether `low` itself is left out.
-        open_high: Whether `high` itself is left out.
-        unit: What is counted or measured, in words.
-        do: What to do with another number.
-    """
-
-    low: float = -math.inf
-    high: float = math.inf
-    open_low: bool = False
-    open_high: bool = False
-    unit: str = ""
-    do: str = "change it"
+    low: float = -math.inf  # the least, -inf for none
+    high: float = math.inf  # the greatest, inf for none; infinite numbers are never taken
+    open_low: bool = False  # whether `low` itself is left out
+    open_high: bool = False  # whether `high` itself is left out
+    unit: str = ""  # what is counted or measured, in words
+    do: str = "change it"  # what to do with another number
 
     def holds(self, value: float) -> bool:
         """Whether a field takes a number."""
@@ -81,26 +72,17 @@ class Range:
 
 @dataclass(frozen=True, slots=True)
 class Called:
-    """What `--help` calls the values of a field, one word for each of them.
+    """What `--help` calls the values of a field, one word for each of them."""
 
-    Attributes:
-        name: For instance "X Y Z". A field without it takes the unit of its range, or what its type says.
-    """
-
-    name: str
+    name: str  # for instance "X Y Z". A field without it takes the unit of its range, or what its type says
 
 
 @dataclass(frozen=True, slots=True)
 class Word:
-    """A tuple, or a table, that is one word of the command line.
+    """A tuple, or a table, that is one word of the command line."""
 
-    Attributes:
-        read: Makes the value of the word; raises ValueError, and says what it expected.
-        write: The word for a value.
-    """
-
-    read: Callable[[str], Any]
-    write: Callable[[Any], str]
+    read: Callable[[str], Any]  # makes the value of the word; raises ValueError, and says what it expected
+    write: Callable[[Any], str]  # the word for a value
 
 
 def at_least(low: float, unit: str = "", do: str = "change it") -> Range:

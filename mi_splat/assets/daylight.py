@@ -13,29 +13,17 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Light:
-    """Daylight: a sun far away and a sky with clouds.
+    """Daylight: a sun far away and a sky with clouds."""
 
-    Attributes:
-        sun_azimuth: Degrees from world +x towards +y, where the sun stands.
-        sun_elevation: Degrees above the horizon.
-        sun_strength: Irradiance of the sun on a surface that faces it.
-        sun_colour: Linear RGB factor.
-        sky_strength: Radiance of the sky's zenith.
-        zenith: Linear RGB of the sky overhead.
-        horizon: Linear RGB of the sky at the horizon.
-        clouds: Fraction of the sky covered with clouds, 0 to 1.
-        seed: Which clouds.
-    """
-
-    sun_azimuth: float = 40.0
-    sun_elevation: float = 45.0
-    sun_strength: float = 2.6
-    sun_colour: Colour = (1.0, 0.95, 0.87)
-    sky_strength: float = 0.6
-    zenith: Colour = (0.45, 0.68, 1.0)
-    horizon: Colour = (0.85, 0.93, 1.0)
-    clouds: float = 0.3
-    seed: int = 0
+    sun_azimuth: float = 40.0  # degrees from world +x towards +y, where the sun stands
+    sun_elevation: float = 45.0  # degrees above the horizon
+    sun_strength: float = 2.6  # irradiance of the sun on a surface that faces it
+    sun_colour: Colour = (1.0, 0.95, 0.87)  # linear RGB factor
+    sky_strength: float = 0.6  # radiance of the sky's zenith
+    zenith: Colour = (0.45, 0.68, 1.0)  # linear RGB of the sky overhead
+    horizon: Colour = (0.85, 0.93, 1.0)  # linear RGB of the sky at the horizon
+    clouds: float = 0.3  # fraction of the sky covered with clouds, 0 to 1
+    seed: int = 0  # which clouds
 
 
 def daylight(seed: int) -> Light:

@@ -196,19 +196,12 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surface:
-    """One textured surface in the frame of its file, as `mi_splat.assets.mesh.Mesh` but in float64.
+    """One textured surface in the frame of its file, as `mi_splat.assets.mesh.Mesh` but in float64."""
 
-    Attributes:
-        vertices: (V, 3) float64, units of the file.
-        faces: (F, 3) indices.
-        uvs: (V, 2), v up.
-        texture: (h, w, 3) float32 sRGB.
-    """
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    uvs: NDArray[np.float64]
-    texture: Floats
+    vertices: NDArray[np.float64]  # (V, 3) float64, units of the file
+    faces: NDArray[np.int64]  # (F, 3) indices
+    uvs: NDArray[np.float64]  # (V, 2), v up
+    texture: Floats  # (h, w, 3) float32 sRGB
 
 
 def coloured(

@@ -55,14 +55,10 @@ class WorkingFrame:
     Mitsuba computes in float32 and starts secondary rays about 1e-4 (1 + largest coordinate) away from a surface, and
     the project's own limits (welding, visibility of points, the near clip) are in metres. A very small, large or
     distant object is therefore captured in a frame scaled by a power of two, and written in the world's units.
-
-    Attributes:
-        unit: Working units in one world unit, a power of two.
-        origin: Point of the world that lies at the working origin.
     """
 
-    unit: float = 1.0
-    origin: Point = (0.0, 0.0, 0.0)
+    unit: float = 1.0  # working units in one world unit, a power of two
+    origin: Point = (0.0, 0.0, 0.0)  # point of the world that lies at the working origin
 
     @property
     def is_world(self) -> bool:

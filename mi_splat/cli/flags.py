@@ -37,19 +37,12 @@ _NEGATIVE = re.compile(r"-(\.?\d.*|inf)")
 
 @dataclass(frozen=True, slots=True)
 class Flag:
-    """How a field is given on the command line.
+    """How a field is given on the command line."""
 
-    Attributes:
-        name: Name of the flag; that of the field if empty.
-        aliases: Other names for it.
-        positional: Whether it is given without any flag, by its position.
-        prefixed: Whether the flags of a dataclass have its field's name before theirs.
-    """
-
-    name: str = ""
-    aliases: tuple[str, ...] = ()
-    positional: bool = False
-    prefixed: bool = True
+    name: str = ""  # name of the flag; that of the field if empty
+    aliases: tuple[str, ...] = ()  # other names for it
+    positional: bool = False  # whether it is given without any flag, by its position
+    prefixed: bool = True  # whether the flags of a dataclass have its field's name before theirs
 
 
 Positional = Annotated[_Type, Flag(positional=True)]
@@ -60,21 +53,13 @@ Unprefixed = Annotated[_Type, Flag(prefixed=False)]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Option:
-    """A field as the command line has it.
+    """A field as the command line has it."""
 
-    Attributes:
-        key: Dotted names of the fields that lead to it.
-        hint: Its type, with what it says of its values.
-        default: Of it; `dataclasses.MISSING` if it has to be given.
-        text: What it means.
-        prefix: What is before the name of its flag.
-    """
-
-    key: str
-    hint: Any
-    default: Any
-    text: str
-    prefix: str = ""
+    key: str  # dotted names of the fields that lead to it
+    hint: Any  # its type, with what it says of its values
+    default: Any  # of it; `dataclasses.MISSING` if it has to be given
+    text: str  # what it means
+    prefix: str = ""  # what is before the name of its flag
 
     @property
     def how(self) -> Flag:

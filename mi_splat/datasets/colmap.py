@@ -4,15 +4,19 @@ COLMAP's poses are world-to-camera with our camera axes, and (0.5, 0.5) is the c
 """
 
 import math
+import struct
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from mi_splat.cameras import Camera
-from mi_splat.datasets.colmap_files import MODELS, ONE_FOCAL, TWO_FOCALS, Lens, Model, Pose, read_model, unreadable
 from mi_splat.datasets.distortion import Intrinsics
 from mi_splat.datasets.frames import (
     HELD_OUT,
@@ -31,6 +35,216 @@ from mi_splat.datasets.frames import (
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.points import PointCloud
 from mi_splat.rotation import to_matrix
+
+MODELS = {
+    "SIMPLE_PINHOLE": 3,
+    "PINHOLE": 4,
+    "SIMPLE_RADIAL": 4,
+    "RADIAL": 5,
+    "OPENCV": 8,
+    "OPENCV_FISHEYE": 8,
+    "FULL_OPENCV": 12,
+    "FOV": 5,
+    "SIMPLE_RADIAL_FISHEYE": 4,
+    "RADIAL_FISHEYE": 5,
+    "THIN_PRISM_FISHEYE": 12,
+    "RAD_TAN_THIN_PRISM_FISHEYE": 16,
+    "SIMPLE_DIVISION": 4,
+    "DIVISION": 5,
+    "SIMPLE_FISHEYE": 3,
+    "FISHEYE": 4,
+    "EUCM": 6,
+    "EQUIRECTANGULAR": 2,
+}
+"""Number of parameters of each of COLMAP's camera models, in the order of its ids."""
+ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE")
+TWO_FOCALS = ("PINHOLE", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FISHEYE")
+"""The camera models that are read, by how many focal lengths they have."""
+
+
+def unreadable(where: str, model: str) -> DatasetError:
+    """The error for a camera model that is not read."""
+    do = "undistort the pictures with colmap image_undistorter, or cut panoramas into perspective images first"
+    return DatasetError.of(where, f"a camera model of {', '.join((*ONE_FOCAL, *TWO_FOCALS))}", model, do)
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """A camera of a model: picture size in pixels, name of the distortion model, its parameters."""
+
+    model: str
+    width: int
+    height: int
+    parameters: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A picture of a model: quaternion (w, x, y, z) and translation from world to camera, camera id, file name."""
+
+    quaternion: tuple[float, ...]
+    translation: tuple[float, ...]
+    lens: int
+    name: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """What the files of a model say."""
+
+    lenses: dict[int, Lens]
+    poses: dict[int, Pose]
+    points: PointCloud | None
+
+
+Entry = TypeVar("Entry", Lens, Pose)
+
+
+def read_model(cameras_file: Path) -> Model:
+    """The model of which a cameras file is part; it may lack points."""
+    suffix = cameras_file.suffix
+    read = _Binary if suffix == ".bin" else _Text
+    images, points3d = cameras_file.with_name(f"images{suffix}"), cameras_file.with_name(f"points3D{suffix}")
+    try:
+        lenses, poses = _by_id(read(cameras_file).lenses(), cameras_file), _by_id(read(images).poses(), images)
+        rows = np.array(list(read(points3d).points()), np.float64) if points3d.is_file() else None
+    except FileNotFoundError as error:
+        do = "a model has three files: cameras, images, points3D"
+        raise DatasetError.of(str(error.filename), "a part of the model", "no such file", do) from error
+    except OSError as error:
+        got = error.strerror or str(error)
+        raise DatasetError.of(str(cameras_file), "a file that can be read", got, "check the path") from error
+    if rows is None:
+        return Model(lenses, poses, None)
+    points, colours = torch.from_numpy(rows.reshape(-1, 6)).tensor_split(2, dim=1)
+    try:
+        return Model(lenses, poses, PointCloud(points, colours / 255))
+    except InvalidValueError as error:
+        raise DatasetError(f"{points3d}: {error}") from error
+
+
+def _by_id(entries: Iterator[tuple[int, Entry]], path: Path) -> dict[int, Entry]:
+    """Entries by their ids, each of which has to come once."""
+    table: dict[int, Entry] = {}
+    for number, entry in entries:
+        if number in table:
+            raise DatasetError.of(str(path), "every id once", f"{number} twice", "export the model again")
+        table[number] = entry
+    return table
+
+
+class _Binary:
+    """A binary file; 2D points, errors and tracks are passed over."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._data, self._at = path, path.read_bytes(), 0
+
+    def lenses(self) -> Iterator[tuple[int, Lens]]:
+        """Ids and cameras."""
+        names = tuple(MODELS)
+        for _ in self._records():
+            number, model, width, height = self._take("iiQQ")
+            if not 0 <= model < len(names):
+                raise unreadable(f"{self._path}, camera {number}", f"number {model}")
+            yield number, Lens(names[model], width, height, self._take(f"{MODELS[names[model]]}d"))
+
+    def poses(self) -> Iterator[tuple[int, Pose]]:
+        """Ids and pictures."""
+        for _ in self._records():
+            number, *values, lens = self._take("i7di")
+            end = self._data.find(b"\0", self._at)
+            name = self._data[self._at : end].decode("utf-8", "replace")
+            self._at = end + 1 if end >= 0 else len(self._data)
+            yield number, Pose(tuple(values[:4]), tuple(values[4:]), lens, name)
+            (points,) = self._take("Q")
+            self._at += 24 * points
+
+    def points(self) -> Iterator[tuple[float, ...]]:
+        """Coordinates and bytes of the colours."""
+        for _ in self._records():
+            _, *values, _, track = self._take("Q3d3BdQ")
+            yield tuple(values)
+            self._at += 8 * track
+
+    def _records(self) -> Iterator[int]:
+        """The numbers of the file's records, all of whose bytes have to be read."""
+        yield from range(self._take("Q")[0])
+        if self._at != len(self._data):
+            raise self._fault(f"{self._at} bytes")
+
+    def _take(self, form: str) -> tuple[Any, ...]:
+        """The next values."""
+        try:
+            values = struct.unpack_from(f"<{form}", self._data, self._at)
+        except (struct.error, OverflowError) as error:
+            raise self._fault("more records") from error
+        self._at += struct.calcsize(f"<{form}")
+        return values
+
+    def _fault(self, expected: str) -> DatasetError:
+        got, do = f"{len(self._data)} bytes", "it is truncated or no COLMAP file: export again"
+        return DatasetError.of(str(self._path), expected, got, do)
+
+
+class _Text:
+    """A text file; 2D points, errors and tracks are passed over."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def lenses(self) -> Iterator[tuple[int, Lens]]:
+        """Ids and cameras."""
+        for line, fields in self._rows():
+            with self._expected("CAMERA_ID MODEL WIDTH HEIGHT PARAMS...", line, fields):
+                number, width, height = (int(fields[i]) for i in (0, 2, 3))
+                lens = Lens(fields[1], width, height, tuple(map(float, fields[4:])))
+            yield number, lens
+
+    def poses(self) -> Iterator[tuple[int, Pose]]:
+        """Ids and pictures."""
+        rows = self._rows(split=9, empty=True)
+        for line, fields in rows:
+            if not fields:
+                continue
+            with self._expected("IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", line, fields):
+                values = tuple(map(float, fields[1:8]))
+                number, pose = int(fields[0]), Pose(values[:4], values[4:], int(fields[8]), fields[9])
+            yield number, pose
+            line, points = next(rows, (line, []))
+            points = " ".join(points).split()
+            if len(points) % 3 or not all(field.lstrip("-").isdigit() for field in points[2::3]):
+                raise self._fault("a line of 2D points (X Y POINT3D_ID), which may be empty", line, points)
+
+    def points(self) -> Iterator[tuple[float, ...]]:
+        """Coordinates and bytes of the colours."""
+        for line, fields in self._rows(split=7):
+            with self._expected("POINT3D_ID X Y Z R G B ERROR TRACK...", line, fields):
+                row = (*map(float, fields[1:4]), *(int(fields[i]) for i in (4, 5, 6)))
+            yield row
+
+    def _rows(self, split: int = -1, *, empty: bool = False) -> Iterator[tuple[int, list[str]]]:
+        """Numbers and fields of the lines that are no comments."""
+        with self._path.open(encoding="utf-8") as file:
+            try:
+                for number, line in enumerate(file, start=1):
+                    if not line.startswith("#") and (empty or line.strip()):
+                        yield number, line.strip().split(maxsplit=split)
+            except UnicodeDecodeError as error:
+                do = "export the model again"
+                raise DatasetError.of(str(self._path), "text in UTF-8", str(error), do) from error
+
+    @contextmanager
+    def _expected(self, form: str, line: int, fields: Sequence[str]) -> Iterator[None]:
+        """Name the line where what is read of it is of another form."""
+        try:
+            yield
+        except (ValueError, IndexError) as error:
+            raise self._fault(form, line, fields) from error
+
+    def _fault(self, expected: str, line: int, fields: Sequence[str]) -> DatasetError:
+        got = repr(" ".join(fields)[:80])
+        return DatasetError.of(f"{self._path}, line {line}", expected, got, "export the model again")
+
 
 TEST_LIST = "test.txt"
 """Beside a model, the names of the pictures for tests, one a line."""

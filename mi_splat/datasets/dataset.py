@@ -46,23 +46,14 @@ class _Entry(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class Dataset(ViewSet):
-    """Views whose pictures are read when they are asked for; the last ones read are kept, so do not change them.
+    """Views whose pictures are read when they are asked for; the last ones read are kept, so do not change them."""
 
-    Attributes:
-        frames: Cameras with the files of their pictures.
-        points: Points from which a training may start; None if the set has none.
-        downscale: Integer factor by which pictures are made smaller.
-        background: sRGB colour behind transparent pixels.
-        cache_bytes: How much is kept in memory.
-        cameras: The camera of each view, at the size of its picture.
-    """
-
-    frames: tuple[Frame, ...]
-    points: PointCloud | None = None
-    downscale: int = 1
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    cache_bytes: int = CACHE_BYTES
-    cameras: tuple[Camera, ...] = field(init=False)
+    frames: tuple[Frame, ...]  # cameras with the files of their pictures
+    points: PointCloud | None = None  # points from which a training may start; None if the set has none
+    downscale: int = 1  # integer factor by which pictures are made smaller
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)  # sRGB colour behind transparent pixels
+    cache_bytes: int = CACHE_BYTES  # how much is kept in memory
+    cameras: tuple[Camera, ...] = field(init=False)  # the camera of each view, at the size of its picture
     _cache: OrderedDict[int, _Entry] = field(init=False, repr=False, default_factory=OrderedDict)
 
     def __post_init__(self) -> None:

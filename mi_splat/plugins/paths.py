@@ -114,23 +114,14 @@ def _key(arrays: list[Any]) -> tuple[int, ...]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PathSettings:
-    """What paths depend on besides the scene.
+    """What paths depend on besides the scene."""
 
-    Attributes:
-        background: Color3f, radiance of what lies behind everything, where there is no environment emitter.
-        linear: Whether light adds up in linear values; else in sRGB values, as 3DGS does.
-        to_mean: Whether a Gaussian's colour is looked up towards its mean instead of along the ray.
-        max_depth: Longest path, in vertices; 1 sees emitters, backgrounds and splats only.
-        rr_depth: Vertices after which paths end at random.
-        hide_emitters: Whether the camera does not see the environment.
-    """
-
-    background: Any
-    linear: bool
-    to_mean: bool
-    max_depth: int
-    rr_depth: int
-    hide_emitters: bool
+    background: Any  # color3f, radiance of what lies behind everything, where there is no environment emitter
+    linear: bool  # whether light adds up in linear values; else in sRGB values, as 3DGS does
+    to_mean: bool  # whether a Gaussian's colour is looked up towards its mean instead of along the ray
+    max_depth: int  # longest path, in vertices; 1 sees emitters, backgrounds and splats only
+    rr_depth: int  # vertices after which paths end at random
+    hide_emitters: bool  # whether the camera does not see the environment
 
 
 @dataclass(slots=True, eq=False)

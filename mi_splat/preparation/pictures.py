@@ -142,19 +142,12 @@ _FULL_FRAME = math.hypot(36.0, 24.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:
-    """A picture of the set.
+    """A picture of the set."""
 
-    Attributes:
-        name: Of its file in images/.
-        source: Its file, or when it is in a video.
-        size: Width and height, pixels.
-        focal: Focal length in pixels, as the camera has written it; None if it has not.
-    """
-
-    name: str
-    source: str
-    size: tuple[int, int]
-    focal: float | None = None
+    name: str  # of its file in images/
+    source: str  # its file, or when it is in a video
+    size: tuple[int, int]  # width and height, pixels
+    focal: float | None = None  # focal length in pixels, as the camera has written it; None if it has not
 
 
 def pictures_in(folder: Path, most: int) -> list[Path]:

@@ -25,19 +25,12 @@ _LEAST = 1e-12  # a direction's component is at least so large, so that no infin
 
 @dataclass(slots=True, eq=False)
 class Stretch:
-    """A stretch of a ray: origin, unit direction, and distances between which peaks count.
+    """A stretch of a ray: origin, unit direction, and distances between which peaks count."""
 
-    Attributes:
-        origin: Point3f, world units.
-        direction: Vector3f of length 1.
-        near: Float, smallest distance.
-        far: Float, a peak there or beyond does not count.
-    """
-
-    origin: Any
-    direction: Any
-    near: Any
-    far: Any
+    origin: Any  # point3f, world units
+    direction: Any  # vector3f of length 1
+    near: Any  # float, smallest distance
+    far: Any  # float, a peak there or beyond does not count
 
 
 @dataclass(slots=True, eq=False)

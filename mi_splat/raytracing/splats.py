@@ -26,19 +26,12 @@ _FAR = 1e30  # both corners of a box that holds nothing: no ray reaches it
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tree:
-    """Nodes are numbered as in a heap: 1 is the root, 2 i and 2 i + 1 the children of i, leaves come last.
+    """Nodes are numbered as in a heap: 1 is the root, 2 i and 2 i + 1 the children of i, leaves come last."""
 
-    Attributes:
-        nodes: Float, `NODE` a node; that of a leaf, and of node 0, does not exist or is not used.
-        order: UInt32, the Gaussian in each slot; the slots of a leaf follow each other.
-        starts: UInt32, first slot of each leaf, and the number of slots.
-        leaves: UInt32, number of leaves, a power of two.
-    """
-
-    nodes: Any
-    order: Any
-    starts: Any
-    leaves: Any
+    nodes: Any  # float, `NODE` a node; that of a leaf, and of node 0, does not exist or is not used
+    order: Any  # UInt32, the Gaussian in each slot; the slots of a leaf follow each other
+    starts: Any  # UInt32, first slot of each leaf, and the number of slots
+    leaves: Any  # UInt32, number of leaves, a power of two
 
 
 def build(means: Any, half: Any) -> Tree:
@@ -187,17 +180,11 @@ def _rows(gaussians: Gaussians) -> list[Any]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sums:
-    """What `adjoint` adds to.
+    """What `adjoint` adds to."""
 
-    Attributes:
-        moments: Float, `MOMENTS` a slot.
-        pulls: Float, three a slot: dL/dmean by way of the direction in which a colour is looked up.
-        sh: Float, dL/d(coefficient), as the last of `Splats.arrays`.
-    """
-
-    moments: Any
-    pulls: Any
-    sh: Any
+    moments: Any  # float, `MOMENTS` a slot
+    pulls: Any  # float, three a slot: dL/dmean by way of the direction in which a colour is looked up
+    sh: Any  # float, dL/d(coefficient), as the last of `Splats.arrays`
 
 
 def zero_sums(splats: Splats) -> Sums:

@@ -26,19 +26,12 @@ from mi_splat.training.strategies import ScreenGradients, Step
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
 class Fit(Previewed):
-    """A trained splat.
+    """A trained splat."""
 
-    Attributes:
-        scene: The result.
-        history: Every evaluation, the last step's included.
-        config: The full configuration.
-        seed: The seed.
-    """
-
-    scene: GaussianScene
-    history: tuple[Progress, ...]
-    config: FitConfig
-    seed: int
+    scene: GaussianScene  # the result
+    history: tuple[Progress, ...]  # every evaluation, the last step's included
+    config: FitConfig  # the full configuration
+    seed: int  # the seed
 
     def __repr__(self) -> str:
         last = self.history[-1]

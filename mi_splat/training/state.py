@@ -92,19 +92,12 @@ def check_start(start: GaussianScene, config: FitConfig) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """One step as `on_step` hears of it.
+    """One step as `on_step` hears of it."""
 
-    Attributes:
-        iteration: Steps done.
-        loss: Loss of this one.
-        count: Number of Gaussians after it.
-        held_out: How true the held-out views are, if they were looked at.
-    """
-
-    iteration: int
-    loss: float
-    count: int
-    held_out: Scores | None = None
+    iteration: int  # steps done
+    loss: float  # loss of this one
+    count: int  # number of Gaussians after it
+    held_out: Scores | None = None  # how true the held-out views are, if they were looked at
 
 
 class TrainState:

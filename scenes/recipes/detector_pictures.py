@@ -38,7 +38,7 @@ from mi_splat.capture.path_tracer import (
     shapes,
     tracing_variant,
 )
-from mi_splat.capture.surface_points import nearness, surface_samples
+from mi_splat.capture.writer import nearness, surface_samples
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer

@@ -23,7 +23,7 @@ from mi_splat.assets.primitives import ellipsoid
 from mi_splat.assets.recipes import RECIPES, SceneRecipe, around
 from mi_splat.cameras import Camera, View, angle_of, look_at
 from mi_splat.capture.path_tracer import capture, depth_maps, scene_dict
-from mi_splat.capture.surface_points import nearness, surface_samples
+from mi_splat.capture.writer import nearness, surface_samples
 from mi_splat.io import load_splat, save_splat
 from mi_splat.metrics import psnr
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients

@@ -130,7 +130,7 @@ def test_what_cannot_be_read_of_a_gltf_file_is_named(words: dict[str, Any], says
 def test_an_extension_that_changes_the_mesh_is_named(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mi_splat.capture.gltf.find_spec", lambda package: None)  # as if DracoPy were not there
+    monkeypatch.setattr("mi_splat.capture.mesh_files.find_spec", lambda package: None)  # as if DracoPy were not there
     with pytest.raises(MiSplatError, match=rf"{name}; unpack it: npx @gltf-transform/cli dequantize .*truck-unpacked"):
         load_mesh(write_glb(tmp_path, truck(), required=(name,)))
 

@@ -12,7 +12,7 @@ from mi_splat.assets.primitives import box, quad
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, View, look_at
 from mi_splat.capture.path_tracer import capture, depth_maps, scene_dict
-from mi_splat.capture.surface_points import SurfaceSamples, fit_colours, nearness, surface_samples
+from mi_splat.capture.writer import SurfaceSamples, fit_colours, nearness, surface_samples
 from mi_splat.rotation import to_matrix
 from mi_splat.sh import sh_to_colour
 from scenes.recipes.disc_splats import disc_splat

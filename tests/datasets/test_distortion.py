@@ -13,7 +13,7 @@ from PIL import Image
 
 from mi_splat.cameras import Camera, View, project_points
 from mi_splat.datasets import load_dataset, write_colmap
-from mi_splat.datasets.colmap_files import TWO_FOCALS
+from mi_splat.datasets.colmap import TWO_FOCALS
 from mi_splat.datasets.distortion import Intrinsics, undistorted
 from mi_splat.training.evaluation import MOST_PSNR, score
 from tests import oracle

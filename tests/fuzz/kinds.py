@@ -25,7 +25,7 @@ from attacks.report.checking import check_result, read_result
 from attacks.report.results import RESULT_KINDS, kind_of, read_section
 from attacks.search import START, SearchState, Step
 from attacks.studies import study_file
-from mi_splat.capture.gltf import gltf_notes
+from mi_splat.capture.mesh_files import gltf_notes
 from mi_splat.capture.writer import claim_folder
 from mi_splat.datasets.frames import read_mask, read_picture
 from mi_splat.datasets.transforms import read_cameras, read_world_offset
@@ -35,8 +35,8 @@ from mi_splat.io.points import load_points
 from mi_splat.io.splat_files import load_splat, save_splat
 from mi_splat.scene_files import open_scene
 from mi_splat.selection.masks import load_mask, save_mask
-from mi_splat.training.checkpoints import load_state, save_state
 from mi_splat.training.loop import Progress, TrainState
+from mi_splat.training.resume import load_state, save_state
 from mi_splat.training.strategies import FixedConfig
 from tests.fakes import camera
 from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SCENE_NAMES, SOG, Document

@@ -22,8 +22,7 @@ from mi_splat.io.pictures import save_animation
 from mi_splat.preparation import pictures as video
 from mi_splat.preparation.config import PreparationError, PrepareConfig
 from mi_splat.preparation.pictures import Picture, take_frames, take_photographs
-from mi_splat.preparation.prepare import SHEET, TILE, not_placed, prepare
-from mi_splat.preparation.reconstruction import Reconstruction, _trimmed
+from mi_splat.preparation.prepare import SHEET, TILE, Reconstruction, _trimmed, not_placed, prepare
 from mi_splat.rotation import from_z
 from tests.project.layers import ROOT
 

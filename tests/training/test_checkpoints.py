@@ -13,11 +13,10 @@ from safetensors.torch import save
 from mi_splat.cameras import View
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, scene_hash
-from mi_splat.training.checkpoints import CheckpointError, load_state, save_state
 from mi_splat.training.evaluation import score
 from mi_splat.training.initialization import from_points
 from mi_splat.training.loop import FitConfig, Progress, TrainState, advance, fit, scene_extent
-from mi_splat.training.resume import train
+from mi_splat.training.resume import CheckpointError, load_state, save_state, train
 from mi_splat.training.strategies import FixedConfig, MCMCConfig, StrategyConfig
 from tests.io.noted import Change, changed
 from tests.training.sets import SHORT, scene_and_views, views_of, watching

@@ -12,8 +12,8 @@ from attacks import cli
 from mi_splat.io import load_splat
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, scene_hash
-from mi_splat.training.checkpoints import load_state, save_state
 from mi_splat.training.loop import Progress, TrainState, advance, fit, scene_extent
+from mi_splat.training.resume import load_state, save_state
 from mi_splat.training.strategies import Edit, Step, Strategy, StrategyConfig, register_strategy, registry
 from tests.training.sets import SHORT, scene_and_views, write_set
 

@@ -15,10 +15,9 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.interrupts import sigterm_as_interrupt
 from mi_splat.rendering import Renderer
 from mi_splat.scene import scene_hash
-from mi_splat.training.checkpoints import CheckpointError, load_state
 from mi_splat.training.initialization import from_points
 from mi_splat.training.loop import FitConfig, Progress
-from mi_splat.training.resume import train
+from mi_splat.training.resume import CheckpointError, load_state, train
 from mi_splat.training.strategies import ClassicConfig
 from tests.training.sets import views_of, watching
 

@@ -42,25 +42,15 @@ class ScreenGradients(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Step:
-    """What a strategy may know after a step of the optimiser.
+    """What a strategy may know after a step of the optimiser."""
 
-    Attributes:
-        parameters: The tensors; they are changed by an `Edit` only.
-        iteration: Steps done.
-        iterations: Steps of the whole training.
-        scene_extent: Size of the scene, world units.
-        lr_means: Learning rate of the means at the next step, world units.
-        generator: Source of everything random, on the CPU; to be drawn from in a fixed order.
-        screen_gradients: Of this step, if the renderer keeps them.
-    """
-
-    parameters: Parameters
-    iteration: int
-    iterations: int
-    scene_extent: float
-    lr_means: float
-    generator: Generator
-    screen_gradients: ScreenGradients | None
+    parameters: Parameters  # the tensors; they are changed by an `Edit` only
+    iteration: int  # steps done
+    iterations: int  # steps of the whole training
+    scene_extent: float  # size of the scene, world units
+    lr_means: float  # learning rate of the means at the next step, world units
+    generator: Generator  # source of everything random, on the CPU; to be drawn from in a fixed order
+    screen_gradients: ScreenGradients | None  # of this step, if the renderer keeps them
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
