@@ -19,7 +19,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         ("cloak_car_layers", "cloak_car_layers_five"),
     ),
     "cloak_car_layers_edges": (
-        "CLOAK in the finished file with a layer more for each edge and the geometry trained",
+        "CLOAK in the finished file with a layer for each edge and trained geometry",
         _LAYERS,
         ("cloak_car_layers_edges",),
     ),
@@ -45,8 +45,8 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     ),
     "cloak_car_stealthy": ("CLOAK", "[CLOAK](../cloak.md#the-study)", ("cloak_car_stealthy",)),
     "cloak_variations": (
-        "CLOAK: other cars, objects and attackers",
-        "[CLOAK: other cars, objects and attackers](../cloak-variations.md)",
+        "CLOAK on other cars, objects and viewpoints",
+        "[CLOAK on other cars, objects and viewpoints](../cloak-variations.md)",
         (
             "cloak_new_cars",
             "cloak_controls",
@@ -60,29 +60,29 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
             "cloak_design_size",
         ),
     ),
-    "attack_zoo": ("The attack zoo", "[the attack zoo](../attack-zoo.md)", ("attack_zoo",)),
+    "attack_zoo": ("Comparing attack algorithms", "[Comparing attack algorithms](../attack-zoo.md)", ("attack_zoo",)),
     "dagger": ("DAGGER", "[DAGGER](../dagger.md)", ("dagger",)),
     "dagger_strict": (
-        "DAGGER, the own class gone, too",
-        "[DAGGER](../dagger.md#the-own-class-gone-too)",
+        "DAGGER with the original class suppressed",
+        "[DAGGER](../dagger.md#suppressing-the-original-class)",
         ("dagger_strict", "dagger_strict_smallest", "dagger_strict_forty"),
     ),
     "dagger_eot": (
-        "DAGGER when the camera moves",
-        "[DAGGER when the camera moves](../dagger-eot.md)",
+        "DAGGER from many viewpoints",
+        "[DAGGER from many viewpoints](../dagger-eot.md)",
         ("dagger_eot_smallest", "dagger_eot_pairs", "dagger_eot_openimages", "dagger_eot_settings"),
     ),
     "dagger_openimages": (
         "DAGGER on a detector of Open Images",
-        "[DAGGER on detectors that others trained](../dagger-coco.md#a-detector-trained-on-open-images)",
+        "[DAGGER on third-party detectors](../dagger-coco.md#a-detector-trained-on-open-images)",
         ("dagger_openimages", "dagger_openimages_but_one"),
     ),
     "m_ifgsm": ("M-IFGSM", "[M-IFGSM](../m-ifgsm.md)", ("m_ifgsm",)),
     "poison_splat": ("Poison-splat", "[Poison-splat](../poison-splat.md)", ("poison_splat",)),
-    "transfer": ("Transfer of DAGGER from one view", "[transfer](../transfer.md)", ("transfer",)),
+    "transfer": ("Transferability of DAGGER from one view", "[Transferability](../transfer.md)", ("transfer",)),
     "transfer_views": (
-        "Transfer of DAGGER over held-out views",
-        "[transfer](../transfer.md#over-views-that-no-search-has-seen)",
+        "Transferability of DAGGER over held-out views",
+        "[Transferability](../transfer.md#over-held-out-views)",
         ("transfer_views",),
     ),
 }
@@ -113,9 +113,13 @@ def write_pages(app: Sphinx) -> None:
     _write(docs / "tables" / "detectors" / "compared.md", compared_page())
     rows = [read_json(path) for path in sorted((docs / "bench" / "v1").glob("*/row.json"))]
     for name, title, text in (
-        ("bench_v1", "The scoreboard: rows of detectors", markdown([row for row in rows if not row["defence"]])),
-        ("bench_v1_defences", "The scoreboard: rows of defences", defences(rows)),
-        ("bench_audits", "The scoreboard: rows of audits", audit_table(audit_rows(docs / "tables" / "audit.json"))),
+        ("bench_v1", "Robustness benchmark: rows of detectors", markdown([row for row in rows if not row["defence"]])),
+        ("bench_v1_defences", "Robustness benchmark: rows of defences", defences(rows)),
+        (
+            "bench_audits",
+            "Robustness benchmark: rows of audits",
+            audit_table(audit_rows(docs / "tables" / "audit.json")),
+        ),
     ):
         _write(docs / "tables" / f"{name}.md", f"# {title}\n\n{text}")
     for name in study_tables.STUDIES:
