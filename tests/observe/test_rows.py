@@ -59,7 +59,7 @@ def test_each_attack_has_columns_of_its_own(tmp_path: Path) -> None:
     table = frame_of([{"view": 0, "depth: above": 1.5, "target_score: side": 0.25, "depth: side": -2.0, "seed": 0}])
     assert table.columns == ["seed", "view", "depth: above", "depth: side", "target_score: side"]
     assert read_rows(write_rows(table, tmp_path / "rows.csv.xz")).equals(table)
-    assert column_of("depth: above").meaning == "of the camera inside the trigger of attack above; outside below 0"
+    assert column_of("depth: above").meaning == "depth of the camera inside the trigger region of attack above; negative outside"
 
 
 def test_every_column_says_what_it_means_and_each_is_there_once() -> None:
@@ -166,7 +166,7 @@ def test_the_command_shows_the_rows_of_a_result(tmp_path: Path, capsys: pytest.C
     assert attacks.rows(tmp_path).equals(table)
     assert cli.main(["rows", str(tmp_path)]) == 0
     told = capsys.readouterr().out
-    assert "number of the camera in cameras.json, or of the picture, from 0" in told
+    assert "index of the camera in cameras.json, or of the image, from 0" in told
     assert "2 rows; --csv or --json prints them." in told
     assert cli.main(["rows", str(tmp_path), "--csv"]) == 0
     assert capsys.readouterr().out == rows_bytes(table).decode()
