@@ -59,7 +59,10 @@ def test_each_attack_has_columns_of_its_own(tmp_path: Path) -> None:
     table = frame_of([{"view": 0, "depth: above": 1.5, "target_score: side": 0.25, "depth: side": -2.0, "seed": 0}])
     assert table.columns == ["seed", "view", "depth: above", "depth: side", "target_score: side"]
     assert read_rows(write_rows(table, tmp_path / "rows.csv.xz")).equals(table)
-    assert column_of("depth: above").meaning == "depth of the camera inside the trigger region of attack above; negative outside"
+    assert (
+        column_of("depth: above").meaning
+        == "depth of the camera inside the trigger region of attack above; negative outside"
+    )
 
 
 def test_every_column_says_what_it_means_and_each_is_there_once() -> None:
