@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -88,8 +89,8 @@ def compared(several: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
         means = (number(figures["sets"].get(name, {}).get("map"), ".3f") for name in sets)
         rows.append((_name(figures), *means, *map(_per_picture, wrong)))
     heads = ("with objects", "of streets without", "without any")
-    head = ("detector", *(f"mAP, {name}" for name in sets), *(f"false positives, pictures {which}" for which in heads))
-    yield Table(caption="Precision, and false positives per picture", head=head, rows=tuple(rows))
+    head = ("detector", *(f"mAP, {name}" for name in sets), *(f"false positives, images {which}" for which in heads))
+    yield Table(caption="Precision, and false positives per image", head=head, rows=tuple(rows))
     for title, group, members in (
         *((f"objects, {name}", "all", (name,)) for name in sets),
         (f"cars, {listed(sets)}", "car", sets),
@@ -99,6 +100,13 @@ def compared(several: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
         if lines:
             caption = f"Found by elevation in degrees: {title}"
             yield Table(caption=caption, head=("detector", *bins_of(several[0], "elevation")), rows=lines)
+
+
+def in_short(several: Sequence[Mapping[str, Any]]) -> Table:
+    """Precision and false positives without their counts and intervals, third-party detectors first."""
+    table = next(compared(several))
+    rows = sorted(table.rows, key=lambda row: row[0].split()[0] in CARDS)
+    return replace(table, rows=tuple(tuple(cell.partition(" (")[0] for cell in row) for row in rows))
 
 
 def detailed(figures: Mapping[str, Any], of: str = "") -> Iterator[Table]:
@@ -252,7 +260,7 @@ def main(paths: Sequence[Path]) -> None:
     for kept, card in CARDS.values():
         write_between_marks(card, card_of(read_figures(kept)))
     several = [read_figures(path) for path in kept_figures()]
-    write_between_marks(PAGE, in_markdown([next(compared(several))]))
+    write_between_marks(PAGE, in_markdown([in_short(several)]))
     draw_recall([figures for figures in several if figures["confidence"] == USUAL_CONFIDENCE]).savefig(PICTURE)
 
 

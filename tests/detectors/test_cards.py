@@ -39,9 +39,9 @@ def test_the_page_of_detectors_holds_the_same_figures() -> None:
     files: list[Path] = WRITER["kept_figures"]()
     page = (ROOT / "docs" / "detectors.md").read_text()
     assert len(files) > len(CARDS)
-    first, *others = compared([read_figures(path) for path in files])
-    assert WRITER["in_markdown"]([first]) in page
-    assert WRITER["in_markdown"]([first, *others]) in WRITER["compared_page"]()
+    several = [read_figures(path) for path in files]
+    assert WRITER["in_markdown"]([WRITER["in_short"](several)]) in page
+    assert WRITER["in_markdown"](compared(several)) in WRITER["compared_page"]()
     for path in files[len(CARDS) :]:
         own = WRITER["table_page"](path)
         assert own.startswith(f"# {read_figures(path)['detector']}, from a confidence of ")
