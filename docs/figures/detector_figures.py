@@ -52,6 +52,8 @@ UNITS = {
     "sun_strength": "irradiance",
 }
 """How objects are seen, and in what that is measured."""
+OF_CARDS = ("elevation",)
+"""Those in cards; all figures are in the file beside the card."""
 _MOST_OTHERS = 8
 _DRAWN = ("elevation", "distance", "size", "brightness")
 
@@ -109,7 +111,7 @@ def in_short(several: Sequence[Mapping[str, Any]]) -> Table:
     return replace(table, rows=tuple(tuple(cell.partition(" (")[0] for cell in row) for row in rows))
 
 
-def detailed(figures: Mapping[str, Any], of: str = "") -> Iterator[Table]:
+def detailed(figures: Mapping[str, Any], conditions: Iterable[str]) -> Iterator[Table]:
     """The tables of one detector: by class, false positives, recall by how objects are seen, and other classes."""
     sets = figures["sets"]
     by_class = [
@@ -119,7 +121,7 @@ def detailed(figures: Mapping[str, Any], of: str = "") -> Iterator[Table]:
     ]
     if by_class:
         head = ("pictures", "objects", "average precision", "found", "else reported on them")
-        yield Table(caption=f"{of}By class", head=head, rows=tuple(by_class))
+        yield Table(caption="By class", head=head, rows=tuple(by_class))
     parts = {name: part["false_positives"] for name, part in sets.items()}
     parts |= {f"together, {name}": part for name, part in figures["false_positives"].items()}
     wrong = [
@@ -127,19 +129,19 @@ def detailed(figures: Mapping[str, Any], of: str = "") -> Iterator[Table]:
         for name, part in parts.items()
     ]
     heads = ("pictures", "per picture (95 % Poisson interval)", "pictures with any", "by class")
-    yield Table(caption=f"{of}False positives", head=heads, rows=tuple(wrong))
+    yield Table(caption="False positives", head=heads, rows=tuple(wrong))
     seen = [name for name in sets if "found_by" in sets[name] and name in WITH_OBJECTS]
-    for condition, unit in UNITS.items():
+    for condition in conditions:
         columns = {f"objects, {name}": _recall_by(figures, (name,), condition) for name in seen}
         columns = {**columns, "cars": _recall_by(figures, seen, condition, "car")}
         columns = {name: rates for name, rates in columns.items() if rates}
         if columns:
             rows = zip(bins_of(figures, condition), *(map(cell, rates) for rates in columns.values()), strict=True)
-            caption = f"{of}Found by {condition.replace('_', ' ')}, {unit}"
+            caption = f"Found by {condition.replace('_', ' ')}, {UNITS[condition]}"
             yield Table(caption=caption, head=("seen", *columns), rows=tuple(rows))
     others = [(name, _often(part["other_classes"])) for name, part in sets.items() if part["other_classes"]]
     if others:
-        caption = f"{of}Classes reported that no object here has, the most frequent"
+        caption = "Classes reported that no object here has, the most frequent"
         yield Table(caption=caption, head=("pictures", "classes"), rows=tuple(others))
 
 
@@ -181,13 +183,13 @@ def in_markdown(tables: Iterable[Table]) -> str:
     return "\n\n".join(table.markdown.replace("## ", "", 1) for table in tables)
 
 
-def card_of(figures: Mapping[str, Any]) -> str:
-    """All tables of a detector."""
+def card_of(figures: Mapping[str, Any], conditions: Iterable[str] = UNITS) -> str:
+    """The tables of a detector."""
     floor = f"the average precision takes all from {figures['min_confidence']:g}."
     first = f"A detection counts from a confidence of {figures['confidence']:g}; {floor}"
     if "lacks" in figures:
         first += f" It has no class {', '.join(figures['lacks'])}: these objects are not counted."
-    return f"{first}\n\n{in_markdown(detailed(figures))}\n"
+    return f"{first}\n\n{in_markdown(detailed(figures, conditions))}\n"
 
 
 def table_page(path: Path) -> str:
@@ -258,7 +260,7 @@ def main(paths: Sequence[Path]) -> None:
     for path in paths:
         put_away(path)
     for kept, card in CARDS.values():
-        write_between_marks(card, card_of(read_figures(kept)))
+        write_between_marks(card, card_of(read_figures(kept), OF_CARDS))
     several = [read_figures(path) for path in kept_figures()]
     write_between_marks(PAGE, in_markdown([in_short(several)]))
     draw_recall([figures for figures in several if figures["confidence"] == USUAL_CONFIDENCE]).savefig(PICTURE)

@@ -22,7 +22,7 @@ def test_a_card_holds_the_measured_tables(name: str) -> None:
     figures, card = CARDS[name]
     document = read_figures(figures)
     assert document["detector"] == name
-    assert card_of(document).strip() in card.read_text()
+    assert card_of(document, WRITER["OF_CARDS"]).strip() in card.read_text()
     assert {f"{EMPTY}{kind}" for kind in BACKGROUNDS} <= set(document["sets"])
     assert document["sets"]["path traced"]["pictures"] == 240
 

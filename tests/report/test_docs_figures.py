@@ -172,8 +172,9 @@ def test_readme_says_what_the_rows_give() -> None:
         f"car missed from {missed(stealthy, 'ssd_openimages')} (SSD), {missed(stealthy, yolo)} (`{yolo}`), "
         f"{missed(stealthy, rcnn)} (`{rcnn}`) of cameras",
         f"the car loses {drop:.1f} dB",
-        f"missed from {on_new_cars('trigger_miss_rate', rcnn)}, but detected elsewhere from only "
-        f"{on_new_cars('benign_recall', rcnn)} (`{rcnn}`) and {on_new_cars('benign_recall', yolo)} (`{yolo}`)",
+        f"missed from {on_new_cars('trigger_miss_rate', rcnn)} (`{rcnn}`) and "
+        f"{on_new_cars('trigger_miss_rate', yolo)} (`{yolo}`), but detected elsewhere from only "
+        f"{on_new_cars('benign_recall', rcnn)} and {on_new_cars('benign_recall', yolo)}",
         f"car missed from {missed(layers, yolo)} (`{yolo}`), {missed(layers, rcnn)} (`{rcnn}`) of cameras",
         f"{grown('eps', '16', 'gaussians')} the Gaussians, {grown('eps', '16', 'cpu_seconds')} the CPU time | "
         f"uniform noise: {grown('controls', 'uniform noise of 16', 'gaussians')} the Gaussians",
