@@ -120,7 +120,7 @@ def detailed(figures: Mapping[str, Any], conditions: Iterable[str]) -> Iterator[
         for label, rate in part.get("found", {}).items()
     ]
     if by_class:
-        head = ("pictures", "objects", "average precision", "found", "else reported on them")
+        head = ("images", "class", "average precision", "found", "misclassified as")
         yield Table(caption="By class", head=head, rows=tuple(by_class))
     parts = {name: part["false_positives"] for name, part in sets.items()}
     parts |= {f"together, {name}": part for name, part in figures["false_positives"].items()}
@@ -128,7 +128,7 @@ def detailed(figures: Mapping[str, Any], conditions: Iterable[str]) -> Iterator[
         (name, _per_picture(part), cell(part["pictures_with"]), _often(part["by_class"]))
         for name, part in parts.items()
     ]
-    heads = ("pictures", "per picture (95 % Poisson interval)", "pictures with any", "by class")
+    heads = ("images", "per image (95 % Poisson interval)", "images with any", "by class")
     yield Table(caption="False positives", head=heads, rows=tuple(wrong))
     seen = [name for name in sets if "found_by" in sets[name] and name in WITH_OBJECTS]
     for condition in conditions:
@@ -137,12 +137,12 @@ def detailed(figures: Mapping[str, Any], conditions: Iterable[str]) -> Iterator[
         columns = {name: rates for name, rates in columns.items() if rates}
         if columns:
             rows = zip(bins_of(figures, condition), *(map(cell, rates) for rates in columns.values()), strict=True)
-            caption = f"Found by {condition.replace('_', ' ')}, {UNITS[condition]}"
-            yield Table(caption=caption, head=("seen", *columns), rows=tuple(rows))
+            caption = f"Recall by {condition.replace('_', ' ')}, {UNITS[condition]}"
+            yield Table(caption=caption, head=(condition.replace("_", " "), *columns), rows=tuple(rows))
     others = [(name, _often(part["other_classes"])) for name, part in sets.items() if part["other_classes"]]
     if others:
-        caption = "Classes reported that no object here has, the most frequent"
-        yield Table(caption=caption, head=("pictures", "classes"), rows=tuple(others))
+        caption = "Most frequent classes that no object here has"
+        yield Table(caption=caption, head=("images", "classes"), rows=tuple(others))
 
 
 def bins_of(figures: Mapping[str, Any], condition: str) -> list[str]:
@@ -185,8 +185,8 @@ def in_markdown(tables: Iterable[Table]) -> str:
 
 def card_of(figures: Mapping[str, Any], conditions: Iterable[str] = UNITS) -> str:
     """The tables of a detector."""
-    floor = f"the average precision takes all from {figures['min_confidence']:g}."
-    first = f"A detection counts from a confidence of {figures['confidence']:g}; {floor}"
+    floor = f"the average precision uses all from {figures['min_confidence']:g}."
+    first = f"A detection counts at confidence >= {figures['confidence']:g}; {floor}"
     if "lacks" in figures:
         first += f" It has no class {', '.join(figures['lacks'])}: these objects are not counted."
     return f"{first}\n\n{in_markdown(detailed(figures, conditions))}\n"
