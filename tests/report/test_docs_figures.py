@@ -89,6 +89,32 @@ def test_the_transfer_matrix_in_the_guide_is_that_of_the_rows() -> None:
     assert Counter(cells) == Counter(map(", ".join, counts))
 
 
+def test_the_tables_of_cloak_are_those_of_the_rows() -> None:
+    """The seeds on which nothing was tuned, and detections at a confidence of at least 0.3."""
+    result = result_of("cloak_car_stealthy")
+    cloak, coco = ((ROOT / "docs" / page).read_text() for page in ("cloak.md", "coco.md"))
+    for detector in (*OUR, "ssd_openimages"):
+        rates = [result.record["by_seed"][seed][detector]["trigger_miss_rate"] for seed in ("1", "2")]
+        missed, seen = (sum(rate[key] for rate in rates) for key in ("successes", "total"))
+        assert f"{missed}/{seen} = {100 * missed / seen:.1f} %" in cloak
+    rows = result.tables[ROWS].with_columns(found=pl.col("original_score") >= 0.3)
+    inside, behind = pl.col("depth: overhead") >= 0, pl.col("depth: rear") >= 0
+    for (detector,), of_one in rows.group_by("detector"):
+        hidden, shown = of_one.filter(inside), of_one.filter(~inside, ~behind)
+        missing = [f"{len(part) - part['found'].sum()}/{len(part)}" for part in by_splat(hidden)]
+        found = [f"{part['found'].sum()}/{len(part)}" for part in by_splat(shown)]
+        assert f"| `{detector}` | {' | '.join((*missing, *found))} |" in coco
+    for low, high in ((0, 20), (20, 40), (40, 60), (60, 90)):
+        band = rows.filter(pl.col("elevation").is_between(low, high, closed="left"), ~behind)
+        bands = [by_splat(band.filter(detector=name)) for name in ("centernet_coco", "nanodet_coco", "ssd_openimages")]
+        cells = [", ".join(f"{part['found'].sum()}/{len(part)}" for part in parts) for parts in bands]
+        assert f"| {low} to {high} | {' | '.join(cells)} |" in coco
+
+
+def by_splat(rows: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
+    return rows.filter(splat=CLEAN), rows.filter(splat=ATTACKED)
+
+
 # The figures of README
 
 
