@@ -120,7 +120,7 @@ def detailed(figures: Mapping[str, Any], conditions: Iterable[str]) -> Iterator[
         for label, rate in part.get("found", {}).items()
     ]
     if by_class:
-        head = ("images", "class", "average precision", "found", "misclassified as")
+        head = ("images", "class", "average precision", "found", "other classes reported")
         yield Table(caption="By class", head=head, rows=tuple(by_class))
     parts = {name: part["false_positives"] for name, part in sets.items()}
     parts |= {f"together, {name}": part for name, part in figures["false_positives"].items()}
