@@ -92,10 +92,24 @@ class Cone(Trigger):
 
     @abstractmethod
     def depth(self, direction: Direction) -> float:
-        """How far inside of the region a direction lies, as an angle on the sphere."""
+        """How far inside the region a direction lies, as an angle on the sphere.
+
+        Args:
+            direction: Direction from the centre to a camera.
+
+        Returns:
+            Degrees; inside > 0.
+        """
 
     def contains(self, direction: Direction) -> bool:
-        """Whether a direction lies in the region, its edge included."""
+        """Whether a direction lies in the region, its edge included.
+
+        Args:
+            direction: Direction from the centre to a camera.
+
+        Returns:
+            Whether it does.
+        """
         return self.depth(direction) >= -EDGE
 
     def holds(self, cameras: Sequence[Camera], *, centre: Point) -> Tensor:

@@ -21,13 +21,14 @@ MOST = 45
 
 
 def functions(value: Any) -> Iterator[Callable[..., Any]]:
-    """A function itself; of a class its public methods, those of its bases in this project included."""
+    """A function itself; of a class its public methods, each where a class of this project first declares it."""
     if inspect.isfunction(value):
         yield value
     for kind in value.__mro__ if inspect.isclass(value) else ():
         for name, member in vars(kind).items() if kind.__module__.startswith(PACKAGES) else ():
             member = getattr(member, "__func__", member)
-            if inspect.isfunction(member) and (name == "__call__" or not name.startswith("_")):
+            first = not any(name in vars(base) for base in kind.__mro__[1:])
+            if first and inspect.isfunction(member) and (name == "__call__" or not name.startswith("_")):
                 yield member
 
 
