@@ -94,7 +94,7 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
         figures=tuple(Figure(label=label, words=words) for label, words in figures.items()),
         warnings=warnings,
         pictures=(Picture(path=folder / BEFORE_AND_AFTER, caption="Some pictures, before and after.", wide=True),),
-        charts=(_dome(record["directions"], {change["index"] for change in changes}),) * is_cloak,
+        charts=(_dome(record["directions"], {change["index"] for change in changes}),) if is_cloak else (),
         tables=(Table.of("Every changed picture", columns, changes),) * bool(changes),
         configuration=settings({name: value for name, value in record.items() if name not in _NO_SETTINGS}),
     )
