@@ -26,19 +26,12 @@ Mask: TypeAlias = Tensor | slice | Sequence[bool] | Sequence[int] | NDArray[np.b
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussianSubset:
-    """One object of a scene: the rows that an attack may change.
+    """One object of a scene: the rows that an attack may change."""
 
-    Attributes:
-        scene: The whole scene.
-        rows: (M,) int64 indices of the object's Gaussians, ascending.
-        clean: The object's rows of all five attributes, as a file holds them.
-        sh_degree: Highest degree of the SH coefficients that may change; None for all.
-    """
-
-    scene: GaussianScene
-    rows: Tensor
-    clean: Parameters
-    sh_degree: int | None = None
+    scene: GaussianScene  # the whole scene
+    rows: Tensor  # (M,) int64 indices of the object's Gaussians, ascending
+    clean: Parameters  # the object's rows of all five attributes, as a file holds them
+    sh_degree: int | None = None  # highest degree of the SH coefficients that may change; None for all
 
     @classmethod
     def of(cls, scene: GaussianScene, mask: Mask, *, sh_degree: int | None = None) -> GaussianSubset:

@@ -38,19 +38,12 @@ GONE = 0.3
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Target:
-    """The attacked object in one view.
+    """The attacked object in one view."""
 
-    Attributes:
-        box: (4,) x0, y0, x1, y1 in pixels: where the object is visible.
-        label: Class that the attacker wants to be seen there; None when any change will do.
-        classes: The detector's classes, in the order of the columns of `Candidates.scores`.
-        original: Class that the detector sees there before the attack; None when it sees nothing.
-    """
-
-    box: Tensor
-    label: str | None
-    classes: tuple[str, ...]
-    original: str | None = None
+    box: Tensor  # (4,) x0, y0, x1, y1 in pixels: where the object is visible
+    label: str | None  # class that the attacker wants to be seen there; None when any change will do
+    classes: tuple[str, ...]  # the detector's classes, in the order of the columns of `Candidates.scores`
+    original: str | None = None  # class that the detector sees there before the attack; None when it sees nothing
 
 
 def joint_verdict(verdicts: Sequence[Verdict], required: float) -> Verdict:

@@ -62,17 +62,11 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Evaluation:
-    """What the attacker knows about one point.
+    """What the attacker knows about one point."""
 
-    Attributes:
-        loss: Lower is better for the attacker.
-        gradients: Derivative of the loss by each parameter; empty where nobody asks for it.
-        verdict: Of the point; None where a judge looks at some points only.
-    """
-
-    loss: float
-    gradients: Parameters
-    verdict: Verdict | None = None
+    loss: float  # lower is better for the attacker
+    gradients: Parameters  # derivative of the loss by each parameter; empty where nobody asks for it
+    verdict: Verdict | None = None  # of the point; None where a judge looks at some points only
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,19 +96,12 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Outcome:
-    """The best point of all runs and how it was found.
+    """The best point of all runs and how it was found."""
 
-    Attributes:
-        parameters: The best point (`rank`).
-        best: Its line of the trace.
-        trace: Every point in order, the starts included.
-        stopped: Whether it was ended before its time by `Hooks.on_step`.
-    """
-
-    parameters: Parameters
-    best: Step
-    trace: tuple[Step, ...]
-    stopped: bool = False
+    parameters: Parameters  # the best point (`rank`)
+    best: Step  # its line of the trace
+    trace: tuple[Step, ...]  # every point in order, the starts included
+    stopped: bool = False  # whether it was ended before its time by `Hooks.on_step`
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -158,21 +145,13 @@ number of the run. See `attacks.optimisers`.
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SearchState:
-    """A search between two steps: all that the rest of it depends on.
+    """A search between two steps: all that the rest of it depends on."""
 
-    Attributes:
-        point: Where it is.
-        optimiser: What the optimiser remembers; its index is the number of steps done.
-        best: The best point so far; `point` before anything was judged.
-        best_line: Its line of the trace; None before anything was judged.
-        trace: Every point before `point`.
-    """
-
-    point: Parameters
-    optimiser: OptimiserState
-    best: Parameters
-    best_line: Step | None
-    trace: tuple[Step, ...]
+    point: Parameters  # where it is
+    optimiser: OptimiserState  # what the optimiser remembers; its index is the number of steps done
+    best: Parameters  # the best point so far; `point` before anything was judged
+    best_line: Step | None  # its line of the trace; None before anything was judged
+    trace: tuple[Step, ...]  # every point before `point`
 
     @classmethod
     def at(cls, point: Parameters) -> SearchState:

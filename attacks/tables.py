@@ -28,17 +28,11 @@ def cell(value: Any) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """A table: the first cell of each row is its heading.
+    """A table: the first cell of each row is its heading."""
 
-    Attributes:
-        caption: What stands above it.
-        head: Titles of the columns.
-        rows: The cells.
-    """
-
-    caption: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    caption: str  # what stands above it
+    head: tuple[str, ...]  # titles of the columns
+    rows: tuple[tuple[str, ...], ...]  # the cells
 
     @classmethod
     def of(cls, caption: str, columns: Mapping[str, Column[Line]], lines: Iterable[Line]) -> Table:

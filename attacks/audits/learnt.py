@@ -59,19 +59,12 @@ def attributes(scene: GaussianScene) -> Tensor:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AttributeClassifier:
-    """A logistic regression on `attributes`.
+    """A logistic regression on `attributes`."""
 
-    Attributes:
-        middle: (F,) mean of the training set.
-        spread: (F,) its standard deviation, 1 where that is 0.
-        weights: (F,).
-        bias: What is added.
-    """
-
-    middle: Tensor
-    spread: Tensor
-    weights: Tensor
-    bias: float
+    middle: Tensor  # (F,) mean of the training set
+    spread: Tensor  # (F,) its standard deviation, 1 where that is 0
+    weights: Tensor  # (F,)
+    bias: float  # what is added
 
     def odds(self, values: Tensor) -> Tensor:
         """(N,) log odds that splats of (N, F) attributes hide something."""

@@ -97,19 +97,12 @@ class Viewing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Condition:
-    """A condition: a renderer after changes to the splat, the camera or the picture; itself a `RenderFn`.
+    """A condition: a renderer after changes to the splat, the camera or the picture; itself a `RenderFn`."""
 
-    Attributes:
-        name: In the column `condition`.
-        show: What becomes of a splat, and what renders it.
-        move: Where a camera stands.
-        holds: Whether a camera looks at all.
-    """
-
-    name: str
-    show: Callable[[GaussianScene], Shown]
-    move: Callable[[Camera], Camera] = lambda camera: camera
-    holds: Callable[[Camera], bool] = lambda camera: True
+    name: str  # in the column `condition`
+    show: Callable[[GaussianScene], Shown]  # what becomes of a splat, and what renders it
+    move: Callable[[Camera], Camera] = lambda camera: camera  # where a camera stands
+    holds: Callable[[Camera], bool] = lambda camera: True  # whether a camera looks at all
 
     def __call__(self, scene: GaussianScene, camera: Camera) -> Tensor:
         """The picture of a splat under this condition, (H, W, 3) sRGB."""

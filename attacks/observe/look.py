@@ -84,15 +84,10 @@ def detection_rows(ids: Mapping[str, Cell], detections: Detections, box: Tensor 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Looked:
-    """What detectors reported, as two tables.
+    """What detectors reported, as two tables."""
 
-    Attributes:
-        rows: A row for each condition, splat, view and detector.
-        detections: A row for each detection.
-    """
-
-    rows: pl.DataFrame
-    detections: pl.DataFrame
+    rows: pl.DataFrame  # a row for each condition, splat, view and detector
+    detections: pl.DataFrame  # a row for each detection
 
     def write(self, folder: Path) -> list[Path]:
         """Write rows.csv.xz and detections.csv.xz."""

@@ -28,15 +28,10 @@ Group = tuple[Any, ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measure:
-    """What is counted.
+    """What is counted."""
 
-    Attributes:
-        holds: What has to hold in a row; one where it cannot be said (null) does not hold.
-        given: Which rows count; None counts all.
-    """
-
-    holds: pl.Expr
-    given: pl.Expr | None = None
+    holds: pl.Expr  # what has to hold in a row; one where it cannot be said (null) does not hold
+    given: pl.Expr | None = None  # which rows count; None counts all
 
 
 def count(

@@ -44,21 +44,13 @@ _TYPES = {"text": pl.String, "whole": pl.Int64, "number": pl.Float64, "truth": p
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """A column of a table.
+    """A column of a table."""
 
-    Attributes:
-        name: At its head; one that ends in ": " stands for a column of each attack, whose name follows.
-        kind: What its cells hold; a truth is true or false.
-        unit: Of a number; empty for none.
-        meaning: In words.
-        optional: Whether a cell may be empty, which stands for None.
-    """
-
-    name: str
-    kind: Literal["text", "whole", "number", "truth"]
-    meaning: str
-    unit: str = ""
-    optional: bool = False
+    name: str  # at its head; one that ends in ": " stands for a column of each attack, whose name follows
+    kind: Literal["text", "whole", "number", "truth"]  # what its cells hold; a truth is true or false
+    meaning: str  # in words
+    unit: str = ""  # of a number; empty for none
+    optional: bool = False  # whether a cell may be empty, which stands for None
 
     def as_dict(self) -> dict[str, object]:
         """As JSON can hold it."""

@@ -196,21 +196,13 @@ def clamped_fraction(subset: GaussianSubset, camera: Camera) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageChange:
-    """How far the attacked pictures are from the clean ones; values in [0, 1], all views together.
+    """How far the attacked pictures are from the clean ones; values in [0, 1], all views together."""
 
-    Attributes:
-        l2: Euclidean norm of the difference, per view (root mean square over views).
-        linf: Largest change of a channel of a pixel.
-        psnr: dB over whole pictures; None when nothing changed.
-        psnr_object: dB over the pixels that are at least half the object's.
-        outside: Largest change of a pixel of which the object makes up less than 1/255.
-    """
-
-    l2: float
-    linf: float
-    psnr: float | None
-    psnr_object: float | None
-    outside: float
+    l2: float  # euclidean norm of the difference, per view (root mean square over views)
+    linf: float  # largest change of a channel of a pixel
+    psnr: float | None  # dB over whole pictures; None when nothing changed
+    psnr_object: float | None  # dB over the pixels that are at least half the object's
+    outside: float  # largest change of a pixel of which the object makes up less than 1/255
 
     def __str__(self) -> str:
         return "no pixel changed" if self.psnr is None else f"PSNR {self.psnr:.1f} dB"

@@ -33,23 +33,14 @@ MANIFEST = "poison.json"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """What was done to one view.
+    """What was done to one view."""
 
-    Attributes:
-        index: Position of the view.
-        pixels: Pixels in the picture.
-        pixels_changed: Pixels of which a channel has another value.
-        largest: Largest difference of a channel, sRGB in [0, 1].
-        sha256_before: Of the untouched picture: its float32 values, little-endian, row by row.
-        sha256_after: Of the new picture.
-    """
-
-    index: int
-    pixels: int
-    pixels_changed: int
-    largest: float
-    sha256_before: str
-    sha256_after: str
+    index: int  # position of the view
+    pixels: int  # pixels in the picture
+    pixels_changed: int  # pixels of which a channel has another value
+    largest: float  # largest difference of a channel, sRGB in [0, 1]
+    sha256_before: str  # of the untouched picture: its float32 values, little-endian, row by row
+    sha256_after: str  # of the new picture
 
     @classmethod
     def between(cls, index: int, before: View, after: View, **more: Any) -> Change:
@@ -68,15 +59,10 @@ class Change:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PoisonedViews(ViewSet):
-    """A set of views with some replaced; the others are the very objects that the set gives, read when asked for.
+    """A set of views with some replaced; the others are the very objects that the set gives, read when asked for."""
 
-    Attributes:
-        untouched: The set.
-        replaced: New views by position.
-    """
-
-    untouched: Sequence[View]
-    replaced: Mapping[int, View]
+    untouched: Sequence[View]  # the set
+    replaced: Mapping[int, View]  # new views by position
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
@@ -103,17 +89,11 @@ class PoisonedViews(ViewSet):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Poisoned(Previewed):
-    """A poisoned set.
+    """A poisoned set."""
 
-    Attributes:
-        views: As many as the untouched set has, in its order.
-        changes: Every view that was replaced, in the order of positions.
-        poison: What was asked for, as JSON can hold it, with its `kind`.
-    """
-
-    views: PoisonedViews
-    changes: tuple[Change, ...]
-    poison: Mapping[str, Any]
+    views: PoisonedViews  # as many as the untouched set has, in its order
+    changes: tuple[Change, ...]  # every view that was replaced, in the order of positions
+    poison: Mapping[str, Any]  # what was asked for, as JSON can hold it, with its `kind`
 
     def __repr__(self) -> str:
         kind = one_line(str(self.poison.get("kind", "")), 40)

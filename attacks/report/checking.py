@@ -34,17 +34,11 @@ Value = int | float | bool | str | tuple[int, int] | None
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """One line of what was checked.
+    """One line of what was checked."""
 
-    Attributes:
-        name: What was looked at.
-        words: What was found.
-        passed: Whether it is as it has to be; None if there is nothing to compare it with.
-    """
-
-    name: str
-    words: str
-    passed: bool | None
+    name: str  # what was looked at
+    words: str  # what was found
+    passed: bool | None  # whether it is as it has to be; None if there is nothing to compare it with
 
     @property
     def colour(self) -> str:

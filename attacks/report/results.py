@@ -41,21 +41,13 @@ Record = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResultKind:
-    """A kind of result.
+    """A kind of result."""
 
-    Attributes:
-        name: What writes it; also what its record says under `story`.
-        read: Makes the section of a folder and of what its record holds.
-        file: The record, in its folder; one of another name than result.json says what wrote it.
-        figures: Derives its figures from its rows; None of a kind without rows.
-        rescoring: How its splats are scored again; None of a kind that is not.
-    """
-
-    name: str
-    read: Callable[[Path, Record], Section]
-    file: str = RECORD
-    figures: Figures | None = None
-    rescoring: Rescoring | None = None
+    name: str  # what writes it; also what its record says under `story`
+    read: Callable[[Path, Record], Section]  # makes the section of a folder and of what its record holds
+    file: str = RECORD  # the record, in its folder; one of another name than result.json says what wrote it
+    figures: Figures | None = None  # derives its figures from its rows; None of a kind without rows
+    rescoring: Rescoring | None = None  # how its splats are scored again; None of a kind that is not
 
 
 RESULT_KINDS = (

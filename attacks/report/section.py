@@ -19,19 +19,12 @@ FEW = 10
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Figure:
-    """One figure.
+    """One figure."""
 
-    Attributes:
-        label: What it is.
-        rate: How often, with its interval; None for what is not counted.
-        words: The value where there is no rate.
-        note: What else the reader has to know of it.
-    """
-
-    label: str
-    rate: Rate | None = None
-    words: str = ""
-    note: str = ""
+    label: str  # what it is
+    rate: Rate | None = None  # how often, with its interval; None for what is not counted
+    words: str = ""  # the value where there is no rate
+    note: str = ""  # what else the reader has to know of it
 
     @property
     def value(self) -> str:
@@ -68,21 +61,13 @@ class Figure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:
-    """A picture file of a result.
+    """A picture file of a result."""
 
-    Attributes:
-        path: Of the PNG.
-        caption: What is to be seen.
-        alt: The same for who cannot see it; empty where the caption says it.
-        wide: Whether it has so many columns that a small screen should scroll it.
-        large: Whether it takes the whole width of any screen.
-    """
-
-    path: Path
-    caption: str
-    alt: str = ""
-    wide: bool = False
-    large: bool = False
+    path: Path  # of the PNG
+    caption: str  # what is to be seen
+    alt: str = ""  # the same for who cannot see it; empty where the caption says it
+    wide: bool = False  # whether it has so many columns that a small screen should scroll it
+    large: bool = False  # whether it takes the whole width of any screen
 
 
 @dataclass(frozen=True, slots=True)

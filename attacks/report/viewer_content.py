@@ -339,15 +339,10 @@ MIN_CONFIDENCE = 0.3
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class DetectorInspection:
-    """What a detector reports on one picture.
+    """What a detector reports on one picture."""
 
-    Attributes:
-        detections: All of it.
-        min_confidence: Confidence from which a detection is shown.
-    """
-
-    detections: Detections
-    min_confidence: float = MIN_CONFIDENCE
+    detections: Detections  # all of it
+    min_confidence: float = MIN_CONFIDENCE  # confidence from which a detection is shown
 
     @property
     def text(self) -> str:

@@ -82,17 +82,11 @@ class FixedAttack(Attack):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DrawnAttack(Attack):
-    """An attack from all cameras of a region.
+    """An attack from all cameras of a region."""
 
-    Attributes:
-        attack: How to attack.
-        transformations: The views that it is made for.
-        judged: The views that judge it, where these are others.
-    """
-
-    attack: EotConfig = field(default_factory=EotConfig)
-    transformations: Transformations = field(default_factory=Transformations)
-    judged: Transformations | None = None
+    attack: EotConfig = field(default_factory=EotConfig)  # how to attack
+    transformations: Transformations = field(default_factory=Transformations)  # the views that it is made for
+    judged: Transformations | None = None  # the views that judge it, where these are others
 
 
 def run(config: FixedAttack | DrawnAttack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:

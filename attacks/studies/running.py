@@ -21,17 +21,11 @@ STORE = Path("out/store")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """What a run of a study left behind.
+    """What a run of a study left behind."""
 
-    Attributes:
-        jobs: How many there are.
-        failed: What was said by those that have failed, by their labels.
-        files: Of the result; none where all jobs have failed.
-    """
-
-    jobs: int
-    failed: dict[str, str]
-    files: tuple[Path, ...]
+    jobs: int  # how many there are
+    failed: dict[str, str]  # what was said by those that have failed, by their labels
+    files: tuple[Path, ...]  # of the result; none where all jobs have failed
 
 
 def work_of(study: Study) -> Work:
