@@ -4,6 +4,7 @@ Each command that needs an extra is run in a process that does not have it: one 
 anything is written.
 """
 
+import importlib
 import re
 import shutil
 import sys
@@ -180,3 +181,9 @@ assert picture.std() > 0.05
     done = warm.run("-m", "attacks", "render", "example.xml", "--out", "street.png", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "street.png").is_file()
+
+
+def test_the_setup_script_names_what_there_is() -> None:
+    text = (ROOT / ".ci" / "setup.sh").read_text()
+    for module, name in re.findall(r"from ([\w.]+) import (\w+)", text):
+        assert hasattr(importlib.import_module(module), name), f"{module}.{name}"
