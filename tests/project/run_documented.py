@@ -117,6 +117,7 @@ GIVEN: dict[str, str | Callable[[Path], None]] = {
     "out/cloak": "mi-splat cloak scenes/cloak_car_colour.toml --out {path}",
     "out/layers": "mi-splat cloak scenes/cloak_car_layers.toml --out {path}",
     "docs/artifacts/cloak_car_layers": shipped_artifact,
+    "docs/artifacts/cloak_car_stealthy": shipped_artifact,
     "docs/tables/audit.json": shipped_table,
     "out/studies/between_renderers": small_study,
 }
