@@ -2,7 +2,7 @@
 
 The system gives a lock up when its process ends, however it ends; the file is removed at the end of the block, and one
 that a kill left behind locks nothing. Disks without locks give none: the block then runs without. (The package
-`filelock` says nothing of who has a lock, and its versions for Python 3.10 truncate what they open.)
+`filelock` says nothing of who has a lock, and its newest version needs Python 3.11.)
 """
 
 import contextlib

@@ -33,8 +33,8 @@ ImportError: ultralytics, once it is loaded, lets Pillow look for a plugin that 
 caller has made errors of warnings.
 """
 
-MOST_SCANS = 100
-"""Scans that a JPEG may have; encoders write about ten, and each goes over all pixels again."""
+MOST_SCANS, MOST_JPEG = 100, 1 << 28
+"""Scans that a JPEG may have (encoders write about ten, and each goes over all pixels again), and its bytes."""
 _MARKER = re.compile(rb"\xff[^\x00\x01\xff\xd0-\xd7]", re.DOTALL)
 """A marker with a length after it, or the end: not a stuffed byte, a fill byte or a restart."""
 
@@ -123,8 +123,11 @@ def check_scans(picture: Image.Image, what: str) -> None:
         return
     offset = file.tell()
     file.seek(0)
-    scans = _scans(file.read())
+    data = file.read(MOST_JPEG + 1)
     file.seek(offset)
+    if len(data) > MOST_JPEG:
+        raise PictureFileError.of(what, f"a JPEG of at most {MOST_JPEG:,} bytes", "more", "save it again")
+    scans = _scans(data)
     if scans > MOST_SCANS:
         raise PictureFileError.of(what, f"a JPEG of at most {MOST_SCANS} scans", "more", "save it again")
 

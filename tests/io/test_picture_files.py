@@ -116,6 +116,14 @@ def test_a_jpeg_of_many_scans_is_not_decoded(tmp_path: Path) -> None:
         load_picture(saved("TIFF", compression="jpeg"), "square")
 
 
+def test_a_jpeg_of_gigabytes_is_not_read_whole(tmp_path: Path) -> None:
+    (tmp_path / "huge.jpg").write_bytes(many_scans(2))
+    with (tmp_path / "huge.jpg").open("r+b") as file:
+        file.truncate(1 << 36)  # sparse: it takes no disk
+    with pytest.raises(PictureFileError, match=r"huge\.jpg: expected a JPEG of at most 268,435,456 bytes, got more"):
+        load_picture(tmp_path / "huge.jpg")
+
+
 @pytest.mark.parametrize("kind", ["GIF", "PPM", "EPS", "PDF", "TGA", "ICO"])
 def test_other_kinds_are_refused_whatever_their_name(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "square.png"
