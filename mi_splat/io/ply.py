@@ -22,8 +22,8 @@ Rows = NDArray[np.void]
 
 HEADER_LIMIT = 64 * 1024
 """Longest header in bytes; the ones that 3DGS writes have 1.5 KB."""
-_MOST_LISTS, _LONGEST_LINE = 1 << 21, 1 << 20
-"""Lists that a file may have, and bytes of a line of text: plyfile makes an object of each list and each word."""
+_MOST_LISTS, _LONGEST_LINE, _MOST_TEXT = 1 << 21, 1 << 20, 1 << 30
+"""Lists that a file may have, bytes of a line of text, and bytes of a file that plyfile reads into objects."""
 
 _ORDERS = {b"ascii": "", b"binary_little_endian": "<", b"binary_big_endian": ">"}
 """Byte order in NumPy's letters of each encoding, empty for text."""
@@ -176,6 +176,8 @@ def _read_with_plyfile(file: io.FileIO, header: Header, elements: tuple[Element,
     lists = sum(e.count * sum(bool(column.length_kind) for column in e.properties) for e in elements)
     if header.size + least - (not header.order) > size or lists > _MOST_LISTS:
         raise _mismatch(header, f"at least {header.size + least} bytes of {what}", f"{size} bytes", path)
+    if size > _MOST_TEXT:
+        raise ply_error(path, f"at most {_MOST_TEXT:,} bytes of {what}", f"{size:,}", "export it as binary")
     try:
         import plyfile
     except ImportError as error:

@@ -382,3 +382,14 @@ def test_colours_of_every_unsigned_kind(kind: str, dtype: str, tmp_path: Path) -
     data = np.zeros(3, "<f4").tobytes() + np.array([full, 0, full], dtype).tobytes()
     (tmp_path / "a.ply").write_bytes(head.encode() + data)
     torch.testing.assert_close(load_points(tmp_path / "a.ply").colours, torch.tensor([[1.0, 0.0, 1.0]]))
+
+
+def test_a_text_file_of_gigabytes_is_not_read_whole(tmp_path: Path) -> None:
+    path = tmp_path / "huge.ply"
+    columns = [*(f"float {axis}" for axis in "xyz"), *(f"uchar {name}" for name in ("red", "green", "blue"))]
+    head = "\n".join(["ply", "format ascii 1.0", "element vertex 1", *(f"property {c}" for c in columns), ""]).encode()
+    path.write_bytes(head + b"end_header\n0 0 0 1 1 1\n")
+    with path.open("r+b") as file:
+        file.truncate(1 << 36)  # sparse: it takes no disk
+    with pytest.raises(MiSplatError, match="at most 1,073,741,824 bytes of text"):
+        load_points(path)
