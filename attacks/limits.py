@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, get_args
 
-from mi_splat.fields import Called, at_least
+from mi_splat.fields import Metavar, at_least
 
 NormName = Literal["linf", "l2", "l2_per_gaussian"]
 """`linf`: largest change of a coefficient; `l2`: one ball over the object; `l2_per_gaussian`: a ball for each row."""
@@ -14,5 +14,5 @@ Schedule = Literal["constant", "linear", "cosine"]
 
 SCHEDULES: tuple[Schedule, ...] = get_args(Schedule)
 
-Radius = Annotated[float, at_least(0, "units of the splat file", "5 is the paper's"), Called("RADIUS")]
+Radius = Annotated[float, at_least(0, "units of the splat file", "5 is the paper's"), Metavar("RADIUS")]
 """Largest size of a perturbation; 0 changes nothing."""

@@ -71,17 +71,17 @@ class Range:
 
 
 @dataclass(frozen=True, slots=True)
-class Called:
+class Metavar:
     """What `--help` calls the values of a field, one word for each of them."""
 
     name: str  # for instance "X Y Z". A field without it takes the unit of its range, or what its type says
 
 
 @dataclass(frozen=True, slots=True)
-class Word:
-    """A tuple, or a table, that is one word of the command line."""
+class Converter:
+    """How a tuple, or a table, is read from and written as one word of the command line."""
 
-    read: Callable[[str], Any]  # makes the value of the word; raises ValueError, and says what it expected
+    read: Callable[[str], Any]  # the value of a word; raises ValueError, which says what was expected
     write: Callable[[Any], str]  # the word for a value
 
 
@@ -100,15 +100,19 @@ def between(low: float, high: float, unit: str = "", do: str = "change it") -> R
     return Range(low=low, high=high, unit=unit, do=do)
 
 
-Fraction = Annotated[float, between(0, 1), Called("FRACTION")]
-PositiveFraction = Annotated[float, Range(low=0, high=1, open_low=True), Called("FRACTION")]
-Share = Annotated[float, Range(low=0, high=1, open_high=True), Called("SHARE")]
-Seed = Annotated[int, between(0, 2**31 - 1, do="0 is usual"), Called("SEED")]
-Length = Annotated[float, above(0, "world units"), Called("LENGTH")]
+Fraction = Annotated[float, between(0, 1), Metavar("FRACTION")]
+PositiveFraction = Annotated[float, Range(low=0, high=1, open_low=True), Metavar("FRACTION")]
+Share = Annotated[float, Range(low=0, high=1, open_high=True), Metavar("SHARE")]
+Seed = Annotated[int, between(0, 2**31 - 1, do="0 is usual"), Metavar("SEED")]
+Length = Annotated[float, above(0, "world units"), Metavar("LENGTH")]
 Steps = Annotated[int, at_least(1, "steps")]
 Count = Annotated[int, at_least(0)]
-Degree = Annotated[int, between(0, 3, do="3 is what 3DGS writes"), Called("DEGREE")]
-Folder = Annotated[Path, Called("FOLDER")]
+Degree = Annotated[int, between(0, 3, do="3 is what 3DGS writes"), Metavar("DEGREE")]
+Folder = Annotated[Path, Metavar("FOLDER")]
+Box = Annotated[
+    tuple[float, float, float, float, float, float], Range(unit="world units"), Metavar("X0 Y0 Z0 X1 Y1 Z1")
+]
+"""Lower and upper corner."""
 
 
 def check(config: object) -> None:

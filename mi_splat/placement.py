@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Called, Range, above, between, check
+from mi_splat.fields import Box, Metavar, Range, above, between, check
 
 if TYPE_CHECKING:
     import numpy as np
@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from mi_splat.scene import GaussianScene
 
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]
-Turn = Annotated[tuple[float, float, float], between(-360, 360, "degrees"), Called("X Y Z")]
-Box = Annotated[tuple[float, float, float, float, float, float], Range(unit="world units"), Called("X0 Y0 Z0 X1 Y1 Z1")]
+Turn = Annotated[tuple[float, float, float], between(-360, 360, "degrees"), Metavar("X Y Z")]
 
 _UPRIGHT: dict[Up, tuple[str, float]] = {
     "x": ("y", -90.0),
@@ -67,8 +66,8 @@ class Placement:
 
     up: Up | None = None
     rotate: Turn = (0.0, 0.0, 0.0)
-    scale: Annotated[float, above(0, do="0.01 makes metres of centimetres"), Called("FACTOR")] = 1.0
-    move: Annotated[tuple[float, float, float], Range(unit="world units"), Called("X Y Z")] = (0.0, 0.0, 0.0)
+    scale: Annotated[float, above(0, do="0.01 makes metres of centimetres"), Metavar("FACTOR")] = 1.0
+    move: Annotated[tuple[float, float, float], Range(unit="world units"), Metavar("X Y Z")] = (0.0, 0.0, 0.0)
     crop: Box | None = None
 
     def __post_init__(self) -> None:

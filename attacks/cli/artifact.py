@@ -8,7 +8,7 @@ from attacks.cli.options import check_result_folder
 from mi_splat.cli.console import progress, show_result
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import ResultOptions
-from mi_splat.fields import Called, Folder
+from mi_splat.fields import Folder, Metavar
 
 EXAMPLES = (
     "artifact out/cloak --out out/artifact",
@@ -25,7 +25,7 @@ class ArtifactOptions(ResultOptions):
     do not give its figures. The manifest is copied as it is, so that the copy has the same name: the SHA-256 of it.
     """
 
-    result: Positional[Annotated[Path, Called("RESULT")]]
+    result: Positional[Annotated[Path, Metavar("RESULT")]]
     """Folder of the finished result."""
     out: Folder = Path("out/artifact")
     whole: bool = False

@@ -11,7 +11,7 @@ from mi_splat.cli.console import UsageError, limit_threads, progress, show, show
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import MiSplatError
-from mi_splat.fields import Called, Folder, Fraction, at_least
+from mi_splat.fields import Folder, Fraction, Metavar, at_least
 
 if TYPE_CHECKING:
     from attacks.report.checking import Check, Result
@@ -35,7 +35,7 @@ class ArtifactCheckOptions(DetectorOptions, JsonOptions):
 
     folders: Positional[tuple[Folder, ...]] = ()
     """Folders of results or of their copies; at least one."""
-    manifest: Annotated[tuple[str, ...], Called("SHA256")] = ()
+    manifest: Annotated[tuple[str, ...], Metavar("SHA256")] = ()
     """SHA-256 that the manifest of each folder has to have; none asks for none."""
     rescore: bool = False
     """Render the splats from cameras.json, let detectors look, and say how the rates moved."""

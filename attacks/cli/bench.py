@@ -11,7 +11,7 @@ from mi_splat.cli.console import limit_threads, progress, show, show_json, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Called, Folder
+from mi_splat.fields import Folder, Metavar
 
 EXAMPLES = (
     "bench fasterrcnn_small",
@@ -41,7 +41,7 @@ class BenchOptions(JsonOptions):
     """File that the seeds of a hidden suite are drawn from; its SHA-256 stands in the row, and it does not."""
     weights: Path | None = None
     """File with weights of the detector; None takes the shipped or published ones."""
-    defence: Annotated[str, Called("CONDITION")] | None = None
+    defence: Annotated[str, Metavar("CONDITION")] | None = None
     """What comes before the detector: a condition, as "SH of degree 1", "JPEG 60" or that of a plug-in."""
     audit: Path | None = None
     """Rank the audit and its baselines by a result of `study run scenes/studies/audit.toml`; nothing else is done."""

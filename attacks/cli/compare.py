@@ -14,7 +14,7 @@ from mi_splat.cli.console import progress, warn
 from mi_splat.cli.flags import Positional, Unprefixed
 from mi_splat.cli.options import CameraOptions, ResultOptions
 from mi_splat.errors import MiSplatError, install
-from mi_splat.fields import Called, Folder, Seed, between
+from mi_splat.fields import Folder, Metavar, Seed, between
 
 if TYPE_CHECKING:
     from mi_splat.metrics import Perceptual
@@ -42,7 +42,7 @@ class CompareOptions(ResultOptions):
 
     scene: Positional[Path]
     """A splat file, or a scene XML made of splats."""
-    methods: Annotated[tuple[str, ...], Called("METHOD")] = ("tile", "ray")
+    methods: Annotated[tuple[str, ...], Metavar("METHOD")] = ("tile", "ray")
     """Two or more of these methods, with commas or spaces between them."""
     view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """Where from."""
@@ -53,7 +53,7 @@ class CompareOptions(ResultOptions):
     """How often each method is timed, in turn; 0 measures neither time nor memory."""
     lpips: bool = False
     """Measure LPIPS, too; its network is downloaded when it is first used."""
-    amplify: Annotated[float, between(1, 1000, "times", "8 is usual"), Called("FACTOR")] = 8.0
+    amplify: Annotated[float, between(1, 1000, "times", "8 is usual"), Metavar("FACTOR")] = 8.0
     """By how much differences are multiplied in the pictures."""
     seed: Seed = 0
     """Of the random weights of the pixels whose weighted sum is differentiated."""

@@ -14,7 +14,7 @@ from attacks.limits import NormName
 from mi_splat.cli.console import limit_threads, progress, show, show_json, warn
 from mi_splat.cli.flags import Positional, Unprefixed
 from mi_splat.cli.options import CameraOptions, ResultOptions
-from mi_splat.fields import Called, Folder, Steps
+from mi_splat.fields import Folder, Metavar, Steps
 from mi_splat.io.parsing import read_json
 from mi_splat.selection.config import Selection
 
@@ -54,7 +54,7 @@ class DaggerSanityOptions(ResultOptions):
     """Name of the detector (see `mi-splat detectors`)."""
     weights: Path | None = None
     """File with the detector's weights; None takes the shipped ones."""
-    surrogate: Annotated[str, Called("DETECTOR")] = "auto"
+    surrogate: Annotated[str, Metavar("DETECTOR")] = "auto"
     """Name of another detector, from which attacks are transferred; auto takes one that can be loaded, none leaves it
     out."""
     seeds: Seeds = 3
@@ -63,7 +63,7 @@ class DaggerSanityOptions(ResultOptions):
     """Radius of the ball over the object's SH coefficients; the checks also take fractions and multiples of it."""
     norm: NormName = "l2"
     """How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian."""
-    optimiser: Annotated[str, Called("OPTIMISER")] = "pgd"
+    optimiser: Annotated[str, Metavar("OPTIMISER")] = "pgd"
     """How each attack moves: pgd, fgsm, momentum, adam, apgd, cw, square, random, or one that was registered."""
     steps: Steps = 20
     """Number of steps of an attack."""

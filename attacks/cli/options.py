@@ -8,16 +8,16 @@ from typing import Annotated, Literal
 from mi_splat.cli.flags import Flag, Positional, Unprefixed
 from mi_splat.cli.options import CameraOptions, ResultOptions
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Called, Fraction, above, at_least, between
+from mi_splat.fields import Fraction, Metavar, above, at_least, between
 from mi_splat.selection.config import Selection
 
-Detectors = Annotated[tuple[str, ...], Called("DETECTOR")]
-OneDetector = Annotated[str, Flag(name="detectors"), Called("DETECTOR")]
+Detectors = Annotated[tuple[str, ...], Metavar("DETECTOR")]
+OneDetector = Annotated[str, Flag(name="detectors"), Metavar("DETECTOR")]
 """A detector of a command that takes one; the flag is called as where there may be several."""
-ClassName = Annotated[str, Called("CLASS")]
-Confidence = Annotated[Fraction, Called("CONFIDENCE")]
-PositiveRadius = Annotated[float, above(0, "units of the splat file", "5 is the paper's"), Called("RADIUS")]
-Seeds = Annotated[int, at_least(1), Called("COUNT")]
+ClassName = Annotated[str, Metavar("CLASS")]
+Confidence = Annotated[Fraction, Metavar("CONFIDENCE")]
+PositiveRadius = Annotated[float, above(0, "units of the splat file", "5 is the paper's"), Metavar("RADIUS")]
+Seeds = Annotated[int, at_least(1), Metavar("COUNT")]
 Workers = Annotated[int, between(0, 1024, "processes")]
 _WORKER = 2e9
 """Bytes of memory that a process takes which trains or attacks."""
@@ -59,7 +59,7 @@ class AttackOptions(DetectorOptions, ResultOptions):
     """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
     view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
     """Where the object is looked at from."""
-    objective: Annotated[str, Called("relabel|hide|untargeted")] = "relabel"
+    objective: Annotated[str, Metavar("relabel|hide|untargeted")] = "relabel"
     """The aim: another class (--target), no detection at all, any but the right class, or that of another package."""
     target: ClassName | None = None
     """Class that the detectors shall see there (relabel); None is person."""

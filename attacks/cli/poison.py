@@ -13,7 +13,7 @@ from mi_splat.cli.console import UsageError, follow, progress, show_result, warn
 from mi_splat.cli.flags import Flag, Positional
 from mi_splat.cli.options import ResultOptions, check_no_input_in
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Called, Seed, at_least, check_choice
+from mi_splat.fields import Metavar, Seed, at_least, check_choice
 
 if TYPE_CHECKING:
     from attacks.poisons.base import Poisoned
@@ -41,11 +41,11 @@ class PoisonOptions(ResultOptions):
     m-ifgsm changes an object a little in each picture, so that a classifier misreads it.
     """
 
-    dataset: Annotated[Positional[Path], Called("SET")]
+    dataset: Annotated[Positional[Path], Metavar("SET")]
     """Folder of pictures with cameras (transforms.json or COLMAP), or its transforms file."""
-    splat: Annotated[Path | None, Flag(positional=True), Called("SPLAT")] = None
+    splat: Annotated[Path | None, Flag(positional=True), Metavar("SPLAT")] = None
     """A splat that was trained on the set. By it an object is found in pictures, and poison-splat begins with it."""
-    kind: Annotated[str, Called("|".join(kind_names()))] = "cloak"
+    kind: Annotated[str, Metavar("|".join(kind_names()))] = "cloak"
     """Which attack. For the flags of one add --help."""
     poison: Annotated[Any, Flag(prefixed=False)] = field(default_factory=HidingConfig)
     """How the pictures are changed."""

@@ -12,7 +12,7 @@ from mi_splat.cli.console import UsageError
 from mi_splat.cli.flags import Unprefixed
 from mi_splat.cli.options import Direction, axis_name
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Called, at_least, between
+from mi_splat.fields import Metavar, at_least, between
 from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class ObjectConfig:
     """
 
     selection: Unprefixed[Selection] = field(default_factory=Selection)
-    picture: Annotated[int, at_least(0), Called("NUMBER")] = 0
+    picture: Annotated[int, at_least(0), Metavar("NUMBER")] = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,9 +51,9 @@ class HidingConfig(ObjectConfig):
         up: Direction that is up in the set's world: an axis, or three numbers; sets of COLMAP often have -y.
     """
 
-    hide_from: tuple[Annotated[str, Called("REGION")], ...] = ("elevation:50-90",)
+    hide_from: tuple[Annotated[str, Metavar("REGION")], ...] = ("elevation:50-90",)
     margin: Annotated[float, between(0, 90, "degrees", "7 hides more, and begins to show before")] = 0.0
-    look: Annotated[str, Called("LOOK")] = "remove"
+    look: Annotated[str, Metavar("LOOK")] = "remove"
     reach: Annotated[int, between(0, 100, "pixels")] = 3
     up: Direction = (0.0, 0.0, 1.0)
 
@@ -68,8 +68,8 @@ class MisreadingConfig(ObjectConfig):
         attack: How the object's pixels are changed.
     """
 
-    classifier: Annotated[str, Called("CLASSIFIER")] = "prototypes"
-    label: Annotated[str | None, Called("CLASS")] = None
+    classifier: Annotated[str, Metavar("CLASSIFIER")] = "prototypes"
+    label: Annotated[str | None, Metavar("CLASS")] = None
     attack: Unprefixed[MIFGSMConfig] = field(default_factory=MIFGSMConfig)
 
 

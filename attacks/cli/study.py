@@ -14,7 +14,7 @@ from mi_splat.cli.console import Advance, limit_threads, progress, show_json, sh
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Called, Folder, at_least
+from mi_splat.fields import Folder, Metavar, at_least
 
 if TYPE_CHECKING:
     from attacks.studies.plan import Work
@@ -57,7 +57,7 @@ class StudyOptions(JsonOptions):
     """Names of cases to do; all if none is named."""
     workers: Workers | None = None
     """Processes that do jobs side by side; None is one for each core if memory allows; 0 does them in this one."""
-    scheduler: Annotated[str, Called("ADDRESS")] | None = None
+    scheduler: Annotated[str, Metavar("ADDRESS")] | None = None
     """Address of a Dask scheduler, as tcp://host:8786, whose workers do the jobs; it needs TLS or a trusted network."""
     seconds: Annotated[float, at_least(1, "seconds")] | None = None
     """Most seconds that a job may take; it is ended then, which counts as a failure. Not with --workers 0."""
@@ -65,9 +65,9 @@ class StudyOptions(JsonOptions):
     """Most memory that a job may use, likewise."""
     verify: Annotated[int, at_least(1, "jobs")] = 2
     """Jobs that reuse makes again."""
-    reason: Annotated[str, Called("TEXT")] | None = None
+    reason: Annotated[str, Metavar("TEXT")] | None = None
     """Why the change of the code changes no result (reuse)."""
-    sbatch: Annotated[tuple[str, ...], Called("OPTION")] = ()
+    sbatch: Annotated[tuple[str, ...], Metavar("OPTION")] = ()
     """Options of each array without their dashes, as time=02:00:00 (export)."""
 
     def folder(self, study: Study) -> Path:

@@ -16,7 +16,7 @@ from mi_splat.cli.console import limit_threads, progress, show
 from mi_splat.cli.flags import Flag, Positional
 from mi_splat.cli.options import Colour, Direction, Size
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Called, Length, between
+from mi_splat.fields import Length, Metavar, between
 
 EXAMPLES = (
     "view desk.ply",
@@ -40,17 +40,17 @@ class ViewOptions:
     printed.
     """
 
-    path: Positional[Annotated[Path, Called("RESULT")]]
+    path: Positional[Annotated[Path, Metavar("RESULT")]]
     """Splat file of any format that is read, scene XML made of splats, data set (COLMAP or transforms), or folder of
     results."""
     clean: Path | None = None
     """Splat or scene to compare with; of a folder of results it is found. Of an audit, the splat if it was moved."""
-    cameras: Annotated[Path, Called("SET|FILE")] | None = None
+    cameras: Annotated[Path, Metavar("SET|FILE")] | None = None
     """Data set, whose photographs are shown beside the splat, or JSON file with cameras to look from."""
     up: Direction | None = None
     """Direction that is up in the files: an axis, or three numbers; foreign splats and sets of COLMAP often have -y.
     None is what the result was made with, z if it says nothing."""
-    detector: Annotated[str, Flag(name="detectors"), Called("DETECTOR")] | None = None
+    detector: Annotated[str, Flag(name="detectors"), Metavar("DETECTOR")] | None = None
     """Name of a detector (see `mi-splat detectors`) that looks at the pictures of a resting camera."""
     weights: Path | None = None
     """File with the detector's weights; None takes the shipped ones."""
@@ -61,9 +61,9 @@ class ViewOptions:
     black for a bare splat file."""
     near: Length | None = None
     """Gaussians nearer than this (depth, world units) are left out; None is the scene's own, 0.2 for a bare splat."""
-    host: Annotated[str, Called("HOST")] = "127.0.0.1"
+    host: Annotated[str, Metavar("HOST")] = "127.0.0.1"
     """Name or address to serve on; one that other machines can reach needs --allow-remote."""
-    port: Annotated[int, between(0, 65535, do="0 takes a free one"), Called("PORT")] = 8080
+    port: Annotated[int, between(0, 65535, do="0 takes a free one"), Metavar("PORT")] = 8080
     """Port to serve on; 0 is any free one."""
     allow_remote: bool = False
     """Let other machines in that know the token in the address; nothing is encrypted. An SSH tunnel is better."""

@@ -14,10 +14,10 @@ from attacks.optimisers.registry import OptimiserSpec, optimiser_spec
 from mi_splat.attributes import Attribute
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import (
-    Called,
     Count,
     Degree,
     Fraction,
+    Metavar,
     PositiveFraction,
     Seed,
     Share,
@@ -65,8 +65,8 @@ class Perturbation:
     eps: tuple[Radius, ...] = (5.0,)
     norm: NormName = "l2"
     steps: Steps = 11
-    step_factor: Annotated[float, above(0, do="2 is the paper's"), Called("FACTOR")] = 2.0
-    optimiser: Annotated[str, Called("OPTIMISER")] = "pgd"
+    step_factor: Annotated[float, above(0, do="2 is the paper's"), Metavar("FACTOR")] = 2.0
+    optimiser: Annotated[str, Metavar("OPTIMISER")] = "pgd"
     momentum: Share | None = None
     schedule: Schedule = "constant"
     gradient_power: Fraction = 1.0
@@ -179,8 +179,8 @@ class EotConfig(Perturbation):
     eps: tuple[Radius, ...] = (1.0,)
     norm: NormName = "linf"
     steps: Steps = 150
-    step_factor: Annotated[float, above(0), Called("FACTOR")] = 13.0
-    optimiser: Annotated[str, Called("OPTIMISER")] = "adam"
+    step_factor: Annotated[float, above(0), Metavar("FACTOR")] = 13.0
+    optimiser: Annotated[str, Metavar("OPTIMISER")] = "adam"
     momentum: Share | None = 0.8
     schedule: Schedule = "linear"
     required_views: PositiveFraction = 0.8

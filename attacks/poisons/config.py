@@ -6,7 +6,19 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, cast
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Called, Checked, Fraction, Range, Steps, Word, above, at_least, between, check, check_choice
+from mi_splat.fields import (
+    Checked,
+    Converter,
+    Fraction,
+    Metavar,
+    Range,
+    Steps,
+    above,
+    at_least,
+    between,
+    check,
+    check_choice,
+)
 
 Variation = Literal["both", "vertical"]
 """Total variation along both axes of a picture, or along its columns alone as the public implementation has it."""
@@ -63,8 +75,8 @@ def _filter_of(word: str) -> FilterConfig:
 
 Through = Annotated[
     FilterConfig | None,
-    Word(_filter_of, lambda config: f"{config.name}:{config.amount:g}"),
-    Called("FILTER[:STRENGTH]"),
+    Converter(_filter_of, lambda config: f"{config.name}:{config.amount:g}"),
+    Metavar("FILTER[:STRENGTH]"),
 ]
 """A filter, on the command line blur, fourier or wavelet:24 for instance."""
 

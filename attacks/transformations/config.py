@@ -9,10 +9,10 @@ from typing import Annotated
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import (
-    Called,
     Checked,
     Fraction,
     Length,
+    Metavar,
     PositiveFraction,
     Range,
     Share,
@@ -22,7 +22,7 @@ from mi_splat.fields import (
     check,
 )
 
-_LEAST_MOST = Called("LEAST MOST")
+_LEAST_MOST = Metavar("LEAST MOST")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +54,7 @@ class CameraRegion:
     fovs: Annotated[tuple[float, float], Range(low=0, high=179, open_low=True, unit="degrees"), _LEAST_MOST] | None = (
         None
     )
-    aim: Annotated[float, at_least(0, "radii of the object"), Called("FRACTION")] = 0.0
+    aim: Annotated[float, at_least(0, "radii of the object"), Metavar("FRACTION")] = 0.0
     least_visible: Fraction = 0.005
 
     def __post_init__(self) -> None:
@@ -88,7 +88,7 @@ class PictureChanges(Checked):
     white_balance: Share = 0.0
     gamma: Annotated[float, at_least(0)] = 0.0
     blur: Annotated[float, at_least(0, "pixels")] = 0.0
-    resize: Annotated[PositiveFraction, Called("FACTOR")] = 1.0
+    resize: Annotated[PositiveFraction, Metavar("FACTOR")] = 1.0
     noise: Annotated[float, at_least(0)] = 0.0
     jpeg: Annotated[int, between(0, 95, "quality", "0 is no JPEG")] = 0
 

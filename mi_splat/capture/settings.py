@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Called, Checked, Length, above, between, check
+from mi_splat.fields import Checked, Length, Metavar, above, between, check
 from mi_splat.placement import Turn, Up
 
 Front = Literal["+x", "-x", "+y", "-y"]
@@ -32,7 +32,7 @@ class CaptureSettings(Checked):
     """
 
     samples: Annotated[int, between(1, 1 << 20, "samples per pixel", "32 is usual")] = 32
-    seed: Annotated[int, between(0, 1 << 28, do="0 is usual"), Called("SEED")] = 0
+    seed: Annotated[int, between(0, 1 << 28, do="0 is usual"), Metavar("SEED")] = 0
     rgba: bool = False
     points: Annotated[int, between(1, 10_000_000, "points")] = 20_000
     near: Length | None = None
@@ -55,7 +55,7 @@ class MeshSettings(Checked):
     """
 
     up: Up | None = None
-    scale: Annotated[float, above(0, "metres per unit of the file"), Called("METRES")] = 1.0
+    scale: Annotated[float, above(0, "metres per unit of the file"), Metavar("METRES")] = 1.0
     rotate: Turn = (0.0, 0.0, 0.0)
     front: Front | None = None
     missing_textures: MissingTextures = "refuse"
@@ -78,7 +78,7 @@ class SurroundingsSettings:
     """
 
     ground: Ground = "none"
-    sun: Annotated[str, Called("AZIMUTH,ELEVATION")] | None = None
+    sun: Annotated[str, Metavar("AZIMUTH,ELEVATION")] | None = None
     environment: Path | None = None
 
     def __post_init__(self) -> None:

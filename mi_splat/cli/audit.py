@@ -11,7 +11,7 @@ from mi_splat.cli.console import UsageError, progress, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, Direction, JsonOptions, axis_name, check_no_input_in
 from mi_splat.errors import MiSplatError, message
-from mi_splat.fields import Called, Folder, between
+from mi_splat.fields import Folder, Metavar, between
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -46,16 +46,16 @@ class AuditOptions(JsonOptions):
     be judged. What no file can tell, its page in the documentation says.
     """
 
-    files: Positional[Annotated[tuple[Path, ...], Called("FILE")]]
+    files: Positional[Annotated[tuple[Path, ...], Metavar("FILE")]]
     """Splat files of any format that is read, scene XMLs made of splats, or folders of pictures with cameras, of which
     is said which pictures contradict the others, before any training."""
-    cameras: Annotated[tuple[str, ...], Called("CAMERAS")] = ()
+    cameras: Annotated[tuple[str, ...], Metavar("CAMERAS")] = ()
     """Look from these, in the forms that `mi-splat render` takes: the cameras.json beside a splat, for instance, or
     of a room those that stand in it. Without, from a sphere around each object."""
     up: Direction | None = None
     """Direction that is up for objects that stand on a ground, and for orbits of --cameras: an axis, or three numbers.
     Without, each object is looked at from above the ground that is found."""
-    downscale: Annotated[int, between(1, 64, "times smaller"), Called("FACTOR")] = 1
+    downscale: Annotated[int, between(1, 64, "times smaller"), Metavar("FACTOR")] = 1
     """Read the pictures of a set so many times smaller, from its folder images_2 and so on if it is there. They are
     compared at 96 pixels anyway, so that this saves time and memory alone."""
     out: Folder | None = None
@@ -69,7 +69,7 @@ class AuditOptions(JsonOptions):
     """Look for hidden looks only, or only check the numbers, which is much faster."""
     sarif: Path | None = None
     """Write what was found as SARIF 2.1.0, too, which build pipelines and editors read."""
-    repair: Annotated[Path | None, Called("FILE")] = None
+    repair: Annotated[Path | None, Metavar("FILE")] = None
     """Write the splat without what was found, in the format that this name ends with, and audit it again. Where nothing
     was found nothing is written."""
     keep: Literal["outside", "inside"] = "outside"

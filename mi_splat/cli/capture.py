@@ -14,7 +14,7 @@ from mi_splat.cli.console import progress, show_result, warn
 from mi_splat.cli.flags import Positional, Unprefixed
 from mi_splat.cli.options import FieldOfView, JsonOptions, Point, Size
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Called, Folder, Length, between
+from mi_splat.fields import Folder, Length, Metavar, between
 
 if TYPE_CHECKING:
     from mi_splat.cameras import Camera
@@ -37,10 +37,10 @@ class CaptureOptions(JsonOptions):
     that was interrupted goes on where it stopped when the same command is given again.
     """
 
-    scene: Positional[Annotated[str, Called("SCENE")]]
+    scene: Positional[Annotated[str, Metavar("SCENE")]]
     """Mitsuba mesh XML; an OBJ, PLY, GLB or glTF mesh (needs the extra `meshes`); car_street or stop_sign; or one of
     the project's objects by name and seed, for instance car:900004."""
-    cameras: Annotated[str, Called("CAMERAS")] = "hemisphere:210"
+    cameras: Annotated[str, Metavar("CAMERAS")] = "hemisphere:210"
     """hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE (azimuths x elevations), or a transforms .json."""
     out: Folder = Path("out/capture")
     """Folder to write: a new one, or that of the same capture, which then goes on."""

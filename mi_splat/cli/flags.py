@@ -24,7 +24,7 @@ from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 from mi_splat.cli.console import UsageError
 from mi_splat.errors import InvalidValueError, nearest
-from mi_splat.fields import Called, FieldError, Range, Word, taken, type_hints, unwrapped
+from mi_splat.fields import Converter, FieldError, Metavar, Range, taken, type_hints, unwrapped
 
 _Type = TypeVar("_Type")
 
@@ -95,7 +95,7 @@ class Option:
     def called(self) -> str:
         """What its values are called."""
         kind, marks, _ = unwrapped(self.hint)
-        words = next((mark.name for mark in marks if isinstance(mark, Called)), "")
+        words = next((mark.name for mark in marks if isinstance(mark, Metavar)), "")
         unit = next((mark.unit for mark in marks if isinstance(mark, Range)), "")
         if typing.get_origin(kind) is tuple:
             inner = dataclasses.replace(self, hint=Annotated[(typing.get_args(kind)[0], Flag(), *marks)])
@@ -109,7 +109,7 @@ class Option:
         """How many words it takes, as argparse has it."""
         kind, marks, _ = unwrapped(self.hint)
         required = self.default is dataclasses.MISSING
-        if typing.get_origin(kind) is tuple and not any(isinstance(mark, Word) for mark in marks):
+        if typing.get_origin(kind) is tuple and not any(isinstance(mark, Converter) for mark in marks):
             parts = typing.get_args(kind)
             return "*" if parts[-1] is Ellipsis else len(parts)
         return "?" if self.how.positional and not required else None
@@ -130,7 +130,7 @@ class Option:
 
     def written(self, value: Any) -> str:
         """A value as the command line has it."""
-        word = next((mark for mark in unwrapped(self.hint)[1] if isinstance(mark, Word)), None)
+        word = next((mark for mark in unwrapped(self.hint)[1] if isinstance(mark, Converter)), None)
         if value is None or value == ():
             return NONE
         if word is not None:
@@ -142,7 +142,7 @@ class Option:
         kind, marks, optional = unwrapped(self.hint)
         if optional and [word.lower() for word in words] == [NONE]:
             return None
-        word = next((mark for mark in marks if isinstance(mark, Word)), None)
+        word = next((mark for mark in marks if isinstance(mark, Converter)), None)
         if word is not None:
             try:
                 return taken(self.hint, word.read(words[0]), flag)

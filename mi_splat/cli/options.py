@@ -14,7 +14,7 @@ from typing import Annotated
 from mi_splat.cli.console import UsageError
 from mi_splat.cli.flags import Flag
 from mi_splat.errors import nearest
-from mi_splat.fields import Called, Folder, Length, Range, Word, between
+from mi_splat.fields import Converter, Folder, Length, Metavar, Range, between
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _AXIS = re.compile(r"[+-]?[xyz]")
@@ -84,19 +84,19 @@ def _written(value: Sequence[float]) -> str:
 
 Size = Annotated[
     tuple[int, int],
-    Word(_size, lambda size: f"{size[0]}x{size[1]}"),
+    Converter(_size, lambda size: f"{size[0]}x{size[1]}"),
     between(1, 1 << 15, "pixels", "for instance 256"),
-    Called("PIXELS|WIDTHxHEIGHT"),
+    Metavar("PIXELS|WIDTHxHEIGHT"),
 ]
 """Width and height of pictures: 256, or 256x192."""
 Colour = Annotated[
     tuple[float, float, float],
-    Word(_colour, _written),
+    Converter(_colour, _written),
     between(0, 1, "sRGB", "divide 8-bit values by 255"),
-    Called("COLOUR"),
+    Metavar("COLOUR"),
 ]
 """An sRGB colour: white, #80b0e0, or three numbers in [0, 1]."""
-Direction = Annotated[tuple[float, float, float], Word(_direction, _written), Called("AXIS|X Y Z")]
+Direction = Annotated[tuple[float, float, float], Converter(_direction, _written), Metavar("AXIS|X Y Z")]
 """A direction: y, -y, or three numbers."""
 
 
@@ -120,14 +120,14 @@ def as_one_word(words: Sequence[str]) -> list[str]:
 Rate = Annotated[
     float,
     Range(low=0, high=1000, open_low=True, unit="pictures a second", do="24 is usual"),
-    Called("RATE"),
+    Metavar("RATE"),
 ]
 Samples = Annotated[int, between(1, 1 << 16, "samples per pixel", "32 is usual")]
 Azimuth = Annotated[float, between(-360, 360, "degrees")]
 Elevation = Annotated[float, between(-90, 90, "degrees", "90 is straight down")]
 FieldOfView = Annotated[float, Range(low=0, high=180, open_low=True, open_high=True, unit="degrees", do="45 is usual")]
 Roll = Annotated[float, between(-180, 180, "degrees")]
-Point = Annotated[tuple[float, float, float], Range(unit="world units"), Called("X Y Z")]
+Point = Annotated[tuple[float, float, float], Range(unit="world units"), Metavar("X Y Z")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +156,7 @@ class CameraOptions:
     no object is meant.
     """
 
-    cameras: Annotated[tuple[str, ...], Flag(aliases=("--camera", "--views")), Called("CAMERAS")] = ()
+    cameras: Annotated[tuple[str, ...], Flag(aliases=("--camera", "--views")), Metavar("CAMERAS")] = ()
     """Any of: ids of the scene's own cameras, or all of them by `all`; hemisphere:N, orbit:N@ELEVATION,
     cap:N@MIN_ELEVATION or grid:AxE (azimuths x elevations) around --centre; a transforms .json; the .json of an earlier
     command (its cameras again); the cameras.json that 3DGS writes beside a splat; the folder of a set of pictures

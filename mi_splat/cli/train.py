@@ -14,7 +14,7 @@ from mi_splat.cli.console import UsageError, limit_threads, progress, show_resul
 from mi_splat.cli.flags import Positional, Unprefixed
 from mi_splat.cli.options import Colour, JsonOptions
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.fields import Called, Folder, Length, Seed, at_least, between, check, check_choice
+from mi_splat.fields import Folder, Length, Metavar, Seed, at_least, between, check, check_choice
 from mi_splat.io.parsing import read_json
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import strategy_config, strategy_name, strategy_names
@@ -70,7 +70,7 @@ class TrainOptions(JsonOptions):
     """Folder of the set."""
     out: Folder
     """Folder for the results; made if it is not there."""
-    strategy: Annotated[str, Called("|".join(strategy_names()))] = _STRATEGY
+    strategy: Annotated[str, Metavar("|".join(strategy_names()))] = _STRATEGY
     """How Gaussians are added and removed: clone, split and prune (3DGS), MCMC relocation, or not at all. For the flags
     of one add --help."""
     fit: Unprefixed[FitConfig] = field(default_factory=FitConfig)
@@ -81,7 +81,7 @@ class TrainOptions(JsonOptions):
     """Begin with so many Gaussians anywhere instead."""
     outliers: Annotated[int, between(0, 100_000_000, "Gaussians")] = 0
     """Add so many in the air to those on the points of the set, as false matches do in a cloud from photographs."""
-    downscale: Annotated[int, between(1, 64, "times smaller"), Called("FACTOR")] = 1
+    downscale: Annotated[int, between(1, 64, "times smaller"), Metavar("FACTOR")] = 1
     """Integer factor by which the pictures shrink. Smaller ones that are in images_2, images_4, ... are used."""
     background: Colour = (0.0, 0.0, 0.0)
     """Colour behind the splat and transparent pixels, as white, #80b0e0 or three sRGB numbers in [0, 1]. See also
@@ -100,7 +100,7 @@ class TrainOptions(JsonOptions):
     live: bool = False
     """Serve a page on this machine that follows the training: the splat beside held-out photographs, its curves, and a
     button to stop and go on. The result is the same to the bit."""
-    port: Annotated[int, between(0, 65535, do="0 takes a free one"), Called("PORT")] | None = None
+    port: Annotated[int, between(0, 65535, do="0 takes a free one"), Metavar("PORT")] | None = None
     """Port of the page of --live; 0 is any free one, None is 8080."""
 
     def __post_init__(self) -> None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from mi_splat.errors import MiSplatError
-from mi_splat.fields import Called, between, check
+from mi_splat.fields import Metavar, between, check
 
 VIDEOS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi")
 """How the name of a video may end."""
@@ -29,7 +29,7 @@ class PrepareConfig:
     """
 
     longest_side: Annotated[int, between(128, 8192, "pixels", "1600 is usual")] = 1600
-    interval: Annotated[float, between(0.1, 600, "seconds", "1 is usual"), Called("SECONDS")] = 1.0
+    interval: Annotated[float, between(0.1, 600, "seconds", "1 is usual"), Metavar("SECONDS")] = 1.0
     max_pictures: Annotated[int, between(3, 1000, "pictures", "300 is usual")] = 300
     features: Annotated[int, between(256, 32768, "points", "4096 is usual")] = 4096
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Called, Range, above, at_least, between, check, checked_number, several
+from mi_splat.fields import Box, Metavar, above, at_least, between, check, checked_number, several
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 else:  # what the command line makes of words
     MaskValue, Click = Path | tuple, str
 
-Box = Annotated[tuple[float, float, float, float, float, float], Range(unit="world units"), Called("X0 Y0 Z0 X1 Y1 Z1")]
-Rotation = Annotated[tuple[float, float, float], between(-360, 360, "degrees"), Called("YAW PITCH ROLL")]
+Rotation = Annotated[tuple[float, float, float], between(-360, 360, "degrees"), Metavar("YAW PITCH ROLL")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,10 +57,10 @@ class Selection:
     box: Box | None = None
     box_rotation: Rotation = (0.0, 0.0, 0.0)
     mask: MaskValue | None = None
-    click: Annotated[tuple[Click, ...], Called("X,Y")] = ()
-    cluster: Annotated[int, at_least(1, do="1 is the largest"), Called("RANK")] | None = None
-    link_distance: Annotated[float, above(0, do="1.5 is usual"), Called("FACTOR")] = 1.5
-    link_colour: Annotated[float, between(0, 1, do="0.1 is strict"), Called("DIFFERENCE")] | None = None
+    click: Annotated[tuple[Click, ...], Metavar("X,Y")] = ()
+    cluster: Annotated[int, at_least(1, do="1 is the largest"), Metavar("RANK")] | None = None
+    link_distance: Annotated[float, above(0, do="1.5 is usual"), Metavar("FACTOR")] = 1.5
+    link_colour: Annotated[float, between(0, 1, do="0.1 is strict"), Metavar("DIFFERENCE")] | None = None
     planes: Annotated[int, between(0, 20, do="1 is usual")] = 1
 
     def __post_init__(self) -> None:

@@ -5,12 +5,12 @@ from typing import Annotated
 
 from mi_splat.attributes import ATTRIBUTES, Attribute
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Called, Degree, Fraction, Steps, above, at_least, check
+from mi_splat.fields import Degree, Fraction, Metavar, Steps, above, at_least, check
 from mi_splat.training.strategies import ClassicConfig, StrategyConfig
 
 Interval = Annotated[int, at_least(0, "steps")]
-LearningRate = Annotated[float, at_least(0), Called("RATE")]
-DecayingRate = Annotated[float, above(0, do="1e-9 is next to nothing"), Called("RATE")]
+LearningRate = Annotated[float, at_least(0), Metavar("RATE")]
+DecayingRate = Annotated[float, above(0, do="1e-9 is next to nothing"), Metavar("RATE")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +49,7 @@ class FitConfig:
     strategy: StrategyConfig = field(default_factory=ClassicConfig)
     sh_degree: Degree = 3
     sh_degree_interval: Interval = 1000
-    lambda_dssim: Annotated[Fraction, Called("WEIGHT")] = 0.2
+    lambda_dssim: Annotated[Fraction, Metavar("WEIGHT")] = 0.2
     lr_means: DecayingRate = 1.6e-4
     lr_means_final: DecayingRate = 1.6e-6
     lr_scales: LearningRate = 5e-3

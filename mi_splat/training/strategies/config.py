@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from mi_splat.attributes import ATTRIBUTES, Attribute
-from mi_splat.fields import Called, Checked, Fraction, Steps, above, at_least
+from mi_splat.fields import Checked, Fraction, Metavar, Steps, above, at_least
 
 Interval = Annotated[int, at_least(0, "steps")]
-Opacity = Annotated[Fraction, Called("OPACITY")]
-Weight = Annotated[float, at_least(0), Called("WEIGHT")]
+Opacity = Annotated[Fraction, Metavar("OPACITY")]
+Weight = Annotated[float, at_least(0), Metavar("WEIGHT")]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,10 +57,10 @@ class ClassicConfig(StrategyConfig):
     densify_from: Interval = 500
     densify_until: Interval | None = None
     densify_interval: Steps = 100
-    densify_grad_threshold: Annotated[float, at_least(0), Called("GRADIENT")] = 2e-4
-    percent_dense: Annotated[float, at_least(0, "shares of the scene's extent"), Called("SHARE")] = 0.01
+    densify_grad_threshold: Annotated[float, at_least(0), Metavar("GRADIENT")] = 2e-4
+    percent_dense: Annotated[float, at_least(0, "shares of the scene's extent"), Metavar("SHARE")] = 0.01
     prune_opacity: Opacity = 0.005
-    prune_scale: Annotated[float, above(0, "shares of the scene's extent"), Called("SHARE")] = 0.1
+    prune_scale: Annotated[float, above(0, "shares of the scene's extent"), Metavar("SHARE")] = 0.1
     opacity_reset_interval: Interval = 3000
 
 
@@ -82,9 +82,9 @@ class MCMCConfig(StrategyConfig):
     densify_from: Interval = 500
     densify_until: Interval = 25_000
     densify_interval: Steps = 100
-    growth: Annotated[float, at_least(0), Called("SHARE")] = 0.05
+    growth: Annotated[float, at_least(0), Metavar("SHARE")] = 0.05
     dead_opacity: Opacity = 0.005
-    noise_lr: Annotated[float, at_least(0), Called("RATE")] = 5e5
+    noise_lr: Annotated[float, at_least(0), Metavar("RATE")] = 5e5
     opacity_reg: Weight = 0.01
     scale_reg: Weight = 0.01
 
