@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from attacks.dagger.views import ViewDistribution
     from attacks.detectors import Detector, load_detector, wrap_detector
     from attacks.objectives import Objective, hide, objective, relabel, untargeted
-    from attacks.observe.judge import judge
+    from attacks.observe.comparison import judge
     from attacks.observe.rows import rows
     from attacks.search import pgd
     from attacks.studies.running import run_study
@@ -69,7 +69,7 @@ __getattr__, __dir__ = _lazy.attach(
         "attacks.dagger.views": ("ViewDistribution",),
         "attacks.detectors": ("Detector", "load_detector", "wrap_detector"),
         "attacks.objectives": ("Objective", "hide", "objective", "relabel", "untargeted"),
-        "attacks.observe.judge": ("judge",),
+        "attacks.observe.comparison": ("judge",),
         "attacks.observe.rows": ("rows",),
         "attacks.search": ("pgd",),
         "attacks.studies.running": ("run_study",),

@@ -5,8 +5,8 @@ from itertools import islice
 
 from attacks.dagger.report import before_and_after
 from attacks.dagger.result import Result
+from attacks.observe.comparison import Judged
 from attacks.observe.drawing import annotated
-from attacks.observe.judge import Judged
 from attacks.poisons.base import Poisoned
 from mi_splat.cards import html, image, images
 

@@ -16,8 +16,7 @@ import polars as pl
 
 from attacks import tables
 from attacks.bench.suite import ALL_VIEWS, COLUMNS, HIDDEN, ONE_VIEW, TRANSFER, Suite, suite_digest
-from attacks.observe.measures import REPORTED
-from attacks.observe.rates import Measure, blocks_of, count
+from attacks.observe.rates import REPORTED, Measure, blocks_of, count
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS, SUFFIX, frame_of, write_rows
 from attacks.rate import Rate
 from attacks.tables import Table

@@ -91,7 +91,7 @@ def _lines(folder: Path, manifest: str | None, options: ArtifactCheckOptions) ->
 def _rescored(result: Result, story: ResultKind, options: ArtifactCheckOptions) -> list[Check]:
     """What detectors say today."""
     from attacks.cli.names import load_detectors
-    from attacks.report.rescoring import fingerprints, rescore
+    from attacks.report.checking import fingerprints, rescore
 
     limit_threads()
     with progress("loading the detectors", total=None) as advance:

@@ -119,8 +119,7 @@ def _lpips(warnings: list[str]) -> Perceptual | None:
 
 def _save_page(folder: Path, out: Path) -> None:
     """Write the page into the folder, which will be called `out`, where the packages for it are there."""
-    from attacks.report.charts import missing_packages
-    from attacks.report.page import write_page
+    from attacks.report.page import missing_packages, write_page
     from attacks.report.results import read_section
 
     missing = missing_packages()

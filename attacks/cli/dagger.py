@@ -117,7 +117,7 @@ def _forecast(scene: GaussianScene, chosen: Chosen, detectors: Sequence[Detector
     """Say how many views are attacked and about how long that takes, by one look from one of them."""
     import torch
 
-    from attacks.report.wording import duration
+    from attacks.report.section import duration
 
     camera, begun = next(iter(chosen.cameras.values())), 0.0
     with torch.no_grad():

@@ -57,8 +57,8 @@ def run(options: EvaluateOptions) -> None:
     from attacks.cli.names import check_class, load_detectors
     from attacks.cli.summary import show_summary
     from attacks.observe.comparison import changed_mask, compare, compared_rows, side_by_side
-    from attacks.observe.rows import ATTACKED
-    from attacks.observe.views import CLEAN, evaluate
+    from attacks.observe.rows import ATTACKED, CLEAN
+    from attacks.observe.views import evaluate
     from mi_splat.cli.cameras import choose, look_at_object
     from mi_splat.directions import UP
     from mi_splat.io.camera_records import describe

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 from attacks.cli.options import check_result_folder
 from attacks.rate import FIXED
-from attacks.report.charts import need_packages
-from attacks.report.wording import plural
+from attacks.report.section import plural
 from mi_splat.cli.console import progress, show, show_json, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
@@ -58,7 +57,7 @@ def check_inputs(options: ReportOptions) -> None:
 
 def run(options: ReportOptions) -> None:
     """Read the results and write the page."""
-    from attacks.report.page import ENDINGS, write_page
+    from attacks.report.page import ENDINGS, need_packages, write_page
     from attacks.report.results import read_section
     from mi_splat.io.folders import check_new_file
 

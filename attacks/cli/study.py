@@ -91,7 +91,7 @@ def _work(study: Study) -> Work:
 
 def _plan(options: StudyOptions, study: Study) -> None:
     """Count the jobs, and forecast."""
-    from attacks.report.wording import duration
+    from attacks.report.section import duration
     from mi_splat.ledger import Store
     from mi_splat.ledger.index import forecast, plan
 

@@ -13,8 +13,17 @@ from attacks.cloak import region, training_rates
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.training_rates import pooled_psnr
 from attacks.cloak.transition import Transition, fit_transition
-from attacks.observe.measures import CLUSTERS, Confidence, Measures, cloak_measures, of, reported, with_control
-from attacks.observe.rates import Measure, count
+from attacks.observe.rates import (
+    CLUSTERS,
+    Confidence,
+    Measure,
+    Measures,
+    cloak_measures,
+    count,
+    of,
+    reported,
+    with_control,
+)
 from attacks.observe.rows import (
     ATTACKED,
     CLEAN,
@@ -169,7 +178,7 @@ Tables = Mapping[str, pl.DataFrame]
 
 
 def measures(study: StudyConfig, attack: str | None = None, *, confidence: Confidence | None = None) -> Measures:
-    """What the rates of a study count: those of `attacks.observe.measures.cloak_measures`."""
+    """What the rates of a study count: those of `attacks.observe.rates.cloak_measures`."""
     chosen = [config for config in study.attack if attack in (None, config.name)]
     hiding = next((config.name for config in chosen if config.target_class is None), None)
     showing = next((config.name for config in chosen if config.target_class is not None), None)

@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import polars as pl
 
-from attacks.observe.measures import of, reported
+from attacks.observe.rates import of, reported
 from attacks.observe.rows import CLEAN
 
 BAND = 10.0

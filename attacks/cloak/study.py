@@ -22,8 +22,8 @@ from attacks.cloak.setup import Setup
 from attacks.cloak.steps import Look, StudySteps
 from attacks.detectors.base import Detector
 from attacks.observe.drawing import annotated
-from attacks.observe.result_cameras import CAMERAS, cameras_document
 from attacks.observe.rows import CLEAN, POISONED, SUFFIX, TABLES, by_camera, write_rows
+from attacks.observe.views import CAMERAS, cameras_document
 from attacks.poisons.base import MANIFEST
 from attacks.tables import sections
 from mi_splat import provenance

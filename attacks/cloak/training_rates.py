@@ -8,8 +8,7 @@ from typing import Any
 import polars as pl
 
 from attacks.cloak.config import StudyConfig
-from attacks.observe.measures import Measures, of, reported
-from attacks.observe.rates import Measure, count
+from attacks.observe.rates import Measure, Measures, count, of, reported
 from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, POISONED, TRAINING, TRUE
 from attacks.tables import Table, cell
 

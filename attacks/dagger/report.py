@@ -12,7 +12,7 @@ from attacks.dagger.config import EotConfig
 from attacks.dagger.judging import JudgedView, Seen
 from attacks.dagger.result import DRAWN, FIXED, Result
 from attacks.observe.drawing import annotated, difference, listed, stacked
-from attacks.observe.result_cameras import CAMERAS, cameras_document
+from attacks.observe.views import CAMERAS, cameras_document
 from attacks.search import NOT_JUDGED
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe, values_of

@@ -10,8 +10,7 @@ from attacks.dagger.config import Config, DaggerConfig, EotConfig
 from attacks.dagger.judging import JudgedView, Judgement
 from attacks.objectives import Objective, reached_by
 from attacks.observe.look import Looked
-from attacks.observe.measures import AIMS, REPORTED_AS_ORIGINAL, STRICT, aim_figures, joint_views
-from attacks.observe.rates import count
+from attacks.observe.rates import AIMS, REPORTED_AS_ORIGINAL, STRICT, aim_figures, count, joint_views
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS
 from attacks.observe.views import ImageChange
 from attacks.rate import Rate
@@ -240,7 +239,7 @@ class Result(Previewed):
 
     @property
     def rates(self) -> dict[str, Rate]:
-        """How often the aim is reached in views, with all detectors at once: `attacks.observe.measures.AIMS`."""
+        """How often the aim is reached in views, with all detectors at once: `attacks.observe.rates.AIMS`."""
         return count(joint_views(self.looked.rows), AIMS)[()]
 
     @property

@@ -2,7 +2,11 @@
 
 import base64
 import importlib.metadata
+import importlib.util
 import io
+import math
+import re
+import warnings
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
@@ -10,14 +14,193 @@ from typing import Any
 
 from PIL import Image
 
-from attacks.report.charts import legend, svg, values_of
-from attacks.report.section import Section
-from attacks.report.wording import capital, listed
+from attacks.rate import percent
+from attacks.report.section import Chart, Line, Section, capital, listed
 from attacks.tables import Table
-from mi_splat.errors import printable
+from mi_splat.errors import InvalidValueError, install, printable
 from mi_splat.io.documents import save_text
 from mi_splat.io.folders import check_new_file
 from mi_splat.io.picture_files import load_picture
+
+# Charts as SVG inside a page: drawn by matplotlib, coloured by the page, so that they follow light and dark.
+#
+# matplotlib gets a made-up colour for each part, which becomes a variable of the page's style. Texts stay texts.
+# Nothing in the SVG names a file, a font or the time, so the same numbers give the same bytes.
+
+SIZE = (4.5, 2.9)
+"""Width and height in inches of 72 points; a telephone shows them at about their size."""
+DOME_SIZE = (4.5, 4.2)
+LONGEST_TICK, LONGEST_LABEL = 24, 48
+"""Letters in a chart."""
+MOST_TICKS = 12
+
+_INK, _FAINT, _SHADE = "#010101", "#020202", "#030303"
+_COLOURS = ("#010102", "#010103", "#010104", "#010105", "#010106", "#010107")
+_VARIABLES = {
+    _INK: "--ink",
+    _FAINT: "--rule",
+    _SHADE: "--shade",
+    **{colour: f"--line-{number}" for number, colour in enumerate(_COLOURS)},
+}
+"""Made-up colours to variables of the page's style."""
+_PREFERRED = {"attack": (0, 2, 4), "control": (1, 3, 5), "other": (2, 4, 0)}
+"""What a line stands for to the colours that such lines have, one after the other."""
+_MARKERS, _DASHES = ("o", "s", "^", "D", "v", "P"), ("-", "--", "-.", ":", "-", "--")
+NEEDED = {"jinja2": "Jinja2", "matplotlib": "matplotlib"}
+
+
+def missing_packages() -> list[str]:
+    """What pages need and is not installed."""
+    return [name for module, name in NEEDED.items() if importlib.util.find_spec(module) is None]
+
+
+def need_packages() -> None:
+    """Raise, before any work is done, if a page cannot be made."""
+    missing = missing_packages()
+    if missing:
+        raise InvalidValueError.of(" and ".join(missing), "the package, for pages", "not installed", install("report"))
+
+
+def colours(chart: Chart) -> list[int]:
+    """Number of the colour of each line: the attack, its control and the rest keep theirs from chart to chart."""
+    taken: list[int] = []
+    for line in chart.drawn:
+        wanted = [*_PREFERRED[line.role], *range(len(_COLOURS))]
+        taken.append(next((number for number in wanted if number not in taken), len(taken) % len(_COLOURS)))
+    return taken
+
+
+def svg(chart: Chart, name: str) -> str:
+    """A chart as an SVG element."""
+    import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    style: Any = {
+        "svg.fonttype": "none",
+        "svg.hashsalt": name,
+        "text.parse_math": False,
+        "font.size": 10,
+        "font.family": ["DejaVu Sans"],
+        **dict.fromkeys(("text.color", "axes.labelcolor", "xtick.color", "ytick.color", "axes.edgecolor"), _INK),
+    }
+    with matplotlib.rc_context(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # the browser has other fonts: text stays text
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(style)
+        figure = Figure(figsize=DOME_SIZE if chart.dome else SIZE, layout="constrained")
+        figure.patch.set_visible(False)
+        if chart.dome:
+            _draw_dome(figure.add_subplot(projection="polar"), chart)
+        else:
+            _draw(figure.add_subplot(), chart)
+        buffer = io.StringIO()
+        canvas: Any = FigureCanvasSVG(figure)
+        canvas.print_svg(buffer, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    return _inline(buffer.getvalue(), name)
+
+
+def _draw(axes: Any, chart: Chart) -> None:
+    axes.patch.set_visible(False)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.grid(axis="y", color=_FAINT, linewidth=0.6)
+    axes.set_axisbelow(True)
+    if chart.shade is not None:
+        axes.axvspan(*chart.shade[:2], facecolor=_SHADE, edgecolor="none")
+    if chart.level is not None:
+        axes.axhline(chart.level[0], color=_INK, linestyle=":", linewidth=1)
+    lines = chart.drawn
+    for number, (line, colour) in enumerate(zip(lines, colours(chart), strict=True)):
+        shift = 0.12 * (number - (len(lines) - 1) / 2) if chart.ticks else 0.0
+        _draw_line(axes, line, colour, shift, connected=chart.connected)
+    if chart.fractions:
+        axes.set_ylim(-0.03, 1.03)
+        axes.set_yticks([0, 0.25, 0.5, 0.75, 1], ["0 %", "25 %", "50 %", "75 %", "100 %"])
+    if chart.ticks:
+        axes.set_xlim(-0.5, len(chart.ticks) - 0.5)
+        named = range(0, len(chart.ticks), -(-len(chart.ticks) // MOST_TICKS))
+        names = [_short(chart.ticks[number], LONGEST_TICK) for number in named]
+        turned = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"} if max(map(len, names)) > 9 else {}
+        axes.set_xticks(list(named), names, **turned)
+    elif all(point.x.is_integer() for line in lines for point in line.points):
+        axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.set_xlabel(_short(chart.x_label, LONGEST_LABEL))
+    axes.set_ylabel(_short(chart.y_label, LONGEST_LABEL))
+
+
+def _draw_dome(axes: Any, chart: Chart) -> None:
+    """Directions as seen from above: the middle is an elevation of 90 degrees, each ring 30 degrees less."""
+    axes.patch.set_visible(False)
+    axes.grid(color=_FAINT, linewidth=0.6)
+    axes.set_axisbelow(True)
+    axes.spines["polar"].set_color(_FAINT)
+    for line, number in zip(chart.drawn, colours(chart), strict=True):
+        style = {"color": _COLOURS[number], "marker": _MARKERS[number], "markersize": 4, "linestyle": "none"}
+        axes.plot([math.radians(point.x) for point in line.points], [90 - point.y for point in line.points], **style)
+    rings = range(30, 91 if all(point.y > -1 for line in chart.drawn for point in line.points) else 181, 30)
+    axes.set_rlim(0, rings[-1])
+    axes.set_rgrids(rings, [f"{90 - ring}°" for ring in rings], angle=80, fontsize=8)
+
+
+def _short(text: str, most: int) -> str:
+    """The start of a text that would not fit; the page has all of it beside the chart."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def _draw_line(axes: Any, line: Line, number: int, shift: float, *, connected: bool) -> None:
+    """Points with their intervals, a band where they are connected, else bars, moved so that none hides another."""
+    colour, points = _COLOURS[number], sorted(line.points, key=lambda point: point.x)
+    x, y = [point.x + shift for point in points], [point.y for point in points]
+    style = {"color": colour, "marker": _MARKERS[number], "markersize": 4, "linewidth": 1.6}
+    axes.plot(x, y, linestyle=_DASHES[number] if connected else "none", **style)
+    ends = [(at, point.low, point.high) for at, point in zip(x, points, strict=True) if point.low is not None]
+    if connected and len(ends) > 1:
+        axes.fill_between(*zip(*ends, strict=True), color=colour, alpha=0.18, linewidth=0)
+    else:
+        for at, low, high in ends:
+            axes.plot([at, at], [low, high], color=colour, linewidth=1.6)
+
+
+def _inline(text: str, name: str) -> str:
+    """What matplotlib has written as an element of a page: colours and names are the page's, nothing else is there."""
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
+    text = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>\s*", "", text, flags=re.DOTALL)
+    text = re.sub(r'\sid="', f' id="{name}-', text)
+    text = re.sub(r'(xlink:href="|url\()#', rf"\g<1>#{name}-", text)
+    text = re.sub(r"font: ([\d.]+)px [^;\"]*", r"font-size: \g<1>px", text)
+    for colour, variable in _VARIABLES.items():
+        text = text.replace(colour, f"var({variable})")
+    text = re.sub(r'(<svg\b[^>]*?) width="[^"]*"', r"\1", text, count=1)
+    text = re.sub(r'(<svg\b[^>]*?) height="[^"]*"', r"\1", text, count=1)
+    return text.replace("<svg", '<svg aria-hidden="true" focusable="false"', 1).strip()
+
+
+def values_of(chart: Chart) -> Table:
+    """The numbers that a chart shows, for whoever cannot see it."""
+    every = sorted({point.x for line in chart.drawn for point in line.points})
+    names = (chart.ticks[int(x)] if chart.ticks else f"{x:g}" for x in every)
+    rows = ((name, *(_heights(chart, line, x) for line in chart.drawn)) for name, x in zip(names, every, strict=True))
+    head = (chart.x_label, *(line.name for line in chart.drawn))
+    return Table(caption=f"{chart.title}: the numbers", head=head, rows=tuple(rows))
+
+
+def _heights(chart: Chart, line: Line, x: float) -> str:
+    """What a line shows at a place."""
+    heights = []
+    for point in (point for point in line.points if point.x == x):
+        interval = (
+            "" if point.low is None or point.high is None else f" ({percent(point.low)} to {percent(point.high)})"
+        )
+        heights.append(f"{percent(point.y)}{interval}" if chart.fractions else f"{point.y:.4g}")
+    return "; ".join(heights) or "-"
+
+
+def legend(chart: Chart) -> Iterator[tuple[int, str]]:
+    """Number of the colour, and name, of each line."""
+    yield from zip(colours(chart), (line.name for line in chart.drawn), strict=True)
+
 
 ENDINGS = (".html", ".htm")
 LONGEST_SIDE = 1200

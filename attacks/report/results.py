@@ -8,7 +8,7 @@ from typing import Any
 from attacks.bench.row import figures as bench_figures
 from attacks.cloak.own_pictures import RECORD as POISONED
 from attacks.dagger.result import figures as attack_figures
-from attacks.report.checking import Figures, Result
+from attacks.report.checking import Figures, Rescoring, Result
 from attacks.report.kinds import (
     attack,
     audit,
@@ -25,9 +25,7 @@ from attacks.report.kinds import (
     training,
     variations,
 )
-from attacks.report.rescoring import Rescoring
-from attacks.report.section import Section
-from attacks.report.wording import sentence, versions_of
+from attacks.report.section import Section, sentence, versions_of
 from attacks.studies.poison_figures import figures as poison_figures
 from attacks.studies.result import figures as study_figures
 from mi_splat.errors import InvalidValueError, MiSplatError

@@ -16,7 +16,7 @@ from attacks.cloak.own_pictures import RECORD as POISONED
 from attacks.cloak.setup import Setup
 from attacks.detectors.base import Detections, Detector
 from attacks.observe.drawing import draw_detections
-from attacks.observe.result_cameras import CAMERAS
+from attacks.observe.views import CAMERAS
 from mi_splat.audit.files import HEAT
 from mi_splat.bounds import bounds
 from mi_splat.cameras import Camera

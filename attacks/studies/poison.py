@@ -33,7 +33,7 @@ from attacks.cloak.kinds.seen import SeenConfig
 from attacks.cloak.kinds.trained import COST
 from attacks.cloak.steps import Look
 from attacks.observe.look import camera_cells
-from attacks.observe.measures import reported
+from attacks.observe.rates import reported
 from attacks.observe.rows import DETECTIONS, FIDELITY, ROWS, by_camera, frame_of
 from attacks.poisons.measured import CENTRES, COUNT, SPEED
 from attacks.poisons.poisoned import SHEET

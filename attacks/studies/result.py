@@ -12,8 +12,16 @@ import polars as pl
 
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import verdict_figures
-from attacks.observe.measures import AIMS, CLUSTERS, REPORTED, joint_views, transfer_measures, with_control
-from attacks.observe.rates import blocks_of, count
+from attacks.observe.rates import (
+    AIMS,
+    CLUSTERS,
+    REPORTED,
+    blocks_of,
+    count,
+    joint_views,
+    transfer_measures,
+    with_control,
+)
 from attacks.observe.rows import ATTACKED, ROWS, column_of, frame_of
 from attacks.rate import Rate
 from attacks.studies.plan import Attempt, write_study

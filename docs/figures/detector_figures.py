@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from attacks.detectors.catalogue import SMALL_CLASSES
 from attacks.rate import Rate, number, pooled
-from attacks.report.wording import listed
+from attacks.report.section import listed
 from attacks.tables import Table, cell
 
 if TYPE_CHECKING:

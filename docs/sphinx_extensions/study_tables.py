@@ -65,8 +65,7 @@ def _values(rows: pl.DataFrame, column: str) -> list[str]:
 
 def _rates(rows: pl.DataFrame, confidence: float) -> Iterator[str]:
     """A table for each detector and kind: conditions downwards, attacks across."""
-    from attacks.observe.measures import transfer_measures, with_control
-    from attacks.observe.rates import count
+    from attacks.observe.rates import count, transfer_measures, with_control
 
     by = ("detector", "source", "ball", "condition")
     counted = count(with_control(rows), transfer_measures(confidence), by)

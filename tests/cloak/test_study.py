@@ -19,8 +19,7 @@ from attacks.cloak.rates import RATES
 from attacks.cloak.steps import StudySteps
 from attacks.observe.rows import read_rows
 from attacks.poisons.base import MANIFEST
-from attacks.report.checking import check_result, flat, pack, read_result
-from attacks.report.rescoring import rescore
+from attacks.report.checking import check_result, flat, pack, read_result, rescore
 from attacks.report.results import kind_of, read_section
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError

@@ -92,7 +92,7 @@ def test_lpips_without_its_network_is_not_measured(
         raise MiSplatError("lpips: expected the weights, got none")
 
     monkeypatch.setattr("mi_splat.metrics.load_lpips", unreachable)
-    monkeypatch.setattr("attacks.report.charts.missing_packages", lambda: ["Jinja2"])
+    monkeypatch.setattr("attacks.report.page.missing_packages", lambda: ["Jinja2"])
     words = ["compare", "toy.ply", "--size", "16", "--lpips", "--no-gradients", "--rounds", "0", "--out", "compared"]
     assert cli.main(words) == 0
     captured = capsys.readouterr()

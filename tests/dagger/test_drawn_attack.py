@@ -16,11 +16,9 @@ from attacks.dagger.attack import attack_views
 from attacks.dagger.config import EotConfig
 from attacks.limits import NORM_NAMES, NormName
 from attacks.objectives import relabel, untargeted
-from attacks.observe.measures import AIMS, joint_views
-from attacks.observe.rates import count
+from attacks.observe.rates import AIMS, count, joint_views
 from attacks.observe.views import as_saved
-from attacks.report.checking import pack, read_result
-from attacks.report.rescoring import rescore
+from attacks.report.checking import pack, read_result, rescore
 from attacks.report.results import kind_of, read_section
 from attacks.report.viewer_content import open_content
 from attacks.search import Parameters

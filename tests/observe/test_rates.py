@@ -8,18 +8,21 @@ import pytest
 
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import verdict_figures
-from attacks.observe.measures import (
+from attacks.observe.rates import (
     AIMS,
     CLUSTERS,
     REPORTED_AS_ORIGINAL,
+    Measure,
+    banded,
+    blocks_of,
     cloak_measures,
+    count,
     joint_views,
     rates_at,
     threshold_curve,
     transfer_measures,
     with_control,
 )
-from attacks.observe.rates import Measure, banded, blocks_of, count
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, POISON_DEPTH, frame_of
 from attacks.rate import Rate
 

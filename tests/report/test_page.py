@@ -16,8 +16,7 @@ from attacks.tables import Table
 pytest.importorskip("jinja2", reason="pages need the extra report")
 pytest.importorskip("matplotlib", reason="pages need the extra report")
 
-from attacks.report.charts import svg, values_of
-from attacks.report.page import LONGEST_SIDE, data_address, page_text
+from attacks.report.page import LONGEST_SIDE, data_address, page_text, svg, values_of
 from attacks.report.results import read_section
 from attacks.report.section import Chart, Figure, Line, Point, Section
 from mi_splat.io.documents import save_png

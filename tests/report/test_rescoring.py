@@ -13,11 +13,10 @@ from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import write_report
 from attacks.objectives import Objective, hide, objective, relabel, untargeted
-from attacks.observe.measures import Confidence, Measures
-from attacks.report.checking import Check, read_result
+from attacks.observe.rates import Confidence, Measures
+from attacks.report.checking import Check, read_result, rescore
 from attacks.report.kinds.cloak import study_of
 from attacks.report.kinds.thresholds import threshold_charts
-from attacks.report.rescoring import rescore
 from attacks.report.results import kind_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.manifest import write_manifest

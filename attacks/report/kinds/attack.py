@@ -11,13 +11,11 @@ from attacks.detectors.base import Detector
 from attacks.objectives import Hide, Objective, Relabel, Target, Untargeted
 from attacks.observe.look import verdict_cells
 from attacks.observe.rates import Measure, count
-from attacks.observe.result_cameras import CAMERAS
 from attacks.observe.rows import ATTACKED, Row
-from attacks.observe.views import ViewDetections
+from attacks.observe.views import CAMERAS, ViewDetections
 from attacks.rate import Rate, number, percent
-from attacks.report.rescoring import Rescoring
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Section
-from attacks.report.wording import listed, plural, settings
+from attacks.report.checking import Rescoring
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, listed, plural, settings
 from attacks.tables import Table
 from mi_splat.errors import InvalidValueError
 

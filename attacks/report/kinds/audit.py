@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from attacks.audits.disagreement import Seen
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section
-from attacks.report.wording import plural, sentence, settings
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, plural, sentence, settings
 from attacks.tables import Table
 from mi_splat.audit.evidence import BLOCKED
 from mi_splat.audit.files import AGAINST

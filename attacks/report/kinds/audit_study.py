@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from attacks.rate import Rate, pooled
-from attacks.report.section import Chart, Figure, Line, Picture, Section
-from attacks.report.wording import listed, plain, versions_of
+from attacks.report.section import Chart, Figure, Line, Picture, Section, listed, plain, versions_of
 from attacks.studies.audit import PAIRS, negatives, tables
 
 KIND = "Audit, on splats of which it is known whether they hide something"

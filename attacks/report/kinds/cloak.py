@@ -29,7 +29,7 @@ from attacks.cloak.steps import ROW_NAMES
 from attacks.cloak.study import CONTACT, POISONED_PICTURES
 from attacks.detectors.base import Detector
 from attacks.observe.look import report_cells
-from attacks.observe.measures import Confidence, Measures
+from attacks.observe.rates import Confidence, Measures
 from attacks.observe.rows import (
     ATTACKED,
     CLEAN,
@@ -45,11 +45,9 @@ from attacks.observe.rows import (
 )
 from attacks.observe.views import BATCH, ViewDetections
 from attacks.rate import Rate, rate_of
-from attacks.report.checking import Tables
+from attacks.report.checking import Rescoring, Tables
 from attacks.report.kinds.thresholds import threshold_charts
-from attacks.report.rescoring import Rescoring
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section
-from attacks.report.wording import listed, plural, settings
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, listed, plural, settings
 from mi_splat.assets import ASSETS
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import decode

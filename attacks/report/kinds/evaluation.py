@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from attacks.observe.comparison import compare
-from attacks.observe.measures import comparison_measures
+from attacks.observe.rates import comparison_measures
 from attacks.observe.rows import ROWS
 from attacks.rate import Rate, number
 from attacks.report.checking import Tables
 from attacks.report.kinds.thresholds import threshold_charts
-from attacks.report.section import Chart, Figure, Line, Picture, Role, Section
-from attacks.report.wording import listed, plural, settings
+from attacks.report.section import Chart, Figure, Line, Picture, Role, Section, listed, plural, settings
 from attacks.tables import Table
 
 _CONDITIONS = (

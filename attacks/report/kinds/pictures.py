@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from attacks.rate import Rate, percent
-from attacks.report.section import FEW, Chart, Figure, Line, Picture, Section
-from attacks.report.wording import listed, plural, settings
+from attacks.report.section import FEW, Chart, Figure, Line, Picture, Section, listed, plural, settings
 from attacks.tables import Table, cell
 
 MOST_PICTURES, MOST_CLASSES, MOST_ROWS = 6, 8, 100

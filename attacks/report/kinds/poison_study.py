@@ -8,8 +8,7 @@ from typing import Any
 
 from attacks.observe.rows import ATTACKED, CLEAN
 from attacks.rate import Rate, pooled
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section
-from attacks.report.wording import listed, plain, versions_of
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, listed, plain, versions_of
 from attacks.studies.poison import PICTURES
 from attacks.studies.poison_figures import summary_tables
 from attacks.studies.poison_jobs import HELD_OUT

@@ -7,8 +7,7 @@ from typing import Any
 
 from attacks.cloak.own_pictures import BEFORE_AND_AFTER
 from attacks.rate import percent
-from attacks.report.section import Chart, Figure, Picture, Section
-from attacks.report.wording import listed, plural, settings
+from attacks.report.section import Chart, Figure, Picture, Section, listed, plural, settings
 from attacks.tables import Table
 from mi_splat.datasets.writing import picture_name
 

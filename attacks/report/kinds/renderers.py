@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from attacks.rate import number
-from attacks.report.section import Chart, Figure, Line, Picture, Section
-from attacks.report.wording import listed, plural, settings
+from attacks.report.section import Chart, Figure, Line, Picture, Section, listed, plural, settings
 from attacks.tables import Table
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.io.documents import file_name

@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from attacks.report.section import Figure, Section
-from attacks.report.wording import listed, plural, settings
+from attacks.report.section import Figure, Section, listed, plural, settings
 from attacks.tables import Table
 
 _ELSEWHERE = ("story", "checks", "command", "versions", "variant", "commit")

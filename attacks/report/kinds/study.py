@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from attacks.rate import Rate, pooled
-from attacks.report.section import Chart, Figure, Line, Section
-from attacks.report.wording import capital, listed, plural, shared
+from attacks.report.section import Chart, Figure, Line, Section, capital, listed, plural, shared
 from attacks.studies.table import KINDS, attacks_of, by_part, tables, title_of
 from attacks.studies.zoo import by_attack, doubts, together
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import polars as pl
 
-from attacks.observe.measures import (
+from attacks.observe.rates import (
     CLUSTERS,
     DEFAULT_OF_YOLO,
     REPORTED,

@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from attacks.report.section import Chart, Figure, Line, Point, Section
-from attacks.report.wording import plural, settings
+from attacks.report.section import Chart, Figure, Line, Point, Section, plural, settings
 from attacks.tables import Table
 from mi_splat.io.parsing import read_json
 from mi_splat.training.resume import CONFIG

@@ -9,8 +9,7 @@ from attacks.rate import Rate, rate_of, spread
 from attacks.report.checking import Tables
 from attacks.report.kinds.cloak import figures as cloak_figures
 from attacks.report.kinds.cloak import headline_of, study_of
-from attacks.report.section import FEW, Chart, Figure, Line, Role, Section
-from attacks.report.wording import capital, listed, plural, sentence, shared
+from attacks.report.section import FEW, Chart, Figure, Line, Role, Section, capital, listed, plural, sentence, shared
 from attacks.studies.cloak import by_part, pooled, pooled_tables, tables
 
 KIND = "CLOAK, one thing varied at a time"
