@@ -18,10 +18,10 @@ from mi_splat.audit.files import PAIR, document, pair_picture
 from mi_splat.audit.results import SUSPICION, ObjectAudit
 from mi_splat.cameras import Camera
 from mi_splat.io.documents import save_json
-from mi_splat.io.pictures import save_picture
+from mi_splat.io.images import save_picture
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import open_scene
-from mi_splat.selection.masks import box_mask
+from mi_splat.selection.select import box_mask
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out

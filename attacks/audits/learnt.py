@@ -13,7 +13,7 @@ from torch import Tensor
 from mi_splat.audit.frames import SOLID
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene, check_scene
-from mi_splat.selection.neighbours import nearest_neighbours
+from mi_splat.selection.clusters import nearest_neighbours
 from mi_splat.sh import dc_to_colour, even_directions, sh_to_colour
 
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)

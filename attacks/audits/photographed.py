@@ -18,8 +18,8 @@ from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import open_source
 from mi_splat.capture.writer import write_capture
 from mi_splat.fields import Checked, at_least
+from mi_splat.io.images import save_picture
 from mi_splat.io.picture_files import load_picture
-from mi_splat.io.pictures import save_picture
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out

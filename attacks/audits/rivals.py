@@ -26,7 +26,7 @@ from mi_splat.io.documents import save_json
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.scene_files import open_scene
-from mi_splat.selection.neighbours import nearest_neighbours
+from mi_splat.selection.clusters import nearest_neighbours
 from mi_splat.selection.visibility import contributions
 from mi_splat.sh import degree_of
 

@@ -13,7 +13,7 @@ from attacks.objectives import Objective
 from mi_splat.io.folders import new_folder
 from mi_splat.scene_files import SplatScene, write_scene
 from mi_splat.selection.config import Selection
-from mi_splat.selection.masks import save_mask
+from mi_splat.selection.select import save_mask
 
 MASK = "mask.npy"
 """The attacked object."""

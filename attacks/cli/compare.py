@@ -63,9 +63,8 @@ def run(options: CompareOptions) -> None:
     """Compare, and write what came of it."""
     from attacks.cli.summary import show_summary
     from mi_splat.cli.cameras import find_cameras, renderer_of
-    from mi_splat.comparison.compare import CompareConfig, as_dict, compare
+    from mi_splat.comparison.compare import CompareConfig, as_dict, compare, save_sheets
     from mi_splat.comparison.methods import load_methods
-    from mi_splat.comparison.sheets import save_sheets
     from mi_splat.io.camera_records import describe
     from mi_splat.io.documents import save_json
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder

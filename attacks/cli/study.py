@@ -129,8 +129,7 @@ def run_work(options: StudyOptions, work: Work, *, begin: Callable[[], object] =
     """Do the jobs of a study, write the result, and say which have failed; `begin` comes first."""
     from attacks.studies.plan import STUDY_FILE
     from attacks.studies.running import run_with
-    from mi_splat.io.folders import check_own_folder, own_folder
-    from mi_splat.io.locks import check_unlocked
+    from mi_splat.io.folders import check_own_folder, check_unlocked, own_folder
 
     out = options.folder(work.study)
     check_own_folder(out, STUDY_FILE)

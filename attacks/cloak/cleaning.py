@@ -15,8 +15,7 @@ from torch import Tensor
 from attacks.cloak.config import CleaningConfig
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene
-from mi_splat.selection.clusters import components
-from mi_splat.selection.neighbours import nearest_neighbours
+from mi_splat.selection.clusters import components, nearest_neighbours
 
 NEIGHBOURS = 16
 """Nearest neighbours of a Gaussian by whose distance it is judged an outlier, or that space is measured by."""

@@ -25,7 +25,7 @@ from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
 from mi_splat.frozen_view import FrozenView
 from mi_splat.scene import GaussianScene, check_scene, merge
-from mi_splat.selection.masks import box_mask
+from mi_splat.selection.select import box_mask
 from mi_splat.selection.visibility import contributions
 from mi_splat.sh import colour_to_dc, dc_to_colour, sh_to_colour
 from mi_splat.view_freezing import freeze_views

@@ -34,8 +34,7 @@ from mi_splat.fields import check_choice
 from mi_splat.io import load_splat
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json, save_png, save_text
-from mi_splat.io.images import through_png
-from mi_splat.io.pictures import save_animation
+from mi_splat.io.images import save_animation, through_png
 from mi_splat.ledger import Done
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.scene_files import resized

@@ -20,7 +20,7 @@ from typing import Literal
 import polars as pl
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.atomic import atomic_write
+from mi_splat.io.documents import atomic_write
 
 Cell = str | int | float | bool | None
 Row = Mapping[str, Cell]

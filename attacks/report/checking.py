@@ -17,8 +17,7 @@ from attacks.report.section import plain
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.io.documents import sha256
-from mi_splat.io.folders import RECORD, new_folder
-from mi_splat.io.manifest import MANIFEST, Manifest, files_in, read_manifest
+from mi_splat.io.folders import MANIFEST, RECORD, Manifest, files_in, new_folder, read_manifest
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.scene import GaussianScene
 

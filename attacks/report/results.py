@@ -29,8 +29,7 @@ from attacks.report.section import Section, sentence, versions_of
 from attacks.studies.poison_figures import figures as poison_figures
 from attacks.studies.result import figures as study_figures
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.io.folders import RECORD
-from mi_splat.io.manifest import MANIFEST, read_manifest
+from mi_splat.io.folders import MANIFEST, RECORD, read_manifest
 from mi_splat.io.parsing import read_json
 from mi_splat.training.resume import METRICS
 

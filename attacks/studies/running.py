@@ -49,7 +49,7 @@ def work_of(study: Study) -> Work:
 
 def run_with(engine: Engine, study: Study, work: Work, *, store: Path, out: Path, on_event: OnEvent) -> Run:
     """Do what of a study is not done yet, and write its result into a folder that is its own."""
-    from mi_splat.io.manifest import write_manifest
+    from mi_splat.io.folders import write_manifest
     from mi_splat.ledger.plans import Driver
 
     results = Driver(store, engine, name=study.name, on_event=on_event).run(work.plans())

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from mi_splat.io.images import save_animation
 from mi_splat.io.picture_files import load_picture
-from mi_splat.io.pictures import save_animation
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
 WIDTH, PART, FONT, LINE = 720, 236, 16, 22

@@ -20,7 +20,7 @@ from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import multiply
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.scene_files import resized
-from mi_splat.selection.neighbours import nearest_neighbours
+from mi_splat.selection.clusters import nearest_neighbours
 from mi_splat.sh import colour_to_dc
 
 _UNMOVED, _PARTNER, _SHARE = 0.1, 0.5, 0.5

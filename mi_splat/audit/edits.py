@@ -18,7 +18,7 @@ from mi_splat.audit.results import Edit, vector
 from mi_splat.audit.surfaces import basis, lattice
 from mi_splat.rotation import to_matrix
 from mi_splat.scene import GaussianScene
-from mi_splat.selection.neighbours import nearest_neighbours
+from mi_splat.selection.clusters import nearest_neighbours
 from mi_splat.sh import dc_to_colour, sh_basis
 
 _LEAST_COUNT = 50

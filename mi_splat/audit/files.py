@@ -32,13 +32,12 @@ from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json
 from mi_splat.io.folders import RECORD, new_folder
-from mi_splat.io.images import to_bytes
-from mi_splat.io.pictures import save_picture
+from mi_splat.io.images import save_picture, to_bytes
 from mi_splat.provenance import origin
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import resized
-from mi_splat.selection.masks import save_mask
+from mi_splat.selection.select import save_mask
 from mi_splat.sh import colour_to_dc, dc_to_colour
 
 MOST_NAMED = 8

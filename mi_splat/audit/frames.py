@@ -16,8 +16,7 @@ from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene, Similarity
-from mi_splat.selection.clusters import clusters, find_plane
-from mi_splat.selection.neighbours import nearest_neighbours, nearest_of
+from mi_splat.selection.clusters import clusters, find_plane, nearest_neighbours, nearest_of
 
 SOLID = 0.1
 """Gaussians of a smaller opacity do not say where things are."""

@@ -24,7 +24,7 @@ from mi_splat.audit.surfaces import AROUND
 from mi_splat.bounds import near_plane
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
-from mi_splat.selection.neighbours import nearest_neighbours
+from mi_splat.selection.clusters import nearest_neighbours
 from mi_splat.selection.visibility import contributions
 from mi_splat.sh import sh_basis
 

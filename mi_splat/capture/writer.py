@@ -28,9 +28,8 @@ from mi_splat.datasets.frames import Frame
 from mi_splat.datasets.transforms import POINTS, WORLD_OFFSET
 from mi_splat.datasets.writing import IMAGES, list_colmap, list_transforms, make_folder, picture_name
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.atomic import is_temporary, sweep_temporary
-from mi_splat.io.documents import save_json, save_png
-from mi_splat.io.locks import locked_folder
+from mi_splat.io.documents import is_temporary, save_json, save_png, sweep_temporary
+from mi_splat.io.folders import locked_folder
 from mi_splat.io.parsing import DocumentReader, Fields
 from mi_splat.io.picture_files import PictureFileError, check_pixels, load_picture
 from mi_splat.io.points import PointCloud, load_points, save_points, to_bytes

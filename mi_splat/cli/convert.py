@@ -62,8 +62,7 @@ def run(options: ConvertOptions) -> None:
     import torch
 
     from mi_splat.io.folders import check_new_file, check_not_input, check_writable, splat_in
-    from mi_splat.io.formats.encoded import dropped_bands
-    from mi_splat.io.loaded import ranges
+    from mi_splat.io.loaded import dropped_bands, ranges
     from mi_splat.io.splat_files import TAGGED, load_stored, write_splat_file
     from mi_splat.scene import merge
 

@@ -82,7 +82,7 @@ def run(options: RenderOptions) -> None:
     from mi_splat.cli.cameras import find_cameras, render_settings, renderer_of
     from mi_splat.io.camera_records import describe
     from mi_splat.io.folders import check_not_input
-    from mi_splat.io.pictures import is_floats
+    from mi_splat.io.images import is_floats
     from mi_splat.scene_files import open_scene
 
     floats = is_floats(options.out)
@@ -129,7 +129,7 @@ def run(options: RenderOptions) -> None:
 
 def _mixed_scene(options: RenderOptions) -> MixedScene | None:
     """The scene, where it holds surfaces beside splats."""
-    from mi_splat.io.pictures import is_floats
+    from mi_splat.io.images import is_floats
     from mi_splat.scene_files import MixedScene, holds_surfaces
 
     if options.scene.suffix.lower() != ".xml" or not holds_surfaces(options.scene):
@@ -145,7 +145,7 @@ def _mixed_scene(options: RenderOptions) -> MixedScene | None:
 
 def _check_channels(options: RenderOptions, method: str) -> None:
     """Raise, before anything is rendered, unless what --alpha and --depth ask for can be made and written."""
-    from mi_splat.io.pictures import is_floats
+    from mi_splat.io.images import is_floats
 
     flags = [flag for flag, given in (("--alpha", options.alpha), ("--depth", options.depth)) if given]
     if flags and not is_floats(options.out):
@@ -158,8 +158,7 @@ def _check_channels(options: RenderOptions, method: str) -> None:
 
 def _pixels(render: RenderFn, scene: GaussianScene, camera: Camera, options: RenderOptions) -> Pixels:
     """A picture as its file has it: bytes, or float channels by name."""
-    from mi_splat.io.images import to_bytes
-    from mi_splat.io.pictures import is_floats
+    from mi_splat.io.images import is_floats, to_bytes
     from mi_splat.rendering import Renderer
 
     if not is_floats(options.out):
@@ -182,7 +181,7 @@ def _pixels(render: RenderFn, scene: GaussianScene, camera: Camera, options: Ren
 def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
     """Raise, before anything is rendered, unless --out can take these pictures."""
     from mi_splat.io.folders import check_new_folder, check_writable
-    from mi_splat.io.pictures import check_animation, is_animation, is_floats, is_picture
+    from mi_splat.io.images import check_animation, is_animation, is_floats, is_picture
 
     out = options.out
     check_writable(out.parent)
@@ -213,7 +212,7 @@ def _save(pictures: Mapping[str, Pixels], cameras: Mapping[str, Camera], options
     from mi_splat.io.camera_records import describe
     from mi_splat.io.documents import file_name, save_json
     from mi_splat.io.folders import new_folder
-    from mi_splat.io.pictures import is_animation, is_floats, is_picture, save_animation, save_picture
+    from mi_splat.io.images import is_animation, is_floats, is_picture, save_animation, save_picture
     from mi_splat.rendering import save_floats
 
     out, shown = options.out, [pixels for pixels in pictures.values() if not isinstance(pixels, Mapping)]

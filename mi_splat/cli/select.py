@@ -58,7 +58,7 @@ def run(options: SelectOptions) -> None:
     """Select, save, and say what was selected."""
     from mi_splat.cli.cameras import choose
     from mi_splat.io.folders import check_not_input, check_writable
-    from mi_splat.io.pictures import is_picture
+    from mi_splat.io.images import is_picture
     from mi_splat.scene_files import open_scene
     from mi_splat.selection.select import SEEN, doubts
 
@@ -109,8 +109,8 @@ def run(options: SelectOptions) -> None:
 def _save(path: Path, loaded: SplatScene, mask: Tensor, weight: Tensor, camera: Camera, render: RenderFn) -> None:
     """Write one of the files, of the kind that its name says."""
     from mi_splat.io import save_splat
-    from mi_splat.io.pictures import save_picture
-    from mi_splat.selection.masks import save_mask
+    from mi_splat.io.images import save_picture
+    from mi_splat.selection.select import save_mask
 
     if path.suffix.lower() == ".npy":
         save_mask(mask, path)

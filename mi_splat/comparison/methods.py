@@ -18,7 +18,7 @@ from mi_splat.cameras import Camera, RenderFn
 from mi_splat.datasets.frames import DatasetError, picture_size, read_picture
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.documents import file_name
-from mi_splat.io.pictures import PICTURES
+from mi_splat.io.images import PICTURES
 from mi_splat.registry import Registry
 from mi_splat.rendering import Method as Way
 from mi_splat.rendering import Renderer, RenderSettings

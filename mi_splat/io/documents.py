@@ -1,17 +1,198 @@
 """Bytes, text, JSON and PNG files that appear whole or not at all, and digests of files."""
 
+import contextlib
+import errno
+import fcntl
 import hashlib
 import io
 import json
+import os
 import re
+import secrets
+import shutil
+import stat
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.errors import SplatFileError, from_os_error
+
+LOCK = ".mi-splat.lock"
+"""Name of the file in a folder that a process has for itself; see `mi_splat.io.folders`."""
+_TEMPORARY = re.compile(r"\.[0-9a-f]{16}\.tmp")
+_YOUNG, _OLD = 60.0, 24 * 3600.0
+"""Seconds in which a temporary file is left alone, and after which it goes also from a disk without locks."""
+_SYNCED_AT_ONCE = 8
+
+
+def is_temporary(name: str) -> bool:
+    """Whether a file name is that of a temporary file or of a lock: what only running programs need."""
+    return name == LOCK or _TEMPORARY.fullmatch(name) is not None
+
+
+def try_lock(descriptor: int) -> bool | None:
+    """Lock an open file for this process until it is closed; False if another one has it, None without locks there."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        return False if error.errno in (errno.EACCES, errno.EAGAIN, errno.EWOULDBLOCK) else None
+    return True
+
+
+def sweep_temporary(folder: str | os.PathLike[str]) -> int:
+    """Remove the temporary files and folders that killed programs left in a folder; running ones hold locks on them."""
+    removed = 0
+    with contextlib.suppress(OSError):
+        for entry in list(os.scandir(folder)):
+            with contextlib.suppress(OSError):
+                if _TEMPORARY.fullmatch(entry.name) and _is_abandoned(entry):
+                    shutil.rmtree(entry) if entry.is_dir(follow_symlinks=False) else os.unlink(entry)
+                    removed += 1
+    return removed
+
+
+def _is_abandoned(entry: os.DirEntry[str]) -> bool:
+    age = time.time() - entry.stat(follow_symlinks=False).st_mtime
+    if age < _YOUNG:  # its maker may not have come to lock it
+        return False
+    descriptor = os.open(entry, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+    try:
+        taken = try_lock(descriptor)
+    finally:
+        os.close(descriptor)
+    return age > _OLD if taken is None else taken
+
+
+@contextlib.contextmanager
+def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """Write a file so that a crash, a kill or a full disk leaves the old file or the new one, never a part.
+
+    The bytes go to a temporary file in the same folder, reach the disk, and take the name `path` in one step. The mode
+    of a file that was there is kept; a symbolic link is replaced, and not what it leads to. When the body raises, the
+    temporary file is removed.
+    """
+    target = os.path.abspath(path)
+    temporary = os.path.join(os.path.dirname(target), _temporary_name())
+    expected = "a file that can be written"
+    try:
+        mode = _mode(target)
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        raise from_os_error(os.fspath(path), expected, error) from error
+    try:
+        with open(descriptor, "wb", buffering=0) as file:
+            try_lock(descriptor)
+            yield file
+            if mode is not None:
+                os.chmod(temporary, mode)
+            os.fsync(file.fileno())
+        os.replace(temporary, target)
+    except OSError as error:
+        raise from_os_error(os.fspath(path), expected, error) from error
+    finally:
+        with contextlib.suppress(OSError):  # the error that led here is the one to report
+            os.unlink(temporary)
+    _sync_names(os.path.dirname(target))
+
+
+def write_all(file: BinaryIO, data: memoryview) -> None:
+    """Write every byte of `data` to an unbuffered file, which may take only a part at a time."""
+    rest = data.cast("B")
+    while rest:
+        rest = rest[file.write(rest) :]
+
+
+@contextlib.contextmanager
+def temporary_folder(parent: Path) -> Iterator[Path]:
+    """A new folder that is gone after the block, unless `publish` has given it a name."""
+    folder = parent / _temporary_name()
+    try:
+        folder.mkdir(parents=True)
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise from_os_error(str(parent), "a folder that can be written", error) from error
+    try:
+        try_lock(descriptor)
+        yield folder
+    finally:
+        os.close(descriptor)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def publish(folder: Path, target: Path, *, replace: bool = False) -> None:
+    """Bring a folder to the disk and give it the name of another place beside it, in one step.
+
+    A folder that is replaced waits under the name `.NAME.old` until the new one has its name; after a kill at that
+    point `restore` gives it back.
+    """
+    paths = [Path(parent, name) for parent, _, names in os.walk(folder) for name in (".", *names)]
+    with ThreadPoolExecutor(_SYNCED_AT_ONCE) as pool:  # one after the other they take five times as long
+        list(pool.map(_sync, paths))
+    if replace and target.exists():
+        aside = _aside(target)
+        os.rename(target, aside)
+        try:
+            os.rename(folder, target)
+        finally:
+            restore(target)
+    else:
+        os.rename(folder, target)
+    _sync_names(target.parent)
+
+
+def restore(target: Path) -> None:
+    """Give the folder that was to be replaced its name back if nothing has taken it, and else delete it."""
+    if os.path.lexists(aside := _aside(target)):
+        if os.path.lexists(target):
+            temporary = target.with_name(_temporary_name())  # under its own name it is whole or not there
+            os.rename(aside, temporary)
+            shutil.rmtree(temporary, ignore_errors=True)
+        else:
+            os.rename(aside, target)
+
+
+def _aside(target: Path) -> Path:
+    return target.with_name(f".{target.name}.old")
+
+
+def _temporary_name() -> str:
+    return f".{secrets.token_hex(8)}.tmp"
+
+
+def _sync_names(folder: str | os.PathLike[str]) -> None:
+    """Bring the names in a folder to the disk, where the system can."""
+    with contextlib.suppress(OSError):
+        _sync(folder)
+
+
+def _sync(path: str | os.PathLike[str]) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _mode(target: str) -> int | None:
+    """Permission bits of the file that will be replaced; None if there is none, or a link."""
+    try:
+        status = os.lstat(target)
+    except FileNotFoundError:
+        return None
+    if stat.S_ISLNK(status.st_mode):
+        return None
+    if not stat.S_ISREG(status.st_mode):
+        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a special file"
+        raise SplatFileError.of(target, "a regular file or a free name", kind, "save under another name")
+    if not os.access(target, os.W_OK):
+        raise SplatFileError.of(target, "a file that can be written", "a read-only file", "save under another name")
+    return stat.S_IMODE(status.st_mode)
 
 
 def file_name(text: str) -> str:

@@ -2,16 +2,237 @@
 
 import contextlib
 import itertools
+import json
 import os
-from collections.abc import Iterator, Sequence
+import platform
+import re
+import shlex
+import stat
+import sys
+import threading
+import time
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.io.atomic import is_temporary, publish, restore, sweep_temporary, temporary_folder
+from mi_splat.io.documents import (
+    LOCK,
+    is_temporary,
+    publish,
+    restore,
+    save_json,
+    sha256,
+    sweep_temporary,
+    temporary_folder,
+    try_lock,
+)
 from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.formats.detection import META
-from mi_splat.io.locks import check_unlocked, locked_folder
-from mi_splat.io.manifest import MANIFEST, files_in, read_manifest, write_manifest
+from mi_splat.io.parsing import DocumentReader
+
+# Locks: files that one process has at a time, so that two jobs never write into the same folder.
+#
+# The system gives a lock up when its process ends, however it ends; the file is removed at the end of the block, and
+# one that a kill left behind locks nothing. Disks without locks give none: the block then runs without. (The package
+# `filelock` says nothing of who has a lock, and its newest version needs Python 3.11.)
+
+_HELD: dict[str, int] = {}
+"""Folders that this process has for itself, and the thread that took each."""
+
+
+class LockedError(SplatFileError):
+    """Another process has what was to be locked."""
+
+
+@contextlib.contextmanager
+def locked_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
+    """Have a folder for this process alone, made if need be; a thread may take what it has already once more."""
+    key = os.path.realpath(folder)
+    if _HELD.get(key) == threading.get_ident():
+        yield
+        return
+    missing = [parent for parent in (Path(key), *Path(key).parents) if not os.path.lexists(parent)]
+    try:
+        os.makedirs(key, exist_ok=True)
+    except OSError as error:
+        raise from_os_error(os.fspath(folder), "a folder that can be written", error) from error
+    try:
+        with locked_file(os.path.join(key, LOCK), os.fspath(folder)):
+            _check_links(key)
+            _HELD[key] = threading.get_ident()
+            try:
+                yield
+            finally:
+                del _HELD[key]
+    finally:
+        with contextlib.suppress(OSError):  # they are not empty
+            for parent in missing:
+                parent.rmdir()
+
+
+def check_unlocked(folder: str | os.PathLike[str]) -> None:
+    """Raise if another process has a folder for itself."""
+    if os.path.lexists(os.path.join(folder, LOCK)):
+        with locked_folder(folder):
+            pass
+
+
+@contextlib.contextmanager
+def locked_file(file: str, what: str) -> Iterator[None]:
+    """Have a file, made if need be, for this process alone; `what` it stands for is named in errors."""
+    try:
+        descriptor = _locked(file, what)
+    except OSError as error:
+        raise from_os_error(what, "a folder that can be written", error) from error
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            os.unlink(file)
+        os.close(descriptor)
+
+
+def is_locked(file: str) -> bool:
+    """Whether a process has a file; one that a kill left behind is removed."""
+    if not os.path.lexists(file):
+        return False
+    try:
+        with locked_file(file, file):
+            return False
+    except LockedError:
+        return True
+
+
+def _locked(file: str, what: str) -> int:
+    """Lock a file and write into it who has it; returns it open."""
+    while True:
+        try:
+            descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+        except OSError as error:
+            raise (_foreign(file, "a symbolic link") if os.path.islink(file) else error) from error
+        try:
+            if try_lock(descriptor) is False:
+                do, got = "wait for its end, or pass another folder", f"one in use by {_holder(descriptor)}"
+                raise LockedError.of(what, "a folder that no other process writes into", got, do)
+            if os.path.samestat(os.fstat(descriptor), os.stat(file)):
+                _check_own(descriptor, file)
+                os.ftruncate(descriptor, 0)
+                os.pwrite(descriptor, json.dumps(_this_process()).encode(), 0)
+                return descriptor
+        except FileNotFoundError:  # who had it removed it, between two of our calls
+            pass
+        except BaseException:
+            os.close(descriptor)
+            raise
+        os.close(descriptor)
+
+
+def _check_own(descriptor: int, file: str) -> None:
+    """Raise unless a lock is a file that this program made: only such a one is overwritten, and later removed."""
+    status = os.fstat(descriptor)
+    if not stat.S_ISREG(status.st_mode) or status.st_nlink != 1:
+        raise _foreign(file, "a special file or a second name of another file")
+    if status.st_size and _record(descriptor) is None:
+        raise _foreign(file, "a file of something else")
+
+
+def _foreign(file: str, got: str) -> SplatFileError:
+    return SplatFileError.of(file, "a lock of this program", got, "delete it, or pass another folder")
+
+
+def _check_links(folder: str) -> None:
+    """Raise if a link in a folder leads out of it: what is written below would be written there."""
+    for parent, folders, files in os.walk(folder):
+        for path in (os.path.join(parent, name) for name in (*folders, *files)):
+            if os.path.islink(path) and not Path(os.path.realpath(path)).is_relative_to(folder):
+                do = "put what it leads to in its place, or pass another folder"
+                raise SplatFileError.of(path, "a file or a folder", "a link that leads out of the folder", do)
+
+
+def _this_process() -> dict[str, object]:
+    name = os.path.basename(sys.argv[0]) if sys.argv else ""
+    command = ["mi-splat" if name == "__main__.py" else name, *sys.argv[1:]]
+    since = time.strftime("%Y-%m-%d %H:%M:%S")
+    return {"host": platform.node(), "process": os.getpid(), "command": shlex.join(command)[:300], "since": since}
+
+
+def _holder(descriptor: int) -> str:
+    """Who has the lock, in words, as far as the file says."""
+    if (record := _record(descriptor)) is None:
+        return "another process"
+    return f"`{record['command']}`, process {record['process']} on {record['host']}, since {record['since']}"
+
+
+def _record(descriptor: int) -> dict[str, Any] | None:
+    """What a lock says of who took it; None if it says nothing of the kind."""
+    try:
+        record = DocumentReader().json_object(os.pread(descriptor, 4096, 0), "lock")
+    except (OSError, ValueError):
+        return None
+    return record if _this_process().keys() <= record.keys() else None
+
+
+# manifest.json: the SHA-256 and the length of every file of a result, so that nobody changes one unseen.
+#
+# The SHA-256 of manifest.json itself stands for the whole result: whoever knows it knows every byte.
+
+MANIFEST = "manifest.json"
+_PART = r"(?!\.)[^/\\:\x00-\x1f]{1,200}"
+_NAME = re.compile(rf"(?:{_PART}/){{0,5}}{_PART}")
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+_DO = "get the result again"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Manifest:
+    """What manifest.json says."""
+
+    sha256: str  # of manifest.json, hexadecimal: what the result is called by
+    files: Mapping[str, tuple[str, int]]  # by the name of each file its SHA-256 and its length in bytes
+    without: tuple[str, ...] = ()  # names of folders beside it that are no part of the result
+
+
+def write_manifest(folder: Path, *, without: Collection[str] = ()) -> str:
+    """Write manifest.json of all files in a folder of results."""
+    files = {name: {"sha256": sha256(path), "bytes": path.stat().st_size} for name, path in files_in(folder, without)}
+    save_json({"without": sorted(without), "files": files}, folder / MANIFEST)
+    return sha256(folder / MANIFEST)
+
+
+def files_in(folder: Path, without: Collection[str] = ()) -> Iterator[tuple[str, Path]]:
+    """Name and path of every file in a folder of results but manifest.json, in the order of the names."""
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        left_out = name == MANIFEST or is_temporary(path.name) or name.split("/")[0] in without
+        if not left_out and (path.is_symlink() or not path.is_dir()):
+            yield name, path
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """What manifest.json in a folder says."""
+    path = folder / MANIFEST
+    values = DocumentReader(do=_DO).read_json(path)
+    files, without = values.get("files"), values.get("without")
+    if not (isinstance(files, dict) and isinstance(without, list)):
+        raise InvalidValueError.of(str(path), "files, and folders without", "something else", _DO)
+    return Manifest(
+        sha256=sha256(path),
+        files={name: _entry(name, entry, path) for name, entry in files.items()},
+        without=tuple(map(str, without)),
+    )
+
+
+def _entry(name: str, entry: Any, path: Path) -> tuple[str, int]:
+    """What stands under the name of a file, which leads nowhere but into the folder."""
+    if not _NAME.fullmatch(name):
+        raise InvalidValueError.of(str(path), "names of files in its folder", name[:80], _DO)
+    digest, length = (entry.get(key) if isinstance(entry, dict) else None for key in ("sha256", "bytes"))
+    if not (isinstance(digest, str) and _SHA256.fullmatch(digest) and type(length) is int and length >= 0):
+        raise InvalidValueError.of(str(path), f"sha256 and bytes of {name}", repr(entry)[:80], _DO)
+    return digest, length
+
 
 RECORD = "result.json"
 """The file that every folder of results holds."""
@@ -139,7 +360,7 @@ def new_folder(
 
     The body writes into a temporary folder beside `out`, which gets a manifest.json and takes the name `out` when the
     body ends. When it raises, the temporary folder is removed and `out` is as it was. After a kill or a power cut, the
-    old result is there or the new one, whole; see `mi_splat.io.atomic.publish`.
+    old result is there or the new one, whole; see `mi_splat.io.documents.publish`.
 
     What another process has put at `out` meanwhile stays there unless `force` replaces it. A finished result that
     cannot have the name `out` is kept beside it, under the first free name of `out`-2, `out`-3 and so on, which the

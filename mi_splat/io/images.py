@@ -1,8 +1,121 @@
-"""Pictures of 8 bits: what a PNG file keeps of a rendered picture."""
+"""Images and animations in the format that their names end in, and what 8 bits keep of a rendering."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from torch import Tensor
+from numpy.typing import NDArray
+from PIL import Image
+
+from mi_splat.errors import InvalidValueError, MiSplatError, install
+from mi_splat.io.documents import save_bytes
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+PICTURES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
+"""Format of a picture by the ending of its name."""
+ANIMATIONS = (".gif", ".webp", ".mp4")
+FLOATS = ".exr"
+"""Ending of a picture of floats."""
+_JPEG_QUALITY, _WEBP_QUALITY = 95, 80
+
+
+class VideoError(MiSplatError):
+    """What writes videos is not installed, or does not work."""
+
+
+def is_picture(path: Path) -> bool:
+    """Whether a name ends as that of a picture that can be written."""
+    return path.suffix.lower() in PICTURES
+
+
+def is_animation(path: Path) -> bool:
+    """Whether a name ends as that of an animation that can be written."""
+    return path.suffix.lower() in ANIMATIONS
+
+
+def is_floats(path: Path) -> bool:
+    """Whether a name ends as that of a picture of floats."""
+    return path.suffix.lower() == FLOATS
+
+
+def save_picture(pixels: NDArray[np.uint8], path: Path) -> None:
+    """Write (H, W, 3) pixels as PNG or JPEG, as the name says."""
+    if not is_picture(path):
+        do = "end it in .png or .jpg"
+        raise InvalidValueError.of(str(path), "the name of a picture", path.suffix or "no ending", do)
+    buffer, kind = io.BytesIO(), PICTURES[path.suffix.lower()]
+    options = {"quality": _JPEG_QUALITY, "subsampling": 0} if kind == "JPEG" else {}
+    Image.fromarray(pixels).save(buffer, format=kind, **options)
+    save_bytes(buffer.getvalue(), path)
+
+
+def check_animation(path: Path) -> None:
+    """Raise, before any work is done, if an animation of that name cannot be written here."""
+    if path.suffix.lower() == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
+        do = f"{install('video')}, or end the name in .gif or .webp"
+        raise VideoError.of(str(path), "imageio-ffmpeg, which writes videos", "no such package", do)
+
+
+def save_animation(frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: float) -> None:
+    """Write (H, W, 3) pictures one after the other, as GIF or WebP (in a loop) or as MP4 (H.264)."""
+    sizes = {frame.shape for frame in frames}
+    if len(sizes) != 1:
+        got = f"{len(sizes)} sizes" if sizes else "none"
+        raise InvalidValueError.of("animation", "pictures of one size", got, "give the cameras one size").hinted(
+            "--size"
+        )
+    if not 0 < fps <= 1000:
+        raise InvalidValueError.of("fps", "pictures a second, up to 1000", fps, "24 is usual")
+    if not is_animation(path):
+        do = "end it in .gif, .webp or .mp4"
+        raise InvalidValueError.of(str(path), "the name of an animation", path.suffix or "no ending", do)
+    write = {".gif": _gif, ".webp": _webp, ".mp4": _mp4}[path.suffix.lower()]
+    save_bytes(write(frames, path, fps), path)
+
+
+def _gif(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> bytes:
+    """The file; GIF counts in hundredths of a second, and has 256 colours a picture."""
+    first, *rest = (Image.fromarray(frame).quantize(256, dither=Image.Dither.FLOYDSTEINBERG) for frame in frames)
+    buffer = io.BytesIO()
+    first.save(buffer, format="GIF", save_all=True, append_images=rest, duration=1000 / fps, loop=0)
+    return buffer.getvalue()
+
+
+def _webp(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> bytes:
+    """The file; WebP counts in milliseconds."""
+    first, *rest = map(Image.fromarray, frames)
+    buffer, duration = io.BytesIO(), round(1000 / fps)
+    first.save(buffer, "WEBP", save_all=True, append_images=rest, duration=duration, loop=0, quality=_WEBP_QUALITY)
+    return buffer.getvalue()
+
+
+def _mp4(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> bytes:
+    """The file; H.264 wants even sizes, so the last row and column are written twice where they are not."""
+    check_animation(path)
+    import imageio_ffmpeg
+
+    height, width = frames[0].shape[:2]
+    padding = ((0, height % 2), (0, width % 2), (0, 0))
+    pixels = b"".join(np.pad(frame, padding, mode="edge").tobytes() for frame in frames)
+    size = f"{width + width % 2}x{height + height % 2}"
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "video.mp4"
+        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
+        command += ["-s", size, "-r", f"{fps:g}", "-i", "-", "-an", "-c:v", "libx264", "-pix_fmt", "yuv420p"]
+        done = subprocess.run([*command, str(target)], input=pixels, capture_output=True)
+        if done.returncode or not target.is_file():
+            got = " ".join(done.stderr.decode(errors="replace").split()) or f"status {done.returncode}"
+            raise VideoError.of(str(path), "a video out of ffmpeg", got, "end the name in .gif or .webp")
+        return target.read_bytes()
 
 
 def quantise(image: Tensor) -> Tensor:
@@ -12,9 +125,11 @@ def quantise(image: Tensor) -> Tensor:
 
 def to_bytes(image: Tensor) -> np.ndarray:
     """(H, W, 3) sRGB in [0, 1] as uint8."""
-    return (image.detach().clamp(0, 1) * 255).round().to("cpu", torch.uint8).numpy()
+    return (image.detach().clamp(0, 1) * 255).round().cpu().numpy().astype(np.uint8)
 
 
 def through_png(image: Tensor) -> Tensor:
     """The picture as an 8-bit PNG keeps it, which loses nothing else; (H, W, 3) float32 in [0, 1]."""
+    import torch  # writing does without
+
     return torch.from_numpy(to_bytes(image).astype(np.float32) / 255).to(image.device)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.documents import atomic_write, write_all
 from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.ply import read_header, read_rows
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.io.atomic import atomic_write, write_all
+from mi_splat.io.documents import atomic_write, write_all
 from mi_splat.io.errors import SplatFileError, SplatFileWarning, SplatLossWarning, from_os_error, path_name
 from mi_splat.io.folders import splat_in
 from mi_splat.io.formats.detection import HEAD, META, USD, format_to_read, format_to_write
@@ -21,7 +21,7 @@ from mi_splat.io.loaded import Loaded, arrays_of, open_regular
 from mi_splat.io.ply import read_header
 
 if TYPE_CHECKING:
-    from mi_splat.io.formats.encoded import Encoded
+    from mi_splat.io.loaded import Encoded
     from mi_splat.scene import GaussianScene
 
 _FORMATS = {
@@ -129,7 +129,7 @@ def _read_ply(file: io.FileIO, path: str) -> Loaded:
         from mi_splat.io.formats.compressed_ply import read_compressed_ply
 
         return read_compressed_ply(file, header, path)
-    from mi_splat.io.formats.gaussian_ply import read_splat
+    from mi_splat.io.ply import read_splat
 
     return read_splat(file, header, path)
 
@@ -142,8 +142,8 @@ def write_splat_file(
     antialiased: bool = False,
 ) -> Encoded:
     """Like `save_splat`, but what is lost is returned and not warned of; formats of `TAGGED` keep `antialiased`."""
-    from mi_splat.io.formats.encoded import Encoded
-    from mi_splat.io.formats.gaussian_ply import write_splat
+    from mi_splat.io.loaded import Encoded
+    from mi_splat.io.ply import write_splat
     from mi_splat.scene import check_scene
 
     check_scene("scene", scene)

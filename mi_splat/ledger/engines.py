@@ -25,7 +25,7 @@ from typing import Any, Protocol
 
 from mi_splat.interrupts import TERMINATED, sigterm_as_interrupt
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.locks import locked_folder
+from mi_splat.io.folders import locked_folder
 from mi_splat.ledger.job import DiskFullError, EngineError, Event, HeldError, OnEvent, Outcome, Task, nobody
 from mi_splat.ledger.running import run_job
 from mi_splat.ledger.store import Store

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.io.locks import LockedError
+from mi_splat.io.folders import LockedError
 from mi_splat.ledger.values import digest, encoded, is_frozen, without_modules
 
 ALL = "*"

@@ -13,10 +13,9 @@ from typing import Any
 
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.atomic import publish, sweep_temporary, temporary_folder
-from mi_splat.io.documents import save_json, sha256
+from mi_splat.io.documents import publish, save_json, sha256, sweep_temporary, temporary_folder
 from mi_splat.io.errors import from_os_error
-from mi_splat.io.locks import is_locked, locked_file
+from mi_splat.io.folders import is_locked, locked_file
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger.job import Done, Task, fits_any
 from mi_splat.ledger.values import canonical, digest

@@ -16,8 +16,8 @@ from PIL import Image
 from mi_splat.datasets.frames import SUFFIXES, DatasetError, picture_size
 from mi_splat.errors import install
 from mi_splat.io.documents import file_name
+from mi_splat.io.images import save_picture
 from mi_splat.io.picture_files import MOST_PIXELS, PictureFileError, focal_length_35mm, load_picture
-from mi_splat.io.pictures import save_picture
 from mi_splat.preparation.config import VIDEOS, PreparationError, PrepareConfig
 
 MOST_SECONDS = 1800.0

@@ -21,8 +21,8 @@ from mi_splat.datasets.writing import IMAGES
 from mi_splat.errors import install
 from mi_splat.io.documents import save_json
 from mi_splat.io.folders import check_new_folder, new_folder
+from mi_splat.io.images import save_picture
 from mi_splat.io.picture_files import load_picture
-from mi_splat.io.pictures import save_picture
 from mi_splat.labels import write_label
 from mi_splat.preparation.config import PreparationError, PrepareConfig
 from mi_splat.preparation.pictures import (

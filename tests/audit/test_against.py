@@ -18,7 +18,7 @@ from mi_splat.audit.sarif import sarif
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.scene import GaussianScene, merge
-from mi_splat.selection.masks import load_mask
+from mi_splat.selection.select import load_mask
 from tests.audit.accounts import account, look
 from tests.audit.scenes import standing
 

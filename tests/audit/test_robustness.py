@@ -12,7 +12,7 @@ from mi_splat.audit.results import summary
 from mi_splat.audit.rooms import free_positions
 from mi_splat.audit.surfaces import cameras_around, in_sight
 from mi_splat.scene import merge
-from mi_splat.selection.neighbours import nearest_of
+from mi_splat.selection.clusters import nearest_of
 from tests.audit import scenes
 from tests.audit.scenes import Made, standing
 

@@ -16,8 +16,8 @@ from mi_splat.cameras import Camera, View
 from mi_splat.datasets import DatasetWarning, PointCloud, load_dataset, write_colmap
 from mi_splat.datasets.distortion import Intrinsics
 from mi_splat.io import load_splat
+from mi_splat.io.images import save_animation
 from mi_splat.io.picture_files import load_picture
-from mi_splat.io.pictures import save_animation
 from mi_splat.placement import turn_of
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, Similarity

@@ -15,7 +15,7 @@ from PIL import Image
 
 from attacks import cli
 from mi_splat.io import save_splat
-from mi_splat.io.atomic import LOCK
+from mi_splat.io.documents import LOCK
 from mi_splat.io.folders import new_folder
 from tests.capture.trucks import save_texture, truck, write_glb
 from tests.cli.test_scenes import XML

@@ -11,9 +11,8 @@ from torch import Tensor
 
 from mi_splat.cameras import Camera
 from mi_splat.comparison import methods
-from mi_splat.comparison.compare import FORWARD, GRADIENT, CompareConfig, as_dict, compare
+from mi_splat.comparison.compare import FORWARD, GAP, GRADIENT, CompareConfig, as_dict, compare, save_sheets, sheet
 from mi_splat.comparison.methods import GsplatRenderer, Method, load_methods, register_method
-from mi_splat.comparison.sheets import GAP, save_sheets, sheet
 from mi_splat.datasets.frames import DatasetError
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.rendering import Renderer, RenderSettings

@@ -34,7 +34,7 @@ from mi_splat.io.camera_records import describe, recorded_cameras
 from mi_splat.io.points import load_points
 from mi_splat.io.splat_files import load_splat, save_splat
 from mi_splat.scene_files import open_scene
-from mi_splat.selection.masks import load_mask, save_mask
+from mi_splat.selection.select import load_mask, save_mask
 from mi_splat.training.loop import Progress, TrainState
 from mi_splat.training.resume import load_state, save_state
 from mi_splat.training.strategies import FixedConfig

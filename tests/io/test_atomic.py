@@ -16,9 +16,8 @@ import torch
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import SplatFileError, load_splat, save_splat
-from mi_splat.io.atomic import LOCK, atomic_write, write_all
-from mi_splat.io.folders import new_folder, own_folder
-from mi_splat.io.locks import check_unlocked, locked_folder
+from mi_splat.io.documents import LOCK, atomic_write, write_all
+from mi_splat.io.folders import check_unlocked, locked_folder, new_folder, own_folder
 from mi_splat.scene import GaussianScene, scene_hash
 from tests.gaussians import random_scene
 
@@ -45,7 +44,8 @@ def test_a_full_disk_leaves_the_old_file(code: int, when: str, old: Path, monkey
 
     with monkeypatch.context() as patch:
         patch.setattr(
-            "mi_splat.io.formats.gaussian_ply.write_all" if when == "write" else f"mi_splat.io.atomic.os.{when}", fail
+            "mi_splat.io.ply.write_all" if when == "write" else f"mi_splat.io.documents.os.{when}",
+            fail,
         )
         with pytest.raises(SplatFileError, match=rf"{old}: expected a file that can be written, got .+; .+"):
             save_splat(random_scene(7), old)
@@ -139,13 +139,13 @@ def test_a_folder_without_permission(tmp_path: Path, monkeypatch: pytest.MonkeyP
     def refuse(*_: object) -> int:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("mi_splat.io.atomic.os.open", refuse)
+    monkeypatch.setattr("mi_splat.io.documents.os.open", refuse)
     with pytest.raises(SplatFileError, match="Permission denied; change its permissions"):
         save_splat(random_scene(1), tmp_path / "a.ply")
 
 
 def test_a_read_only_file_is_kept(old: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("mi_splat.io.atomic.os.access", lambda *_: False)  # root may write everything
+    monkeypatch.setattr("mi_splat.io.documents.os.access", lambda *_: False)  # root may write everything
     with pytest.raises(SplatFileError, match="got a read-only file"):
         save_splat(random_scene(1), old)
     alone(old)
@@ -191,7 +191,7 @@ def test_partial_writes_are_completed(tmp_path: Path) -> None:
 
 
 HOLDER = (
-    "import sys; from mi_splat.io.locks import locked_folder\n"
+    "import sys; from mi_splat.io.folders import locked_folder\n"
     "with locked_folder(sys.argv[1]):\n"
     "    print('there', flush=True); input()"
 )

@@ -15,10 +15,18 @@ from pathlib import Path
 import pytest
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.atomic import atomic_write, is_temporary, sweep_temporary
+from mi_splat.io.documents import atomic_write, is_temporary, sweep_temporary
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.folders import check_new_folder, check_writable, new_folder, own_folder
-from mi_splat.io.manifest import MANIFEST, files_in, read_manifest, write_manifest
+from mi_splat.io.folders import (
+    MANIFEST,
+    check_new_folder,
+    check_writable,
+    files_in,
+    new_folder,
+    own_folder,
+    read_manifest,
+    write_manifest,
+)
 
 
 def names(folder: Path) -> list[str]:
@@ -265,7 +273,7 @@ WRITES = {
 @pytest.mark.parametrize("what", WRITES)
 def test_leftovers_of_a_killed_program_are_swept_and_those_of_a_running_one_are_not(what: str, tmp_path: Path) -> None:
     imports = (
-        "import sys, time; from mi_splat.io.atomic import atomic_write; from mi_splat.io.folders import new_folder\n"
+        "import sys, time; from mi_splat.io.documents import atomic_write; from mi_splat.io.folders import new_folder\n"
     )
     command = [sys.executable, "-c", f"{imports}{WRITES[what]}print('writing', flush=True); time.sleep(60)"]
     writer = subprocess.Popen([*command, str(tmp_path)], stdout=subprocess.PIPE)

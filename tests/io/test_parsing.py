@@ -13,7 +13,7 @@ import pytest
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io import SplatFileError
 from mi_splat.io.parsing import MOST_DEPTH, DocumentReader, Fields, read_json
-from mi_splat.selection.masks import load_array
+from mi_splat.selection.select import load_array
 from tests.project.layers import PACKAGES, ROOT
 
 READER = DocumentReader(expected="a record", do="write it again", most=100_000)

@@ -19,6 +19,7 @@ from mi_splat import variant
 from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io import SplatFileError
+from mi_splat.io.images import VideoError, check_animation, save_animation, save_picture
 from mi_splat.io.picture_files import (
     MOST_PIXELS,
     PictureFileError,
@@ -27,7 +28,6 @@ from mi_splat.io.picture_files import (
     picture_header,
     pixel_limit,
 )
-from mi_splat.io.pictures import VideoError, check_animation, save_animation, save_picture
 from tests.capture.trucks import truck, write_glb
 from tests.project.layers import PACKAGES, ROOT
 

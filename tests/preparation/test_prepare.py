@@ -18,7 +18,7 @@ from mi_splat.datasets import PointCloud, load_dataset
 from mi_splat.datasets.writing import list_colmap
 from mi_splat.directions import up_of
 from mi_splat.errors import MiSplatError
-from mi_splat.io.pictures import save_animation
+from mi_splat.io.images import save_animation
 from mi_splat.preparation import pictures as video
 from mi_splat.preparation.config import PreparationError, PrepareConfig
 from mi_splat.preparation.pictures import Picture, take_frames, take_photographs

@@ -29,7 +29,7 @@ from mi_splat.audit.files import write as write_files
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json, save_png
-from mi_splat.io.manifest import write_manifest
+from mi_splat.io.folders import write_manifest
 from tests.audit.accounts import account, look
 from tests.cloak.test_own_pictures import BALL, write_set
 from tests.dagger import test_sanity

@@ -14,8 +14,7 @@ from attacks import cli
 from attacks.report.checking import Check, agree, check_files, check_result, flat, pack, read_result
 from attacks.report.results import kind_of
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.io.folders import RECORD
-from mi_splat.io.manifest import MANIFEST, read_manifest, write_manifest
+from mi_splat.io.folders import MANIFEST, RECORD, read_manifest, write_manifest
 from tests.project.documented_commands import ROOT
 from tests.report.results import write_dagger
 

@@ -19,7 +19,7 @@ from attacks.report.kinds.cloak import study_of
 from attacks.report.kinds.thresholds import threshold_charts
 from attacks.report.results import kind_of
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.manifest import write_manifest
+from mi_splat.io.folders import write_manifest
 from mi_splat.rendering import Renderer, RenderSettings
 from tests.fakes import CoarseDetector, ColourDetector, camera, toy_scene
 from tests.project.layers import ROOT

@@ -16,7 +16,7 @@ from attacks.report.results import RESULT_KINDS, read_section
 from attacks.report.section import Section
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import decode
-from mi_splat.io.manifest import read_manifest
+from mi_splat.io.folders import read_manifest
 from mi_splat.provenance import running_command
 from tests.report.results import (
     ARTIFACTS,

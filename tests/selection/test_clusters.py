@@ -8,8 +8,7 @@ from torch import Tensor
 from mi_splat.cameras import RenderFn
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, merge
-from mi_splat.selection.clusters import clusters, components, find_plane
-from mi_splat.selection.neighbours import nearest_neighbours
+from mi_splat.selection.clusters import clusters, components, find_plane, nearest_neighbours
 from mi_splat.selection.visibility import contributions, object_maps, object_weight
 from mi_splat.sh import colour_to_dc
 from tests import oracle

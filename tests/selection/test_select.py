@@ -16,8 +16,7 @@ from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.selection.clusters import clusters
 from mi_splat.selection.config import Selection
-from mi_splat.selection.masks import box_mask, load_mask, save_mask
-from mi_splat.selection.select import doubts, require_visible, select
+from mi_splat.selection.select import box_mask, doubts, load_mask, require_visible, save_mask, select
 from mi_splat.selection.visibility import contributions, object_maps, object_weight, pixel_weights
 from tests.fakes import blobs, camera, toy_scene
 from tests.gaussians import random_scene

@@ -12,19 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.formats.encoded import (
+from mi_splat.io.loaded import (
     ROOT_HALF,
     Array,
+    Arrays,
     Encoded,
+    Loaded,
     Values,
     drop_largest,
+    judged,
     outside,
     restore_largest,
     vanished,
 )
-from mi_splat.io.formats.gaussian_ply import REST_COUNTS, is_antialiased, rest_names
-from mi_splat.io.loaded import Arrays, Loaded, judged
-from mi_splat.io.ply import Header, header_bytes, read_rows
+from mi_splat.io.ply import REST_COUNTS, Header, header_bytes, is_antialiased, read_rows, rest_names
 from mi_splat.sh import colour_to_dc
 
 CHUNK = 256

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats import axes
-from mi_splat.io.formats.encoded import Array, Encoded, Values, bytes_of
-from mi_splat.io.loaded import Arrays, Loaded, check_count, judged, read_whole
+from mi_splat.io.loaded import Array, Arrays, Encoded, Loaded, Values, bytes_of, check_count, judged, read_whole
 from mi_splat.io.parsing import Fields, parse
 
 EXTENSION = "KHR_gaussian_splatting"

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.formats.encoded import Array
-from mi_splat.io.loaded import Loaded, judged, read_whole
+from mi_splat.io.loaded import Array, Loaded, judged, read_whole
 from mi_splat.sh import colour_to_dc
 
 _HEADER_SIZE, _SECTION_SIZE, _MOST_SECTIONS = 4096, 1024, 4096

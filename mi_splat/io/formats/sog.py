@@ -20,18 +20,23 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.formats.encoded import (
+from mi_splat.io.loaded import (
     ROOT_HALF,
     Array,
+    Arrays,
     Encoded,
+    Loaded,
     Loss,
     Values,
     bytes_of,
+    check_count,
     drop_largest,
+    judged,
+    open_regular,
+    read_whole,
     restore_largest,
     vanished,
 )
-from mi_splat.io.loaded import Arrays, Loaded, check_count, judged, open_regular, read_whole
 from mi_splat.io.parsing import Fields, parse
 from mi_splat.io.picture_files import PictureFileError, load_picture, picture_header
 

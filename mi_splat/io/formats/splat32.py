@@ -10,8 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.formats.encoded import Array, Encoded, Values, bytes_of, dropped_bands, outside, vanished
-from mi_splat.io.loaded import Arrays, Loaded, judged, read_whole
+from mi_splat.io.loaded import (
+    Array,
+    Arrays,
+    Encoded,
+    Loaded,
+    Values,
+    bytes_of,
+    dropped_bands,
+    judged,
+    outside,
+    read_whole,
+    vanished,
+)
 from mi_splat.sh import colour_to_dc
 
 RECORD = np.dtype([("means", "<f4", (3,)), ("scales", "<f4", (3,)), ("colours", "u1", (4,)), ("rotations", "u1", (4,))])

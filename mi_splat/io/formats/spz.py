@@ -20,19 +20,24 @@ from numpy.typing import NDArray
 
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats import axes
-from mi_splat.io.formats.encoded import (
+from mi_splat.io.loaded import (
+    HIGHER_BANDS,
     ROOT_HALF,
     Array,
+    Arrays,
     Encoded,
+    Loaded,
     Loss,
     Values,
     bytes_of,
+    check_count,
     drop_largest,
+    judged,
     outside,
+    read_whole,
     restore_largest,
     vanished,
 )
-from mi_splat.io.loaded import HIGHER_BANDS, Arrays, Loaded, check_count, judged, read_whole
 
 COLOUR_SCALE = 0.15
 """What an SH coefficient is multiplied with, where a colour would take 0.28: colours beyond 0..1 shall fit."""

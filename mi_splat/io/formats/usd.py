@@ -22,8 +22,7 @@ import numpy as np
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats import axes, usd_child
 from mi_splat.io.formats.detection import require_usd
-from mi_splat.io.formats.encoded import Array, Encoded
-from mi_splat.io.loaded import FREE_GAUSSIANS, HIGHER_BANDS, Arrays, Loaded, Notice, judged
+from mi_splat.io.loaded import FREE_GAUSSIANS, HIGHER_BANDS, Array, Arrays, Encoded, Loaded, Notice, judged
 from mi_splat.io.parsing import Fields, parse
 from mi_splat.sh import degree_of
 
