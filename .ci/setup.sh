@@ -4,6 +4,7 @@
 # and needed.
 #   VENV         the environment (.venv); made if it is not there
 #   PYTHON       interpreter to make it from (default: the first Python >= 3.10 on the path)
+#   EXTRAS       extras of pyproject.toml to install too: `dev` for the tests, nothing for the demo
 #   SYSTEM_SITE  not empty: the environment also sees that interpreter's packages, so an installed torch is kept
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
@@ -49,14 +50,15 @@ make_environment() {
 }
 
 install_project() {
-    say "setup: installing mi-splat and what it needs into $venv (torch alone is some gigabytes; minutes, once)"
+    local project=".${EXTRAS:+[$EXTRAS]}"
+    say "setup: installing mi-splat${EXTRAS:+ with all that its tests need} into $venv (PyTorch is several gigabytes; minutes, once)"
     # uv does not count the packages of --system-site-packages as installed, pip does.
     if [ -z "${SYSTEM_SITE:-}" ] && have uv; then
-        uv pip install ${quiet:+--quiet} --python "$python" -e '.[dev]' && return
+        uv pip install ${quiet:+--quiet} --python "$python" -e "$project" && return
         say "setup: uv could not install it; trying pip"
     fi
     "$python" -m pip --version >/dev/null 2>&1 || "$python" -m ensurepip >/dev/null 2>&1 || die "$python has no pip"
-    "$python" -m pip install ${quiet:+-qq} --disable-pip-version-check --no-input -e '.[dev]'
+    "$python" -m pip install ${quiet:+-qq} --disable-pip-version-check --no-input -e "$project"
 }
 
 llvm_there() { "$python" -c 'from mi_splat.mitsuba_setup import prepare_llvm; prepare_llvm()' >/dev/null 2>&1; }
@@ -95,5 +97,5 @@ install_gl() {
 make_environment
 install_project
 install_llvm
-install_gl
+[ -z "${EXTRAS:-}" ] || install_gl
 say "setup: done"

@@ -3,6 +3,7 @@
 import difflib
 import unicodedata
 from collections.abc import Iterable
+from pathlib import Path
 from typing import TypeVar
 
 _Error = TypeVar("_Error", bound="MiSplatError")
@@ -101,8 +102,7 @@ def nearest(word: str, known: Iterable[str], otherwise: str) -> str:
 
 
 def install(extra: str) -> str:
-    """What to do where an optional part of the package is not installed.
-
-    The package is in no index: by its bare name, pip would fetch whatever somebody has put there.
-    """
-    return f"pip install -e '.[{extra}]' in your checkout of mi-splat"
+    """How to install an optional part of the package, in a checkout or from a wheel."""
+    if (Path(__file__).parents[1] / "pyproject.toml").is_file():
+        return f"pip install -e '.[{extra}]' in your checkout of mi-splat"
+    return f"pip install 'mi-splat[{extra}]'"

@@ -115,6 +115,19 @@ Box = Annotated[
 """Lower and upper corner."""
 
 
+EXAMPLES = Path(__file__).with_name("examples")
+"""Scenes that are part of the package."""
+
+
+def named_path(name: str | os.PathLike[str]) -> Path:
+    """The path that a name stands for: itself, or that of a scene of the package for `example:SCENE`."""
+    kind, _, scene = os.fspath(name).partition(":")
+    if kind != "example":
+        return Path(name)
+    check_choice("example", scene, sorted(path.stem for path in EXAMPLES.glob("*.xml")))
+    return EXAMPLES / f"{scene}.xml"
+
+
 def check(config: object) -> None:
     """Raise unless every field of a configuration is of the type and in the range that it says.
 
@@ -291,7 +304,7 @@ def _single(kind: Any, value: Any, name: str, marks: tuple[Any, ...]) -> Any:
         number = checked_number(name, value, allowed, whole=kind is int)
         return float(number) if kind is float else number
     if kind is Path and isinstance(value, (str, os.PathLike)):
-        return Path(value)
+        return named_path(value)
     if kind in (str, bool, Path) and not isinstance(value, kind):
         expected = {str: "a text", bool: "true or false", Path: "a path"}[kind]
         raise FieldError.of(name, expected, repr(value), "change it")

@@ -16,6 +16,7 @@ from mi_splat._lazy import Previewed
 from mi_splat.bounds import bounds, near_plane
 from mi_splat.cameras import Camera, focal_of, orbit_pose
 from mi_splat.errors import InvalidValueError, MiSplatError, listed, message
+from mi_splat.fields import named_path
 from mi_splat.io import save_splat
 from mi_splat.io.documents import file_name, save_text
 from mi_splat.io.errors import SplatFileError, SplatFileWarning, path_name
@@ -70,7 +71,7 @@ def load_mitsuba_scene(path: str | Path, **parameters: Any) -> Any:
     """A Mitsuba scene from a file; `parameters` take the place of its default values."""
     import mitsuba as mi
 
-    path = Path(path_name(path))
+    path = named_path(path_name(path))
     if not path.is_file():
         raise InvalidValueError.of("scene", "a Mitsuba XML file", f"no file {path}", "check the path")
     check_scene_file(path, parameters)

@@ -42,6 +42,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "train": "train a splat on images with cameras",
     },
     "attack": {
+        "demo": "run DAGGER on the car of the example scene, in about 20 seconds",
         "dagger": "perturb one object of a splat so that a detector misreads it (DAGGER)",
         "dagger --region": "the same for all cameras of a region (EOT), evaluated on held-out views",
         "cloak": "poison training images, train on them, and measure what detectors report (CLOAK)",
@@ -134,9 +135,7 @@ def _dispatch(words: list[str]) -> int:
         sys.stdout.write(_help())
         return DONE if words else MISUSED
     if words[0] == "--version":
-        from importlib.metadata import version
-
-        sys.stdout.write(f"{PROGRAM} {version('mi-splat')}\n")
+        sys.stdout.write(_versions())
         return DONE
     name, rest = command_of(words)
     if name not in COMMANDS:
@@ -227,6 +226,16 @@ def _take_max_pixels(words: list[str]) -> int | None:
     return most
 
 
+def _versions() -> str:
+    """The text of `mi-splat --version`."""
+    from mi_splat.provenance import commit, versions
+
+    packages = versions()
+    version, where = packages.pop("mi-splat"), commit()
+    beneath = ", ".join(f"{name} {number}" for name, number in packages.items())
+    return f"{PROGRAM} {version}{f' ({where})' if where else ''}\n{beneath}\n"
+
+
 def _help() -> str:
     """The text of `mi-splat --help`."""
     width = max(map(len, COMMANDS))
@@ -242,7 +251,7 @@ Adversarial attacks on, and forensic audits of, 3D Gaussian splats.
 {commands}
 
   {PROGRAM} help COMMAND  the options of one command; also {PROGRAM} COMMAND --help
-  {PROGRAM} --version     the version
+  {PROGRAM} --version     the version, the commit of a checkout, and the versions of the packages beneath
   --max-pixels N         with any command: pixels that a picture which is read may have (50000000)
 
 exit status: 0 done (also when an attack fails: that is a result), 1 error, 2 wrong usage; audit: 3 found;

@@ -40,8 +40,8 @@ class DaggerSanityOptions(ResultOptions):
     green or red. Writes sanity.md and result.json into --out. The exit status is 1 if a line is red.
     """
 
-    scene: Positional[Path] = Path("scenes/car_street.xml")
-    """Scene XML made of splats, or a splat file."""
+    scene: Positional[Path]
+    """Scene XML made of splats, a splat file, or example:car_street or example:stop_sign."""
     selection: Unprefixed[Selection] = field(default_factory=Selection)
     """The object whose Gaussians are attacked. If nothing is said, the part called car."""
     view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)

@@ -53,8 +53,8 @@ class DetectorOptions:
 class AttackOptions(DetectorOptions, ResultOptions):
     """What an attack on one object takes, from chosen cameras or from a region; what is written is told by each."""
 
-    scene: Positional[Path] = Path("scenes/car_street.xml")
-    """Scene XML made of splats, or a splat file."""
+    scene: Positional[Path]
+    """Scene XML made of splats, a splat file, or example:car_street or example:stop_sign."""
     selection: Unprefixed[Selection] = field(default_factory=Selection)
     """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
     view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)

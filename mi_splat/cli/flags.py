@@ -24,7 +24,7 @@ from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 from mi_splat.cli.console import UsageError
 from mi_splat.errors import InvalidValueError, nearest
-from mi_splat.fields import Converter, FieldError, Metavar, Range, taken, type_hints, unwrapped
+from mi_splat.fields import Converter, FieldError, Metavar, Range, named_path, taken, type_hints, unwrapped
 
 _Type = TypeVar("_Type")
 
@@ -172,7 +172,7 @@ def _plain(hint: Any, word: str) -> Any:
                 return number(word)
             except ValueError:
                 continue
-    return Path(word) if kind is Path else word
+    return named_path(word) if kind is Path else word
 
 
 class Parser(argparse.ArgumentParser):
