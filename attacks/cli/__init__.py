@@ -137,6 +137,8 @@ def _dispatch(words: list[str]) -> int:
     if words[0] == "--version":
         sys.stdout.write(_versions())
         return DONE
+    if words[0] == "--completion":
+        return _completion(words[1:])
     name, rest = command_of(words)
     if name not in COMMANDS:
         do = nearest(name, COMMANDS, f"try {PROGRAM} --help")
@@ -236,6 +238,24 @@ def _versions() -> str:
     return f"{PROGRAM} {version}{f' ({where})' if where else ''}\n{beneath}\n"
 
 
+def _completion(words: Sequence[str]) -> int:
+    """Write a script that completes commands and options in a shell."""
+    import argparse
+
+    import shtab
+
+    shell = words[0] if len(words) == 1 else ""
+    if shell not in shtab.SUPPORTED_SHELLS:
+        raise UsageError.of("--completion", "bash, zsh or tcsh", " ".join(words) or "nothing", "name one shell")
+    whole = argparse.ArgumentParser(PROGRAM)
+    commands = whole.add_subparsers()
+    for name, summary in COMMANDS.items():
+        if " " not in name:
+            commands.add_parser(name, parents=[parser_of(name)], help=summary, add_help=False)
+    sys.stdout.write(shtab.complete(whole, shell))
+    return DONE
+
+
 def _help() -> str:
     """The text of `mi-splat --help`."""
     width = max(map(len, COMMANDS))
@@ -252,6 +272,7 @@ Adversarial attacks on, and forensic audits of, 3D Gaussian splats.
 
   {PROGRAM} help COMMAND  the options of one command; also {PROGRAM} COMMAND --help
   {PROGRAM} --version     the version, the commit of a checkout, and the versions of the packages beneath
+  {PROGRAM} --completion bash|zsh|tcsh  a script that completes commands and options in your shell
   --max-pixels N         with any command: pixels that a picture which is read may have (50000000)
 
 exit status: 0 done (also when an attack fails: that is a result), 1 error, 2 wrong usage; audit: 3 found;

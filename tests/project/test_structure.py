@@ -217,7 +217,7 @@ sys.path.insert(0, {str(site)!r})
 import attacks.cli, attacks.detectors.catalogue, mi_splat
 assert attacks.__file__.startswith({str(site)!r}) and mi_splat.__file__.startswith({str(site)!r})
 assert attacks.detectors.catalogue.SMALL_WEIGHTS.is_file()
-sys.exit(attacks.cli.main(["detectors", "--json"]))
+sys.exit(attacks.cli.main(["detectors", "--json"]) or attacks.cli.main(["info", "example:car_street"]))
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=elsewhere, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
