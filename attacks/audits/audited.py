@@ -15,7 +15,8 @@ from attacks.cloak.config import StudyConfig
 from attacks.cloak.setup import Setup
 from mi_splat.audit.auditing import audit
 from mi_splat.audit.files import PAIR, document, pair_picture
-from mi_splat.audit.results import SUSPICION, ObjectAudit
+from mi_splat.audit.results import ObjectAudit
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera
 from mi_splat.io.documents import save_json
 from mi_splat.io.images import save_picture
@@ -53,7 +54,7 @@ def run(config: AuditedConfig, inputs: Mapping[str, Path], out: Out) -> list[dic
     save_json(document(judged), out / AUDIT)
     save_json({"seconds": seconds, "gaussians": len(scene)}, out / COST)
     item = judged.strongest
-    if item.evidence >= SUSPICION and item.look.pair is not None:
+    if item.evidence >= LIMITS.suspicion and item.look.pair is not None:
         save_picture(pair_picture(scene, item.look.pair), out / PAIR)
     row: dict[str, Any] = {
         "verdict": judged.verdict,

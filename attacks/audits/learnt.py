@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from mi_splat.audit.frames import SOLID
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.selection.clusters import nearest_neighbours
@@ -26,7 +26,7 @@ _RIDGE, _STEPS = 0.06, 12
 def attributes(scene: GaussianScene) -> Tensor:
     """(F,) float64 statistics of a splat's attributes that do not depend on its axes, unit or order of rows."""
     check_scene("scene", scene)
-    rows = (scene.opacities > SOLID).nonzero()[:, 0]
+    rows = (scene.opacities > LIMITS.solid).nonzero()[:, 0]
     if len(rows) <= _NEIGHBOURS:
         do = "pass a splat that shows something"
         raise InvalidValueError.of("scene", f"over {_NEIGHBOURS} Gaussians that show", len(rows), do)

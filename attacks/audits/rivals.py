@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING
 import torch
 
 from attacks.audits.learnt import attributes
-from mi_splat.audit.frames import SOLID, Frame, Target, frame_of, targets
+from mi_splat.audit.frames import Frame, Target, frame_of, targets
 from mi_splat.audit.surfaces import cameras_around, elements, near_of, sight
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.io.documents import save_json
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene, check_scene
@@ -61,7 +62,7 @@ def band_share(band: int) -> Baseline:
     """Share of the energy of all coefficients that one band has, of the solid Gaussians; colours count from grey."""
 
     def score(scene: GaussianScene) -> float:
-        sh = scene.sh[scene.opacities > SOLID].double()
+        sh = scene.sh[scene.opacities > LIMITS.solid].double()
         if degree_of(scene.sh.shape[1]) < band or not len(sh):
             return 0.0
         energy = sh.square().sum((0, 2))

@@ -253,7 +253,7 @@ EXTRAS = {
 }
 REGISTRIES = {
     "mi_splat.attacks": ("attacks.optimisers.registry", "OPTIMISERS"),
-    "mi_splat.audit_rules": ("mi_splat.audit.lint.rules", "ADDED"),
+    "mi_splat.audit_rules": ("mi_splat.audit.rules", "ADDED"),
     "mi_splat.conditions": ("attacks.observe.conditions", "CONDITIONS"),
     "mi_splat.detectors": ("attacks.detectors.registry", "DETECTORS"),
     "mi_splat.objectives": ("attacks.aims", "OBJECTIVES"),

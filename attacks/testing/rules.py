@@ -1,4 +1,4 @@
-"""The contract of a rule of the audit (`mi_splat.audit.lint.rules.Rule`)."""
+"""The contract of a rule of the audit (`mi_splat.audit.rules.Rule`)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, get_args
 import numpy as np
 
 from attacks.testing.promises import Contract, cloud, expect
-from mi_splat.audit.lint.rules import RULES, Rule, Severity, Stored
+from mi_splat.audit.rules import RULES, Rule, Severity, Stored
 from mi_splat.io.loaded import Loaded, arrays_of
 from mi_splat.scene import GaussianScene
 
@@ -27,7 +27,7 @@ def check_rule(rule: Any, *, finds: GaussianScene | None = None) -> None:
     """
     contract = Contract(f"rule {getattr(rule, 'name', type(rule).__name__)}")
     with contract.promise("names"):
-        expect(isinstance(rule, Rule), "a Rule", type(rule).__name__, "make one of mi_splat.audit.lint.rules.Rule")
+        expect(isinstance(rule, Rule), "a Rule", type(rule).__name__, "make one of mi_splat.audit.rules.Rule")
         good = re.fullmatch(r"[a-z][a-z0-9-]*", rule.name)
         expect(good, "a name of small letters, digits and dashes", rule.name, "choose another")
         taken = rule is not None and any(rule.name == own.name and rule is not own for own in RULES)

@@ -8,7 +8,7 @@ import csv
 import sys
 from pathlib import Path
 
-from mi_splat.audit.results import EXCESS, SUSPICION
+from mi_splat.audit.thresholds import LIMITS
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = ROOT / "docs" / "tables" / "audit_price.csv"
@@ -44,7 +44,10 @@ def main(table: Path = TABLE, picture: Path = PICTURE) -> None:
             missed = [float(row["missed"]) for row in part]
             excess = [max(float(row["excess"]), _LEAST) for row in part]
             axis.scatter(missed, excess, marker=marker, c=colour, s=34, label=label, clip_on=False, zorder=3)
-        for level, line, text in ((EXCESS, "-", "hidden look"), (SUSPICION * EXCESS, ":", "suspicious")):
+        for level, line, text in (
+            (LIMITS.excess, "-", "hidden look"),
+            (LIMITS.suspicion * LIMITS.excess, ":", "suspicious"),
+        ):
             axis.axhline(level, color="black", linewidth=1, linestyle=line)
             axis.text(0.35, level, text, va="bottom" if line == "-" else "top", fontsize=8)
         axis.set(

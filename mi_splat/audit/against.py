@@ -5,17 +5,14 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat.audit.frames import Target, quantile
-from mi_splat.audit.surfaces import cameras_around, near_of
-from mi_splat.bounds import near_plane
+from mi_splat.audit.surfaces import SKY, cameras_around, near_of
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.images import to_bytes
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import multiply
 from mi_splat.scene import GaussianScene, check_scene
@@ -23,82 +20,31 @@ from mi_splat.scene_files import resized
 from mi_splat.selection.clusters import nearest_neighbours
 from mi_splat.sh import colour_to_dc
 
-_UNMOVED, _PARTNER, _SHARE = 0.1, 0.5, 0.5
-"""Distances, in the spacing of the clean splat, within which a Gaussian is in its place, and within which it may have a
-partner; and the share of the smaller splat that has to be in its place for one to be made from the other."""
-_CANDIDATES, _SPACING = 8, 3
-"""Neighbours among which a partner is looked for, and the one whose distance is the spacing."""
-_SAME = 1e-5
-"""Differences that files round away, in units of each attribute; of a position in the spacing."""
-_QUANTILES = 512
-_MORE = 4.0
-"""Where every Gaussian differs, those are masked that differ more than so many times the median."""
-_LOOKS, _EVERY, _PICTURES, _WIDTH = 48, 5, 2, 384
-"""Pixels of pictures that choose the worst cameras, of which every so many is tried; how many are shown, how wide."""
-_ROOM = 1.2
-"""Radius of what is looked at, by that of what changed."""
-_GAP = 8
-_BACKGROUND = (0.55, 0.7, 0.9)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """What became of one attribute, over the Gaussians that have a partner in the clean splat.
-
-    Attributes:
-        attribute: Its name.
-        unit: Of `median` and `most`.
-        count: Gaussians in which it differs.
-        median: Median difference of these; 0 if there are none.
-        most: Largest difference.
-        distribution: Wasserstein distance between the values of both splats, mean over the components, in standard
-            deviations; it needs no partners. (KeySS compares distributions of all attributes at once by Sinkhorn's
-            distance; one attribute a row says which one gives an edit away.)
-    """
+    """What became of one attribute, over the Gaussians that have a partner in the clean splat."""
 
     attribute: str
-    unit: str
-    count: int
-    median: float
-    most: float
-    distribution: float
+    unit: str  # of `median` and `most`
+    count: int  # Gaussians in which it differs
+    median: float  # median difference of these; 0 if there are none
+    most: float  # largest difference
+    distribution: float  # Wasserstein distance between all values of both splats, in standard deviations
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Changes:
-    """How a splat differs from the one it was made from.
+    """How a splat differs from the one it was made from."""
 
-    Attributes:
-        changed: (N,) bool, Gaussians that differ from their partner, or have none.
-        mask: (N,) bool, the same; where every Gaussian differs, as after compression, those that differ most.
-        attributes: One row each.
-        added: Gaussians without a partner.
-        removed: Gaussians of the clean splat without a partner.
-        by_order: Whether partners stand in the same row; else they are at the same place.
-        cameras: Those from which the pictures of both differ most, the worst first; none if no
-            camera sees what changed.
-        clean: The clean splat.
-    """
-
-    changed: Tensor
-    mask: Tensor
+    changed: Tensor  # (N,) bool, Gaussians that differ from their partner, or have none
+    mask: Tensor  # (N,) bool, the same; where every Gaussian differs, as after compression, those that differ most
     attributes: tuple[Change, ...]
-    added: int
-    removed: int
-    by_order: bool
-    cameras: tuple[Camera, ...]
+    added: int  # Gaussians without a partner
+    removed: int  # Gaussians of the clean splat without a partner
+    by_order: bool  # whether partners stand in the same row; else they are at the same place
+    cameras: tuple[Camera, ...]  # from which both differ most, the worst first; none if no camera sees what changed
     clean: GaussianScene
-
-    def pictures(self, scene: GaussianScene) -> NDArray[np.uint8]:
-        """(H, W, 3) the clean splat on the left, another on the right, a row for each camera."""
-        render, rows = Renderer(RenderSettings(background=_BACKGROUND, near=near_plane(scene, self.cameras))), []
-        for camera in self.cameras:
-            with torch.no_grad():
-                both = [to_bytes(render(item, camera).clamp(0, 1)) for item in (self.clean, scene)]
-            gap = np.full((len(both[0]), _GAP, 3), 255, np.uint8)
-            rows.append(np.concatenate([both[0], gap, both[1]], axis=1))
-            rows.append(np.full((_GAP, rows[-1].shape[1], 3), 255, np.uint8))
-        return np.concatenate(rows[:-1])
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON can hold it."""
@@ -148,13 +94,13 @@ def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
     amount = torch.zeros(int(matched.sum()))
     rows = []
     for (name, unit), values in differences.items():
-        differs = values > (_SAME * spacing if name == "position" else _SAME)
+        differs = values > (LIMITS.rounding * spacing if name == "position" else LIMITS.rounding)
         changed[matched] |= differs
         amount = torch.maximum(amount, values / {"position": spacing, "rotation": 57.3}.get(name, 1.0))
         rows.append(_row(name, unit, values[differs], _components(name, scene), _components(name, clean)))
     mask = changed.clone()
     if bool(changed[matched].all()) and len(amount):
-        mask[matched] = amount > _MORE * amount.median()
+        mask[matched] = amount > LIMITS.more_changed * amount.median()
     return Changes(
         changed=changed,
         mask=mask,
@@ -169,7 +115,7 @@ def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
 
 def _spacing(scene: GaussianScene) -> float:
     """Median distance of a Gaussian to its third neighbour, world units; that of its size where it has none."""
-    distances, _ = nearest_neighbours(scene.means, _SPACING)
+    distances, _ = nearest_neighbours(scene.means, LIMITS.spacing)
     if not distances.shape[1]:
         return float(scene.scales.max())
     return max(float(distances[:, -1].median()), 1e-12)
@@ -179,20 +125,20 @@ def _partners(scene: GaussianScene, clean: GaussianScene, spacing: float) -> tup
     """(N,) the row of the clean splat that each Gaussian came from, -1 if none; and whether it is the same row."""
     if len(scene) == len(clean):
         apart = (scene.means - clean.means).norm(dim=1)
-        if float((apart < _UNMOVED * spacing).double().mean()) >= _SHARE:
+        if float((apart < LIMITS.unmoved * spacing).double().mean()) >= LIMITS.same_share:
             return torch.arange(len(scene)), True
     count = len(scene)
-    distances, rows = nearest_neighbours(torch.cat([scene.means, clean.means]), _CANDIDATES)
+    distances, rows = nearest_neighbours(torch.cat([scene.means, clean.means]), LIMITS.candidates)
     distances, rows = distances[:count].float() / spacing, rows[:count] - count
     colours = (clean.sh[rows.clamp(min=0), 0] - scene.sh[:, None, 0]).abs().mean(-1)
-    cost = (distances + colours).masked_fill((rows < 0) | (distances > _PARTNER), math.inf)
+    cost = (distances + colours).masked_fill((rows < 0) | (distances > LIMITS.partner), math.inf)
     if not cost.shape[1]:
         cost, rows = torch.full((count, 1), math.inf), torch.zeros(count, 1, dtype=torch.int64)
     least, at = cost.min(1)
     partner = torch.where(least < math.inf, rows.gather(1, at[:, None])[:, 0], -1)
-    unmoved = (least < math.inf) & (distances.gather(1, at[:, None])[:, 0] < _UNMOVED)
+    unmoved = (least < math.inf) & (distances.gather(1, at[:, None])[:, 0] < LIMITS.unmoved)
     share = float(unmoved.sum()) / min(count, len(clean))
-    if share < _SHARE:
+    if share < LIMITS.same_share:
         expected = "the splat that the other was made from, with most Gaussians in the same place"
         do = "pass the file as it was before the edit, in the same units and axes"
         raise InvalidValueError.of("--against", expected, f"{min(share, 1):.0%} of them there", do)
@@ -240,7 +186,7 @@ def _components(attribute: str, scene: GaussianScene) -> Tensor:
 
 def _row(name: str, unit: str, values: Tensor, ours: Tensor, clean: Tensor) -> Change:
     """One row of the table, of the differences that are any and of all values of both."""
-    ranks = torch.linspace(0, 1, _QUANTILES, dtype=torch.float64)
+    ranks = torch.linspace(0, 1, LIMITS.quantiles, dtype=torch.float64)
 
     def at(sample: Tensor) -> Tensor:
         return sample.double().sort(0).values[(ranks * (len(sample) - 1)).round().long()]
@@ -267,11 +213,15 @@ def _worst(scene: GaussianScene, clean: GaussianScene, mask: Tensor | None, part
         return ()
     centre = points.median(0).values
     size = max(quantile((points - centre).norm(dim=1), 0.9), float(scene.scales.median()))
-    target = Target(rows=torch.arange(0), centre=centre, radius=_ROOM * size, up=None)
-    cameras = cameras_around(target)[::_EVERY]
-    render = Renderer(RenderSettings(near=near_of(target, cameras), background=_BACKGROUND))
+    target = Target(rows=torch.arange(0), centre=centre, radius=LIMITS.changed_margin * size, up=None)
+    cameras = cameras_around(target)[:: LIMITS.worst_every]
+    render = Renderer(RenderSettings(near=near_of(target, cameras), background=SKY))
     with torch.no_grad():
-        small = [resized(camera, (_LOOKS, _LOOKS)) for camera in cameras]
+        small = [resized(camera, (LIMITS.worst_size, LIMITS.worst_size)) for camera in cameras]
         gaps = [float((render(scene, c).clamp(0, 1) - render(clean, c).clamp(0, 1)).square().mean()) for c in small]
     order = sorted(range(len(gaps)), key=lambda number: -gaps[number])
-    return tuple(resized(cameras[number], (_WIDTH, _WIDTH)) for number in order[:_PICTURES] if gaps[number] > 0)
+    return tuple(
+        resized(cameras[number], (LIMITS.worst_width, LIMITS.worst_width))
+        for number in order[: LIMITS.worst_cameras]
+        if gaps[number] > 0
+    )

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from mi_splat.audit.edits import edit_of
-from mi_splat.audit.evidence import BLOCKED, Cover, cover_heat, cover_of, heat_of, middle_of, pair_of, split_of
+from mi_splat.audit.evidence import Cover, cover_heat, cover_of, edit_of, heat_of, middle_of, pair_of, split_of
 from mi_splat.audit.explanations import (
     Scores,
     angles_between,
@@ -20,44 +19,29 @@ from mi_splat.audit.explanations import (
     look_amounts,
     piece_scores,
     reachable,
-    shape_of,
+    region_of,
 )
-from mi_splat.audit.frames import SOLID, Frame, Target, frame_of, targets, whole
-from mi_splat.audit.results import EXCESS, SUSPICION, Audit, Look, ObjectAudit, Occluder, Pair, Region, vector
-from mi_splat.audit.rooms import cameras_within, free_positions
+from mi_splat.audit.frames import Frame, Target, frame_of, targets, whole
+from mi_splat.audit.results import Audit, Look, ObjectAudit, Occluder, Pair, vector
 from mi_splat.audit.surfaces import (
-    AROUND,
-    LEAST_VIEWS,
-    SIZE,
     Elements,
     Sight,
     cameras_around,
+    cameras_within,
     elements,
+    free_positions,
     in_sight,
     sight,
 )
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera, as_cameras, project_points
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.scene_files import resized
 
-LEAST_PIECES = 60
-"""A splat of which fewer pieces of surface can be judged gets no verdict."""
-LEAST_CAMERAS, MOST_CAMERAS = 12, 300
-"""Cameras that have to be given, and that are used of those given."""
-_GIVEN_SIZE = 2 * SIZE
-"""Pixels along the longer side of a picture from a given camera: an object is smaller there than in one made for it."""
-_CHANGED = 0.05
-"""Score from which a piece of surface counts as changed."""
-_ASKED = 5000
-"""Gaussians, evenly taken of all, of which is asked whether they were looked at."""
-
 Job = tuple[Target, tuple[Camera, ...]]
 """An object and the cameras that look at it, in the frame."""
-
-OnObject = Callable[[int, int], None]
-"""Called after each object with the number done and the number of all."""
 
 
 def audit(
@@ -65,7 +49,6 @@ def audit(
     *,
     cameras: Sequence[Camera] | None = None,
     up: Point | None = None,
-    on_object: OnObject | None = None,
 ) -> Audit:
     """Say whether a splat shows something from some directions only, from where, and which Gaussians carry it.
 
@@ -78,16 +61,13 @@ def audit(
     if cameras is None:
         jobs, in_room = _looks_at(frame, up)
     objects, heats = [], []
-    for number, (target, around) in enumerate(jobs):
-        judged = judged_object(frame, target, around)
-        if judged is not None:
+    for target, around in jobs:
+        if (judged := judged_object(frame, target, around)) is not None:
             objects.append(dataclasses.replace(judged[0], in_room=in_room))
             heats.append(judged[1])
-        if on_object is not None:
-            on_object(number + 1, len(jobs))
     pieces = sum(item.pieces for item in objects)
-    if pieces < LEAST_PIECES:
-        expected = f"at least {LEAST_PIECES} pieces of surface that cameras on two sides see"
+    if pieces < LIMITS.least_pieces:
+        expected = f"at least {LIMITS.least_pieces} pieces of surface that cameras on two sides see"
         do = "pass a splat of something solid" if cameras is None else "pass cameras that see more of it"
         raise InvalidValueError.of("scene" if cameras is None else "cameras", expected, pieces, do)
     heat = _heat(heats, len(scene))
@@ -112,13 +92,15 @@ def _looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
     return jobs, True
 
 
-def given(frame: Frame, cameras: Sequence[Camera], *, longer_side: int | None = _GIVEN_SIZE) -> tuple[Camera, ...]:
+def given(
+    frame: Frame, cameras: Sequence[Camera], *, longer_side: int | None = LIMITS.given_size
+) -> tuple[Camera, ...]:
     """Cameras of the world in the frame, not too many of them, and small unless `longer_side` is None."""
     cameras = as_cameras(cameras)
-    if len(cameras) < LEAST_CAMERAS:
+    if len(cameras) < LIMITS.least_cameras:
         do = "pass those of the training pictures, or none"
-        raise InvalidValueError.of("cameras", f"at least {LEAST_CAMERAS}", len(cameras), do)
-    numbers = torch.linspace(0, len(cameras) - 1, min(len(cameras), MOST_CAMERAS)).round().long().tolist()
+        raise InvalidValueError.of("cameras", f"at least {LIMITS.least_cameras}", len(cameras), do)
+    numbers = torch.linspace(0, len(cameras) - 1, min(len(cameras), LIMITS.most_cameras)).round().long().tolist()
     rotation, world = frame.to_world.rotation.double(), frame.to_world
     placed = []
     for camera in (cameras[number] for number in numbers):
@@ -168,7 +150,7 @@ def judged_object(
     if judged.verdict == "nothing found" or pictures is not None:
         return judged, None
     heat = torch.zeros(len(rows))
-    if judged.look.evidence >= SUSPICION:
+    if judged.look.evidence >= LIMITS.suspicion:
         heat = heat_of(scene, pieces, view, by_piece, target, judged.looks)
     if judged.covered:
         heat = torch.maximum(heat, cover_heat(scene, view, cover, target))
@@ -178,15 +160,11 @@ def judged_object(
 def _look(frame: Frame, target: Target, view: Sight, look: SurfaceLook) -> Look:
     """A look in the world."""
     scores, shown = look.scores, look.shown
-    shape = shape_of(view.directions, shown, target.up)
+    region = region_of(view.directions, shown, target.up)
     by_piece = piece_scores(look.pieces, shown)
     return Look(
-        region=Region(
-            axis=vector(frame.direction(shape.axis)),
-            half_width=shape.half_width,
-            elevation=shape.elevation,
-            complement=shape.complement,
-            overlap=shape.overlap,
+        region=dataclasses.replace(
+            region, axis=vector(frame.direction(torch.tensor(region.axis, dtype=torch.float64)))
         ),
         shown=shown,
         amounts=look_amounts(look.pieces, shown),
@@ -195,14 +173,14 @@ def _look(frame: Frame, target: Target, view: Sight, look: SurfaceLook) -> Look:
         mirror=scores.mirror,
         shift=scores.shift,
         fade=scores.fade,
-        area=int((by_piece > _CHANGED).sum()) * (look.pieces.size * frame.to_world.scale) ** 2,
+        area=int((by_piece > LIMITS.changed).sum()) * (look.pieces.size * frame.to_world.scale) ** 2,
         pair=_pair(frame, look.pieces, view, by_piece, shown),
     )
 
 
 def _occluder(frame: Frame, view: Sight, cover: Cover) -> Occluder | None:
     """What covers the object, in the world."""
-    if not bool((cover.blocked > BLOCKED).any()):
+    if not bool((cover.blocked > LIMITS.blocked).any()):
         return None
     return Occluder(
         axis=vector(frame.direction(middle_of(view.directions, cover.blocked))),
@@ -239,8 +217,8 @@ def _heat(heats: list[Heat | None], count: int) -> Tensor:
 
 def looked_at(frame: Frame, jobs: list[Job]) -> float:
     """Share of the solid Gaussians around one of the objects, and in the pictures of enough of its cameras."""
-    points = frame.scene.means[frame.scene.opacities > SOLID].double()
-    points = points[:: math.ceil(len(points) / _ASKED)]
+    points = frame.scene.means[frame.scene.opacities > LIMITS.solid].double()
+    points = points[:: math.ceil(len(points) / LIMITS.near_sample)]
     near = torch.zeros(len(points), dtype=torch.bool)
     for target, cameras in jobs:
         seen = torch.zeros(len(points))
@@ -248,17 +226,8 @@ def looked_at(frame: Frame, jobs: list[Job]) -> float:
             pixels, depth = project_points(points, camera)
             x, y = pixels.T
             seen += (depth > 0) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
-        near |= ((points - target.centre).norm(dim=1) < AROUND * target.radius) & (seen >= LEAST_VIEWS)
+        near |= ((points - target.centre).norm(dim=1) < LIMITS.around * target.radius) & (seen >= LIMITS.least_views)
     return float(near.double().mean())
-
-
-MOST_LOOKS = 3
-_EDGE = 20.0
-"""Degrees beyond the cameras of a look in which it may fade: they are left out with it."""
-_STRONG = 0.4
-"""Score of another look by that of the first, from which it is no ripple of it: spherical harmonics have some."""
-_LEFT = 1 / 3
-"""Share of the cameras that has to be left to look for another look."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -277,21 +246,21 @@ def looks_of(pieces: Elements, view: Sight) -> list[SurfaceLook]:
     """
     looks: list[SurfaceLook] = []
     kept = torch.ones(len(view.cameras), dtype=torch.bool)
-    for _ in range(MOST_LOOKS):
+    for _ in range(LIMITS.most_looks):
         scores = explain(pieces, view)
-        another = scores.excess >= EXCESS
-        if looks and not (another and scores.direction >= _STRONG * looks[0].scores.direction):
+        another = scores.excess >= LIMITS.excess
+        if looks and not (another and scores.direction >= LIMITS.another_look * looks[0].scores.direction):
             break
         shown = cameras_of_look(pieces, view, scores) & kept
         looks.append(SurfaceLook(scores=scores, shown=shown, pieces=pieces))
         small = shown if 2 * int(shown.sum()) <= int(kept.sum()) else ~shown & kept
         if not another or not bool(small.any()):
             break
-        kept = kept & (angles_between(view.directions, view.directions[small]).amin(1) > _EDGE)
-        if int(kept.sum()) < _LEFT * len(kept):
+        kept = kept & (angles_between(view.directions, view.directions[small]).amin(1) > LIMITS.look_edge)
+        if int(kept.sum()) < LIMITS.cameras_left * len(kept):
             break
         moments = pieces.moments * kept.float()[None, :, None]
-        judged = pieces.judged & (moments[..., 0].sum(1) >= LEAST_VIEWS)
+        judged = pieces.judged & (moments[..., 0].sum(1) >= LIMITS.least_views)
         if not bool(judged.any()):
             break
         pieces = dataclasses.replace(pieces, moments=moments, judged=judged)

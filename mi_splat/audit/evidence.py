@@ -9,21 +9,137 @@ from torch import Tensor
 from torch.nn import functional
 
 from mi_splat.audit.explanations import Split, angles_between
-from mi_splat.audit.frames import Target
-from mi_splat.audit.results import Look
-from mi_splat.audit.surfaces import AROUND, Elements, Sight, near_of, rays
+from mi_splat.audit.frames import Frame, Target
+from mi_splat.audit.results import Edit, Look, vector
+from mi_splat.audit.surfaces import Elements, Sight, basis, lattice, near_of, rays
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera, project_points
 from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.rotation import to_matrix
 from mi_splat.scene import GaussianScene
-from mi_splat.sh import colour_to_dc, sh_to_colour
+from mi_splat.selection.clusters import nearest_neighbours
+from mi_splat.sh import colour_to_dc, dc_to_colour, sh_basis, sh_to_colour
 
-BLOCKED, FREE = 0.3, 0.1
-"""Share of the rays to the object that end before it, from which a camera is blocked, and up to which it is free."""
-_CORE, AIR, FLOOR, _TOLERANCE = 0.5, 1.15, 0.15, 0.15
-"""Radii: rays that pass so near the centre count; air begins so far from it, and so far above the ground; depths that
-differ by less are the same."""
-_POINTS, _LEAST_POINTS = 60, 200
-"""Points that are kept of each blocked picture, and looks at them from free cameras without which nothing is said."""
+# What an optimiser leaves in the colours of a finished file: shades that neither paint nor light explains.
+#
+# Light changes how bright a colour is, and gloss adds white to it. So the colours of an honest Gaussian and of its
+# neighbours, and how they change with the direction of view, lie near the plane of grey and its own colour. A step of
+# an attack on a detector (`mi-splat dagger`) moves the three channels nearly independently, a third of it across that
+# plane. An attack on few views does so along the harmonics that peak towards its cameras, one on many views from
+# everywhere.
+
+
+def edit_of(frame: Frame, target: Target) -> Edit | None:
+    """How much the colours of an object look like an attack on a detector, and from where.
+
+    The median shell of the surroundings says what of it this file has without an attack, by undertraining or rounding.
+    """
+    if len(target.rows) < LIMITS.least_edited:
+        return None
+    rows = _slabs(frame.scene.means, target.rows)
+    part = frame.scene.select(rows)
+    shells = [frame.scene.select(shell) for shell in _shells(frame.scene, target)]
+    strange = _across(part.sh[:, 1:], dc_to_colour(part.sh[:, 0]))
+    direction, peak = _camera(part, strange, target)
+    size = strange.square().sum(1) + _across(part.sh[:, :1], dc_to_colour(part.sh[:, 0])).square().sum(1)
+    return Edit(
+        share=_share(part),
+        usual_share=_median([_share(shell) for shell in shells]),
+        grain=_grain(part),
+        usual_grain=_median([_grain(shell) for shell in shells]),
+        peak=peak,
+        direction=vector(frame.direction(direction)),
+        rows=frame.order[rows[size > split_of(size)]],
+    )
+
+
+def _slabs(points: Tensor, rows: Tensor) -> Tensor:
+    """All of the rows, or of many some that lie together, evenly over the first axis."""
+    if len(rows) <= LIMITS.edit_gaussians:
+        return rows
+    slabs = torch.split(rows[points[rows, 0].argsort()], LIMITS.slab)
+    numbers = torch.linspace(0, len(slabs) - 1, LIMITS.edit_gaussians // LIMITS.slab).round().long().tolist()
+    return torch.cat([slabs[number] for number in numbers])
+
+
+def _shells(scene: GaussianScene, target: Target) -> list[Tensor]:
+    """Rows of what is around an object, from the nearest; none where there is too little."""
+    around = scene.opacities > LIMITS.solid
+    around[target.rows] = False
+    rest = around.nonzero()[:, 0]
+    gaps = (scene.means[rest] - target.centre.float()).norm(dim=1)
+    rest = rest[gaps.argsort()[: LIMITS.shell_gaussians]]
+    count = min(LIMITS.shells, len(rest) // LIMITS.least_edited)
+    return list(rest.tensor_split(count)) if count else []
+
+
+def _median(values: list[float]) -> float:
+    return float(torch.tensor(values).median()) if values else 0.0
+
+
+def _across(values: Tensor, colours: Tensor) -> Tensor:
+    """(N, K) of (N, K, 3) values what lies along the axis that is at right angles to grey and to (N, 3) colours."""
+    grey = torch.full((3,), 1 / math.sqrt(3))
+    hue = colours - (colours @ grey)[:, None] * grey
+    any_hue = torch.tensor([1.0, -1.0, 0.0]) / math.sqrt(2)
+    hue = torch.where(hue.norm(dim=1, keepdim=True) > 1e-4, functional.normalize(hue, dim=1), any_hue)
+    axis = torch.linalg.cross(grey.expand_as(hue), hue)
+    strange: Tensor = (values * axis[:, None]).sum(-1)
+    return strange
+
+
+def _share(scene: GaussianScene) -> float:
+    """Share of the energy of all degrees above 0 that is strange; a third where channels are independent."""
+    bands = scene.sh[:, 1:]
+    strange = _across(bands, dc_to_colour(scene.sh[:, 0]))
+    return float(strange.square().sum() / (bands.square().sum() + LIMITS.least_sh**2 * max(bands.numel(), 1)))
+
+
+def _grain(scene: GaussianScene) -> float:
+    """Median share of the difference to the colour around a Gaussian that is strange; a half for independent ones."""
+    distances, near = nearest_neighbours(scene.means, LIMITS.grain_neighbours)
+    if not distances.shape[1]:
+        return 0.0
+    thin = scene.scales.argmin(1)
+    normals = to_matrix(scene.rotations)[torch.arange(len(scene)), :, thin]
+    weights = (scene.opacities * scene.scales.prod(1) / scene.scales.amin(1).clamp(min=1e-12)).sqrt()[near]
+    weights = weights * ((normals[:, None] * normals[near]).sum(-1).abs() > LIMITS.alike)
+    colours = dc_to_colour(scene.sh[:, 0])
+    around = (weights[..., None] * colours[near]).sum(1) / weights.sum(1, keepdim=True).clamp(min=1e-20)
+    known = (weights > 0).sum(1) >= min(LIMITS.least_neighbours, near.shape[1])
+    gap = (colours - around)[known]
+    if not len(gap):
+        return 0.0
+    strange = _across(gap[:, None], around[known])[:, 0].abs()
+    return float((strange / (gap.norm(dim=1) + LIMITS.least_colour)).median())
+
+
+def _camera(scene: GaussianScene, strange: Tensor, target: Target) -> tuple[Tensor, float]:
+    """(3,) direction to the place towards which strange colours peak most, and how often more there than in the mean.
+
+    The change that one camera asks for is a multiple of the harmonics along its ray, so all of its energy lies along
+    them, K - 1 times the mean over all directions; of several cameras each has a part.
+    """
+    directions = lattice(LIMITS.edit_directions, -90.0, 90.0)
+    if scene.degree == 0:
+        return directions[0], 1.0
+    energy = strange.square().sum(1)
+    rows = energy.argsort(descending=True)[: LIMITS.strongest]
+    points, strange, total = scene.means[rows], strange[rows], energy[rows].sum().clamp(min=1e-20)
+
+    def peaks(directions: Tensor) -> Tensor:
+        peaks_at = []
+        for distance in LIMITS.edit_distances:
+            positions = (target.centre + distance * target.radius * directions).float()
+            towards = sh_basis(functional.normalize(points - positions[:, None], dim=2), scene.degree)[..., 1:]
+            along = (functional.normalize(towards, dim=2) * strange).sum(2)
+            peaks_at.append(along.square().sum(1) / total * strange.shape[1])
+        return torch.stack(peaks_at).amax(0)
+
+    best = directions[int(peaks(directions).argmax())]
+    finer = lattice(LIMITS.finer_directions, 90.0 - LIMITS.finer_within, 90.0) @ basis(best).T
+    values = peaks(finer)
+    return finer[int(values.argmax())], float(values.max())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -38,7 +154,7 @@ class Cover:
     @property
     def score(self) -> float:
         """Share of blocked cameras times what others look through."""
-        return float((self.blocked > BLOCKED).double().mean()) * self.transparent
+        return float((self.blocked > LIMITS.blocked).double().mean()) * self.transparent
 
 
 def cover_of(scene: GaussianScene, view: Sight, target: Target) -> Cover:
@@ -53,19 +169,19 @@ def cover_of(scene: GaussianScene, view: Sight, target: Target) -> Cover:
         unit = functional.normalize(directions, dim=-1)
         along = unit @ (centre - eye)
         miss = ((centre - eye).square().sum() - along.square()).clamp(min=0).sqrt()
-        core = miss < _CORE * target.radius
+        core = miss < LIMITS.core * target.radius
         ends = depth.isfinite()
         surface = eye + directions * depth.masked_fill(~ends, 0)[..., None]
-        air = core & ends & ((surface - centre).norm(dim=-1) > AIR * target.radius)
+        air = core & ends & ((surface - centre).norm(dim=-1) > LIMITS.air * target.radius)
         air &= (surface - eye).norm(dim=-1) < along
         if target.up is not None:
-            air &= surface @ target.up.float() > floor + FLOOR * target.radius
+            air &= surface @ target.up.float() > floor + LIMITS.floor * target.radius
         blocked[number] = air.sum() / max(int(core.sum()), 1)
-        if blocked[number] > BLOCKED:
+        if blocked[number] > LIMITS.blocked:
             shown[number] = air
-            points.append(surface[air][:: max(1, int(air.sum()) // _POINTS)])
+            points.append(surface[air][:: max(1, int(air.sum()) // LIMITS.cover_points)])
     cover = torch.cat(points)
-    through = _through(view, cover, (blocked < FREE).nonzero()[:, 0], target.radius) if len(cover) else 0.0
+    through = _through(view, cover, (blocked < LIMITS.free).nonzero()[:, 0], target.radius) if len(cover) else 0.0
     return Cover(blocked=blocked, transparent=through, points=cover, air=shown)
 
 
@@ -78,30 +194,20 @@ def _through(view: Sight, points: Tensor, free: Tensor, radius: float) -> float:
         column, row = pixels.nan_to_num(-1.0, -1.0, -1.0).clamp(-1, 1 << 15).floor().long().unbind(-1)
         inside = (depth > 0.05 * radius) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
         shown, depth = depths[row[inside], column[inside]], depth[inside]
-        beyond += int((shown > depth + _TOLERANCE * radius).sum())
-        seen += int(((shown - depth).abs() <= _TOLERANCE * radius).sum())
-    return beyond / (beyond + seen) if beyond + seen >= _LEAST_POINTS else 0.0
+        beyond += int((shown > depth + LIMITS.same_depth * radius).sum())
+        seen += int(((shown - depth).abs() <= LIMITS.same_depth * radius).sum())
+    return beyond / (beyond + seen) if beyond + seen >= LIMITS.least_cover_points else 0.0
 
 
 def middle_of(directions: Tensor, blocked: Tensor) -> Tensor:
     """(3,) float64 unit vector: the middle of the directions that are covered."""
-    middle = directions[blocked > BLOCKED].sum(0)
+    middle = directions[blocked > LIMITS.blocked].sum(0)
     return functional.normalize(middle, dim=0) if math.isfinite(float(middle.norm())) else middle
-
-
-_PIECES = 800
-_BINS = 128
-_CARRIES = 1e-3
-"""Pixels that a Gaussian makes up at least to have heat of the surface."""
-_COLOURS = 16
-"""Cameras on each side of a look from which the colours of Gaussians are compared, and that see what covers."""
-_COVERS, _PIXELS = 0.2, 1.0
-"""Heat of what covers an object, and pixels of it that a Gaussian makes up to have half of that."""
 
 
 def pair_of(pieces: Elements, view: Sight, score: Tensor, shown: Tensor) -> tuple[int, int, float] | None:
     """The two cameras between which the surface that both see changes most, near each other if possible."""
-    rows = score.argsort(descending=True)[:_PIECES]
+    rows = score.argsort(descending=True)[: LIMITS.pair_pieces]
     rows = rows[score[rows] > 0]
     seen, colours = pieces.moments[rows, :, 0] * score[rows, None], pieces.moments[rows, :, 1:4]
     inside, outside = shown.nonzero()[:, 0], (~shown).nonzero()[:, 0]
@@ -136,8 +242,8 @@ def heat_of(
         wanted = torch.zeros(camera.height * camera.width, 2)
         wanted[pixels] = value[seen]
         sums += _made_up(scene, camera, wanted.reshape(camera.height, camera.width, 2), near_of(target, view.cameras))
-    heat = torch.where(sums[:, 1] > _CARRIES, sums[:, 0] / sums[:, 1].clamp(min=_CARRIES), 0.0)
-    near = ((scene.means - target.centre.float()).norm(dim=1) < AROUND * target.radius).nonzero()[:, 0]
+    heat = torch.where(sums[:, 1] > LIMITS.least_weight, sums[:, 0] / sums[:, 1].clamp(min=LIMITS.least_weight), 0.0)
+    near = ((scene.means - target.centre.float()).norm(dim=1) < LIMITS.around * target.radius).nonzero()[:, 0]
     for look in looks:
         heat[near] = torch.maximum(heat[near], own_scores(scene.select(near), view, look.shown))
     return heat
@@ -148,7 +254,7 @@ def own_scores(scene: GaussianScene, view: Sight, shown: Tensor) -> Tensor:
     sums = []
     for side in (shown, ~shown):
         total = torch.zeros(len(scene), 5)
-        for number in _evenly(side.nonzero()[:, 0], _COLOURS):
+        for number in _evenly(side.nonzero()[:, 0], LIMITS.heat_cameras):
             towards = functional.normalize(scene.means - view.cameras[number].position.float(), dim=1)
             colours = sh_to_colour(scene.sh, towards).clamp(0, 1)
             total += torch.cat([torch.ones(len(scene), 1), colours, colours.square().sum(1, keepdim=True)], 1)
@@ -157,13 +263,13 @@ def own_scores(scene: GaussianScene, view: Sight, shown: Tensor) -> Tensor:
 
 
 def cover_heat(scene: GaussianScene, view: Sight, cover: Cover, target: Target) -> Tensor:
-    """(N,) which Gaussians in the air cover an object: `_COVERS` of those that make up many pixels of what does."""
+    """(N,) heat of the Gaussians in the air that cover an object, by the pixels that they make up of what does."""
     sums, near = torch.zeros(len(scene)), near_of(target, view.cameras)
-    for number in _evenly(torch.tensor(list(cover.air)), _COLOURS):
+    for number in _evenly(torch.tensor(list(cover.air)), LIMITS.heat_cameras):
         air = cover.air[number].float()
         sums += _made_up(scene, view.cameras[number], torch.stack([air, air], -1), near)[:, 0]
-    in_air = (scene.means - target.centre.float()).norm(dim=1) > AIR * target.radius
-    heat: Tensor = _COVERS * in_air * sums / (sums + _PIXELS)
+    in_air = (scene.means - target.centre.float()).norm(dim=1) > LIMITS.air * target.radius
+    heat: Tensor = LIMITS.cover_heat * in_air * sums / (sums + LIMITS.cover_pixels)
     return heat
 
 
@@ -193,9 +299,9 @@ def split_of(values: Tensor) -> float:
     top = float(values.max()) if len(values) else 0.0
     if not top > 0:
         return 0.0
-    counts = torch.histc(values, _BINS, 0.0, top).double()
-    middles = (torch.arange(_BINS, dtype=torch.float64) + 0.5) * top / _BINS
+    counts = torch.histc(values, LIMITS.bins, 0.0, top).double()
+    middles = (torch.arange(LIMITS.bins, dtype=torch.float64) + 0.5) * top / LIMITS.bins
     low, sums = counts.cumsum(0), (counts * middles).cumsum(0)
     high = counts.sum() - low
     gap = sums / low.clamp(min=1) - (sums[-1] - sums) / high.clamp(min=1)
-    return float((((low * high * gap.square()).argmax() + 1) * top / _BINS) ** 4)
+    return float((((low * high * gap.square()).argmax() + 1) * top / LIMITS.bins) ** 4)

@@ -15,57 +15,44 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.audit.results import excess
+from mi_splat.audit.results import Region, excess, vector
 from mi_splat.audit.surfaces import Elements, Sight, basis, lattice
+from mi_splat.audit.thresholds import LIMITS
 
-_SIMPLER = {"cone": 0.0, "complement": 0.02, "sector": 0.05}
-"""Overlap that a form has to gain over a simpler one."""
 _WIDTHS = torch.arange(6, 91, 2, dtype=torch.float64)
 _SECTOR_WIDTHS = torch.arange(10, 171, 8, dtype=torch.float64)
 _ELEVATIONS = torch.arange(0, 91, 6, dtype=torch.float64)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Shape:
-    """A set of directions in the frame of the splat; see `mi_splat.audit.results.Region`."""
-
-    axis: Tensor
-    half_width: float
-    elevation: tuple[float, float] | None
-    complement: bool
-    overlap: float
-
-
-def shape_of(directions: Tensor, shown: Tensor, up: Tensor | None) -> Shape:
-    """The form that overlaps most with the cameras that see a look."""
-    shapes = [_cone(directions, shown, complement=False), _cone(directions, ~shown, complement=True)]
-    gains = [shapes[0].overlap, shapes[1].overlap - _SIMPLER["complement"]]
+def region_of(directions: Tensor, shown: Tensor, up: Tensor | None) -> Region:
+    """The directions, in the frame of the splat, that overlap most with the cameras that see an appearance."""
+    regions = [_cone(directions, shown, complement=False), _cone(directions, ~shown, complement=True)]
+    gains = [regions[0].overlap, regions[1].overlap - LIMITS.complement_gain]
     if up is not None:
-        shapes.append(_sector(directions, shown, up))
-        gains.append(shapes[2].overlap - _SIMPLER["sector"])
-    return shapes[max(range(len(gains)), key=gains.__getitem__)]
+        regions.append(_sector(directions, shown, up))
+        gains.append(regions[2].overlap - LIMITS.sector_gain)
+    return regions[max(range(len(gains)), key=gains.__getitem__)]
 
 
-def overlaps(sets: Tensor, shown: Tensor) -> Tensor:
+def _overlaps(sets: Tensor, shown: Tensor) -> Tensor:
     """(T,) intersection over union of (T, K) sets of cameras with one."""
     return (sets & shown).sum(1) / (sets | shown).sum(1).clamp(min=1)
 
 
-def _cone(directions: Tensor, inside: Tensor, *, complement: bool) -> Shape:
+def _cone(directions: Tensor, inside: Tensor, *, complement: bool) -> Region:
     axis = functional.normalize(directions[inside].sum(0), dim=0)
     holds = angles_between(axis[None], directions) <= _WIDTHS[:, None]
-    overlap = overlaps(~holds if complement else holds, ~inside if complement else inside)
+    overlap = _overlaps(~holds if complement else holds, ~inside if complement else inside)
     best = int(overlap.argmax())
-    return Shape(
-        axis=axis,
+    return Region(
+        axis=vector(axis),
         half_width=float(_WIDTHS[best]),
-        elevation=None,
         complement=complement,
         overlap=float(overlap[best]),
     )
 
 
-def _sector(directions: Tensor, shown: Tensor, up: Tensor) -> Shape:
+def _sector(directions: Tensor, shown: Tensor, up: Tensor) -> Region:
     local = directions @ basis(up)
     elevation = local[:, 2].clamp(-1, 1).asin().rad2deg()
     azimuth = torch.atan2(local[:, 1], local[:, 0]).rad2deg()
@@ -75,14 +62,13 @@ def _sector(directions: Tensor, shown: Tensor, up: Tensor) -> Shape:
     wedges = turn.abs() <= _SECTOR_WIDTHS[:, None]
     low, high = torch.combinations(_ELEVATIONS, 2).unbind(1)
     bands = (elevation >= low[:, None]) & (elevation <= high[:, None])
-    overlap = overlaps((wedges[:, None] & bands[None]).flatten(0, 1), shown)
+    overlap = _overlaps((wedges[:, None] & bands[None]).flatten(0, 1), shown)
     best = int(overlap.argmax())
     wedge, band = divmod(best, len(low))
-    return Shape(
-        axis=basis(up)[:, :2] @ middle,
+    return Region(
+        axis=vector(basis(up)[:, :2] @ middle),
         half_width=float(_SECTOR_WIDTHS[wedge]),
         elevation=(float(low[band]), float(high[band])),
-        complement=False,
         overlap=float(overlap[best]),
     )
 
@@ -98,32 +84,16 @@ def _sector(directions: Tensor, shown: Tensor, up: Tensor) -> Shape:
 # - fade: the share of its contrast that is gone inside, without the face that speaks most for it. Gloss adds to the
 #   colours of surface with one normal and leaves their contrast; a hidden appearance replaces them.
 
-NORMALS = 40
-"""Groups of normals, about 15 degrees around."""
-_SHIFT_ERRORS, _FADE_ERRORS = 3.0, 4.0
-"""Standard errors, between cells of surface, that are taken off."""
-_ROUNDS = 6
-"""Rounds in which colours of pieces and what is common to a group of normals are fitted in turn."""
-_LEAST_LOOKS, _LEAST_CELLS, _LEAST_FADE_CELLS = 6, 2.5, 8.0
-"""Looks at a cell on each side, and cells by weight, of a group of normals and of all: of fewer nothing is said."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Profiles:
-    """How pieces of surface change with the camera.
+    """How pieces of surface change with the camera."""
 
-    Attributes:
-        cell: (E,) int64 cell of each piece.
-        normals: (C, 3) mean unit normals of the cells.
-        pieces: (C,) pieces of each.
-        looks: (E, K, 6): what a camera sees of a piece less its own mean colour, 0 where it does not see it; how much
-            more of its own contrast to its group of normals that has, times the square of the contrast; that square;
-            whether it is seen.
-    """
-
-    cell: Tensor
-    normals: Tensor
-    pieces: Tensor
+    cell: Tensor  # (E,) int64 cell of each piece
+    normals: Tensor  # (C, 3) mean unit normals of the cells
+    pieces: Tensor  # (C,) pieces of each
+    # (E, K, 6): what a camera sees of a piece less its own mean colour, 0 where it does not see it; how much more of
+    # its own contrast to its group of normals that has, times the square of the contrast; that square; whether seen.
     looks: Tensor
 
     @classmethod
@@ -131,14 +101,14 @@ class Profiles:
         """Profiles of pieces."""
         seen, colours = moments[..., :1], moments[..., 1:4]
         group, looks = _group_of(normals), moments[..., 0].sum(1, keepdim=True)
-        count = torch.zeros(NORMALS, moments.shape[1], 1).index_add_(0, group, seen).clamp(min=1)
-        common = torch.zeros(NORMALS, moments.shape[1], 3)
+        count = torch.zeros(LIMITS.normals, moments.shape[1], 1).index_add_(0, group, seen).clamp(min=1)
+        common = torch.zeros(LIMITS.normals, moments.shape[1], 3)
         own = (colours * seen).sum(1) / looks
-        for _ in range(_ROUNDS):
+        for _ in range(LIMITS.profile_rounds):
             common = torch.zeros_like(common).index_add_(0, group, (colours - own[:, None]) * seen) / count
             own = ((colours - common[group]) * seen).sum(1) / looks
-        members = torch.bincount(group, minlength=NORMALS)[:, None].clamp(min=1)
-        contrast = own - (torch.zeros(NORMALS, 3).index_add_(0, group, own) / members)[group]
+        members = torch.bincount(group, minlength=LIMITS.normals)[:, None].clamp(min=1)
+        contrast = own - (torch.zeros(LIMITS.normals, 3).index_add_(0, group, own) / members)[group]
         change = (colours - own[:, None]) * seen
         fade = ((change - common[group] * seen) * contrast[:, None]).sum(-1, keepdim=True)
         energy = contrast.square().sum(-1)[:, None, None] * seen
@@ -166,18 +136,18 @@ class Profiles:
     def shifts(self, inside: Tensor, outside: Tensor) -> Tensor:
         """(T,) float64 shift of each set of cameras, sRGB."""
         first, second = inside[..., 5], outside[..., 5]
-        able = (first >= _LEAST_LOOKS) & (second >= _LEAST_LOOKS)
+        able = (first >= LIMITS.least_looks) & (second >= LIMITS.least_looks)
         change = inside[..., :3] / first.clamp(min=1)[..., None] - outside[..., :3] / second.clamp(min=1)[..., None]
         weight = _weight(first, second) * able
-        sums = torch.zeros(NORMALS, *weight.shape[1:], 9, dtype=torch.float64)
+        sums = torch.zeros(LIMITS.normals, *weight.shape[1:], 9, dtype=torch.float64)
         sums.index_add_(0, _group_of(self.normals), _terms(weight, change))
         mean, error, cells = _estimate(sums)
-        size = (mean.square().sum(-1) / 3).sqrt() - _SHIFT_ERRORS * (error / 3).sqrt()
-        pieces = torch.zeros(NORMALS, weight.shape[1], dtype=torch.float64)
+        size = (mean.square().sum(-1) / 3).sqrt() - LIMITS.shift_errors * (error / 3).sqrt()
+        pieces = torch.zeros(LIMITS.normals, weight.shape[1], dtype=torch.float64)
         pieces.index_add_(0, _group_of(self.normals), (able * self.pieces[:, None]).double())
-        size = size.clamp(min=0) * (cells >= _LEAST_CELLS) * pieces
+        size = size.clamp(min=0) * (cells >= LIMITS.least_cells) * pieces
         faces = torch.zeros(6, weight.shape[1], dtype=torch.float64)
-        faces.index_add_(0, face_of(lattice(NORMALS, -90.0, 90.0)), size)
+        faces.index_add_(0, face_of(lattice(LIMITS.normals, -90.0, 90.0)), size)
         total = faces.sum(0)
         return (total * (total - faces.amax(0)).clamp(min=0)).sqrt() / pieces.sum(0).clamp(min=1)
 
@@ -190,8 +160,8 @@ class Profiles:
         sums.index_add_(0, face_of(self.normals), _terms(_weight(first, second) * able, change[..., None]))
         total = sums.sum(0)
         mean, error, cells = _estimate(total - sums)
-        size = mean[..., 0] * total[..., 1].sign() - _FADE_ERRORS * error.sqrt()
-        return (size.clamp(min=0) * (cells > _LEAST_FADE_CELLS)).amin(0)
+        size = mean[..., 0] * total[..., 1].sign() - LIMITS.fade_errors * error.sqrt()
+        return (size.clamp(min=0) * (cells > LIMITS.least_fade_cells)).amin(0)
 
 
 def face_of(normals: Tensor) -> Tensor:
@@ -201,7 +171,7 @@ def face_of(normals: Tensor) -> Tensor:
 
 
 def _group_of(normals: Tensor) -> Tensor:
-    return (normals @ lattice(NORMALS, -90.0, 90.0).float().T).argmax(1)
+    return (normals @ lattice(LIMITS.normals, -90.0, 90.0).float().T).argmax(1)
 
 
 def _weight(first: Tensor, second: Tensor) -> Tensor:
@@ -227,78 +197,34 @@ def _estimate(sums: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return mean, spread * cells / (cells - 1).clamp(min=0.5), cells
 
 
-INSIDE, OUTSIDE = 3.0, 8.0
-"""Degrees at the edge of a cone that count as neither: a look may change there as it likes."""
-_COSINES = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-ANGLES = len(_COSINES)
-"""Sets of angles of incidence; they come before the mirrored directions."""
-_MIRROR_AXES, _MIRROR_WIDTHS = 52, (30.0, 45.0, 60.0, 75.0, 90.0)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Rays:
-    """How each camera sees each piece of surface."""
-
-    cosines: Tensor  # (E, K) of the angle of incidence
-    mirrored: Tensor  # (E, K, 3) unit vectors in which a mirror would reflect the view
-
-
-def rays_of(view: Sight, positions: Tensor, normals: Tensor) -> Rays:
-    """How the cameras see pieces of surface at (E, 3) positions with (E, 3) normals."""
+def _reflected(view: Sight, positions: Tensor, normals: Tensor) -> tuple[Tensor, Tensor]:
+    """(E, K) cosines of the angles of incidence, and (E, K, 3) directions in which a mirror would reflect the views."""
     eyes = torch.stack([camera.position for camera in view.cameras]).float()
     views = functional.normalize(eyes - positions[:, None], dim=-1)
     cosines = (views * normals[:, None]).sum(-1)
-    return Rays(cosines=cosines, mirrored=2 * cosines[..., None] * normals[:, None] - views)
+    return cosines, 2 * cosines[..., None] * normals[:, None] - views
 
 
 def incidence_sides(cosines: Tensor) -> tuple[Tensor, Tensor]:
-    """(E, ANGLES, K) float32 cameras inside and outside of each set of angles of incidence."""
-    limits = torch.tensor(_COSINES)[:, None]
+    """(E, A, K) float32 cameras inside and outside of each set of angles of incidence."""
+    limits = torch.tensor(LIMITS.cosines)[:, None]
     return (cosines[:, None] > limits + 0.03).float(), (cosines[:, None] < limits - 0.06).float()
 
 
 def gloss_sides(cosines: Tensor, mirrored: Tensor) -> tuple[Tensor, Tensor]:
     """(E, R, K) float32 cameras inside and outside of each set of angles of incidence, and of mirrored directions."""
-    turned = (mirrored @ lattice(_MIRROR_AXES, -90.0, 90.0).float().T).transpose(1, 2)
+    turned = (mirrored @ lattice(LIMITS.mirror_axes, -90.0, 90.0).float().T).transpose(1, 2)
     insides, outsides = ([side] for side in incidence_sides(cosines))
-    for width in _MIRROR_WIDTHS:
-        insides.append((turned > math.cos(math.radians(width - INSIDE))).float())
-        outsides.append((turned < math.cos(math.radians(width + OUTSIDE))).float())
+    for width in LIMITS.mirror_widths:
+        insides.append((turned > math.cos(math.radians(width - LIMITS.inside))).float())
+        outsides.append((turned < math.cos(math.radians(width + LIMITS.outside))).float())
     return torch.cat(insides, 1), torch.cat(outsides, 1)
 
 
-NOISE = 0.03
-"""sRGB by which clean surface may differ from camera to camera."""
-HALF_WIDTHS = (20.0, 27.0, 35.0, 43.0, 51.0, 60.0, 70.0)
-"""Degrees from the axis of a cone to its edge."""
-AXES = 110
-"""Axes of cones all around."""
-LEAST_SEEN = 3
-"""Cameras on each side of the edge that have to see a piece of surface."""
-MOST_PIECES = 2500
-"""Pieces of surface on which sets of directions are compared, evenly taken of all."""
-_VOTES = 3
-"""Rounds of votes on which cameras see a look, at most."""
 _CHUNK = 256
-_CELL, _CELL_ELEMENTS, _CELLS = 6, 6, 6
-"""Side of a cell in voxels, pieces that it has at least, and cells that count."""
 
 Sides = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 """From (E,) rows and (E, K, 5) their moments to (E, T, 5) sums inside and outside of T sets of cameras."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Bank:
-    """Sets of directions to try."""
-
-    axes: Tensor  # (T, 3) float64 unit vectors
-    half_widths: Tensor  # (T,) float64 degrees
-
-    def sides(self, directions: Tensor) -> tuple[Tensor, Tensor]:
-        """(T, K) float32, which directions are inside of each set, and which outside; those at its edge are neither."""
-        angles = angles_between(self.axes, directions)
-        inside = angles < self.half_widths[:, None] - INSIDE
-        return inside.float(), (angles > self.half_widths[:, None] + OUTSIDE).float()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -308,7 +234,7 @@ class Scores:
     direction: float  # score of the best set of directions
     incidence: float  # score of the best angle between surface and view
     mirror: float  # score of the best set of mirrored directions
-    shift: float  # of the set of directions that has most of it; see `mi_splat.audit.explanations`
+    shift: float  # of the set of directions that has most of it
     fade: float  # the same, less the most that a set of angles of incidence has
     axis: Tensor  # (3,) of the best set of directions
     half_width: float  # its, in degrees
@@ -324,11 +250,18 @@ def angles_between(first: Tensor, second: Tensor) -> Tensor:
     return (first.double() @ second.double().T).clamp(-1, 1).acos().rad2deg()
 
 
-def bank() -> Bank:
-    """Cones of all half widths about axes all around."""
-    axes = lattice(AXES, -90.0, 90.0)
-    widths = torch.tensor(HALF_WIDTHS, dtype=torch.float64)
-    return Bank(axes=axes.repeat_interleave(len(widths), 0), half_widths=widths.repeat(AXES))
+def _cones() -> tuple[Tensor, Tensor]:
+    """(T, 3) float64 axes all around, and (T,) half widths in degrees, of the cones that are tried."""
+    widths = torch.tensor(LIMITS.half_widths, dtype=torch.float64)
+    return lattice(LIMITS.axes, -90.0, 90.0).repeat_interleave(len(widths), 0), widths.repeat(LIMITS.axes)
+
+
+def cone_sides(directions: Tensor) -> tuple[Tensor, Tensor]:
+    """(T, K) float32, which directions are inside of each cone, and which outside; those at its edge are neither."""
+    axes, half_widths = _cones()
+    angles = angles_between(axes, directions)
+    inside = angles < half_widths[:, None] - LIMITS.inside
+    return inside.float(), (angles > half_widths[:, None] + LIMITS.outside).float()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -347,9 +280,9 @@ class Split:
         count = (count_in + count_out).clamp(min=1)
         mean_in = inside[..., 1:4] / count_in.clamp(min=1)[..., None]
         mean_out = outside[..., 1:4] / count_out.clamp(min=1)[..., None]
-        valid = (count_in >= LEAST_SEEN) & (count_out >= LEAST_SEEN)
+        valid = (count_in >= LIMITS.least_seen) & (count_out >= LIMITS.least_seen)
         squares = (inside[..., 1:4] + outside[..., 1:4]).square().sum(-1)
-        whole = inside[..., 4] + outside[..., 4] - squares / count + count * 3 * NOISE**2
+        whole = inside[..., 4] + outside[..., 4] - squares / count + count * 3 * LIMITS.noise**2
         weight = count_in * count_out / count * valid
         return cls(change=mean_in - mean_out, weight=weight, whole=whole, valid=valid)
 
@@ -361,7 +294,7 @@ class Split:
 
 def cells_of(pieces: Elements) -> Tensor:
     """(E,) int64 cell of each piece, by its position and the axis that it faces along."""
-    voxel = (pieces.positions / (_CELL * pieces.size)).floor().long()
+    voxel = (pieces.positions / (LIMITS.cell_size * pieces.size)).floor().long()
     voxel = voxel - voxel.amin(0)
     sizes = voxel.amax(0) + 1
     number = ((voxel[:, 0] * sizes[1] + voxel[:, 1]) * sizes[2] + voxel[:, 2]) * 6 + face_of(pieces.normals)
@@ -383,50 +316,48 @@ def set_scores(moments: Tensor, cell: Tensor, sides: Sides) -> Tensor:
     weight, count = sums[..., 3].clamp(min=1e-9), sums[..., 5]
     squares = (sums[..., :3] / weight[..., None]).square().sum(-1)
     score = (squares / 3).sqrt() * squares * weight / sums[..., 4].clamp(min=1e-9)
-    score = torch.where(count >= _CELL_ELEMENTS, score, 0.0)
-    highest = score.topk(min(_CELLS, len(score)), dim=0).values.sum(0) / _CELLS
+    score = torch.where(count >= LIMITS.cell_pieces, score, 0.0)
+    highest = score.topk(min(LIMITS.highest_cells, len(score)), dim=0).values.sum(0) / LIMITS.highest_cells
     return ((score * count).sum(0) / max(able, 1) * highest).sqrt()
 
 
 def explain(pieces: Elements, view: Sight) -> Scores:
     """Score how well sets of directions explain the colours of an object, and how well gloss would."""
     judged = pieces.judged.nonzero()[:, 0]
-    judged = judged[torch.linspace(0, len(judged) - 1, min(len(judged), MOST_PIECES)).round().long()]
+    judged = judged[torch.linspace(0, len(judged) - 1, min(len(judged), LIMITS.most_pieces)).round().long()]
     cell = torch.unique(cells_of(pieces)[judged], return_inverse=True)[1]
     moments = pieces.moments[judged]
-    rays = rays_of(view, pieces.positions[judged], pieces.normals[judged])
-    sets = bank()
-    cones = sets.sides(view.directions)
+    cosines, mirrored = _reflected(view, pieces.positions[judged], pieces.normals[judged])
+    cones = cone_sides(view.directions)
 
     def by_direction(rows: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
         flat = part.transpose(0, 1).reshape(part.shape[1], -1)
         inside, outside = ((side @ flat).reshape(len(side), len(rows), 5).transpose(0, 1) for side in cones)
         return inside, outside
 
-    def by_incidence(cosines: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
-        inside, outside = incidence_sides(cosines)
+    def by_incidence(rows: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
+        inside, outside = incidence_sides(cosines[rows])
         return torch.bmm(inside, part), torch.bmm(outside, part)
 
     def by_gloss(rows: Tensor, part: Tensor) -> tuple[Tensor, Tensor]:
-        inside, outside = gloss_sides(rays.cosines[rows], rays.mirrored[rows])
+        inside, outside = gloss_sides(cosines[rows], mirrored[rows])
         return torch.bmm(inside, part), torch.bmm(outside, part)
 
     direct, rivals = set_scores(moments, cell, by_direction), set_scores(moments, cell, by_gloss)
     profiles = Profiles.of(moments, pieces.normals[judged], cell)
     at_cells = profiles.of_cells()
     parted = [torch.einsum("ckx,tk->ctx", at_cells, side) for side in cones]
-    by_angle = profiles.parted(lambda rows, part: by_incidence(rays.cosines[rows], part), _CHUNK)
+    by_angle = profiles.parted(by_incidence, _CHUNK)
     fade = float(profiles.fades(*parted).max() - profiles.fades(*by_angle).max())
-    incidence, mirror = float(rivals[:ANGLES].max()), float(rivals[ANGLES:].max())
-    best = int(direct.argmax())
+    angles, best, (axes, half_widths) = len(LIMITS.cosines), int(direct.argmax()), _cones()
     return Scores(
         direction=float(direct[best]),
-        incidence=incidence,
-        mirror=mirror,
+        incidence=float(rivals[:angles].max()),
+        mirror=float(rivals[angles:].max()),
         shift=float(profiles.shifts(*parted).max()),
         fade=max(0.0, fade),
-        axis=sets.axes[best],
-        half_width=float(sets.half_widths[best]),
+        axis=axes[best],
+        half_width=float(half_widths[best]),
     )
 
 
@@ -453,11 +384,11 @@ def look_amounts(pieces: Elements, shown: Tensor) -> Tensor:
 
 def reachable(pieces: Elements, view: Sight) -> Tensor:
     """(E,) bool, whether some cone has enough of the cameras that see a piece inside and outside."""
-    inside, outside = bank().sides(view.directions)
+    inside, outside = cone_sides(view.directions)
     seen = pieces.moments[..., 0]
     able = torch.zeros(len(seen), dtype=torch.bool)
     for rows in torch.split(torch.arange(len(seen)), _CHUNK):
-        counts = [seen[rows] @ side.T >= LEAST_SEEN for side in (inside, outside)]
+        counts = [seen[rows] @ side.T >= LIMITS.least_seen for side in (inside, outside)]
         able[rows] = (counts[0] & counts[1]).any(1)
     return able
 
@@ -467,8 +398,10 @@ def cameras_of_look(pieces: Elements, view: Sight, scores: Scores) -> Tensor:
 
     Each piece votes for the side whose mean colour is nearer to what the camera sees, by its score.
     """
-    shown = angles_between(scores.axis[None], view.directions)[0] < scores.half_width + (OUTSIDE - INSIDE) / 2
-    for _ in range(_VOTES):
+    shown = (
+        angles_between(scores.axis[None], view.directions)[0] < scores.half_width + (LIMITS.outside - LIMITS.inside) / 2
+    )
+    for _ in range(LIMITS.votes):
         inside, outside = sums_by_side(pieces.moments, shown)
         mean_in = inside[:, 1:4] / inside[:, :1].clamp(min=1)
         mean_out = outside[:, 1:4] / outside[:, :1].clamp(min=1)
@@ -478,7 +411,7 @@ def cameras_of_look(pieces: Elements, view: Sight, scores: Scores) -> Tensor:
         colours = pieces.moments[..., 1:4]
         votes = ((colours - ((mean_in + mean_out) / 2)[:, None]) * change[:, None]).sum(-1) * seen
         voted = torch.einsum("ek,e->k", votes, weight) > 0
-        if not LEAST_SEEN <= int(voted.sum()) <= len(voted) - LEAST_SEEN:
+        if not LIMITS.least_seen <= int(voted.sum()) <= len(voted) - LIMITS.least_seen:
             break
         shown = voted
     return shown

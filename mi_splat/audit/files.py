@@ -1,30 +1,24 @@
 """The files of an audit: the account as JSON, the two pictures, the splat coloured by heat, and the mask."""
 
 import dataclasses
+import importlib.metadata
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+from urllib.parse import quote
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from mi_splat.audit.lint.checking import Lint
-from mi_splat.audit.lint.cost import overdraw_picture
-from mi_splat.audit.pictures import SHOWS, PictureAudit
-from mi_splat.audit.results import (
-    COVERED,
-    EXCESS,
-    SUSPICION,
-    Audit,
-    Look,
-    ObjectAudit,
-    Pair,
-    directions_in_words,
-    summary,
-)
+from mi_splat.audit.against import Changes
+from mi_splat.audit.linting import Lint, overdraw_picture
+from mi_splat.audit.pictures import PictureAudit
+from mi_splat.audit.results import Audit, Look, ObjectAudit, Pair, directions_in_words, summary
+from mi_splat.audit.surfaces import SKY
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.bounds import near_plane
 from mi_splat.cameras import Camera
 from mi_splat.datasets import Dataset
@@ -40,6 +34,112 @@ from mi_splat.scene_files import resized
 from mi_splat.selection.select import save_mask
 from mi_splat.sh import colour_to_dc, dc_to_colour
 
+Level = Literal["error", "warning", "note"]
+
+SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
+ENDINGS = (".sarif", ".json")
+_LEVELS: tuple[Level, ...] = ("error", "warning", "note")
+_RULES: dict[str, tuple[Level, str, str]] = {
+    "hidden-look": (
+        "error",
+        "An object has other colours from some directions than from others, and gloss does not explain it.",
+        "Look at the pair of pictures that `mi-splat audit --out` writes; do not use the file unless you know why.",
+    ),
+    "suspicious-look": (
+        "warning",
+        "Colours of an object change with the direction of view more than gloss quite explains.",
+        "Look at the pair of pictures that `mi-splat audit --out` writes.",
+    ),
+    "occluder": (
+        "warning",
+        "Something in the air covers an object from some directions, and cameras elsewhere look through it.",
+        "Look at the object from the directions that are named; an honest canopy may look the same.",
+    ),
+    "edited": (
+        "warning",
+        "Colours of an object have shades that neither paint nor light explains; an attack on a detector leaves them.",
+        "Compare it with an older copy by `mi-splat audit --against`, or train it again.",
+    ),
+}
+"""Level, what is wrong, and what to do, by the name of the rule. Rules of lint bring their own."""
+
+_Finding = tuple[str, Level, str, dict[str, Any]]
+"""Rule, level, what was found, and numbers of it."""
+
+
+def sarif(documents: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """One run of the tool over some files.
+
+    SARIF 2.1.0, https://docs.oasis-open.org/sarif/sarif/v2.1.0/sarif-v2.1.0.html. A file that could not be judged is a
+    notification of the tool, and the run then has no success. Results name line 1: readers want one, and a splat has
+    none.
+    """
+    rules = {name: _rule(name, *values) for name, values in _RULES.items()}
+    results, artifacts, notes = [], [], []
+    for index, document in enumerate(documents):
+        address = {"uri": _address(document["file"]), "index": index}
+        location = {"physicalLocation": {"artifactLocation": address, "region": {"startLine": 1}}}
+        artifacts.append({"location": {"uri": address["uri"]}, "properties": {"verdict": document["verdict"]}})
+        if "error" in document:
+            note = {"level": "error", "message": {"text": document["error"]}, "locations": [location]}
+            notes.append(note)
+            continue
+        artifacts[-1]["properties"]["summary"] = document["summary"]
+        for finding in document.get("lint") or ():
+            name = f"lint/{finding['rule']}"
+            rules.setdefault(name, _rule(name, _level(finding["severity"]), finding["rule"], finding["reason"]))
+        for name, level, text, values in _findings(document):
+            result = {"ruleId": name, "ruleIndex": list(rules).index(name), "level": level, "message": {"text": text}}
+            results.append({**result, "locations": [location], "properties": values})
+    driver = {"name": "mi-splat audit", "version": importlib.metadata.version("mi-splat"), "rules": [*rules.values()]}
+    invocation = {"executionSuccessful": not notes, "toolExecutionNotifications": notes}
+    run = {"tool": {"driver": driver}, "invocations": [invocation], "artifacts": artifacts, "results": results}
+    return {"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}
+
+
+def _findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
+    """What was found in a file."""
+    thresholds = document["thresholds"]
+    for number, item in enumerate(document["objects"], 1):
+        for index, look in enumerate(item["looks"], 1):
+            evidence = look["excess"] / thresholds["excess"]
+            if evidence >= thresholds["suspicion"]:
+                name = "hidden-look" if evidence >= 1 and not item["in_room"] else "suspicious-look"
+                text = f"Object {number}, look {index}: other colours {look['where']}; excess {look['excess']:.4f}."
+                values = {key: look[key] for key in _SCORES}
+                yield name, _RULES[name][0], text, values
+        cover = item["occluder"]
+        if cover is not None and cover["score"] >= thresholds["covered"]:
+            axis = " ".join(f"{value + 0.0:.2f}" for value in cover["axis"])
+            text = f"Object {number}: something in the air covers it from around ({axis}), and others see through it."
+            hides = item["verdict"] == "hidden look" and cover["transparent"] >= LIMITS.seen_through
+            yield "occluder", "error" if hides else _RULES["occluder"][0], text, {"score": cover["score"]}
+        edit = item.get("edited")
+        if edit is not None and edit["score"] >= 1:
+            text = f"Object {number}: its colours look edited, as an attack on a detector leaves them."
+            yield "edited", _RULES["edited"][0], text, edit
+    for finding in document.get("lint") or ():
+        count = f"{finding['count']:,} Gaussians. " if finding["count"] else ""
+        text = f"{finding['rule']}: {count}{finding['reason']}"
+        yield f"lint/{finding['rule']}", _level(finding["severity"]), text, {"rows": finding["rows"]}
+
+
+def _rule(name: str, level: Level, what: str, do: str) -> dict[str, Any]:
+    default = {"level": level}
+    return {"id": name, "shortDescription": {"text": what}, "help": {"text": do}, "defaultConfiguration": default}
+
+
+def _level(severity: str) -> Level:
+    """The level of a severity; what is of none of these is a warning."""
+    return next((level for level in _LEVELS if level == severity), "warning")
+
+
+def _address(file: str) -> str:
+    """The name of a file as an address; a relative one stays relative to where the command ran."""
+    path = Path(file)
+    return path.as_uri() if path.is_absolute() else quote(os.fsencode(path.as_posix()))
+
+
 MOST_NAMED = 8
 """Pictures of a set that are named in a line."""
 
@@ -48,7 +148,7 @@ def document_of_pictures(judged: PictureAudit, views: Dataset, count: int) -> di
     """An audit of pictures as JSON can hold it."""
     amounts = judged.amounts.tolist()
     files = [str(views.frames[number].path) for number in judged.numbers.tolist()]
-    shown = [Path(file).name for file, amount in zip(files, amounts, strict=True) if amount > SHOWS]
+    shown = [Path(file).name for file, amount in zip(files, amounts, strict=True) if amount > LIMITS.shows]
     more = f" and {len(shown) - MOST_NAMED} more" if len(shown) > MOST_NAMED else ""
     names = ", ".join(shown[:MOST_NAMED])
     line = f"{len(shown)} of {len(files)} pictures show what the others contradict: {names}{more}"
@@ -59,7 +159,7 @@ def document_of_pictures(judged: PictureAudit, views: Dataset, count: int) -> di
         "summary": [*values["summary"], *([line] if shown else []), *([rest] if len(files) < count else [])],
         "pictures_in_set": count,
         "views": [
-            {"picture": file, "amount": amount, "contradicts": amount > SHOWS}
+            {"picture": file, "amount": amount, "contradicts": amount > LIMITS.shows}
             for file, amount in zip(files, amounts, strict=True)
         ],
     }
@@ -94,58 +194,38 @@ HEAT_PICTURE = "heat.png"
 EDITED, AGAINST, CHANGED = "edited.npy", "against.png", "changed.npy"
 PICTURE = 512
 """Pixels along the longer side of each of the two pictures."""
-_THRESHOLDS = {"excess": EXCESS, "covered": COVERED, "suspicion": SUSPICION}
 _GAP = 8
-_BACKGROUND = (0.55, 0.7, 0.9)
+_SCORES = ("score", "incidence", "mirror", "shift", "fade", "excess")
 
 
 def document(audit: Audit | None, lint: Lint | None = None, *, unjudged: str = "") -> dict[str, Any]:
-    """An audit as JSON can hold it."""
-    return {**(_judged(audit) if audit else _unjudged(lint, unjudged)), **(lint.document() if lint else {})}
-
-
-def _unjudged(lint: Lint | None, why: str) -> dict[str, Any]:
-    """In the form of an audit that found no object."""
+    """An audit as JSON can hold it; where no object was judged, with the reason."""
     return {
-        "verdict": None,
-        "summary": [f"not looked at for hidden looks: {why}"],
-        "gaussians": lint.gaussians if lint else None,
-        "carrying": 0,
-        "near": 0.0,
-        "thresholds": _THRESHOLDS,
-        "objects": [],
+        "verdict": audit and audit.verdict,
+        "summary": summary(audit) if audit else [f"not looked at for hidden looks: {unjudged}"],
+        "gaussians": len(audit.mask) if audit else lint and lint.gaussians,
+        "carrying": int(audit.mask.sum()) if audit else 0,
+        "near": audit.near if audit else 0.0,
+        "thresholds": dataclasses.asdict(LIMITS),
+        "objects": [_of_object(item) for item in audit.objects] if audit else [],
+        **({"against": audit.against.as_dict()} if audit and audit.against else {}),
+        **({"up": list(audit.up)} if audit and audit.up else {}),
+        **(lint.document() if lint else {}),
     }
 
 
-def _judged(audit: Audit) -> dict[str, Any]:
-    return {
-        "verdict": audit.verdict,
-        "summary": summary(audit),
-        "gaussians": len(audit.mask),
-        "carrying": int(audit.mask.sum()),
-        "near": audit.near,
-        "thresholds": _THRESHOLDS,
-        "objects": [_of_object(item) for item in audit.objects],
-        **({"against": audit.against.as_dict()} if audit.against else {}),
-        **({"up": list(audit.up)} if audit.up else {}),
-    }
+def _values(item: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(item, name) for name in names}
 
 
 def _of_object(item: ObjectAudit) -> dict[str, Any]:
     cover = item.occluder
     return {
-        "verdict": item.verdict,
-        "evidence": item.evidence,
-        "in_room": item.in_room,
+        **_values(item, "verdict", "evidence", "in_room"),
         "gaussians": len(item.rows),
-        "centre": item.centre,
-        "radius": item.radius,
-        "up": item.up,
-        "pieces": item.pieces,
-        "area": item.area,
-        "uncontradicted": item.uncontradicted,
+        **_values(item, "centre", "radius", "up", "pieces", "area", "uncontradicted"),
         "looks": [_of_look(look, item) for look in item.looks],
-        "occluder": cover and {"axis": cover.axis, "transparent": cover.transparent, "score": cover.score},
+        "occluder": cover and _values(cover, "axis", "transparent", "score"),
         "edited": _of_edit(item),
         "seen_from": [
             {
@@ -167,21 +247,17 @@ def _of_edit(item: ObjectAudit) -> dict[str, Any] | None:
     edit = item.edit
     if edit is None:
         return None
-    values = {name: getattr(edit, name) for name in ("score", "share", "usual_share", "grain", "usual_grain", "peak")}
-    rows = sorted(edit.rows.tolist()) if item.edited else []
-    return {**values, "camera": edit.direction if edit.camera_known else None, "rows": rows}
+    return {
+        **_values(edit, "score", "share", "usual_share", "grain", "usual_grain", "peak"),
+        "camera": edit.direction if edit.camera_known else None,
+        "rows": sorted(edit.rows.tolist()) if item.edited else [],
+    }
 
 
 def _of_look(look: Look, item: ObjectAudit) -> dict[str, Any]:
     return {
         "where": directions_in_words(look.region, item.up),
-        "score": look.score,
-        "incidence": look.incidence,
-        "mirror": look.mirror,
-        "shift": look.shift,
-        "fade": look.fade,
-        "excess": look.excess,
-        "area": look.area,
+        **_values(look, *_SCORES, "area"),
         "cameras": int(look.shown.sum()),
         "directions": dataclasses.asdict(look.region),
         "pair": look.pair and {"change": look.pair.change, "cameras": pair_cameras(look.pair)},
@@ -197,9 +273,18 @@ def pair_cameras(pair: Pair, number: int = 1) -> list[dict[str, object]]:
 def pair_picture(scene: GaussianScene, pair: Pair) -> NDArray[np.uint8]:
     """(H, W, 3) the two images that prove an appearance: from inside its directions left, from outside right."""
     cameras = [_enlarged(camera) for camera in (pair.inside, pair.outside)]
-    render = Renderer(RenderSettings(background=_BACKGROUND, near=near_plane(scene, cameras)))
+    render = Renderer(RenderSettings(background=SKY, near=near_plane(scene, cameras)))
     with torch.no_grad():
         return beside([render(scene, camera) for camera in cameras])
+
+
+def changes_picture(changes: Changes, scene: GaussianScene) -> NDArray[np.uint8]:
+    """(H, W, 3) the clean splat on the left, another on the right, a row for each camera."""
+    render = Renderer(RenderSettings(background=SKY, near=near_plane(scene, changes.cameras)))
+    with torch.no_grad():
+        rows = [beside([render(item, camera) for item in (changes.clean, scene)]) for camera in changes.cameras]
+    gap = np.full((_GAP, rows[0].shape[1], 3), 255, np.uint8)
+    return np.concatenate([part for row in rows for part in (gap, row)][1:])
 
 
 def beside(pictures: Sequence[Tensor]) -> NDArray[np.uint8]:
@@ -236,41 +321,34 @@ def write(
 ) -> list[Path]:
     """Write the files of an audit into a new folder, whole or not at all."""
     target = Path(folder)
-    names, more = [RECORD], dict[str, Any](pictures=[], cameras=[])
+    more = dict[str, Any](pictures=[], cameras=[])
     with new_folder(target, force=force) as temporary:
         if audit is not None and scene is not None:
-            more = _evidence(audit, scene, temporary, names)
+            more = _evidence(audit, scene, temporary)
         if lint is not None and lint.overdraw is not None:
             save_picture(overdraw_picture(lint.overdraw), temporary / OVERDRAW)
-            names.append(OVERDRAW)
+        names = [RECORD, *sorted(file.name for file in temporary.iterdir())]
         record = {"story": "audit", "file": source, **document(audit, lint, unjudged=unjudged), **more}
         save_json({**record, **origin()}, temporary / RECORD)
     return [target / name for name in names]
 
 
-def _evidence(audit: Audit, scene: GaussianScene, folder: Path, names: list[str]) -> dict[str, Any]:
-    """Save what proves an audit, add the files to `names`, and say which pictures and cameras they show."""
-    shown = save_pairs(audit, folder, lambda pair: pair_picture(scene, pair))
-    names += [picture["file"] for picture in shown["pictures"]]
+def _evidence(audit: Audit, scene: GaussianScene, folder: Path) -> dict[str, Any]:
+    """Save what proves an audit, and say which images and cameras prove appearances."""
     if bool(audit.mask.any()):
         hot = heated(scene, audit.heat)
         save_splat(hot, folder / HEAT)
         save_mask(audit.mask, folder / MASK)
-        names += [HEAT, MASK]
         if audit.strongest.look.pair is not None:
             save_picture(pair_picture(hot, audit.strongest.look.pair), folder / HEAT_PICTURE)
-            names.append(HEAT_PICTURE)
     edited = [item.edit.rows for item in audit.objects if item.edit is not None and item.edited]
     if edited:
         save_mask(torch.zeros(len(scene), dtype=torch.bool).index_fill_(0, torch.cat(edited), True), folder / EDITED)
-        names.append(EDITED)
     if audit.against is not None and audit.against.cameras:
-        save_picture(audit.against.pictures(scene), folder / AGAINST)
-        names.append(AGAINST)
+        save_picture(changes_picture(audit.against, scene), folder / AGAINST)
     if audit.against is not None and bool(audit.against.mask.any()):
         save_mask(audit.against.mask, folder / CHANGED)
-        names.append(CHANGED)
-    return shown
+    return save_pairs(audit, folder, lambda pair: pair_picture(scene, pair))
 
 
 def save_pairs(audit: Audit, folder: Path, show: Callable[[Pair], NDArray[np.uint8]]) -> dict[str, Any]:
@@ -290,7 +368,7 @@ def shown_pairs(audit: Audit) -> list[tuple[tuple[int, int], Pair]]:
         ((index, number), look)
         for index, item in enumerate(audit.objects)
         for number, look in enumerate(item.looks)
-        if look.pair is not None and (look.evidence >= SUSPICION or item is audit.strongest)
+        if look.pair is not None and (look.evidence >= LIMITS.suspicion or item is audit.strongest)
     ]
     looks.sort(key=lambda entry: (audit.objects[entry[0][0]] is not audit.strongest, -entry[1].evidence))
     return [(numbers, look.pair) for numbers, look in looks if look.pair is not None]

@@ -12,35 +12,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.selection.clusters import clusters, find_plane, nearest_neighbours, nearest_of
-
-SOLID = 0.1
-"""Gaussians of a smaller opacity do not say where things are."""
-MOST_OBJECTS = 3
-MOST_LINKED = 60_000
-"""Gaussians that are linked to each other; of more an even choice is, and each of the others goes with the nearest."""
-_CROWD = 0.8
-"""Share of the solid Gaussians that the frame is made of: those nearest to their middle."""
-_LEAST_SHARE, _LEAST_COUNT, _COMPONENTS = 0.03, 100, 6
-_FLAT = 0.04
-"""A component is a plane if its thinnest extent is less than this share of its longest."""
-_UPRIGHT = 0.7
-"""A plane is an object, a sign or a board, if its normal has a smaller cosine to that of the ground it stands on."""
-_ROOM, _SAME, _FEW = 1.15, 0.4, 0.3
-"""Radius of the ball around an object, by that of what holds nearly all of it; least radius and share of Gaussians of
-a part that needs no look of its own, by those of the whole."""
-_SAMPLE, _PLANE_SHARE, _GROUND = 5000, 0.15, 4.0
-"""Points among which a ground is looked for, the share that has to lie on it, and how far around, in radii."""
-_WHOLE = 1.2
-"""Radius of a whole splat, by the distance from its middle within which half of it lies."""
-_PLANES, _TOUCH = 2, 0.4
-"""Planes that are tried, and how far an object may be above its ground, in radii."""
-_ONE_SIDE, _UNDER, _BEYOND = 0.95, 0.15, 1.3
-"""Share of an object that is above its ground, but for so many radii; radii that a ground reaches from its middle."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -81,15 +58,15 @@ def frame_of(scene: GaussianScene) -> Frame:
     colours = scene.sh[:, 0].numpy()
     order = torch.from_numpy(np.lexsort((colours[:, 2], colours[:, 1], colours[:, 0], scene.opacities.numpy())))
     scene = scene.select(order)
-    points = scene.means[scene.opacities > SOLID].double()
+    points = scene.means[scene.opacities > LIMITS.solid].double()
     if not len(points):
         got = f"none of {len(scene):,}"
         do = "pass a splat that shows something"
-        raise InvalidValueError.of("scene", f"Gaussians with an opacity above {SOLID:g}", got, do)
+        raise InvalidValueError.of("scene", f"Gaussians with an opacity above {LIMITS.solid:g}", got, do)
     centre = points.mean(0)
     for _ in range(3):
         gaps = (points - centre).norm(dim=1)
-        near = points[gaps <= quantile(gaps, _CROWD)]
+        near = points[gaps <= quantile(gaps, LIMITS.crowd)]
         centre = near.mean(0)
     radius = float((near - centre).norm(dim=1).max())
     if not radius > 0:
@@ -106,28 +83,28 @@ def frame_of(scene: GaussianScene) -> Frame:
 
 
 def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Target]:
-    """The objects of a splat: at most `MOST_OBJECTS` components that are no ground; else where most of it is."""
-    rows = (scene.opacities > SOLID).nonzero()[:, 0]
+    """The objects of a splat: at most `LIMITS.most_objects` components that are no ground; else where most of it is."""
+    rows = (scene.opacities > LIMITS.solid).nonzero()[:, 0]
     points = scene.means[rows].double()
     label = _components(scene.select(rows))
     chosen: list[Target] = []
-    for number in range(min(_COMPONENTS, int(label.max()) + 1)):
+    for number in range(min(LIMITS.components, int(label.max()) + 1)):
         part = points[label == number]
-        if len(part) < max(_LEAST_SHARE * len(points), _LEAST_COUNT):
+        if len(part) < max(LIMITS.least_share * len(points), LIMITS.least_count):
             continue
         centre = part.median(0).values
-        radius = _ROOM * quantile((part - centre).norm(dim=1), 0.95)
+        radius = LIMITS.object_margin * quantile((part - centre).norm(dim=1), 0.95)
         if any(_is_part(part, centre, radius, larger) for larger in chosen):
             continue
         thin = _normal_of_flat(part)
         ground = next((target.up for target in chosen if target.up is not None), None)
-        if thin is not None and ground is not None and abs(float(thin @ ground)) > _UPRIGHT:
+        if thin is not None and ground is not None and abs(float(thin @ ground)) > LIMITS.upright:
             continue
         up = _up(part, centre, radius, points[label != number])
-        if thin is not None and (up is None or abs(float(thin @ up)) > _UPRIGHT):
+        if thin is not None and (up is None or abs(float(thin @ up)) > LIMITS.upright):
             continue
         chosen.append(Target(rows=rows[label == number], centre=centre, radius=radius, up=up))
-    chosen = chosen[:MOST_OBJECTS] or [_crowd(rows, points)]
+    chosen = chosen[: LIMITS.most_objects] or [_crowd(rows, points)]
     ground = next((target.up for target in chosen if target.up is not None), None)
     if stated_up is not None and ground is not None:
         return [dataclasses.replace(target, up=stated_up) for target in chosen]
@@ -136,7 +113,7 @@ def targets(scene: GaussianScene, stated_up: Tensor | None = None) -> list[Targe
 
 def _components(scene: GaussianScene) -> Tensor:
     """(N,) int64 the connected component of each Gaussian, from the largest."""
-    every = math.ceil(len(scene) / MOST_LINKED)
+    every = math.ceil(len(scene) / LIMITS.most_linked)
     if every <= 1:
         return clusters(scene)
     label, nearest = clusters(scene.select(slice(None, None, every))), nearest_of(scene.means, every)
@@ -145,21 +122,23 @@ def _components(scene: GaussianScene) -> Tensor:
 
 def _agree(up: Tensor | None, ground: Tensor | None) -> bool:
     """Whether an object stands on the ground of the largest, if not on the side of a sign."""
-    return ground is None or (up is not None and float(up @ ground) > _UPRIGHT)
+    return ground is None or (up is not None and float(up @ ground) > LIMITS.upright)
 
 
 def _is_part(part: Tensor, centre: Tensor, radius: float, larger: Target) -> bool:
     """Whether a few points lie in an object that is not much larger, and so are seen well enough with it."""
     inside = float((centre - larger.centre).norm()) < larger.radius
-    return inside and radius > _SAME * larger.radius and len(part) < _FEW * len(larger.rows)
+    return inside and radius > LIMITS.part_radius * larger.radius and len(part) < LIMITS.part_share * len(larger.rows)
 
 
 def whole(scene: GaussianScene) -> Target:
     """All of a splat as one object."""
-    rows = (scene.opacities > SOLID).nonzero()[:, 0]
+    rows = (scene.opacities > LIMITS.solid).nonzero()[:, 0]
     points = scene.means[rows].double()
     centre = points.median(0).values
-    return Target(rows=rows, centre=centre, radius=_WHOLE * quantile((points - centre).norm(dim=1), 0.5), up=None)
+    return Target(
+        rows=rows, centre=centre, radius=LIMITS.whole_margin * quantile((points - centre).norm(dim=1), 0.5), up=None
+    )
 
 
 def quantile(values: Tensor, share: float) -> float:
@@ -169,8 +148,10 @@ def quantile(values: Tensor, share: float) -> float:
 
 def _normal_of_flat(points: Tensor) -> Tensor | None:
     """The normal of a component that is a plane; None if it is none."""
-    _, extents, axes = torch.linalg.svd(points[:: max(1, len(points) // _SAMPLE)] - points.mean(0), full_matrices=False)
-    return axes[2] if extents[2] < _FLAT * extents[0] else None
+    _, extents, axes = torch.linalg.svd(
+        points[:: max(1, len(points) // LIMITS.ground_sample)] - points.mean(0), full_matrices=False
+    )
+    return axes[2] if extents[2] < LIMITS.flat * extents[0] else None
 
 
 def _crowd(rows: Tensor, points: Tensor) -> Target:
@@ -191,13 +172,13 @@ def _up(part: Tensor, centre: Tensor, radius: float, around: Tensor) -> Tensor |
 
     Its (M, 3) points lie within `radius` of `centre`; (P, 3) points are `around` it.
     """
-    near = around[(around - centre).norm(dim=1) < _GROUND * radius]
-    near = near[:: max(1, len(near) // _SAMPLE)]
-    for _ in range(_PLANES):
+    near = around[(around - centre).norm(dim=1) < LIMITS.ground_reach * radius]
+    near = near[:: max(1, len(near) // LIMITS.ground_sample)]
+    for _ in range(LIMITS.planes):
         distances, _ = nearest_neighbours(near, 8)
         if not distances.shape[1]:
             return None
-        inside = find_plane(near, distances[:, -1], least=math.ceil(_PLANE_SHARE * len(near)) + 3)
+        inside = find_plane(near, distances[:, -1], least=math.ceil(LIMITS.ground_share * len(near)) + 3)
         if inside is None:
             return None
         ground, near = near[inside], near[~inside]
@@ -207,8 +188,8 @@ def _up(part: Tensor, centre: Tensor, radius: float, around: Tensor) -> Tensor |
         if heights.mean() < 0:
             heights, normal = -heights, -normal
         across = ground - centre - ((ground - centre) @ normal)[:, None] * normal
-        above = float((heights > -_UNDER * radius).double().mean()) >= _ONE_SIDE
-        touches = quantile(heights, 1 - _ONE_SIDE) < _TOUCH * radius
-        if above and touches and quantile(across.norm(dim=1), 0.9) > _BEYOND * radius:
+        above = float((heights > -LIMITS.under * radius).double().mean()) >= LIMITS.one_side
+        touches = quantile(heights, 1 - LIMITS.one_side) < LIMITS.touch * radius
+        if above and touches and quantile(across.norm(dim=1), 0.9) > LIMITS.beyond * radius:
             return normal
     return None

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from mi_splat.audit.auditing import LEAST_CAMERAS, LEAST_PIECES, MOST_CAMERAS, given, judged_object, looked_at
+from mi_splat.audit.auditing import given, judged_object, looked_at
 from mi_splat.audit.frames import Target, frame_of, targets
-from mi_splat.audit.results import SUSPICION, Audit, ObjectAudit
+from mi_splat.audit.results import Audit, ObjectAudit
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.bounds import near_plane
 from mi_splat.cameras import Camera, View, cameras_of
 from mi_splat.datasets import Dataset
@@ -22,17 +23,8 @@ from mi_splat.training.initialization import from_points, random_points, thinned
 from mi_splat.training.loop import fit
 from mi_splat.training.strategies import FixedConfig
 
-LONGER_SIDE = 96
-"""Pixels that the longer side of a picture has at least, where the set has more."""
-STEPS, MOST_GAUSSIANS = 600, 8000
-"""Steps of the training that finds the surface, and Gaussians in it."""
-_PIXELS, _LEAST_CELLS = 2.5, 8
-"""Pixels across a piece of surface, and pieces along the diameter of an object at least."""
-SHOWS = 0.5
-"""Amount of a look from which a picture counts as showing it."""
-
 OnStep = Callable[[int, int], None]
-"""Called after each step of the training with the number done and the number of all."""
+"""Called after each step of the training with its number and the number of all."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,32 +45,32 @@ class PictureAudit:
     @property
     def contradicting(self) -> list[int]:
         """Numbers of the pictures that show a look, in the order of the set."""
-        numbers: list[int] = self.numbers[self.amounts > SHOWS].tolist()
+        numbers: list[int] = self.numbers[self.amounts > LIMITS.shows].tolist()
         return numbers
 
 
 def audit_pictures(views: Dataset, *, up: Point | None = None, on_step: OnStep | None = None) -> PictureAudit:
     """Say which pictures of a set contradict what the others show of the same surface.
 
-    A small splat is trained for the surface alone; colours are those of the pictures, as they are. What is compared,
-    and what gloss explains of it, is as in `audit`. Of more pictures than `MOST_CAMERAS` so many are, evenly taken.
+    A small splat is trained only for the surface; colours are those of the images. What is compared, and what gloss
+    explains of it, is as in `audit`. At most 300 images are compared, evenly taken.
     """
-    if len(views) < LEAST_CAMERAS:
+    if len(views) < LIMITS.least_cameras:
         do = "take more images of the scene, or audit a splat that was trained on them"
-        raise InvalidValueError.of("images", f"at least {LEAST_CAMERAS} for training", len(views), do)
+        raise InvalidValueError.of("images", f"at least {LIMITS.least_cameras} for training", len(views), do)
     longer = max(max(camera.width, camera.height) for camera in views.cameras)
-    views = dataclasses.replace(views, downscale=views.downscale * max(1, longer // LONGER_SIDE))
-    numbers = torch.linspace(0, len(views) - 1, min(len(views), MOST_CAMERAS)).round().long()
+    views = dataclasses.replace(views, downscale=views.downscale * max(1, longer // LIMITS.longer_side))
+    numbers = torch.linspace(0, len(views) - 1, min(len(views), LIMITS.most_cameras)).round().long()
     views = dataclasses.replace(views, frames=tuple(views.frames[number] for number in numbers.tolist()))
     return compare_pictures(views, quick_surface(views, on_step=on_step), numbers=numbers, up=up)
 
 
-def quick_surface(views: Dataset, *, steps: int = STEPS, on_step: OnStep | None = None) -> GaussianScene:
+def quick_surface(views: Dataset, *, steps: int = LIMITS.surface_steps, on_step: OnStep | None = None) -> GaussianScene:
     """A splat that is good enough to know where the surface is."""
     if views.points is None:
-        start = random_points(views, MOST_GAUSSIANS)
+        start = random_points(views, LIMITS.surface_gaussians)
     else:
-        cloud = thinned(views.points, MOST_GAUSSIANS)
+        cloud = thinned(views.points, LIMITS.surface_gaussians)
         start = from_points(cloud.points, cloud.colours)
     config = FitConfig(
         iterations=steps, strategy=FixedConfig(), sh_degree_interval=steps // 6, lambda_dssim=0.0, eval_interval=0
@@ -99,8 +91,8 @@ def compare_pictures(
     judgements = [judged_object(frame, target, cameras, pictures) for target in objects]
     judged = [judgement[0] for judgement in judgements if judgement is not None]
     seen = sum(item.pieces for item in judged)
-    if seen < LEAST_PIECES:
-        expected = f"at least {LEAST_PIECES} pieces of surface that pictures from two sides show"
+    if seen < LIMITS.least_pieces:
+        expected = f"at least {LIMITS.least_pieces} pieces of surface that pictures from two sides show"
         do = "pass pictures of one scene with cameras that fit, in which an object fills more pixels"
         raise InvalidValueError.of("pictures", expected, seen, do)
     nothing = torch.zeros(len(surface))
@@ -116,18 +108,18 @@ def compare_pictures(
 
 
 def _cells(target: Target, cameras: Sequence[Camera]) -> int:
-    """Pieces of surface along the diameter of an object, so that one shows in `_PIXELS` pixels in most pictures."""
+    """Pieces of surface along the diameter of an object, so that one shows in a few pixels of most images."""
     ways = torch.stack([camera.position - target.centre for camera in cameras]).norm(dim=1)
     focal = torch.tensor([min(camera.fx, camera.fy) for camera in cameras])
     across = float((2 * target.radius * focal / ways.clamp(min=1e-9)).median())
-    return min(target.cells, max(_LEAST_CELLS, round(across / _PIXELS)))
+    return min(target.cells, max(LIMITS.least_across, round(across / LIMITS.piece_pixels)))
 
 
 def _amounts(item: ObjectAudit, count: int) -> Tensor:
     """(K,) how much each picture shows of any look of an object; of each look the side with fewer pictures."""
     amounts = torch.zeros(count)
     for look in item.looks:
-        if look.evidence >= SUSPICION:
+        if look.evidence >= LIMITS.suspicion:
             told = look.amounts != 0
             side = 1 - look.amounts if 2 * int(look.shown.sum()) > int(told.sum()) else look.amounts
             amounts = torch.maximum(amounts, torch.where(told, side, 0.0))

@@ -17,10 +17,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.audit.evidence import AIR, FLOOR
 from mi_splat.audit.explanations import angles_between
-from mi_splat.audit.results import SUSPICION, Audit, ObjectAudit
-from mi_splat.audit.surfaces import AROUND
+from mi_splat.audit.results import Audit, ObjectAudit
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.bounds import near_plane
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
@@ -30,20 +29,6 @@ from mi_splat.sh import sh_basis
 
 Keep = Literal["outside", "inside"]
 """The directions whose colours are believed: those outside of a look, or those inside."""
-MARGINS = (25.0, 20.0, 15.0, 10.0, 5.0, 0.0)
-"""Degrees from the other directions from which a direction is believed, for a look fades: the first that leaves enough
-cameras."""
-_LEAST_SHARE, _LEAST_CAMERAS = 0.15, 6
-"""Share of the cameras, and cameras, that have to be believed."""
-_EDGE = 0.002
-"""Weight of a direction within the margin, where only such directions show a Gaussian."""
-_NEIGHBOURS, _BORROWED = 16, 0.1
-"""Neighbours that lend their colour, and their weight as a share of what a Gaussian shows of itself elsewhere."""
-_STRICT, _RIDGE = 3.0, 1e-2
-"""Weight of the wanted colours by that of the kept ones, and of coefficients above degree 0 against all of them."""
-_SHOWS = 0.01
-"""Pixels that a Gaussian makes up at least, towards all believed directions together, to be coloured anew: others
-are contradicted by nothing."""
 _MOST_WEIGHTS, _CHUNK = 10**8, 2048
 
 
@@ -68,7 +53,7 @@ def repair(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> Re
     plain = scene.detach().to("cpu", torch.float32)
     sh, stays = plain.sh.clone(), torch.ones(len(scene), dtype=torch.bool)
     for item in judged.objects:
-        if item.look.evidence >= SUSPICION:
+        if item.look.evidence >= LIMITS.suspicion:
             colour_anew(plain, sh, item, believed(item, keep))
         if item.occluder is not None and item.occluder.evidence >= 1:
             stays &= ~(judged.mask & in_the_air(plain, item))
@@ -81,34 +66,36 @@ def repair(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> Re
 def in_the_air(scene: GaussianScene, item: ObjectAudit) -> Tensor:
     """(N,) bool, which Gaussians lie where something that covers an object would: off it, and above its ground."""
     offsets = scene.means.double() - torch.tensor(item.centre, dtype=torch.float64)
-    off: Tensor = offsets.norm(dim=1) > AIR * item.radius
+    off: Tensor = offsets.norm(dim=1) > LIMITS.air * item.radius
     if item.up is None:
         return off
     heights = offsets @ torch.tensor(item.up, dtype=torch.float64)
-    off &= heights > heights[item.rows].quantile(0.02) + FLOOR * item.radius
+    off &= heights > heights[item.rows].quantile(0.02) + LIMITS.floor * item.radius
     return off
 
 
 def believed(item: ObjectAudit, keep: Keep) -> Tensor:
     """(K,) float32 weight of each camera: 1 where it is believed, 0 where not, and little near the others."""
-    looks = [look.shown for look in item.looks if look is item.look or look.evidence >= SUSPICION]
+    looks = [look.shown for look in item.looks if look is item.look or look.evidence >= LIMITS.suspicion]
     other = torch.stack(looks).any(0) if keep == "outside" else ~item.look.shown
     gap = angles_between(item.directions, item.directions[other]).amin(1)
-    least = max(_LEAST_CAMERAS, _LEAST_SHARE * len(gap))
-    margin = next((margin for margin in MARGINS if int((gap > margin).sum()) >= least), 0.0)
-    return torch.where(~other & (gap > margin), 1.0, torch.where(other, 0.0, _EDGE))
+    least = max(LIMITS.believed_cameras, LIMITS.believed_share * len(gap))
+    margin = next((margin for margin in LIMITS.margins if int((gap > margin).sum()) >= least), 0.0)
+    return torch.where(~other & (gap > margin), 1.0, torch.where(other, 0.0, LIMITS.margin_weight))
 
 
 def colour_anew(scene: GaussianScene, sh: Tensor, item: ObjectAudit, trust: Tensor) -> None:
     """Put new coefficients of the Gaussians of an object into a tensor."""
-    near = (scene.means.double() - torch.tensor(item.centre, dtype=torch.float64)).norm(dim=1) < AROUND * item.radius
+    near = (scene.means.double() - torch.tensor(item.centre, dtype=torch.float64)).norm(
+        dim=1
+    ) < LIMITS.around * item.radius
     rows = near.nonzero()[:, 0]
     every = math.ceil(len(rows) * len(trust) / _MOST_WEIGHTS)
     cameras, trust = item.cameras[::every], trust[::every]
     render = Renderer(RenderSettings(near=near_plane(scene, cameras)))
     shows = contributions(scene, cameras, render=render, rows=rows)
     known = shows @ trust
-    rows, shows, known = (values[known > _SHOWS] for values in (rows, shows, known))
+    rows, shows, known = (values[known > LIMITS.repaired_pixels] for values in (rows, shows, known))
     eyes = torch.stack([camera.position for camera in cameras]).float()
     parts = [(rows[part], shows[part]) for part in torch.split(torch.arange(len(rows)), _CHUNK)]
     means = torch.cat([_mean(scene.select(part), weights, eyes, trust) for part, weights in parts])
@@ -134,14 +121,14 @@ def _with_neighbours(points: Tensor, colours: Tensor, known: Tensor, unknown: Te
 
     `known` are (M,) pixels that show each colour, `unknown` those that show the Gaussian and not that colour.
     """
-    distances, neighbours = nearest_neighbours(points, min(_NEIGHBOURS, max(len(points) - 1, 1)))
+    distances, neighbours = nearest_neighbours(points, min(LIMITS.lending, max(len(points) - 1, 1)))
     exists = distances.isfinite()
     if not bool(exists.any()):
         return colours
     weights = known[neighbours] * exists / (1 + (distances / distances[exists].median().clamp(min=1e-12)).float())
     lent = torch.einsum("mn,mnc->mc", weights.nan_to_num(0.0), colours[neighbours])
     lent = lent / weights.nan_to_num(0.0).sum(1, keepdim=True).clamp(min=1e-9)
-    borrowed = (_BORROWED * unknown)[:, None]
+    borrowed = (LIMITS.borrowed * unknown)[:, None]
     return (known[:, None] * colours + borrowed * lent) / (known[:, None] + borrowed).clamp(min=1e-9)
 
 
@@ -150,8 +137,8 @@ def _fitted(part: GaussianScene, shows: Tensor, eyes: Tensor, trust: Tensor, wan
     basis, colours = _views(part, eyes)
     kept = trust == 1
     target = torch.where(kept[:, None], colours, wanted[:, None]) - 0.5
-    weights = (shows * torch.where(kept, 1.0, _STRICT)).double()
-    ridge = _RIDGE * weights.sum(1, keepdim=True) * (torch.arange(basis.shape[-1]) > 0)
+    weights = (shows * torch.where(kept, 1.0, LIMITS.strict)).double()
+    ridge = LIMITS.ridge * weights.sum(1, keepdim=True) * (torch.arange(basis.shape[-1]) > 0)
     basis, target = basis.double(), target.double()
     left = torch.einsum("mk,mki,mkj->mij", weights, basis, basis) + torch.diag_embed(ridge)
     solution: Tensor = torch.linalg.solve(left, torch.einsum("mk,mki,mkc->mic", weights, basis, target))

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import torch
 from torch import Tensor
 
 from mi_splat._lazy import Previewed
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point
 from mi_splat.errors import counted
 
 if TYPE_CHECKING:
     from mi_splat.audit.against import Changes
-
-_STEEP, _LEVEL = 60.0, 15.0
-"""Degrees above the ground from which a direction is from above, and up to which it is from the side."""
-
-_ALL = 0.995
-"""Share of the solid Gaussians near what was looked at, from which a splat was looked at whole."""
 
 
 def directions_in_words(region: Region, up: Vector | None) -> str:
@@ -42,20 +37,21 @@ def _height(axis: Vector, up: Vector | None) -> str:
         return ""
     cosine = math.fsum(a * b for a, b in zip(axis, up, strict=True))
     height = math.degrees(math.asin(max(-1.0, min(1.0, cosine))))
-    if height >= _STEEP:
+    if height >= LIMITS.steep:
         return ", from above"
-    return ", from the side" if abs(height) <= _LEVEL else f", {height:.0f} degrees above its ground"
+    return ", from the side" if abs(height) <= LIMITS.level else f", {height:.0f} degrees above its ground"
 
 
 def headline(audit: Audit) -> str:
     """The verdict and where it is from, in one sentence."""
     item = audit.strongest
-    if item.evidence < SUSPICION and item.edit is not None and item.edited:
+    if item.evidence < LIMITS.suspicion and item.edit is not None and item.edited:
         return f"{audit.verdict}: colours of an object look edited{_aim(item.edit)}"
     if audit.verdict == "nothing found":
-        part = "" if audit.near >= _ALL else f" in the {audit.near:.0%} of its solid Gaussians that were looked at"
+        seen = f" in the {audit.near:.0%} of its solid Gaussians that were looked at"
+        part = "" if audit.near >= LIMITS.all_near else seen
         return f"nothing found{part}: no set of directions explains how colours change better than honest gloss does"
-    if item.occluder is not None and (item.look.evidence < SUSPICION or item.occluder.evidence >= 1):
+    if item.occluder is not None and (item.look.evidence < LIMITS.suspicion or item.occluder.evidence >= 1):
         axis = " ".join(f"{value + 0.0:.2f}" for value in item.occluder.axis)
         return f"{audit.verdict}: something in the air covers an object from around ({axis}), and others see through it"
     where = directions_in_words(item.look.region, item.up)
@@ -100,7 +96,7 @@ def _of_object(item: ObjectAudit) -> list[str]:
             f"common to faces that look different ways: {look.shift:.4f}, and {look.fade:.0%} of the contrast; "
             f"excess {look.excess:.4f}"
         )
-        if look.evidence >= SUSPICION:
+        if look.evidence >= LIMITS.suspicion:
             cameras = f"{int(look.shown.sum())} of {len(look.shown)} cameras"
             lines.append(f"{look.area / max(item.area, 1e-12):.0%} of its surface changes; seen by {cameras}")
         if number > 1:
@@ -119,26 +115,13 @@ def _of_object(item: ObjectAudit) -> list[str]:
 Verdict = Literal["nothing found", "suspicious", "hidden look"]
 """What a splat is called, from the least to the most evidence."""
 
-_ORDER: tuple[Verdict, ...] = ("nothing found", "suspicious", "hidden look")
-
 Vector = tuple[float, float, float]
-
-EXCESS, SUSPICION = 0.0024, 0.7
-"""Excess from which a look is called hidden, and share of it from which a splat is suspicious; see docs/audit.md."""
-CONTRAST = 0.1
-"""Contrast (sRGB) that a fade is counted with."""
-AIMED, GRAIN, PEAKED = 0.115, 0.14, 3.0
-"""Scores from which colours are an edit, of an attack on few views and on many, and peak from which a camera is named;
-see docs/audit.md."""
-COVERED, SEEN_THROUGH = 0.1, 0.5
-"""Score of an occluder from which a splat is suspicious, and share of the looks from other directions that pass it from
-which it is one that no leaves or roof would be: those are seen from the side as well."""
 
 
 def excess(score: float, incidence: float, mirror: float, shift: float, fade: float) -> float:
     """Excess of a set of directions (sRGB): shift and fade, less where gloss explains the change nearly as well."""
     ahead = 1 - max(incidence, mirror) / max(score, 1e-9)
-    return (shift + CONTRAST * fade) * max(0.0, ahead) ** 2
+    return (shift + LIMITS.contrast * fade) * max(0.0, ahead) ** 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -193,7 +176,7 @@ class Look:
     @property
     def evidence(self) -> float:
         """By which 1 is called hidden; at least 0."""
-        return self.excess / EXCESS
+        return self.excess / LIMITS.excess
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -208,32 +191,20 @@ class Occluder:
     @property
     def evidence(self) -> float:
         """By which 1 is called hidden: it covers from enough directions, and most looks from others pass it."""
-        return min(self.score / COVERED, self.transparent / SEEN_THROUGH)
+        return min(self.score / LIMITS.covered, self.transparent / LIMITS.seen_through)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Edit:
-    """Signs that colours were edited after training: photographs leave no such colours (`mi_splat.audit.edits`).
+    """Signs that colours were edited after training, which photographs do not leave; see `edit_of`."""
 
-    Attributes:
-        share: Of how colours change with the direction of view, the part that neither the own colour nor grey explains,
-            in [0, 1]; a third where the channels are independent.
-        usual_share: The same of what is around the object; 0 where there is too little.
-        grain: Of how a colour differs from those around it, the part that neither these nor grey explain, the median,
-            in [0, 1]; a half where the channels are independent.
-        usual_grain: The same of what is around the object.
-        peak: How often more of `share` there is towards one camera than in the mean over all directions, at least 1.
-        direction: (3,) unit vector, world, from the object to that camera.
-        rows: (M,) the object's Gaussians that have most of it.
-    """
-
-    share: float
-    usual_share: float
-    grain: float
-    usual_grain: float
-    peak: float
-    direction: Vector
-    rows: Tensor
+    share: float  # of how colours change with the direction, what neither the own colour nor grey explains, in [0, 1]
+    usual_share: float  # the same of what is around the object; 0 where there is too little
+    grain: float  # of how a colour differs from those around it, what neither these nor grey explain, in [0, 1]
+    usual_grain: float  # the same of what is around the object
+    peak: float  # how often more of `share` there is towards one camera than in the mean over all directions
+    direction: Vector  # (3,) unit vector, world, from the object to that camera
+    rows: Tensor  # (M,) the object's Gaussians that have most of it
 
     @property
     def aimed(self) -> float:
@@ -242,13 +213,13 @@ class Edit:
 
     @property
     def score(self) -> float:
-        """Score of an edit, the larger of an attack on few views and on many; 1 is an edit, and it is at least 0."""
-        return max(self.aimed / AIMED, (self.grain - self.usual_grain) / GRAIN, 0.0)
+        """Score of an edit, the larger of an attack on few views and on many, at least 0; 1 is an edit."""
+        return max(self.aimed / LIMITS.aimed, (self.grain - self.usual_grain) / LIMITS.grain, 0.0)
 
     @property
     def camera_known(self) -> bool:
         """Whether colours peak enough to say where an attacked camera stood."""
-        return self.aimed >= AIMED and self.peak >= PEAKED
+        return self.aimed >= LIMITS.aimed and self.peak >= LIMITS.peaked
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -305,14 +276,14 @@ class ObjectAudit:
     @property
     def covered(self) -> bool:
         """Whether something covers the object that others see through; a few, as honest leaves, or most."""
-        return self.occluder is not None and self.occluder.score >= COVERED
+        return self.occluder is not None and self.occluder.score >= LIMITS.covered
 
     @property
     def verdict(self) -> Verdict:
         """Verdict on this object alone."""
         if self.evidence >= 1 and not self.in_room:
             return "hidden look"
-        return "suspicious" if self.evidence >= SUSPICION or self.covered or self.edited else "nothing found"
+        return "suspicious" if self.evidence >= LIMITS.suspicion or self.covered or self.edited else "nothing found"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -344,7 +315,7 @@ class Audit(Previewed):
     @property
     def strongest(self) -> ObjectAudit:
         """The object with the most evidence."""
-        return max(self.objects, key=lambda item: (_ORDER.index(item.verdict), item.evidence))
+        return max(self.objects, key=lambda item: (get_args(Verdict).index(item.verdict), item.evidence))
 
     @property
     def verdict(self) -> Verdict:

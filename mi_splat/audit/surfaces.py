@@ -8,81 +8,142 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.audit.frames import Target
+from mi_splat.audit.frames import Target, quantile
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera, focal_of, look_at
+from mi_splat.directions import Point
 from mi_splat.rendering import Renderer, RenderSettings
+from mi_splat.rotation import to_matrix
 from mi_splat.scene import GaussianScene
+from mi_splat.sh import even_directions
 
-SIZE, FOV = 128, 45.0
-"""Pixels of a picture to each side, and its field of view in degrees."""
-CAMERAS, CAMERAS_ALL_AROUND = 150, 240
-"""Cameras above a ground, and those around an object that stands on none."""
-LEAST_VIEWS = 8
-"""A piece of surface that fewer cameras see is not judged."""
-EVERY = 6
-"""Of so many cameras one takes part in saying which Gaussians carry a look."""
-_EXTENT, _SHOWS = 4.0, 1 / 255
-"""Standard deviations beyond which, and opacity up to which a Gaussian shows in no picture."""
-_LEAST_PIXELS = 6
-"""A voxel that shows in fewer pixels of all pictures together is noise."""
-_LOWEST, _HIGHEST = 4.0, 88.0
-_DISTANCE, _NEAR = 2.6, 0.02
-"""Radii of the object from its centre to the cameras, and the near plane as a share of that."""
-_OPAQUE, _FACING, _EDGE, _REACH, AROUND = 0.9, 0.25, 0.06, 2.4, 1.6
-"""Least opacity and least cosine to the view of a pixel that counts; jump of depth and distance from the centre, in
-radii, from which one does not; radii around the centre in which surface is judged."""
-_AGREED = 0.9
-"""Length of the mean normal below which cameras disagree about it: that piece is an edge, and not judged."""
-_ACROSS = 0.3
-"""Cosine between the normals of two neighbours below which both are a rim, as that of a sign: there colours of several
-sides mix, and they are not judged. The two sides of a thin board face away from each other, and are."""
-_BACKGROUND = (0.55, 0.7, 0.9)
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Grid:
+    """Voxels of a scene in its own frame."""
+
+    low: Tensor  # (3,) float64 corner
+    size: float  # side of a voxel
+    filled: Tensor  # (X, Y, Z) bool, whether something is in each
+
+    def ends(self, points: Tensor, directions: Tensor) -> Tensor:
+        """(P, D) bool, whether the rays from (P, 3) points in (D, 3) directions meet something in the grid."""
+        limit, met = torch.tensor(self.filled.shape), torch.zeros(len(points), len(directions), dtype=torch.bool)
+        for step in range(1, 4 * int(limit.max())):
+            cell = ((points[:, None] + step / 2 * self.size * directions - self.low) / self.size).floor().long()
+            inside = ((cell >= 0) & (cell < limit)).all(-1)
+            if not bool(inside.any()):
+                break
+            x, y, z = torch.minimum(cell.clamp(min=0), limit - 1).unbind(-1)
+            met |= self.filled[x, y, z] & inside
+        return met
+
+
+def grid_of(scene: GaussianScene) -> Grid:
+    """The voxels that hold the middle of a solid Gaussian, or a point one standard deviation from it along an axis."""
+    rows = (scene.opacities > LIMITS.solid).nonzero()[:, 0]
+    solid = scene.select(rows[:: math.ceil(len(rows) / LIMITS.room_gaussians)])
+    points = solid.means.double()
+    axes = (to_matrix(solid.rotations) * solid.scales[:, None]).double()
+    reach = torch.cat([points, *(points + sign * axes[:, :, axis] for axis in range(3) for sign in (-1, 1))])
+    sides = points.unbind(1)
+    low = torch.stack([torch.tensor(quantile(side, LIMITS.room_edge)) for side in sides]).double()
+    high = torch.stack([torch.tensor(quantile(side, 1 - LIMITS.room_edge)) for side in sides]).double()
+    size = max(float((high - low).max()) / LIMITS.room_voxels, 1e-9)
+    low = low - size
+    shape = ((high - low) / size).ceil().long() + 1
+    filled = torch.zeros(*shape.tolist(), dtype=torch.bool)
+    cell = ((reach - low) / size).floor().long()
+    x, y, z = cell[((cell >= 0) & (cell < shape)).all(1)].unbind(1)
+    filled[x, y, z] = True
+    return Grid(low=low, size=size, filled=filled)
+
+
+def free_positions(scene: GaussianScene) -> Tensor | None:
+    """(P, 3) float64 positions inside a room from which it is seen; None where the scene is seen from outside.
+
+    A room has much free space from which nearly all rays end at something, and something that stands in it.
+    """
+    grid = grid_of(scene)
+    close = functional.max_pool3d(grid.filled[None, None].float(), 3, stride=1, padding=1)[0, 0] > 0
+    free = (~close).nonzero()
+    if not len(free):
+        return None
+    free = free[:: max(1, len(free) // LIMITS.room_places)]
+    positions = grid.low + (free + 0.5) * grid.size
+    enclosed = (
+        grid.ends(positions, torch.from_numpy(even_directions(LIMITS.room_rays))).double().mean(1) > LIMITS.enclosed
+    )
+    if float(enclosed.double().mean()) < LIMITS.enclosed_share:
+        return None
+    return positions[enclosed] if _between(grid, positions[enclosed], ~close) > LIMITS.between else None
+
+
+def _between(grid: Grid, positions: Tensor, free: Tensor) -> float:
+    """Share of the filled voxels that stand between two free places, along an axis of the grid."""
+    marks = torch.zeros(grid.filled.shape)
+    x, y, z = ((positions - grid.low) / grid.size).floor().long().unbind(1)
+    marks[x, y, z] = 1
+    near = functional.max_pool3d(marks[None, None], 5, stride=1, padding=2)[0, 0] > 0
+    near &= free
+    among = torch.zeros_like(grid.filled)
+    for axis in (0, 1, 2):
+        before, after = near.cumsum(axis) > 0, near.flip(axis).cumsum(axis).flip(axis) > 0
+        among |= before & after & grid.filled
+    return float(among.sum()) / max(1.0, float(grid.filled.sum()))
+
+
+def cameras_within(target: Target, positions: Tensor) -> tuple[Camera, ...]:
+    """Cameras at free positions in a room that show an object; none if hardly any position is outside of the object."""
+    away = positions[(positions - target.centre).norm(dim=1) > LIMITS.room_distance * target.radius]
+    if len(away) < LIMITS.least_room_cameras:
+        return ()
+    numbers = torch.linspace(0, len(away) - 1, min(LIMITS.most_room_cameras, len(away))).round().long()
+    return tuple(_camera_within(position, target) for position in away[numbers])
+
+
+def _camera_within(position: Tensor, target: Target) -> Camera:
+    """A camera in a room that shows an object whole."""
+    distance = float((position - target.centre).norm())
+    half = LIMITS.room_margin * math.asin(target.radius / distance)
+    ahead = (target.centre - position) / distance
+    top = torch.eye(3, dtype=torch.float64)[int(ahead.abs().argmin())]
+    return _camera(position, target, 2 * half, tuple(top.tolist()))
+
+
+def _camera(position: Tensor, target: Target, fov: float, up: Point) -> Camera:
+    """A camera that looks at the centre of an object, with a field of view in radians."""
+    size, pose = LIMITS.image_size, look_at(position.tolist(), target.centre.tolist(), up=up)
+    return Camera(to_world=pose, focal=focal_of(fov, size), width=size, height=size)
+
+
+SKY = (0.55, 0.7, 0.9)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sight:
-    """What the cameras around an object see.
-
-    Attributes:
-        cameras: K of them.
-        directions: (K, 3) float64 unit vectors from the centre to the cameras.
-        depths: The (H, W) median depth of each picture, infinite where nothing is.
-        keys: (S,) int64 voxel and face, of each piece that a camera sees.
-        seen_by: (S,) int64 which camera that is.
-        sums: (S, 10) over the pixels of the piece: their number, points, normals towards the camera, and colours.
-        pixels: Of every `EVERY`-th camera (P,) int64 the pixels that show surface, and (P,) which of the S they show.
-    """
+    """What the K cameras around an object see."""
 
     cameras: tuple[Camera, ...]
-    directions: Tensor
-    depths: tuple[Tensor, ...]
-    keys: Tensor
-    seen_by: Tensor
-    sums: Tensor
-    pixels: dict[int, tuple[Tensor, Tensor]]
+    directions: Tensor  # (K, 3) float64 unit vectors from the centre to the cameras
+    depths: tuple[Tensor, ...]  # the (H, W) median depth of each image, infinite where nothing is
+    keys: Tensor  # (S,) int64 voxel and face, of each piece that a camera sees
+    seen_by: Tensor  # (S,) int64 which camera that is
+    sums: Tensor  # (S, 10) over the pixels of the piece: number, points, normals towards the camera, colours
+    pixels: dict[int, tuple[Tensor, Tensor]]  # of some cameras (P,) pixels that show surface, and which of the S
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Elements:
-    """Pieces of surface: what lies in one voxel and faces along the same axis.
+    """Pieces of surface: what lies in one voxel and faces along the same axis."""
 
-    Attributes:
-        moments: (E, K, 5) of each piece and camera: whether it is seen, its mean colour, and the sum of its squares.
-        positions: (E, 3).
-        normals: (E, 3) unit vectors.
-        judged: (E,) bool, no edge, no rim and near the object.
-        size: Side of a voxel.
-        of_seen: (S,) int64 piece of each that a camera sees; -1 where too few cameras do.
-        unseen: Voxels near the object that show in some pictures, but of which no piece is seen by enough cameras.
-    """
-
-    moments: Tensor
-    positions: Tensor
-    normals: Tensor
-    judged: Tensor
-    size: float
-    of_seen: Tensor
-    unseen: int
+    moments: Tensor  # (E, K, 5) of each piece and camera: whether it is seen, mean colour, sum of its squares
+    positions: Tensor  # (E, 3)
+    normals: Tensor  # (E, 3) unit vectors
+    judged: Tensor  # (E,) bool, no edge, no rim and near the object
+    size: float  # side of a voxel
+    of_seen: Tensor  # (S,) int64 piece of each that a camera sees; -1 where too few cameras do
+    unseen: int  # voxels near the object that show somewhere, but no piece of which enough cameras see
 
 
 def lattice(count: int, low: float, high: float) -> Tensor:
@@ -105,33 +166,27 @@ def basis(up: Tensor | None) -> Tensor:
 def cameras_around(target: Target) -> tuple[Camera, ...]:
     """Cameras on a sphere around an object: above its ground, or all around where it stands on none."""
     if target.up is None:
-        directions = lattice(CAMERAS_ALL_AROUND, -_HIGHEST, _HIGHEST)
+        directions = lattice(LIMITS.cameras_all_around, -LIMITS.highest, LIMITS.highest)
     else:
-        directions = lattice(CAMERAS, _LOWEST, _HIGHEST) @ basis(target.up).T
-    distance, focal = _DISTANCE * target.radius, focal_of(math.radians(FOV), SIZE)
+        directions = lattice(LIMITS.cameras, LIMITS.lowest, LIMITS.highest) @ basis(target.up).T
+    distance, fov = LIMITS.distance * target.radius, math.radians(LIMITS.fov)
     top = (0.0, 0.0, 1.0) if target.up is None else target.up.tolist()
-    return tuple(
-        Camera(
-            to_world=look_at((target.centre + distance * direction).tolist(), target.centre.tolist(), up=top),
-            focal=focal,
-            width=SIZE,
-            height=SIZE,
-        )
-        for direction in directions
-    )
+    return tuple(_camera(target.centre + distance * direction, target, fov, top) for direction in directions)
 
 
 def near_of(target: Target, cameras: Sequence[Camera]) -> float:
     """The near plane of pictures of an object from cameras."""
-    return _NEAR * float(torch.stack([camera.position - target.centre for camera in cameras]).norm(dim=1).median())
+    return LIMITS.near * float(
+        torch.stack([camera.position - target.centre for camera in cameras]).norm(dim=1).median()
+    )
 
 
 def in_sight(scene: GaussianScene, target: Target, cameras: Sequence[Camera]) -> Tensor:
     """(M,) rows of the Gaussians that can show before or on surface that is judged; what is behind it is left out."""
     eyes = torch.stack([camera.position for camera in cameras]) - target.centre
-    reach = max(_REACH * target.radius, float(eyes.norm(dim=1).max()))
-    far = (scene.means - target.centre.float()).norm(dim=1) - _EXTENT * scene.scales.amax(1)
-    rows: Tensor = ((far < reach) & (scene.opacities > _SHOWS)).nonzero()[:, 0]
+    reach = max(LIMITS.reach * target.radius, float(eyes.norm(dim=1).max()))
+    far = (scene.means - target.centre.float()).norm(dim=1) - LIMITS.extent * scene.scales.amax(1)
+    rows: Tensor = ((far < reach) & (scene.opacities > LIMITS.faintest)).nonzero()[:, 0]
     return rows
 
 
@@ -139,7 +194,7 @@ def sight(
     scene: GaussianScene, target: Target, cameras: Sequence[Camera], pictures: Sequence[Tensor] | None = None
 ) -> Sight:
     """Look at an object from all cameras."""
-    render = Renderer(RenderSettings(background=_BACKGROUND, near=near_of(target, cameras)))
+    render = Renderer(RenderSettings(background=SKY, near=near_of(target, cameras)))
     depths, parts, shown_by, first = [], [], {}, 0
     with torch.no_grad():
         for number, camera in enumerate(cameras):
@@ -152,7 +207,7 @@ def sight(
             keys, seen = torch.unique(_keys(values, target), return_inverse=True)
             sums = _sums(torch.cat([torch.ones(len(pixels), 1), values], 1), seen, len(keys))
             parts.append((keys, torch.full_like(keys, number), sums))
-            if number % EVERY == 0:
+            if number % LIMITS.heat_every == 0:
                 shown_by[number] = pixels, seen + first
             first += len(keys)
     keys, seen_by, sums = (torch.cat(values) for values in zip(*parts, strict=True))
@@ -205,12 +260,12 @@ def _surface(depth: Tensor, alpha: Tensor, camera: Camera, target: Target) -> tu
     normals = normals / length.clamp(min=1e-20)[..., None]
     facing = (normals * functional.normalize(eye - points, dim=-1)).sum(-1)
     normals = normals * facing.sign()[..., None]
-    shown = (alpha > _OPAQUE) & (depth > 0) & (length > 0) & (facing.abs() > _FACING)
-    shown &= (points - centre).norm(dim=-1) < _REACH * target.radius
+    shown = (alpha > LIMITS.opaque) & (depth > 0) & (length > 0) & (facing.abs() > LIMITS.facing)
+    shown &= (points - centre).norm(dim=-1) < LIMITS.reach * target.radius
     edge = torch.zeros_like(shown)
     for axis in (0, 1):
         for step in (1, 2):
-            jump = (depth.roll(step, axis) - depth).abs() > _EDGE * target.radius
+            jump = (depth.roll(step, axis) - depth).abs() > LIMITS.depth_edge * target.radius
             edge |= jump | jump.roll(-step, axis)
     shown &= ~edge
     shown[:2] = shown[-2:] = False
@@ -219,13 +274,13 @@ def _surface(depth: Tensor, alpha: Tensor, camera: Camera, target: Target) -> tu
 
 
 def elements(view: Sight, target: Target) -> Elements:
-    """The pieces of surface that at least `LEAST_VIEWS` cameras see."""
+    """The pieces of surface that at least `LIMITS.least_views` cameras see."""
     count = len(view.cameras)
     pieces, of_seen = torch.unique(view.keys, return_inverse=True)
     sums = _sums(view.sums, of_seen, len(pieces))
     pixels, positions, normals = sums[:, :1], sums[:, 1:4] / sums[:, :1], sums[:, 4:7] / sums[:, :1]
-    near = (positions - target.centre.float()).norm(dim=1) < AROUND * target.radius
-    kept = torch.bincount(of_seen, minlength=len(pieces)) >= LEAST_VIEWS
+    near = (positions - target.centre.float()).norm(dim=1) < LIMITS.around * target.radius
+    kept = torch.bincount(of_seen, minlength=len(pieces)) >= LIMITS.least_views
     number = torch.where(kept, kept.cumsum(0) - 1, -1)[of_seen]
     kept_pixels = number >= 0
     colours = view.sums[kept_pixels, 7:] / view.sums[kept_pixels, :1]
@@ -240,10 +295,10 @@ def elements(view: Sight, target: Target) -> Elements:
         moments=moments.reshape(-1, count, 5),
         positions=positions[kept],
         normals=kept_normals,
-        judged=((length > _AGREED) & near)[kept] & ~_rims(pieces[kept], kept_normals),
+        judged=((length > LIMITS.agreed) & near)[kept] & ~_rims(pieces[kept], kept_normals),
         size=_size(target),
         of_seen=number,
-        unseen=int(((shown[:, 0] >= _LEAST_PIXELS) & (shown[:, 1] == 0)).sum()),
+        unseen=int(((shown[:, 0] >= LIMITS.least_pixels) & (shown[:, 1] == 0)).sum()),
     )
 
 
@@ -255,7 +310,7 @@ def _rims(keys: Tensor, normals: Tensor) -> Tensor:
         for face in range(6):
             wanted = (keys // 8 + step) * 8 + face
             neighbour = torch.searchsorted(keys, wanted).clamp(max=last)
-            across = (normals * normals[neighbour]).sum(1).abs() < _ACROSS
+            across = (normals * normals[neighbour]).sum(1).abs() < LIMITS.across
             rims |= across & (keys[neighbour] == wanted)
     return rims
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cli.console import UsageError, progress, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, Direction, JsonOptions, axis_name, check_no_input_in
@@ -16,7 +17,7 @@ from mi_splat.fields import Folder, Metavar, between
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mi_splat.audit.lint.checking import Lint
+    from mi_splat.audit.linting import Lint
     from mi_splat.audit.results import Audit
     from mi_splat.cameras import Camera
     from mi_splat.io.loaded import Loaded
@@ -83,7 +84,7 @@ class AuditOptions(JsonOptions):
 
 def run(options: AuditOptions) -> int:
     """Audit every file, also after one that could not be judged."""
-    from mi_splat.audit.sarif import ENDINGS, sarif
+    from mi_splat.audit.files import ENDINGS, sarif
     from mi_splat.io.documents import save_json
     from mi_splat.io.folders import check_new_file, check_new_folder, check_not_input
 
@@ -229,11 +230,11 @@ def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str
 def _audited_pictures(path: Path, folder: Path | None, options: AuditOptions) -> dict[str, Any]:
     """Audit a set of pictures, and say what it found."""
     from mi_splat.audit.files import document_of_pictures, write_pictures
-    from mi_splat.audit.pictures import STEPS, audit_pictures
+    from mi_splat.audit.pictures import audit_pictures
     from mi_splat.datasets import load_dataset
 
     views, rest = (load_dataset(path, split=split, downscale=options.downscale) for split in ("train", None))
-    with progress(f"finding the surface in {path.name}", total=STEPS) as advance:
+    with progress(f"finding the surface in {path.name}", total=LIMITS.surface_steps) as advance:
         judged = audit_pictures(views, up=options.up, on_step=lambda done, of: advance())
     account, files = document_of_pictures(judged, views, len(rest)), list[Path]()
     if folder:
@@ -254,7 +255,7 @@ def _stored(path: Path) -> Loaded | None:
 
 def _linted(path: Path, stored: Loaded | None) -> Lint:
     """What the rules say of a splat file, as it is stored, or of what a scene XML loads."""
-    from mi_splat.audit.lint.checking import lint_file, lint_scene
+    from mi_splat.audit.linting import lint_file, lint_scene
     from mi_splat.scene_files import open_scene
 
     return lint_scene(open_scene(path).scene) if path.suffix.lower() == ".xml" else lint_file(path, stored)

@@ -3,8 +3,8 @@
 import torch
 
 from mi_splat.audit import Audit, Look, ObjectAudit, Occluder, Pair, Region
-from mi_splat.audit.results import SUSPICION
 from mi_splat.audit.surfaces import lattice
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera, look_at
 
 DIRECTIONS = lattice(40, 5.0, 85.0)
@@ -48,5 +48,5 @@ def account(*looks: Look, count: int, covered: float = 0.0, passed: float = 0.8)
             axis=(0.0, 0.0, 1.0), blocked=(DIRECTIONS[:, 2] > 0.5).double(), transparent=passed, score=covered
         ),
     )
-    marked = half if item.evidence >= SUSPICION else torch.zeros_like(half)
+    marked = half if item.evidence >= LIMITS.suspicion else torch.zeros_like(half)
     return Audit(objects=(item,), heat=marked.float(), mask=marked, near=0.8)

@@ -19,6 +19,7 @@ from mi_splat.rotation import from_matrix
 from mi_splat.scene import GaussianScene, Similarity, merge
 from mi_splat.sh import colour_to_dc, sh_basis, sh_to_colour
 
+UP = torch.tensor([0.0, 0.0, 1.0])
 ROAD = (0.37, 0.37, 0.39)
 SUN = functional.normalize(torch.tensor([0.5, 0.3, 0.8]), dim=0)
 PROBES = lattice(400, -90.0, 90.0).float()
@@ -87,13 +88,8 @@ def ground(half: float, count: int, *, seed: int = 0) -> GaussianScene:
     axis = (torch.arange(side) + 0.5) * step - half
     positions = torch.cartesian_prod(axis, axis) + 0.3 * step * (torch.rand(side**2, 2, generator=generator) - 0.5)
     greys = torch.tensor(ROAD) + 0.05 * torch.randn(side**2, 1, generator=generator)
-    return GaussianScene(
-        means=torch.cat([positions, 0.002 * half * torch.randn(side**2, 1, generator=generator)], 1),
-        scales=torch.tensor([0.7 * step, 0.7 * step, 0.05 * step]).expand(side**2, 3).contiguous(),
-        rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(side**2, 4).contiguous(),
-        opacities=torch.full((side**2,), 0.95),
-        sh=colour_to_dc(greys.clamp(0.05, 0.95))[:, None],
-    )
+    means = torch.cat([positions, 0.002 * half * torch.randn(side**2, 1, generator=generator)], 1)
+    return _flat(means, UP, step, greys)
 
 
 def standing(name: str, *, count: int = 3000, seed: int = 0) -> Made:
@@ -109,8 +105,7 @@ def on_ground(part: GaussianScene, normals: Tensor) -> Made:
     half = 4 * float(part.means.norm(dim=1).max())
     street = ground(half, max(400, len(part) // 2))
     rows = torch.arange(len(part) + len(street)) < len(part)
-    flat = torch.tensor([0.0, 0.0, 1.0]).expand(len(street), 3)
-    return Made(scene=merge(part, street), rows=rows, normals=torch.cat([normals, flat]))
+    return Made(scene=merge(part, street), rows=rows, normals=torch.cat([normals, UP.expand(len(street), 3)]))
 
 
 def direction(elevation: float, azimuth: float) -> Tensor:
@@ -213,44 +208,14 @@ def layered(made: Made, *, colour: tuple[float, float, float] = ROAD) -> Made:
     return Made(scene=merge(rest, first, second), rows=rows, normals=normals)
 
 
-def billboard(*, count: int = 2500) -> Made:
-    """Honest: a thin board on the ground, red before and white behind."""
-    generator = torch.Generator().manual_seed(0)
-    side = round((count / 3) ** 0.5)
-    across, up = torch.cartesian_prod(torch.linspace(-1.5, 1.5, 2 * side), torch.linspace(0.1, 1.6, side)).unbind(1)
-    across = across + 0.01 * torch.randn(len(across), generator=generator)
-    parts, normals = [], []
-    for sign, colour in ((1.0, (0.75, 0.1, 0.08)), (-1.0, (0.8, 0.8, 0.75))):
-        normal = torch.tensor([0.0, sign, 0.0])
-        turn = from_matrix(basis(normal.double())[None]).float()
-        size = 1.6 / side
-        parts.append(
-            GaussianScene(
-                means=torch.stack([across, torch.full_like(across, 0.08 * sign), up], 1),
-                scales=torch.tensor([0.7 * size, 0.7 * size, 0.05 * size]).expand(len(up), 3).contiguous(),
-                rotations=turn.expand(len(up), 4).contiguous(),
-                opacities=torch.full((len(up),), 0.95),
-                sh=colour_to_dc(torch.tensor(colour).expand(len(up), 3))[:, None],
-            )
-        )
-        normals.append(normal.expand(len(up), 3))
-    return on_ground(merge(*parts), torch.cat(normals))
-
-
 def leaves(made: Made, *, count: int = 2500, lowest: float = 40.0) -> Made:
     """Level leaves on a dome over an object, down to degrees above the ground, which hide it from above alone."""
     radius = 1.9 * float(made.scene.means[made.rows].norm(dim=1).max())
     size = radius * (2 * math.pi * (1 - math.sin(math.radians(lowest))) / count) ** 0.5 / 2
-    dome = GaussianScene(
-        means=lattice(count, lowest, 90.0).float() * radius,
-        scales=torch.tensor([size, size, 0.01 * size]).expand(count, 3).contiguous(),
-        rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4).contiguous(),
-        opacities=torch.full((count,), 0.95),
-        sh=colour_to_dc(torch.tensor([0.2, 0.4, 0.15]).expand(count, 3))[:, None],
-    )
-    flat = torch.tensor([0.0, 0.0, 1.0]).expand(count, 3)
+    means = lattice(count, lowest, 90.0).float() * radius
+    dome = _flat(means, UP, size / 0.7, torch.tensor([0.2, 0.4, 0.15]).expand(count, 3))
     rows = torch.cat([made.rows, torch.zeros(count, dtype=torch.bool)])
-    return Made(scene=merge(made.scene, dome), rows=rows, normals=torch.cat([made.normals, flat]))
+    return Made(scene=merge(made.scene, dome), rows=rows, normals=torch.cat([made.normals, UP.expand(count, 3)]))
 
 
 def room(*, count: int = 4500, seed: int = 0) -> Made:

@@ -10,11 +10,10 @@ import torch
 from PIL import Image
 
 from attacks import cli
-from mi_splat.audit import Audit, auditing
-from mi_splat.audit import surfaces as seen_surfaces
+from mi_splat.audit import Audit
 from mi_splat.audit.against import Changes, changes
-from mi_splat.audit.files import document
-from mi_splat.audit.sarif import sarif
+from mi_splat.audit.files import document, sarif
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.scene import GaussianScene, merge
@@ -90,9 +89,9 @@ def test_the_command_writes_what_changed(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(seen_surfaces, "SIZE", 64)
-    monkeypatch.setattr(seen_surfaces, "CAMERAS", 30)
-    monkeypatch.setattr(auditing, "LEAST_PIECES", 5)
+    monkeypatch.setitem(vars(LIMITS), "image_size", 64)
+    monkeypatch.setitem(vars(LIMITS), "cameras", 30)
+    monkeypatch.setitem(vars(LIMITS), "least_pieces", 5)
     before, after, out = tmp_path / "clean.ply", tmp_path / "edited.ply", tmp_path / "out"
     save_splat(clean, before)
     save_splat(edited, after)

@@ -10,7 +10,7 @@ from attacks.audits.disagreement import AROUND, OVER, Seen, seen_along_paths
 from attacks.audits.learnt import attributes, fit_attributes
 from attacks.audits.rivals import BASELINES, measured
 from attacks.detectors.base import Candidates, Detections
-from mi_splat.audit import surfaces as seen_surfaces
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, merge
 from scenes.recipes.audit_hiding import Hiding, Victim, hide
@@ -27,8 +27,8 @@ def looks(made: Made) -> Made:
 
 
 def test_a_look_ranges_over_more_colours_and_needs_higher_bands(plain: Made, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(seen_surfaces, "SIZE", 72)
-    monkeypatch.setattr(seen_surfaces, "CAMERAS", 40)
+    monkeypatch.setitem(vars(LIMITS), "image_size", 72)
+    monkeypatch.setitem(vars(LIMITS), "cameras", 40)
     timed = measured(looks(plain).scene)
     clean, hiding = ({name: score for name, (score, _) in part.items()} for part in (measured(plain.scene), timed))
     assert set(clean) == set(hiding) == set(BASELINES)

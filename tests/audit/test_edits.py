@@ -12,11 +12,12 @@ from torch.nn import functional
 from attacks import cli
 from attacks.report.results import read_section
 from mi_splat.audit import pictures
-from mi_splat.audit.edits import edit_of
+from mi_splat.audit.evidence import edit_of
 from mi_splat.audit.frames import frame_of, targets
 from mi_splat.audit.pictures import audit_pictures, compare_pictures
 from mi_splat.audit.results import Edit
 from mi_splat.audit.surfaces import lattice
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera, View, look_at
 from mi_splat.datasets import Dataset, PointCloud, load_dataset, write_transforms
 from mi_splat.errors import InvalidValueError
@@ -170,7 +171,7 @@ def test_the_command_takes_a_folder_of_pictures(
     assert cli.main(["audit", str(tmp_path / "set"), "--cameras", "orbit:20@20"]) == 2
     assert cli.main(["audit", str(tmp_path / "set"), "--downscale", "2"]) == 1
     assert "2 times smaller" in capsys.readouterr().err
-    monkeypatch.setattr(pictures, "MOST_CAMERAS", COUNT - 1)
+    monkeypatch.setitem(vars(LIMITS), "most_cameras", COUNT - 1)
     capsys.readouterr()
     cli.main(["audit", str(tmp_path / "set"), "--out", str(out), "--force"])
     assert f"{COUNT - 1} of the {COUNT} pictures of the set were compared" in capsys.readouterr().out

@@ -17,9 +17,9 @@ from PIL import Image
 from attacks import cli
 from attacks.report.results import read_section
 from mi_splat import load_splat, save_splat
-from mi_splat.audit.lint import cost
-from mi_splat.audit.lint.checking import fill_ratio, lint_file, lint_scene, validate
-from mi_splat.audit.lint.rules import RULES, Rule, Stored
+from mi_splat.audit import linting
+from mi_splat.audit.linting import fill_ratio, lint_file, lint_scene, validate
+from mi_splat.audit.rules import RULES, Rule, Stored
 from mi_splat.cameras import Camera, look_at
 from mi_splat.io import SplatFileError
 from mi_splat.io.formats.gltf import open_glb
@@ -38,7 +38,7 @@ BY_NAME = {rule.name: rule for rule in RULES}
 @pytest.fixture(autouse=True, scope="module")
 def _small_pictures() -> object:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cost, "SIZE", 256)
+        patch.setattr(linting, "SIZE", 256)
         yield
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from attacks import cli
 from mi_splat.audit import Audit, audit, repaired
-from mi_splat.audit import surfaces as seen_surfaces
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera, look_at
 from mi_splat.io import load_splat, save_splat
 from mi_splat.metrics import psnr
@@ -25,8 +25,8 @@ ABOVE = cone(direction(90, 0), 50)
 def _few_small_pictures() -> object:
     """Of every object 60 pictures of 72 pixels, not 150 of 128."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(seen_surfaces, "SIZE", 72)
-        patch.setattr(seen_surfaces, "CAMERAS", 60)
+        patch.setitem(vars(LIMITS), "image_size", 72)
+        patch.setitem(vars(LIMITS), "cameras", 60)
         yield
 
 

@@ -1,18 +1,16 @@
-"""Splats of any size, rooms, and files that cannot be judged or not as a whole."""
+"""Splats of any size, surfaces, and files that cannot be judged or not as a whole."""
 
 import dataclasses
 
 import pytest
 import torch
 
-from mi_splat.audit import frames, rooms
 from mi_splat.audit.auditing import audit, looked_at
 from mi_splat.audit.frames import frame_of, targets, whole
 from mi_splat.audit.results import summary
-from mi_splat.audit.rooms import free_positions
-from mi_splat.audit.surfaces import cameras_around, in_sight
+from mi_splat.audit.surfaces import cameras_around, free_positions, in_sight
+from mi_splat.audit.thresholds import LIMITS
 from mi_splat.scene import merge
-from mi_splat.selection.clusters import nearest_of
 from tests.audit import scenes
 from tests.audit.scenes import Made, standing
 
@@ -22,19 +20,10 @@ def suitcase() -> Made:
     return standing("suitcase", count=1500)
 
 
-def test_each_point_goes_with_the_nearest_of_a_few() -> None:
-    points = torch.rand(1000, 3, generator=torch.Generator().manual_seed(0))
-    nearest = nearest_of(points, 4)
-    few = torch.arange(0, 1000, 4)
-    wanted = few[torch.cdist(points, points[few]).argmin(1)]
-    assert torch.equal(nearest, wanted)
-    assert torch.equal(nearest_of(points, 1), torch.arange(1000))
-
-
 def test_objects_are_those_that_a_few_of_the_gaussians_show(suitcase: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = frame_of(suitcase.scene).scene
     (every,) = targets(scene)
-    monkeypatch.setattr(frames, "MOST_LINKED", len(scene) // 3)
+    monkeypatch.setitem(vars(LIMITS), "most_linked", len(scene) // 3)
     (few,) = targets(scene)
     both = len(set(every.rows.tolist()) & set(few.rows.tolist()))
     assert both > 0.9 * max(len(every.rows), len(few.rows))
@@ -58,8 +47,8 @@ def test_what_cannot_stand_before_an_object_is_not_rendered(suitcase: Made) -> N
 
 def test_a_room_is_seen_from_within_and_an_object_is_not(suitcase: Made, monkeypatch: pytest.MonkeyPatch) -> None:
     """By places and objects alone: verdicts on rooms are not to be relied on, as docs/audit-measured.md says."""
-    monkeypatch.setattr(rooms, "MOST_CAMERAS", 60)
-    monkeypatch.setattr(rooms, "SIZE", 64)
+    monkeypatch.setitem(vars(LIMITS), "most_room_cameras", 60)
+    monkeypatch.setitem(vars(LIMITS), "image_size", 64)
     for scene in (suitcase.scene, suitcase.scene.select(suitcase.rows)):
         assert free_positions(frame_of(scene).scene) is None
     room = scenes.room()

@@ -15,7 +15,7 @@ from attacks import DaggerConfig, attack, judge, relabel
 from attacks.cloak.poisoning import Poisoning, poison
 from attacks.cloak.triggers import Elevation
 from mi_splat import cards
-from mi_splat.audit.lint.checking import lint_scene
+from mi_splat.audit.linting import lint_scene
 from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import View
 from mi_splat.cards import HEIGHT, Pictures, image

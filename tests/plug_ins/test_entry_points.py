@@ -31,7 +31,7 @@ from attacks.studies.look import Look
 from attacks.testing.poisons import _views
 from attacks.testing.promises import cloud
 from attacks.testing.renderers import _camera
-from mi_splat.audit.lint.checking import lint_scene
+from mi_splat.audit.linting import lint_scene
 from mi_splat.comparison.methods import RENDERERS, load_method
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.ledger.values import decoded, encoded
@@ -54,7 +54,7 @@ from attacks.observe.conditions import rendered, renderer_of
 from attacks.optimisers.registry import OptimiserSpec
 from attacks.poisons.base import poisoned
 from attacks.poisons.specs import PoisonSpec
-from mi_splat.audit.lint.rules import Rule
+from mi_splat.audit.rules import Rule
 from mi_splat.comparison.methods import RendererSpec
 from mi_splat.rendering import Renderer
 

@@ -32,7 +32,7 @@ from attacks.testing import (
     check_rule,
 )
 from attacks.testing.promises import cloud
-from mi_splat.audit.lint.rules import RULES, Rule, Stored
+from mi_splat.audit.rules import RULES, Rule, Stored
 from mi_splat.cameras import Camera, View
 from mi_splat.comparison.methods import RENDERERS, RendererSpec
 from mi_splat.rendering import Renderer, RenderSettings

@@ -9,9 +9,9 @@ from typing import Any
 from attacks.audits.disagreement import Seen
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, plural, sentence, settings
 from attacks.tables import Table
-from mi_splat.audit.evidence import BLOCKED
 from mi_splat.audit.files import AGAINST
 from mi_splat.audit.results import Vector
+from mi_splat.audit.thresholds import LIMITS
 
 _ELSEWHERE = (
     *("story", "file", "verdict", "summary", "objects", "pictures", "cameras", "views", "lint", "cost", "against"),
@@ -196,8 +196,8 @@ def _domes(record: Mapping[str, Any], number: int) -> Iterator[Chart]:
     yield Chart.directions(f"From where {what}{of}", caption, sides)
     if item["occluder"] is not None and item["occluder"]["score"] >= record["thresholds"]["covered"]:
         covered = {
-            "covered": group("other", (camera for camera in seen if camera["blocked"] > BLOCKED)),
-            "not covered": group("control", (camera for camera in seen if camera["blocked"] <= BLOCKED)),
+            "covered": group("other", (camera for camera in seen if camera["blocked"] > LIMITS.blocked)),
+            "not covered": group("control", (camera for camera in seen if camera["blocked"] <= LIMITS.blocked)),
         }
         yield Chart.directions(f"What covers the object{of}", caption, covered)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,37 +24,19 @@ SHOWN = 100
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One thing that a rule found.
+    """One thing that a rule found."""
 
-    Attributes:
-        rule: Its name in docs/audit_lint.md.
-        severity: How bad it is.
-        reason: What is wrong with it, in a plain sentence.
-        rows: Numbers of the first Gaussians that it is about, in the order of the file; none if it is about all.
-        count: How many Gaussians it is about.
-    """
-
-    rule: str
+    rule: str  # its name in docs/audit_lint.md
     severity: Severity
-    reason: str
-    rows: tuple[int, ...] = ()
-    count: int = 0
+    reason: str  # what is wrong, in a plain sentence
+    rows: tuple[int, ...] = ()  # the first Gaussians that it is about, in the file's order; none if all
+    count: int = 0  # how many Gaussians it is about
 
     @classmethod
     def of(cls, rule: str, severity: Severity, reason: str, mask: NDArray[np.bool_]) -> Finding:
         """A finding about some rows."""
         rows = np.flatnonzero(mask)
         return cls(rule=rule, severity=severity, reason=reason, rows=tuple(rows[:SHOWN].tolist()), count=len(rows))
-
-    def document(self) -> dict[str, Any]:
-        """As JSON can hold it."""
-        return {
-            "rule": self.rule,
-            "severity": self.severity,
-            "reason": self.reason,
-            "rows": list(self.rows),
-            "count": self.count,
-        }
 
 
 Mask = NDArray[np.bool_]

@@ -1,0 +1,204 @@
+"""The numbers that a verdict depends on, each of which a record of an audit states."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds:
+    """Limits, sizes and counts of an audit. Lengths are in radii of the object unless a unit is given."""
+
+    # From where a verdict is given
+    excess: float = 0.0024  # From which an appearance is called hidden; see docs/audit.md.
+    suspicion: float = 0.7  # Share of that from which a splat is suspicious.
+    contrast: float = 0.1  # sRGB that a fade is counted with.
+    covered: float = 0.1  # Score of an occluder from which a splat is suspicious.
+    seen_through: float = 0.5  # Share of it that others look through, as through no leaves or roof: then it is hidden.
+    aimed: float = 0.115  # Score from which colours are an attack on few views,
+    grain: float = 0.14  # and on many.
+    peaked: float = 3.0  # Peak from which a camera is named.
+    steep: float = 60.0  # Degrees above the ground from which a direction is from above,
+    level: float = 15.0  # and up to which it is from the side.
+    all_near: float = 0.995  # Share of the solid Gaussians near an object from which a splat was judged whole.
+
+    # Objects and their ground
+    solid: float = 0.1  # Opacity of a Gaussian that says where things are.
+    most_objects: int = 3
+    most_linked: int = 60_000  # Gaussians that are linked to each other; the others go with the nearest of these.
+    crowd: float = 0.8  # Share of the solid Gaussians that the frame is made of: those nearest to their middle.
+    components: int = 6  # Connected components, from the largest, that may be objects,
+    least_share: float = 0.03  # with this share of the solid Gaussians,
+    least_count: int = 100  # and so many of them.
+    flat: float = 0.04  # Thinnest extent of a plane, by its longest.
+    upright: float = 0.7  # Cosine between the normals of a sign and of its ground, from which it is no object.
+    object_margin: float = 1.15  # Radius of the ball around an object, by that of what holds nearly all of it.
+    part_radius: float = 0.4  # A component inside an object is a part of it from this radius,
+    part_share: float = 0.3  # and up to this share of its Gaussians.
+    ground_sample: int = 5000  # Points among which a ground is looked for,
+    ground_reach: float = 4.0  # so far around, in radii,
+    ground_share: float = 0.15  # with this share of them on it.
+    planes: int = 2  # Planes that are tried as ground.
+    touch: float = 0.4  # Radii that an object may be above its ground,
+    one_side: float = 0.95  # share of it that is above the ground,
+    under: float = 0.15  # but for so many radii,
+    beyond: float = 1.3  # and radii that a ground reaches from its middle.
+    whole_margin: float = 1.2  # Radius of a whole splat, by the distance from its middle within which half of it lies.
+
+    # Cameras and surface
+    image_size: int = 128  # Pixels along each side of an image.
+    fov: float = 45.0  # Degrees.
+    cameras: int = 150  # Around an object above its ground.
+    cameras_all_around: int = 240  # Around an object that stands on none.
+    lowest: float = 4.0  # Degrees above the ground of the lowest camera,
+    highest: float = 88.0  # and of the highest.
+    distance: float = 2.6  # Radii from the centre to the cameras.
+    near: float = 0.02  # The near plane, as a share of that distance.
+    least_views: int = 8  # Cameras that see a piece of surface that is judged.
+    heat_every: int = 6  # Of so many cameras one takes part in saying which Gaussians carry an appearance.
+    extent: float = 4.0  # Standard deviations beyond which a Gaussian shows in no image,
+    faintest: float = 1 / 255  # and opacity up to which it does not.
+    least_pixels: int = 6  # A voxel that shows in fewer pixels of all images together is noise.
+    opaque: float = 0.9  # Opacity of a pixel that counts,
+    facing: float = 0.25  # cosine of its normal to the view,
+    depth_edge: float = 0.06  # jump of depth beside it, in radii, up to which it does,
+    reach: float = 2.4  # and distance from the centre, in radii.
+    around: float = 1.6  # Radii around the centre in which surface is judged.
+    agreed: float = 0.9  # Length of the mean normal below which a piece is an edge, which is not judged.
+    across: float = 0.3  # Cosine between neighbours below which both are a rim, where colours of several sides mix.
+
+    # Rooms
+    room_voxels: int = 32  # Along the longest side of a scene.
+    room_edge: float = 0.01  # Share of its points beyond each side that do not count.
+    room_gaussians: int = 100_000  # Gaussians that fill voxels, evenly taken of all.
+    room_rays: int = 48  # From each free place that is tried.
+    room_places: int = 500
+    enclosed: float = 0.85  # Share of the rays from an enclosed place that end at something.
+    enclosed_share: float = 0.2  # Share of the free places of a room that are enclosed,
+    between: float = 0.005  # and of its filled voxels that stand between two of them: an empty shell has none.
+    room_distance: float = 1.3  # Radii from the middle of an object to the nearest camera in a room.
+    room_margin: float = 1.2  # Half the field of view, by the angle at which the object is seen.
+    least_room_cameras: int = 12
+    most_room_cameras: int = 120
+
+    # Verdicts on objects
+    least_pieces: int = 60  # Pieces of surface of a splat that gets a verdict.
+    least_cameras: int = 12  # Cameras that have to be given,
+    most_cameras: int = 300  # and that are used of those given.
+    given_size: int = 256  # Pixels along the longer side of an image from a given camera.
+    changed: float = 0.05  # Score from which a piece of surface counts as changed.
+    near_sample: int = 5000  # Gaussians, evenly taken, of which is asked whether cameras looked at them.
+    most_looks: int = 3
+    look_edge: float = 20.0  # Degrees beyond the cameras of an appearance that are left out with it.
+    another_look: float = 0.4  # Score of another appearance by that of the first, from which it is no ripple of it.
+    cameras_left: float = 1 / 3  # Share of the cameras that has to be left to look for another appearance.
+
+    # Sets of directions, and gloss
+    axes: int = 110  # Of cones all around.
+    half_widths: tuple[float, ...] = (
+        20.0,
+        27.0,
+        35.0,
+        43.0,
+        51.0,
+        60.0,
+        70.0,
+    )  # Degrees to its edge.
+    inside: float = 3.0  # Degrees at the edge of a cone, on its inner side,
+    outside: float = 8.0  # and on its outer side, that count as neither.
+    cosines: tuple[float, ...] = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)  # Of the sets of angles of incidence.
+    mirror_axes: int = 52
+    mirror_widths: tuple[float, ...] = (30.0, 45.0, 60.0, 75.0, 90.0)  # Degrees.
+    noise: float = 0.03  # sRGB by which clean surface may differ from camera to camera.
+    least_seen: int = 3  # Cameras on each side of the edge that have to see a piece of surface.
+    most_pieces: int = 2500  # On which sets of directions are compared, evenly taken of all.
+    cell_size: int = 6  # Side of a cell in voxels,
+    cell_pieces: int = 6  # pieces that it has at least,
+    highest_cells: int = 6  # and cells that count.
+    complement_gain: float = 0.02  # Overlap that all but a cone has to gain over a cone,
+    sector_gain: float = 0.05  # and a sector.
+    votes: int = 3  # Rounds of votes on which cameras see an appearance, at most.
+    normals: int = 40  # Groups of normals, about 15 degrees around.
+    profile_rounds: int = 6  # Rounds in which colours of pieces and what their group has in common are fitted in turn.
+    shift_errors: float = 3.0  # Standard errors, between cells of surface, that are taken off a shift,
+    fade_errors: float = 4.0  # and off a fade.
+    least_looks: int = 6  # Views of a cell on each side that say something,
+    least_cells: float = 2.5  # cells by weight, of a group of normals,
+    least_fade_cells: float = 8.0  # and of all.
+
+    # Occluders and heat
+    blocked: float = 0.3  # Share of the rays to the object that end before it, from which a camera is blocked,
+    free: float = 0.1  # and up to which it is free.
+    core: float = 0.5  # Radii within which a ray passes the centre that counts.
+    air: float = 1.15  # Radii from the centre where air begins,
+    floor: float = 0.15  # and above the ground.
+    same_depth: float = 0.15  # Radii by which equal depths may differ.
+    cover_points: int = 60  # Kept of each blocked image.
+    least_cover_points: int = 200  # Views of them from free cameras without which nothing is said.
+    pair_pieces: int = 800  # Of the highest score, by which two cameras are chosen.
+    bins: int = 128  # Of the histogram by which heat is split.
+    least_weight: float = 1e-3  # Pixels that a Gaussian makes up at least to have heat of the surface.
+    heat_cameras: int = 16  # On each side of an appearance, and of those that see what covers.
+    cover_heat: float = 0.2  # Heat of what covers an object,
+    cover_pixels: float = 1.0  # and pixels of it that a Gaussian makes up to have half of that.
+
+    # Edits of colours
+    least_edited: int = 50  # Gaussians from which shares mean anything, of the object and of each shell.
+    shells: int = 8  # Around an object, of equal numbers.
+    shell_gaussians: int = 16_000  # In all shells together.
+    edit_gaussians: int = 32_000  # Of an object; a larger one is seen in slabs
+    slab: int = 4_000  # of so many that lie together.
+    least_sh: float = 0.003  # Root mean square of coefficients that nobody sees.
+    least_colour: float = 0.001  # Difference of colours (sRGB) that nobody sees.
+    grain_neighbours: int = 8  # That a colour is compared with,
+    alike: float = 0.8  # where normals have this cosine,
+    least_neighbours: int = 3  # and there are so many.
+    strongest: int = 1500  # Gaussians that say where the camera stood.
+    edit_distances: tuple[float, ...] = (2.0, 3.5)  # Radii from the middle to the places that are tried.
+    edit_directions: int = 500  # That are tried at first,
+    finer_directions: int = 150  # and then
+    finer_within: float = 10.0  # within so many degrees of the best.
+
+    # Sets of images
+    longer_side: int = 96  # Pixels of an image at least, where the set has more.
+    surface_steps: int = 600  # Of the training that finds the surface.
+    surface_gaussians: int = 8000
+    piece_pixels: float = 2.5  # Across a piece of surface.
+    least_across: int = 8  # Pieces along the diameter of an object.
+    shows: float = 0.5  # Amount of an appearance from which an image counts as showing it.
+
+    # Repair
+    margins: tuple[float, ...] = (
+        25.0,
+        20.0,
+        15.0,
+        10.0,
+        5.0,
+        0.0,
+    )  # Degrees; the first that leaves,
+    believed_share: float = 0.15  # this share of them,
+    believed_cameras: int = 6  # and so many.
+    margin_weight: float = 0.002  # Of a direction within the margin, where only such directions show a Gaussian.
+    lending: int = 16  # Neighbours that lend their colour,
+    borrowed: float = 0.1  # and their weight, as a share of what a Gaussian shows of itself elsewhere.
+    strict: float = 3.0  # Weight of the wanted colours by that of the kept ones.
+    ridge: float = 1e-2  # Weight of coefficients above degree 0 against all colours.
+    repaired_pixels: float = 0.01  # Towards all believed directions, that a Gaussian makes up to be coloured anew.
+
+    # Comparison with a clean file
+    unmoved: float = 0.1  # Distance within which a Gaussian is in its place, in the spacing of the clean splat,
+    partner: float = 0.5  # and within which it may have a partner.
+    same_share: float = 0.5  # Of the smaller splat that has to be in its place for one to be made from the other.
+    candidates: int = 8  # Neighbours among which a partner is looked for.
+    spacing: int = 3  # The neighbour whose distance is the spacing.
+    rounding: float = (
+        1e-5  # Differences that files round away, in units of each attribute; of positions in the spacing.
+    )
+    quantiles: int = 512
+    more_changed: float = 4.0  # Times the median from which a difference is masked, where every Gaussian differs.
+    changed_margin: float = 1.2  # Radius of what is looked at, by that of what changed.
+    worst_size: int = 48  # Pixels of images that choose the worst cameras,
+    worst_every: int = 5  # of which every so many is tried.
+    worst_cameras: int = 2  # That are shown,
+    worst_width: int = 384  # so wide.
+
+
+LIMITS = Thresholds()
