@@ -20,12 +20,12 @@ import polars
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from mi_splat.ledger import Job, Ledger, Store
+from mi_splat.ledger import Job, Store
 from mi_splat.ledger.engines import Processes
-from mi_splat.ledger.index import Index, plan, status
-from mi_splat.ledger.plans import Driver, grid
+from mi_splat.ledger.plans import Driver, Index, grid, plan, status
 from mi_splat.ledger.running import task_for
 from mi_splat.ledger.store import record_text
+from tests.ledger.drive import Ledger
 from tests.ledger.kinds.configs import NumbersConfig
 
 NUMBERS = "tests.ledger.kinds.numbers"
@@ -64,7 +64,7 @@ def fill(store: Store, name: str, jobs: dict[str, Job]) -> None:
 def table(store: Store, name: str) -> polars.DataFrame:
     """The rows of a plan with their labels."""
     labels = {entry.key: entry.labels[0] for entry in status(store, name)}
-    return polars.DataFrame([{"label": labels[key], **row} for key, rows in store.rows(list(labels)) for row in rows])
+    return polars.DataFrame([{"label": labels[key], **row} for key in labels for row in store.record(key)["rows"]])
 
 
 def main() -> None:

@@ -13,7 +13,6 @@ from attacks.studies.study_file import Study
 from mi_splat.cli.console import Advance, limit_threads, progress, show_json, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
-from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Folder, Metavar, at_least
 
 if TYPE_CHECKING:
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from attacks.studies.running import Run
     from mi_splat.ledger import Event
     from mi_splat.ledger.engines import Engine
-    from mi_splat.ledger.index import Entry
+    from mi_splat.ledger.plans import Entry
 
 
 EXAMPLES = (
@@ -38,14 +37,14 @@ class StudyOptions(JsonOptions):
 
     plan: what is to be done, and how long it takes by what was measured. run: do what is not done yet, and write
     result.json, rows.csv.xz and table.md into --out. status: how far it is. retry: let jobs that have failed three
-    times be tried again. reuse: take over results of older code, after some were made again with the same bytes.
-    export: arrays of SLURM, one for each level of jobs. clean: delete what the store keeps of this study alone.
+    times be tried again. export: arrays of SLURM, one for each level of jobs. clean: delete what the store keeps of
+    this study alone.
 
     The shipped studies are in scenes/studies. Finished jobs are kept in --store, which several studies may share: what
     one has done, no other does again, and what was interrupted goes on where it stopped.
     """
 
-    action: Positional[Literal["plan", "run", "status", "retry", "reuse", "export", "clean"]]
+    action: Positional[Literal["plan", "run", "status", "retry", "export", "clean"]]
     """What to do."""
     study: Positional[Path]
     """TOML file of the study."""
@@ -63,10 +62,6 @@ class StudyOptions(JsonOptions):
     """Most seconds that a job may take; it is ended then, which counts as a failure. Not with --workers 0."""
     megabytes: Annotated[float, at_least(1, "MB")] | None = None
     """Most memory that a job may use, likewise."""
-    verify: Annotated[int, at_least(1, "jobs")] = 2
-    """Jobs that reuse makes again."""
-    reason: Annotated[str, Metavar("TEXT")] | None = None
-    """Why the change of the code changes no result (reuse)."""
     sbatch: Annotated[tuple[str, ...], Metavar("OPTION")] = ()
     """Options of each array without their dashes, as time=02:00:00 (export)."""
 
@@ -93,7 +88,7 @@ def _plan(options: StudyOptions, study: Study) -> None:
     """Count the jobs, and forecast."""
     from attacks.report.section import duration
     from mi_splat.ledger import Store
-    from mi_splat.ledger.index import forecast, plan
+    from mi_splat.ledger.plans import forecast, plan
 
     work, store = _work(study), Store(options.store)
     entries = plan(store, study.name, work.jobs())
@@ -171,7 +166,7 @@ def follow(advance: Advance) -> Callable[[Event], None]:
     def told(event: Event) -> None:
         if event.state in ("done", "kept"):
             advance(units=1)
-        elif event.state in ("failed", "different"):
+        elif event.state == "failed":
             warn(event.text)
         elif event.text:
             advance(f"{event.text}, {event.done} of {event.total}" if event.total else event.text, units=0)
@@ -192,39 +187,10 @@ def _export(options: StudyOptions, study: Study) -> None:
     show_result({"levels": levels, "file": str(folder / SUBMIT)}, line, as_json=options.json)
 
 
-def _reuse(options: StudyOptions, study: Study) -> int:
-    """Take over what older code has made, of every kind of job whose results have not changed."""
-    from mi_splat.ledger import Store
-    from mi_splat.ledger.job import by_depth
-    from mi_splat.ledger.reuse import reuse
-
-    if options.reason is None:
-        raise InvalidValueError.of("--reason", "a reason", "none", "say why the change of the code changes no result")
-    taken, changed = dict[str, dict[str, int]](), dict[str, str]()
-    for kind in dict.fromkeys(job.kind for level in by_depth(_work(study).jobs().values()) for job in level):
-        with progress("making some again") as advance:
-            engine = _engine(options, follow(advance))
-            try:
-                reused = reuse(Store(options.store), kind, engine, verify=options.verify, reason=options.reason)
-            except InvalidValueError as error:
-                changed[kind] = str(error)
-                continue
-        if reused.verified:
-            taken[kind] = {"verified": len(reused.verified), "taken": len(reused.taken)}
-    if not taken and not changed:
-        raise InvalidValueError.of(study.name, "results of older code", "none", "run the study")
-    told = "{}: {verified} made again with the same bytes, {taken} taken over"
-    document = taken | {kind: {"changed": text} for kind, text in changed.items()}
-    show_result(document, *(told.format(kind, **counts) for kind, counts in taken.items()), as_json=options.json)
-    for kind, text in changed.items():
-        warn(f"{kind}: nothing taken over; {text}")
-    return 1 if changed else 0
-
-
 def _status(options: StudyOptions, study: Study) -> None:
     """How far the study is, as of its last planning."""
     from mi_splat.ledger import Store
-    from mi_splat.ledger.index import STATES, status
+    from mi_splat.ledger.plans import STATES, status
 
     store = Store(options.store)
     entries = status(store, study.name)
@@ -242,7 +208,7 @@ def _title(entry: Entry) -> str:
 def _retry(options: StudyOptions, study: Study) -> None:
     """Forget what has failed."""
     from mi_splat.ledger import Store
-    from mi_splat.ledger.index import status
+    from mi_splat.ledger.plans import status
 
     store = Store(options.store)
     forgiven = [_title(entry) for entry in status(store, study.name) if entry.key and store.forgive(entry.key)]
@@ -253,7 +219,7 @@ def _retry(options: StudyOptions, study: Study) -> None:
 def _clean(options: StudyOptions, study: Study) -> None:
     """Delete the results that no other study of the store uses."""
     from mi_splat.ledger import Store
-    from mi_splat.ledger.index import status
+    from mi_splat.ledger.plans import status
 
     store = Store(options.store)
     others = [path.stem for path in (options.store / "plans").glob("*.json") if path.stem != study.name]
@@ -271,7 +237,6 @@ _ACTIONS: Mapping[str, Callable[[StudyOptions, Study], int | None]] = {
     "run": _run,
     "status": _status,
     "retry": _retry,
-    "reuse": _reuse,
     "export": _export,
     "clean": _clean,
 }

@@ -4,7 +4,8 @@ A *job* is a kind, a configuration and inputs::
 
     render = Job(kind="attacks.rendered", config=RenderConfig(samples=32), inputs={"scene": Path("car.xml")})
     judged = Job(kind="attacks.judged", config=JudgeConfig(), inputs={"pictures": render.part("pictures/*")})
-    done = Ledger(Path("out/store"), on_event=print).do(judged)
+    engine = InProcess(Path("out/store"), on_event=print)
+    done = Driver(Path("out/store"), engine).run([grid({"judged": judged})])["judged"]
     done.rows, done.folder, done.record["seconds"]
 
 A *kind* is a module with `run(config, inputs, out)`, which builds all that it needs itself::
@@ -31,7 +32,6 @@ Results are looked at when they are used: a file that was changed since is an er
 """
 
 from mi_splat.ledger.job import Done, Event, HeldError, Job, OnEvent, Out, Part
-from mi_splat.ledger.running import Ledger
 from mi_splat.ledger.store import Store
 
-__all__ = ["Done", "Event", "HeldError", "Job", "Ledger", "OnEvent", "Out", "Part", "Store"]
+__all__ = ["Done", "Event", "HeldError", "Job", "OnEvent", "Out", "Part", "Store"]

@@ -23,16 +23,10 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Job:
-    """A piece of work whose result depends on nothing but what stands here and on the code of its kind.
+    """A piece of work whose result depends on nothing but what stands here and on the code of its kind."""
 
-    Attributes:
-        kind: Dotted name of a module with `run(config, inputs, out)`.
-        config: A frozen dataclass; every field counts.
-        inputs: What it reads, by names of the kind's own: other jobs, parts of them, files, or folders.
-    """
-
-    kind: str
-    config: Any
+    kind: str  # dotted name of a module with `run(config, inputs, out)`
+    config: Any  # a frozen dataclass; every field counts
     inputs: Mapping[str, Job | Part | Path] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
@@ -166,7 +160,7 @@ HeldError = LockedError
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """What happens to a job: running, progress, note (for people to keep), done, kept, held, failed or different."""
+    """What happens to a job: running, progress, note (for people to keep), done, kept, held or failed."""
 
     state: str
     key: str
@@ -198,19 +192,12 @@ def nobody(event: Event) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Out:
-    """Where a job writes.
+    """Where a job writes."""
 
-    Attributes:
-        files: Folder of what it leaves; new at every try. `out / name` is short for `out.files / name`.
-        kept: Where `partial` is.
-        progress: Called with what goes on, how many units of it are done, and how many there are.
-        note: Called with a line that people should keep, as the figures of an epoch.
-    """
-
-    files: Path
-    kept: Path
-    progress: Callable[[str, int, int], None]
-    note: Callable[[str], None] = lambda text: None
+    files: Path  # folder of what it leaves; new at every try. `out / name` is short for `out.files / name`
+    kept: Path  # where `partial` is
+    progress: Callable[[str, int, int], None]  # called with what goes on, units of it that are done, and all
+    note: Callable[[str], None] = lambda text: None  # called with a line that people should keep
 
     @property
     def partial(self) -> Path:

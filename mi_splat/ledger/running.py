@@ -1,4 +1,4 @@
-"""The one function that runs a job, which every engine calls in whatever process; and the ledger of this process."""
+"""The one function that runs a job, which every engine calls."""
 
 import errno
 import importlib
@@ -15,7 +15,6 @@ from mi_splat.ledger.job import (
     DiskFullError,
     Done,
     Event,
-    HeldError,
     Job,
     OnEvent,
     Out,
@@ -29,8 +28,6 @@ from mi_splat.ledger.store import TRIES, Store, content_of_path, origin
 from mi_splat.ledger.values import decoded, encoded
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
-_POLL = 0.2
-"""Seconds between two looks at a job that another process does."""
 
 
 def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Done:
@@ -48,36 +45,6 @@ def run_job(store: Store, task: Task, on_event: OnEvent = nobody) -> Done:
         do = "free some space; what is done stays, and the job goes on from what it kept"
         raise DiskFullError.of(str(store.folder), "space on the disk", "none", do) from error
     return store.existing(task.key)
-
-
-class Ledger:
-    """A store of results and what does jobs in this process."""
-
-    def __init__(self, folder: Path, *, on_event: OnEvent = nobody) -> None:
-        self.store, self._on_event = Store(folder), on_event
-        self._done: dict[str, Done] = {}
-
-    def do(self, job: Job) -> Done:
-        """The result of a job, and before it those of all that it reads; only what is not there is done.
-
-        What another process does now is waited for. Earlier failures do not count.
-        """
-        for needed in (needed for level in by_depth([job]) for needed in level):
-            self._done[needed.identity] = self._do(task_for(needed, self.store, self._done))
-        return self._done[job.identity]
-
-    def _do(self, task: Task) -> Done:
-        if len(self.store.failures(task.key)) >= TRIES:
-            self.store.forgive(task.key)
-        told = False
-        while True:
-            try:
-                return run_job(self.store, task, self._on_event)
-            except HeldError as error:
-                if not told:
-                    self._on_event(Event(state="held", key=task.key, kind=task.kind, text=str(error)))
-                told = True
-                time.sleep(_POLL)
 
 
 def task_for(job: Job, store: Store, finished: Mapping[str, Done]) -> Task:
@@ -172,10 +139,7 @@ def _run(store: Store, task: Task, on_event: OnEvent) -> None:
             **{"cpu_seconds": round(time.process_time() - cpu, 3)},
             **{"varies": list(getattr(kind, "VARIES", ())), "rows": _checked(rows or (), task.kind)},
         }
-        different = store.publish(temporary, record, task.key)
-    if different:
-        text = f"made twice, with another {', '.join(different)}: see {store.folder / 'different'}"
-        on_event(Event(state="different", key=task.key, kind=task.kind, text=text))
+        store.publish(temporary, record, task.key)
 
 
 def _checked(rows: Sequence[Row], kind: str) -> list[dict[str, Any]]:

@@ -2,11 +2,10 @@
 
 import contextlib
 import functools
-import hashlib
 import os
 import re
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from mi_splat.io.documents import publish, save_json, sha256, sweep_temporary, t
 from mi_splat.io.errors import from_os_error
 from mi_splat.io.folders import is_locked, locked_file
 from mi_splat.io.parsing import DocumentReader
-from mi_splat.ledger.job import Done, Task, fits_any
+from mi_splat.ledger.job import Done, Task
 from mi_splat.ledger.values import canonical, digest
 
 RECORD, FILES = "job.json", "files"
@@ -34,8 +33,7 @@ class Store:
     """A folder of results; any number of processes of any number of machines may use it at once.
 
     Below it are `jobs/ab/KEY` (`job.json`, `files`), `locks` (of the jobs that are being done), `tmp` (what is being
-    made), `partial` (what a job goes on with), `failed`, and `different` (what a job left that was made before with
-    other bytes).
+    made), `partial` (what a job goes on with), and `failed`.
     """
 
     folder: Path
@@ -93,22 +91,6 @@ class Store:
             raise InvalidValueError.of(str(self.folder_of(key)), "a finished job", "none", do)
         return done
 
-    def rows(self, keys: Iterable[str]) -> Iterator[tuple[str, Sequence[Mapping[str, Any]]]]:
-        """Key and rows of finished jobs; of a record of any size, nothing else is parsed."""
-        for key in keys:
-            path = f"{self.folder_of(key)}/{RECORD}"
-            try:
-                with open(path, "rb", buffering=0) as file:
-                    lines = file.read().splitlines()
-            except OSError as error:
-                raise from_os_error(path, "the record of a job", error) from error
-            values = dict(line.rstrip(b",").split(b": ", 1) for line in lines if b": " in line)
-            rows = values.get(b'"rows"', b"")
-            digits = hashlib.sha256(b"[" + values.get(b'"files"', b"") + b"," + rows + b"]").hexdigest()
-            if values.get(b'"content"') != f'"{digits[:32]}"'.encode():
-                raise InvalidValueError.of(path, "the rows that the job wrote", "others", AGAIN)
-            yield key, _RECORDS.json_value(rows, path)
-
     def held(self, key: str) -> contextlib.AbstractContextManager[None]:
         """Have a job for this process alone; `HeldError` if another one has it."""
         self.path("locks").mkdir(parents=True, exist_ok=True)
@@ -130,26 +112,21 @@ class Store:
                 with contextlib.suppress(OSError):
                     partial.rmdir()  # nothing was written into it
 
-    def publish(self, temporary: Path, record: Mapping[str, Any], key: str) -> list[str]:
-        """Give a finished folder its name; names of the files that another result of the job has with other bytes."""
+    def publish(self, temporary: Path, record: Mapping[str, Any], key: str) -> None:
+        """Give a finished folder its name, unless another process has made the job, too, on a disk without locks."""
         files = {name: sha256(path) for name, path in _files(temporary / FILES).items()}
         target = self.folder_of(key)
         try:
             (temporary / RECORD).write_text(record_text(record, files), "utf-8")
             if not files:
                 (temporary / FILES).rmdir()
-            different = list[str]()
-            if second := self.has(key):  # a disk without locks has let another process make it, too
-                different = differences(self.record(key), {**record, "files": files})
-                target = self.path("different") / temporary.name
-            if different or not second:
+            if not self.has(key):
                 target.parent.mkdir(parents=True, exist_ok=True)
                 publish(temporary, target)
         except OSError as error:
             raise from_os_error(str(target), "a folder that can be written", error) from error
         shutil.rmtree(self.path("partial", key), ignore_errors=True)
         self.forgive(key)
-        return different
 
     def failures(self, key: str) -> list[dict[str, Any]]:
         """The tries of a job that failed: `error`, and what ran it."""
@@ -211,12 +188,6 @@ def record_text(record: Mapping[str, Any], files: Mapping[str, str]) -> str:
     """job.json of a record and the SHA-256 of its files, a line for each value."""
     whole = {**record, "files": files, "content": digest([files, record["rows"]])}
     return "{\n" + ",\n".join(f"{canonical(name)}: {canonical(value)}" for name, value in whole.items()) + "\n}\n"
-
-
-def differences(first: Mapping[str, Any], second: Mapping[str, Any]) -> list[str]:
-    """Names of the files that two records have with other bytes, those apart that may vary; `rows` if these differ."""
-    names = [name for name in _different(first["files"], second["files"]) if not fits_any(name, second["varies"])]
-    return names + (["rows"] if first["rows"] != second["rows"] else [])
 
 
 def task_of(record: Mapping[str, Any]) -> Task:

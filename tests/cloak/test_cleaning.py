@@ -23,9 +23,9 @@ from attacks.cloak.steps import StudySteps
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.io.points import PointCloud
-from mi_splat.ledger import Ledger
 from mi_splat.scene import GaussianScene, scene_hash
 from tests.cloak.tiny_study import STUDY
+from tests.ledger.drive import Ledger
 from tests.training.sets import views_of
 
 VICTIM = replace(STUDY.training, outliers=5)

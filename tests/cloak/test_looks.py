@@ -25,11 +25,12 @@ from attacks.observe.rows import ATTACKED, CLEAN, DETECTIONS, PERFECT, ROWS, SUF
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat, save_splat
-from mi_splat.ledger import Ledger, Out
+from mi_splat.ledger import Out
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.scene_files import SplatScene
 from tests.cloak.test_study_rates import study_rows
 from tests.cloak.tiny_study import STUDY, Redness
+from tests.ledger.drive import Ledger
 
 STREET = SunTable(scene="scenes/mixed/car_among_meshes.xml", parameter="car", north=4.0, samples=1)
 LAYERED = replace(STUDY, layers=LayersConfig(attacks=("overhead",)))

@@ -24,9 +24,10 @@ from attacks.report.results import kind_of, read_section
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.import_closure import closure
-from mi_splat.ledger import Done, Job, Ledger
+from mi_splat.ledger import Done, Job
 from tests.cloak.test_jobs import KINDS
 from tests.cloak.tiny_study import MODULES, STUDY, Redness, done, summary
+from tests.ledger.drive import Ledger
 
 pytestmark = pytest.mark.slow
 

@@ -22,9 +22,9 @@ from mi_splat.cameras import View
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
-from mi_splat.ledger import Ledger
 from mi_splat.scene import GaussianScene
 from tests.cloak.tiny_study import STUDY, done
+from tests.ledger.drive import Ledger
 
 pytestmark = pytest.mark.slow
 

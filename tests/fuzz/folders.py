@@ -11,7 +11,7 @@ from mi_splat.io.documents import save_text
 from mi_splat.io.folders import new_folder, own_folder
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger import Job, Store
-from mi_splat.ledger.index import plan, status
+from mi_splat.ledger.plans import plan, status
 from tests.ledger.kinds.configs import NumbersConfig
 
 JOBS = {name: Job(kind="tests.ledger.kinds.numbers", config=NumbersConfig(name=name)) for name in ("one", "two")}

@@ -4,12 +4,26 @@ import sys
 from pathlib import Path
 
 from mi_splat.ledger.cluster import Cluster
-from mi_splat.ledger.engines import Engine, Processes
-from mi_splat.ledger.job import Done, Job
-from mi_splat.ledger.plans import Driver, Plan
+from mi_splat.ledger.engines import Engine, InProcess, Processes
+from mi_splat.ledger.job import Done, Job, OnEvent, nobody
+from mi_splat.ledger.plans import Driver, Plan, grid
+from mi_splat.ledger.store import Store
 from tests.ledger.kinds.configs import WalkConfig
 
 WALK = "tests.ledger.kinds.walk"
+
+
+class Ledger:
+    """Does single jobs, and those before them, in this process."""
+
+    def __init__(self, folder: Path, *, on_event: OnEvent = nobody) -> None:
+        self.store, self._on_event = Store(folder), on_event
+
+    def do(self, job: Job) -> Done:
+        engine = InProcess(self.store.folder, on_event=self._on_event)
+        done = Driver(self.store.folder, engine, on_event=self._on_event).run([grid({"job": job})])["job"]
+        assert isinstance(done, Done), done
+        return done
 
 
 def walk(start: int, *, steps: int = 3, seconds: float = 0.0, trouble: str = "", **inputs: Job) -> Job:

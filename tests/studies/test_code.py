@@ -16,11 +16,11 @@ from tests.warm import Warm
 PROGRAM = """
 import json, sys
 from pathlib import Path
-from mi_splat.ledger import Ledger
+from mi_splat.ledger.engines import InProcess
+from mi_splat.ledger.plans import Driver, grid
 from mi_splat.ledger.slurm import read_jobs
-ledger = Ledger(Path(sys.argv[1]))
-for job in read_jobs(Path(sys.argv[2])):
-    ledger.do(job)
+store, jobs = Path(sys.argv[1]), read_jobs(Path(sys.argv[2]))
+Driver(store, InProcess(store)).run([grid(dict(enumerate(jobs)))])
 print(json.dumps(sorted(sys.modules)))
 """
 EOT: dict[str, Any] = {

@@ -21,8 +21,8 @@ from mi_splat.assets import ASSETS
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.parsing import read_json
-from mi_splat.ledger import Ledger
 from tests.cloak.tiny_study import KNOWN
+from tests.ledger.drive import Ledger
 from tests.project.layers import ROOT
 
 SMALL = """

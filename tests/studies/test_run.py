@@ -9,15 +9,12 @@ import pytest
 from attacks import cli, rows, run_study
 from attacks.observe.rows import read_rows
 from attacks.studies import attack as attack_kind
-from attacks.studies import look as look_kind
 from attacks.studies import running as running_study
-from attacks.studies.dagger import ATTACK, LOOK
 from attacks.studies.result import figures
 from attacks.studies.table import markdown
-from mi_splat import import_closure
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
-from mi_splat.ledger import Store, running
+from mi_splat.ledger import Store
 from tests.studies.toy import write_toy
 
 pytestmark = pytest.mark.usefixtures("toys")
@@ -238,32 +235,10 @@ def test_failed_jobs_are_named_and_tried_again(
     assert (tmp_path / "toy" / "result.json").is_file()
 
 
-def test_kinds_without_older_results_stop_no_reuse(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The code of looks has changed, that of attacks has not."""
-    scene = write_toy(tmp_path)
-    (tmp_path / "toy.toml").write_text(STUDY.format(scene=scene).replace("[0.01, 12.0]", "[12.0]"))
-    words = ("--parts", "hidden", "--json")
-    real = import_closure.code_digest
-    with monkeypatch.context() as patch:
-        patch.setattr(running, "code_digest", lambda kind: real(kind) if kind == ATTACK else "0" * 32)
-        assert study(tmp_path, "run", "toy", *words) == 0
-    reuse = ("reuse", "toy", *words, "--reason", "a faster look")
-    capsys.readouterr()
-    assert study(tmp_path, *reuse) == 0
-    assert json.loads(capsys.readouterr().out) == {LOOK: {"verified": 2, "taken": 6}}
-    monkeypatch.setattr(look_kind, "run", None)
-    assert study(tmp_path, "run", "toy", *words) == 0
-    assert study(tmp_path, *reuse) == 1
-    assert "toy: expected results of older code, got none" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("words", "match"),
     [
         (("run", "nowhere"), "study: expected a TOML file"),
-        (("reuse", "toy"), "--reason: expected a reason, got none"),
         (("run", "toy", "--parts", "hiden"), "did you mean hidden"),
     ],
 )
