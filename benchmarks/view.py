@@ -26,11 +26,10 @@ from render import shell  # of this folder
 
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
-from mi_splat.viewer.client import JPEG_QUALITY
 from mi_splat.viewer.content import Content, ShownSplat, whole
-from mi_splat.viewer.layout import display_modes
 from mi_splat.viewer.painter import Painter
-from mi_splat.viewer.session import Pace, Step, ViewState
+from mi_splat.viewer.server import JPEG_QUALITY
+from mi_splat.viewer.session import Pace, Step, ViewState, display_modes
 
 
 def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures: int) -> dict[str, float]:

@@ -31,9 +31,8 @@ from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.scene_files import open_scene
 from mi_splat.training.resume import CONFIG, poses_digest
-from mi_splat.viewer.content import Content, Inspector, ShownSplat, content_of_file
+from mi_splat.viewer.content import Content, Inspector, ShownSplat, content_of_dataset, content_of_file, with_cameras
 from mi_splat.viewer.orbit import Orbit, orbit_of
-from mi_splat.viewer.photographs import content_of_dataset, with_cameras
 
 ATTACKED = "attacked.ply"
 

@@ -40,8 +40,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.scene_files import resized
 
-Job = tuple[Target, tuple[Camera, ...]]
-"""An object and the cameras that look at it, in the frame."""
+Job = tuple[Target, tuple[Camera, ...]]  # an object and the cameras that look at it, in the frame
 
 
 def audit(
@@ -113,8 +112,7 @@ def given(
     return tuple(placed)
 
 
-Heat = tuple[Tensor, Tensor]
-"""Rows of M Gaussians in sight, and (M,) their heat."""
+Heat = tuple[Tensor, Tensor]  # rows of M Gaussians in sight, and (M,) their heat
 
 
 def judged_object(

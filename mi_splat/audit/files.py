@@ -63,8 +63,7 @@ _RULES: dict[str, tuple[Level, str, str]] = {
 }
 """Level, what is wrong, and what to do, by the name of the rule. Rules of lint bring their own."""
 
-_Finding = tuple[str, Level, str, dict[str, Any]]
-"""Rule, level, what was found, and numbers of it."""
+_Finding = tuple[str, Level, str, dict[str, Any]]  # rule, level, what was found, and numbers of it
 
 
 def sarif(documents: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
@@ -140,8 +139,7 @@ def _address(file: str) -> str:
     return path.as_uri() if path.is_absolute() else quote(os.fsencode(path.as_posix()))
 
 
-MOST_NAMED = 8
-"""Pictures of a set that are named in a line."""
+MOST_NAMED = 8  # pictures of a set that are named in a line
 
 
 def document_of_pictures(judged: PictureAudit, views: Dataset, count: int) -> dict[str, Any]:
@@ -192,8 +190,7 @@ def write_pictures(
 PAIR, HEAT, MASK, OVERDRAW = "pair.png", "heat.ply", "mask.npy", "overdraw.png"
 HEAT_PICTURE = "heat.png"
 EDITED, AGAINST, CHANGED = "edited.npy", "against.png", "changed.npy"
-PICTURE = 512
-"""Pixels along the longer side of each of the two pictures."""
+PICTURE = 512  # pixels along the longer side of each of the two pictures
 _GAP = 8
 _SCORES = ("score", "incidence", "mirror", "shift", "fade", "excess")
 

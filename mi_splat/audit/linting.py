@@ -29,8 +29,7 @@ from mi_splat.io.splat_files import load_stored
 from mi_splat.overdraw import Layers, overdraw
 from mi_splat.scene import GaussianScene
 
-SIZE = 1024
-"""Pixels along each side of the picture that is counted."""
+SIZE = 1024  # pixels along each side of the picture that is counted
 HEAVY, STOPS = 512.0, 4096.0
 """Mean layers from which a splat is heavy, and from which the rasteriser of mi-splat refuses such a picture."""
 
@@ -164,8 +163,7 @@ def _heat(share: NDArray[np.float64]) -> NDArray[np.uint8]:
 # Sources: extensions/2.0/Khronos/KHR_gaussian_splatting/README.md of github.com/KhronosGroup/glTF, and glTF 2.0,
 # sections 3.6.2 (accessors) and 3.7.2 (meshes). Unlike the reader, which stops at the first fault, it goes on.
 
-Kinds = frozenset[tuple[str, bool]]
-"""Component types of an accessor: NumPy kind, and whether integers are normalised."""
+Kinds = frozenset[tuple[str, bool]]  # component types of an accessor: NumPy kind, and whether integers are normalised
 
 _FLOAT: Kinds = frozenset({("f4", False)})
 _SIGNED: Kinds = _FLOAT | {("i1", True), ("i2", True)}
@@ -189,8 +187,7 @@ _WORDS = {
     "sortingMethod": ("cameraDistance",),
 }
 """Values that the extension names; others may come from extensions of it."""
-_UNIT = 0.01
-"""How far from 1 the length of a quaternion may be: half a step of 1/127 in four components."""
+_UNIT = 0.01  # how far from 1 the length of a quaternion may be: half a step of 1/127 in four components
 
 
 def validate(document: Glb) -> list[Finding]:
@@ -342,8 +339,7 @@ def _finite(item: object) -> bool:
     return isinstance(item, int | float) and not isinstance(item, bool) and abs(item) <= sys.float_info.max
 
 
-FILL = 1000.0
-"""`fillRatio` from which a splat is told: healthy ones have ones to hundreds, says splat-transform."""
+FILL = 1000.0  # `fillRatio` from which a splat is told: healthy ones have ones to hundreds, says splat-transform
 
 
 _RENDER_MODE = (

@@ -23,8 +23,7 @@ from mi_splat.training.initialization import from_points, random_points, thinned
 from mi_splat.training.loop import fit
 from mi_splat.training.strategies import FixedConfig
 
-OnStep = Callable[[int, int], None]
-"""Called after each step of the training with its number and the number of all."""
+OnStep = Callable[[int, int], None]  # called after each step of the training with its number and the number of all
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -35,12 +35,9 @@ _MOST_WEIGHTS, _CHUNK = 10**8, 2048
 class Repair(NamedTuple):
     """A repaired splat, and how many of its Gaussians were changed or removed."""
 
-    scene: GaussianScene
-    """The splat itself where nothing was found that could be repaired."""
-    coloured: int
-    """Gaussians that have other colours."""
-    left_out: int
-    """Gaussians that are no longer there."""
+    scene: GaussianScene  # the splat itself where nothing was found that could be repaired
+    coloured: int  # gaussians that have other colours
+    left_out: int  # gaussians that are no longer there
 
 
 def repaired(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> GaussianScene:

@@ -18,8 +18,7 @@ from mi_splat.sh import band, degree_of, even_directions
 Severity = Literal["error", "warning", "note"]
 """An error breaks a file or a renderer, a warning is hardly ever wanted, a note is no fault."""
 
-SHOWN = 100
-"""So many rows a finding lists; it counts all of them."""
+SHOWN = 100  # so many rows a finding lists; it counts all of them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,8 +40,7 @@ class Finding:
 
 Mask = NDArray[np.bool_]
 
-VISIBLE = 1 / 255
-"""Opacity from which a Gaussian reaches a pixel: renderers leave out what is fainter."""
+VISIBLE = 1 / 255  # opacity from which a Gaussian reaches a pixel: renderers leave out what is fainter
 _DIRECTIONS = even_directions(32)
 _CHUNK = 1 << 16
 
@@ -184,8 +182,7 @@ def _partial_degree(stored: Stored, share: float) -> Mask:
     return few[0] if few else np.zeros_like(stored.valid)
 
 
-COLOUR_SHARE = 0.01
-"""Of all Gaussians, from which colours out of range are told."""
+COLOUR_SHARE = 0.01  # of all Gaussians, from which colours out of range are told
 
 RULES = (
     Rule(

@@ -17,10 +17,8 @@ from mi_splat.ledger.engines import Child, Limits, environment, free_cache
 from mi_splat.ledger.job import EngineError, Event, OnEvent, Outcome, Task, nobody
 from mi_splat.ledger.store import Store
 
-_WINDOW = 64
-"""Most tasks that the scheduler knows at a time."""
-_LOST_WORKERS = 3
-"""How many workers may be lost with the same task before it is given up."""
+_WINDOW = 64  # most tasks that the scheduler knows at a time
+_LOST_WORKERS = 3  # how many workers may be lost with the same task before it is given up
 
 
 class Cluster:
@@ -90,8 +88,7 @@ async def _set_up(dask_scheduler: Any) -> None:
         await stealing.stop()
 
 
-_CHILDREN = threading.local()
-"""The child process of each thread of a worker."""
+_CHILDREN = threading.local()  # the child process of each thread of a worker
 
 
 def run_in_child(folder: str, task: Task, limits: Limits) -> Outcome:

@@ -31,16 +31,11 @@ from mi_splat.ledger.running import run_job
 from mi_splat.ledger.store import Store
 from mi_splat.processes import python_command
 
-_OTHERS = 0.02
-"""Seconds in which a task that is alone waits for others, before it takes all cores."""
-_LOOK = 0.25
-"""Seconds between two looks at the time and the memory."""
-_GRACE = 8.0
-"""Seconds that a stopped job has to write down how far it is."""
-_SHOWN = 2000
-"""Characters of what a process said last."""
-_BETWEEN = 0.1
-"""Least seconds between two reports of progress."""
+_OTHERS = 0.02  # seconds in which a task that is alone waits for others, before it takes all cores
+_LOOK = 0.25  # seconds between two looks at the time and the memory
+_GRACE = 8.0  # seconds that a stopped job has to write down how far it is
+_SHOWN = 2000  # characters of what a process said last
+_BETWEEN = 0.1  # least seconds between two reports of progress
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,8 +17,7 @@ from mi_splat.ledger.values import digest, encoded, is_frozen, without_modules
 ALL = "*"
 _SIGNS_OF_PATTERNS = frozenset("*?[")
 
-Row = Mapping[str, Any]
-"""One row of what a job measured: numbers, texts, truth values and None by their names."""
+Row = Mapping[str, Any]  # one row of what a job measured: numbers, texts, truth values and None by their names
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -154,8 +153,7 @@ class DiskFullError(MiSplatError):
     """The disk that holds the store is full."""
 
 
-HeldError = LockedError
-"""Another process does the job now."""
+HeldError = LockedError  # another process does the job now
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,10 +23,8 @@ from mi_splat.ledger.store import TRIES, Store, checked_key
 
 STATES = ("waiting", "ready", "running", "done", "failed")
 """For others before it; for an engine; for its end; for nothing; for somebody who mends it."""
-_OFTEN = 5.0
-"""Least seconds between two writings of a list of jobs that grows."""
-_MEASURED = 200
-"""Most finished jobs that tell how long one takes."""
+_OFTEN = 5.0  # least seconds between two writings of a list of jobs that grows
+_MEASURED = 200  # most finished jobs that tell how long one takes
 _READER = DocumentReader(expected="a list of jobs", do="plan the study again", most=1 << 30)
 
 
@@ -181,12 +179,10 @@ def status(store: Store, name: str) -> list[Entry]:
     ]
 
 
-Result = Done | str
-"""How a job of a plan ended: what it left, or why it has failed."""
+Result = Done | str  # how a job of a plan ended: what it left, or why it has failed
 Plan = Generator[Mapping[str, Job], Mapping[str, Result] | None, None]
 """Yields jobs by their labels, and is sent their results once all of them have ended; ends when it wants no more."""
-_POLL = 0.5
-"""Seconds between two looks at a job that another process does."""
+_POLL = 0.5  # seconds between two looks at a job that another process does
 
 
 def grid(jobs: Mapping[str, Job]) -> Plan:

@@ -22,8 +22,7 @@ from mi_splat.ledger.values import decoded
 from mi_splat.processes import python_command
 
 JOBS, SUBMIT = "jobs.json", "submit.sh"
-MOST_ELEMENTS = 1000
-"""Most elements of an array; SLURM itself has 1,001 unless its administrator says otherwise."""
+MOST_ELEMENTS = 1000  # most elements of an array; SLURM itself has 1,001 unless its administrator says otherwise
 _READER = DocumentReader(expected="exported jobs", do="export the study again", most=1 << 30)
 
 

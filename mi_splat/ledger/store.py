@@ -20,8 +20,7 @@ from mi_splat.ledger.job import Done, Task
 from mi_splat.ledger.values import canonical, digest
 
 RECORD, FILES = "job.json", "files"
-TRIES = 3
-"""How often a job may fail."""
+TRIES = 3  # how often a job may fail
 AGAIN = "delete its folder, so that it is made again"
 _RECORDS = DocumentReader(expected="the record of a job", do=AGAIN, most=1 << 28)
 _KEY = re.compile(r"[0-9a-f]{32}")

@@ -11,8 +11,7 @@ from typing import Any
 
 from mi_splat.errors import InvalidValueError
 
-CLASS = "class"
-"""Key of the name of a class in the JSON of one of its values: module, colon, class."""
+CLASS = "class"  # key of the name of a class in the JSON of one of its values: module, colon, class
 _FLOAT, _NAME = "float", "name"
 
 

@@ -26,10 +26,8 @@ from mi_splat.errors import InvalidValueError, MiSplatError, message
 _LOG = logging.getLogger(__name__)
 LOOPBACK_NAMES = frozenset({"127.0.0.1", "localhost", "::1"})
 COOKIE = "mi-splat-view"
-MOST_WINDOWS = 8
-"""Browser windows that are served at the same time."""
-LARGEST_MESSAGE = 2**20
-"""Bytes of the largest message that a browser may send."""
+MOST_WINDOWS = 8  # browser windows that are served at the same time
+LARGEST_MESSAGE = 2**20  # bytes of the largest message that a browser may send
 NAMING = """
 new MutationObserver(() => {
   for (const label of document.querySelectorAll("label[for]"))

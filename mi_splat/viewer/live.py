@@ -19,24 +19,19 @@ from mi_splat.io.picture_files import PictureFileError
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.training.loop import Progress, TrainState
-from mi_splat.viewer.content import Content, ShownSplat
+from mi_splat.viewer.content import Content, ShownSplat, photographs_in
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.panel import as_html
-from mi_splat.viewer.photographs import photographs_in
 from mi_splat.viewer.picking import Click
 from mi_splat.viewer.runner import JobRunner
 
 if TYPE_CHECKING:
-    from mi_splat.viewer.client import Client
-    from mi_splat.viewer.server import Page
+    from mi_splat.viewer.server import Client, Page
 
-REFRESH = 2.0
-"""Seconds between two updates of the splat during a training."""
-MOST_POINTS = 256
-"""Points of a curve; those of a longer one are means."""
+REFRESH = 2.0  # seconds between two updates of the splat during a training
+MOST_POINTS = 256  # points of a curve; those of a longer one are means
 SPLAT = "splat so far"
-Point = tuple[int, float]
-"""A step and a value."""
+Point = tuple[int, float]  # a step and a value
 _BUTTON = {False: "Pause", True: "Continue"}
 
 

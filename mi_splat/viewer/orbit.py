@@ -22,8 +22,7 @@ _ANGLE_DIGITS, _LENGTH_DIGITS = 2, 5
 """Decimals of angles (degrees), and significant digits of lengths, that are kept of a pose set with the mouse."""
 _CAMERA_DIGITS, _ROLL_DIGITS = 6, 3
 """Decimals that are kept of the pose of a camera and of its roll; cameras of files have single precision."""
-_SAME_POSE = 1e-3
-"""Fraction of the distance within which two poses count as the same."""
+_SAME_POSE = 1e-3  # fraction of the distance within which two poses count as the same
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

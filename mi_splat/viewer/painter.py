@@ -18,21 +18,27 @@ from mi_splat.metrics import psnr
 from mi_splat.scene import GaussianScene
 from mi_splat.training.losses import masked
 from mi_splat.viewer.content import Content, Inspection, Inspector
-from mi_splat.viewer.layout import DIFFERENCE, Layout, Pixels, compose, difference, lay_out, panes, pictures_of
 from mi_splat.viewer.orbit import Orbit, camera_options
 from mi_splat.viewer.picking import Picked, tinted
-from mi_splat.viewer.session import Pace, Step, ViewState
+from mi_splat.viewer.session import (
+    DIFFERENCE,
+    Layout,
+    Pace,
+    Pixels,
+    Step,
+    ViewState,
+    compose,
+    difference,
+    lay_out,
+    panes,
+    pictures_of,
+)
 
-MOST_PIXELS = 1_500_000
-"""Pixels of the largest full picture; the browser enlarges it to a larger window."""
-LETTERS, SMALLEST_LETTERS = 15, 7
-"""Height of letters in a full picture, and the smallest that can be read, in pixels."""
-NO_PICTURE = 0.2
-"""Grey level in place of a missing photograph."""
-PREVIEW = " (preview)"
-"""Follows the title of a picture with fewer pixels or Gaussians than there are."""
-LARGEST_THINNING = 64
-"""A coarse picture shows at least one of so many Gaussians."""
+MOST_PIXELS = 1_500_000  # pixels of the largest full picture; the browser enlarges it to a larger window
+LETTERS, SMALLEST_LETTERS = 15, 7  # height of letters in a full picture, and the smallest that can be read, in pixels
+NO_PICTURE = 0.2  # grey level in place of a missing photograph
+PREVIEW = " (preview)"  # follows the title of a picture with fewer pixels or Gaussians than there are
+LARGEST_THINNING = 64  # a coarse picture shows at least one of so many Gaussians
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -11,24 +11,20 @@ from typing import TYPE_CHECKING, Any
 from mi_splat.errors import InvalidValueError
 from mi_splat.viewer.content import Content
 from mi_splat.viewer.jobs import Choice, JobKind, Value
-from mi_splat.viewer.layout import display_modes
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.picking import MASK
-from mi_splat.viewer.session import ViewState
+from mi_splat.viewer.session import ViewState, display_modes
 
 if TYPE_CHECKING:
-    from mi_splat.viewer.client import Client
     from mi_splat.viewer.runner import JobRunner
+    from mi_splat.viewer.server import Client
 
-FREE = "(free)"
-"""Name of a camera that is not listed; in more parentheses if a listed one is called so."""
+FREE = "(free)"  # name of a camera that is not listed; in more parentheses if a listed one is called so
 HOW_TO_SELECT = "Click on an object in the picture; hold Shift to add to the selection."
 NOTHING_TO_SELECT = "Only splats have objects to select."
 
-Remark = tuple[str, str]
-"""What it is about, which may be nothing, and plain text from anywhere."""
-Change = Callable[[Callable[[ViewState], ViewState]], None]
-"""Changes the state of a window."""
+Remark = tuple[str, str]  # what it is about, which may be nothing, and plain text from anywhere
+Change = Callable[[Callable[[ViewState], ViewState]], None]  # changes the state of a window
 
 
 class ViewPanel:

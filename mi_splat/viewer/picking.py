@@ -16,13 +16,11 @@ from mi_splat.selection.config import Selection
 from mi_splat.selection.select import select
 from mi_splat.sh import colour_to_dc
 from mi_splat.viewer.content import Content, ShownSplat
-from mi_splat.viewer.layout import Layout, panes, pictures_of
 from mi_splat.viewer.orbit import Orbit, camera_options
+from mi_splat.viewer.session import Layout, panes, pictures_of
 
-TINT = (1.0, 0.0, 0.8)
-"""sRGB colour that is mixed half and half with the colour of selected Gaussians."""
-MASK = "mask.npy"
-"""File of the selected Gaussians in commands."""
+TINT = (1.0, 0.0, 0.8)  # sRGB colour that is mixed half and half with the colour of selected Gaussians
+MASK = "mask.npy"  # file of the selected Gaussians in commands
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -27,10 +27,9 @@ from mi_splat.viewer.panel import JobPanel
 from mi_splat.viewer.picking import MASK, Click, Picked, pick
 
 if TYPE_CHECKING:
-    from mi_splat.viewer.client import Client
+    from mi_splat.viewer.server import Client
 
-MOST_QUEUED = 100
-"""Requests that wait; more are dropped."""
+MOST_QUEUED = 100  # requests that wait; more are dropped
 
 
 def mi_splat_command(*arguments: str) -> list[str]:

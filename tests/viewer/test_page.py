@@ -23,11 +23,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from mi_splat.errors import InvalidValueError
 from mi_splat.viewer.content import Inspection
 from mi_splat.viewer.guard import COOKIE, MOST_WINDOWS
-from mi_splat.viewer.layout import DIFFERENCE
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.runner import JobRunner
 from mi_splat.viewer.server import Page, check_port
-from mi_splat.viewer.session import Pace, Step, ViewState
+from mi_splat.viewer.session import DIFFERENCE, Pace, Step, ViewState
 from tests.viewer.contents import ABOVE, START, MeanInspector, painter, runner
 from tests.viewer.wire import PATIENCE, Browser, connection, headers_of, serving
 

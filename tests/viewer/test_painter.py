@@ -24,10 +24,20 @@ from mi_splat.rotation import from_z
 from mi_splat.scene import Similarity
 from mi_splat.scene_files import read_scene
 from mi_splat.viewer.content import content_of_file
-from mi_splat.viewer.layout import DIFFERENCE, MARGIN, SIDE_BY_SIDE, Pixels, compose, difference, lay_out
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import MOST_PIXELS, Painter, Thinned, within
-from mi_splat.viewer.session import Pace, Step, ViewState
+from mi_splat.viewer.session import (
+    DIFFERENCE,
+    MARGIN,
+    SIDE_BY_SIDE,
+    Pace,
+    Pixels,
+    Step,
+    ViewState,
+    compose,
+    difference,
+    lay_out,
+)
 from tests import oracle
 from tests.fakes import blobs
 from tests.project.layers import ROOT

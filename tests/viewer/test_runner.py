@@ -16,10 +16,9 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import dc_to_colour
 from mi_splat.viewer.jobs import Choice, Number, Value
-from mi_splat.viewer.layout import DIFFERENCE, SIDE_BY_SIDE, lay_out
 from mi_splat.viewer.picking import TINT, Click, clicked, tinted
 from mi_splat.viewer.runner import JobRunner
-from mi_splat.viewer.session import Pace, Step, ViewState
+from mi_splat.viewer.session import DIFFERENCE, SIDE_BY_SIDE, Pace, Step, ViewState, lay_out
 from tests.viewer.contents import START, WORK, ball, balls, painter, runner
 
 MIDDLE = Click(splat="clean", pixel=(24, 16), orbit=START)
