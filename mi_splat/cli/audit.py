@@ -160,7 +160,7 @@ def _check_pictures(options: AuditOptions) -> None:
 def _check_repair(options: AuditOptions) -> None:
     """Raise, before any work is done, unless a repaired splat can be written where it is wanted."""
     from mi_splat.io.folders import check_new_file, check_not_input
-    from mi_splat.io.formats.detection import format_to_write
+    from mi_splat.io.splat_files import format_to_write
 
     if options.repair is None:
         if options.keep != "outside":

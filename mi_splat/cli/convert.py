@@ -13,7 +13,6 @@ from mi_splat.cli.console import progress, show_result
 from mi_splat.cli.flags import Positional, Unprefixed
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.formats.detection import format_to_write
 from mi_splat.placement import Placement
 
 if TYPE_CHECKING:
@@ -63,7 +62,7 @@ def run(options: ConvertOptions) -> None:
 
     from mi_splat.io.folders import check_new_file, check_not_input, check_writable, splat_in
     from mi_splat.io.loaded import dropped_bands, ranges
-    from mi_splat.io.splat_files import TAGGED, load_stored, write_splat_file
+    from mi_splat.io.splat_files import TAGGED, format_to_write, load_stored, write_splat_file
     from mi_splat.scene import merge
 
     suffix = format_to_write(str(options.out))  # a name that fits no format is told before a large file is read

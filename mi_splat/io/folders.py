@@ -29,7 +29,6 @@ from mi_splat.io.documents import (
     try_lock,
 )
 from mi_splat.io.errors import SplatFileError, from_os_error
-from mi_splat.io.formats.detection import META
 from mi_splat.io.parsing import DocumentReader
 
 # Locks: files that one process has at a time, so that two jobs never write into the same folder.
@@ -236,6 +235,8 @@ def _entry(name: str, entry: Any, path: Path) -> tuple[str, int]:
 
 RECORD = "result.json"
 """The file that every folder of results holds."""
+META = "meta.json"
+"""The file that leads to the images of an unbundled SOG."""
 IN_FOLDERS = ("splat.ply", "attacked.ply", META)
 """Names by which a folder has one splat: of a training, of an attack, and of an unbundled SOG."""
 

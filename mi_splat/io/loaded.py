@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mi_splat.attributes import ATTRIBUTES, LARGEST, Attribute
 from mi_splat.errors import message
-from mi_splat.io.errors import SplatFileError, SplatFileWarning
+from mi_splat.io.errors import LFS_ADVICE, LFS_POINTER, SplatFileError, SplatFileWarning
 from mi_splat.sh import dc_to_colour, degree_of
 
 if TYPE_CHECKING:
@@ -258,6 +258,9 @@ def open_regular(path: str) -> io.FileIO:
         file.close()
         got = "a special file (pipe, socket or device)"
         raise SplatFileError.of(path, "a splat file", got, "pass the path of a regular file")
+    if os.pread(file.fileno(), len(LFS_POINTER), 0) == LFS_POINTER:
+        file.close()
+        raise SplatFileError.of(path, "a splat file", *LFS_ADVICE)
     return file
 
 

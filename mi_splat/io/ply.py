@@ -1,7 +1,9 @@
-"""PLY files: the header within bounds, and the rows of its elements.
+"""PLY files: the header within bounds, the rows of its elements, and splats as 3D Gaussian Splatting writes them.
 
 Every size that a header claims is held against the bytes that are there before memory is taken for it. NumPy reads
-binary rows; the package plyfile (GPL, optional) reads text and rows with lists.
+binary rows; the package plyfile (GPL, optional) reads text and rows with lists. Of splats, also 2DGS (two scales), the
+column `filter_3D` of Mip-Splatting and the 8-bit colours of nerfstudio are read, and the comments in which Brush and
+Postshot say whether a splat was trained with antialiasing.
 """
 
 from __future__ import annotations
@@ -12,26 +14,203 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.lib.recfunctions import structured_to_unstructured
+from numpy.lib.recfunctions import repack_fields, structured_to_unstructured
 from numpy.typing import NDArray
 
 from mi_splat.io.documents import atomic_write, write_all
-from mi_splat.io.errors import LFS_ADVICE, LFS_POINTER, SplatFileError
+from mi_splat.io.errors import SplatFileError
 from mi_splat.io.loaded import HIGHER_BANDS, SHOWN, Loaded, judged, unit
 from mi_splat.sh import colour_to_dc
 
 if TYPE_CHECKING:
     from mi_splat.scene import GaussianScene
 
-# Splats as 3D Gaussian Splatting writes them: PLY with log-scales, logit opacities and SH channel by channel.
-#
-# Also read are 2DGS (two scales), the column `filter_3D` of Mip-Splatting and the 8-bit colours of nerfstudio.
-# Comments of Brush and Postshot say whether a splat was trained with antialiasing.
+Rows = NDArray[np.void]
+
+_HEADER_LIMIT = 64 * 1024
+"""Longest header in bytes; the ones that 3DGS writes have 1.5 KB."""
+_MOST_LISTS, _LONGEST_LINE, _MOST_TEXT = 1 << 21, 1 << 20, 1 << 30
+"""Lists that a file may have, bytes of a line of text, and bytes of a file that plyfile reads into objects."""
+_ORDERS = {b"ascii": "", b"binary_little_endian": "<", b"binary_big_endian": ">"}
+"""Byte order in NumPy's letters of each encoding, empty for text."""
+_PLY_NAMES = {"i1": b"int8 char", "u1": b"uint8 uchar", "i2": b"int16 short", "u2": b"uint16 ushort"}
+_PLY_NAMES |= {"i4": b"int32 int", "u4": b"uint32 uint", "f4": b"float32 float", "f8": b"float64 double"}
+_KINDS = {name: kind for kind, names in _PLY_NAMES.items() for name in names.split()}
+
+
+@dataclass(frozen=True, slots=True)
+class Element:
+    """A table: the number of its rows, and NumPy's kind of each column; of lists, that of their length before it."""
+
+    count: int
+    columns: dict[str, tuple[str, ...]]
+
+    @property
+    def kinds(self) -> dict[str, str]:
+        """The columns of single numbers."""
+        return {name: kinds[0] for name, kinds in self.columns.items() if len(kinds) == 1}
+
+    @property
+    def lists(self) -> int:
+        """How many columns are lists."""
+        return len(self.columns) - len(self.kinds)
+
+    @property
+    def least_bytes(self) -> int:
+        """Bytes that it takes in a binary file; the least, with empty lists, if it has lists."""
+        return self.count * sum(int(kinds[0][1:]) for kinds in self.columns.values())
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What a PLY file says about itself: byte order ("" for text), tables in file order, size in bytes, comments."""
+
+    order: str
+    elements: dict[str, Element]
+    size: int
+    comments: list[str]
+
+    @property
+    def is_compressed(self) -> bool:
+        """Whether its vertices are those of a compressed PLY."""
+        return "vertex" in self.elements and "packed_position" in self.elements["vertex"].columns
+
+    @property
+    def is_antialiased(self) -> bool:
+        """Whether the comments say that a splat was trained with antialiasing; the last one counts."""
+        modes = [match for comment in self.comments if (match := _MODE.fullmatch(comment.strip()))]
+        return bool(modes) and ((modes[-1][1] or "").lower() == "mip" or modes[-1][2] == "1")
+
+
+def _error(path: str, expected: str, got: object, do: str = "export the splat again") -> SplatFileError:
+    return SplatFileError.of(path, expected, got, do)
+
+
+def read_header(file: io.FileIO, path: str) -> Header:
+    """Read the header at the start of `file`."""
+    start = os.pread(file.fileno(), _HEADER_LIMIT, 0)
+    magic = re.match(rb"ply[ \t]*(\r\n|\n|\r)", start)
+    if magic is None:
+        raise _error(path, "a PLY file (first line 'ply')", f"a file that starts with {start[:8]!r}", "pass a splat")
+    newline = re.escape(magic[1])
+    end = re.search(newline + rb"end_header[ \t\r]*" + newline, start)
+    if end is None:
+        do = "write or download it again, if it is truncated"
+        raise _error(path, "a PLY header that ends with end_header", f"none in {len(start)} bytes", do)
+    header, columns = Header("none", {}, end.end(), []), dict[str, tuple[str, ...]]()
+    for line in start[magic.end() : end.start()].split(magic[1]):
+        words = line.split()
+        name = _text(words[-1] if words[:1] == [b"property"] else b"".join(words[1:2]))
+        match words:
+            case [] | [b"obj_info", *_]:
+                pass
+            case [b"comment", *text]:
+                header.comments.append(b" ".join(text).decode("utf-8", "replace"))
+            case [b"format", encoding, b"1.0"] if encoding in _ORDERS and header.order == "none":
+                header = dataclasses.replace(header, order=_ORDERS[encoding])
+            case [b"element", _, count] if re.fullmatch(rb"\d{1,18}", count) and name not in header.elements:
+                columns = {}
+                header.elements[name] = Element(int(count), columns)
+            case [b"property", kind, _] if header.elements and kind in _KINDS and name not in columns:
+                columns[name] = (_KINDS[kind],)
+            case [b"property", b"list", length, kind, _] if (
+                header.elements and _KINDS.get(length, "f")[0] != "f" and kind in _KINDS and name not in columns
+            ):
+                columns[name] = (_KINDS[length], _KINDS[kind])
+            case _:
+                expected = "one format, elements with a count, and properties, each with its own name, as in PLY 1.0"
+                raise _error(path, expected, repr(_text(line.strip()[:80])), "repair the header or export it again")
+    if header.order == "none" or not header.elements or not all(e.columns for e in header.elements.values()):
+        raise _error(path, "a line 'format' in the header, and elements with properties", "none")
+    return header
+
+
+def _text(word: bytes) -> str:
+    return word.decode("ascii", "backslashreplace")
+
+
+def read_rows(file: io.FileIO, header: Header, name: str, path: str) -> Rows:
+    """All rows of an element; of one with lists only the single numbers, and of text integers as float64."""
+    size, number = os.fstat(file.fileno()).st_size, list(header.elements).index(name)
+    elements = list(header.elements.values())
+    before, element, later = elements[:number], elements[number], elements[number + 1 :]
+    if not header.order or any(element.lists for element in elements[: number + 1]):
+        return _read_with_plyfile(file, header, name, size, path)
+    end = header.size + sum(element.least_bytes for element in elements)
+    if end > size or (end < size and not any(element.lists for element in later)):
+        raise _mismatch(header, f"{end} bytes", f"{size} bytes", path)
+    file.seek(header.size + sum(element.least_bytes for element in before))
+    record = np.dtype([(column, header.order + kind) for column, kind in element.kinds.items()])
+    rows = np.fromfile(file, record, element.count)
+    if len(rows) < element.count:
+        raise _error(path, f"{element.count} rows of {name}", f"{len(rows)}: the file shrank", "try again")
+    return rows
+
+
+def _mismatch(header: Header, expected: str, got: str, path: str) -> SplatFileError:
+    counts = ", ".join(f"{element.count} x {name}" for name, element in header.elements.items())
+    do = "it is truncated, something was appended, or a count is wrong: write or download it again"
+    return _error(path, f"{expected} for {counts}", got, do)
+
+
+def _read_with_plyfile(file: io.FileIO, header: Header, name: str, size: int, path: str) -> Rows:
+    """The rows of an element where it, or one before it, is text or has lists.
+
+    plyfile believes a header, so it gets one of our own, after the sizes were held against the bytes that are there.
+    """
+    is_text, what = not header.order, "rows with lists" if header.order else "text"
+    needed = dict(list(header.elements.items())[: list(header.elements).index(name) + 1])
+    least = sum(2 * e.count * len(e.columns) if is_text else e.least_bytes for e in needed.values()) - is_text
+    if header.size + least > size or sum(e.count * e.lists for e in needed.values()) > _MOST_LISTS:
+        raise _mismatch(header, f"at least {header.size + least} bytes of {what}", f"{size} bytes", path)
+    if size > _MOST_TEXT:
+        raise _error(path, f"at most {_MOST_TEXT:,} bytes of {what}", f"{size:,}", "export it as binary")
+    try:
+        import plyfile
+    except ImportError as error:
+        do = "pip install plyfile, or export the file as binary without lists"
+        raise _error(path, f"the package plyfile, to read {what}", "none", do) from error
+    file.seek(header.size)
+    data = file.read()
+    if is_text:
+        data = re.sub(rb"[\r\n]\s*", b"\n", data.strip()) + b"\n"
+        lines, rows = data.count(b"\n") * (len(data) > 1), sum(e.count for e in header.elements.values())
+        if lines != rows:
+            raise _mismatch(header, f"{rows} lines", f"{lines}", path)
+        if max(map(len, data.split(b"\n"))) > _LONGEST_LINE:
+            raise _error(path, f"lines of at most {_LONGEST_LINE} bytes", "a longer one", "export it as binary")
+    stream = io.BytesIO(header_bytes(needed, header.order) + data)
+    try:
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # NumPy's, about lists without values
+            table: Rows = plyfile.PlyData.read(stream, mmap=False)[name].data
+    except (plyfile.PlyParseError, ValueError, OverflowError) as error:
+        raise _error(path, f"intact {what} of {name}", " ".join(str(error).split())[:100]) from error
+    if not is_text and len(needed) == len(header.elements) and stream.read(1):
+        raise _mismatch(header, "the end of the file", "more", path)
+    return repack_fields(table[list(needed[name].kinds)])  # lists of a row are objects
+
+
+def header_bytes(elements: Mapping[str, Element], order: str = "<", *, antialiased: bool = False) -> bytes:
+    """The header of a file; of text, integers are doubles, since some programs write 255.0 for one."""
+    lines = [b"ply", b"format %s 1.0" % next(name for name, letter in _ORDERS.items() if letter == order)]
+    lines += [b"comment SplatRenderMode: mip"] if antialiased else []
+    for name, element in elements.items():
+        lines.append(f"element {name} {element.count}".encode())
+        for column, (*length, kind) in element.columns.items():
+            kinds = [*length, kind if order or kind[0] == "f" else "f8"]
+            words = [b"property", *([b"list"] if length else []), *(_PLY_NAMES[kind].split()[1] for kind in kinds)]
+            lines.append(b" ".join([*words, column.encode()]))
+    return b"\n".join([*lines, b"end_header", b""])
+
+
+# Splats
+
 
 _MEANS, _NORMALS, _DC = ["x", "y", "z"], ["nx", "ny", "nz"], ["f_dc_0", "f_dc_1", "f_dc_2"]
 _SCALES, _ROTATIONS = ["scale_0", "scale_1", "scale_2"], ["rot_0", "rot_1", "rot_2", "rot_3"]
@@ -49,32 +228,26 @@ def rest_names(count: int) -> list[str]:
     return [f"f_rest_{i}" for i in range(count)]
 
 
-def is_antialiased(header: Header) -> bool:
-    """Whether the comments say that a splat was trained with antialiasing; the last one counts."""
-    modes = [match for comment in header.comments if (match := _MODE.fullmatch(comment.strip()))]
-    return bool(modes) and ((modes[-1][1] or "").lower() == "mip" or modes[-1][2] == "1")
-
-
-def read_splat(file: io.FileIO, header: Header, path: str) -> Loaded:
+def read_ply(file: io.FileIO, path: str) -> Loaded:
     """Read a splat in any encoding, any kinds of numbers and any order of properties."""
-    vertex = header.element("vertex")
-    if vertex is None:
-        raise ply_error(path, "an element named vertex", ", ".join(e.name for e in header.elements), "pass a splat")
+    header = read_header(file, path)
+    if (vertex := header.elements.get("vertex")) is None:
+        raise _error(path, "an element named vertex", ", ".join(header.elements), "pass a splat")
     scale_names, colour_names, rest = _check_properties(vertex, path)
-    rows = read_rows(file, header, "vertex", path)
+    rows, kinds = read_rows(file, header, "vertex", path), vertex.kinds
     logits, logs = _columns(rows, ["opacity"])[:, 0], _columns(rows, scale_names)
     if len(scale_names) == 2:
         logs = np.concatenate([logs, logs.min(axis=1, keepdims=True) + math.log(_FLATNESS)], axis=1)
     # As `mi_splat.io.parameters.activate`: in float64, rounded once.
     scales, opacities = np.exp(logs, dtype=np.float64), 1 / (1 + np.exp(-logits.astype(np.float64)))
     opacities[~np.isfinite(logits)] = np.nan
-    kinds = vertex.kinds()
     if _FILTER in kinds:  # the 3D smoothing filter, Yu et al. 2024, eq. 9
         wider = np.sqrt(scales**2 + rows[_FILTER].astype(np.float64)[:, None] ** 2)
         opacities, scales = opacities * (scales / wider).prod(axis=1), wider
     colours = _columns(rows, colour_names)
     if colour_names == _RGB:
-        colours = colour_to_dc(colours / np.array([_full(kinds[name]) for name in _RGB]))
+        full = [1.0 if kinds[name][0] == "f" else np.iinfo(kinds[name]).max for name in _RGB]
+        colours = colour_to_dc(colours / np.array(full, np.float64))
     kept = min(rest, REST_COUNTS[-1]) // 3
     sh = np.empty((len(rows), 1 + kept, 3), np.float32)
     sh[:, 0] = colours
@@ -85,17 +258,17 @@ def read_splat(file: io.FileIO, header: Header, path: str) -> Loaded:
     if len(scale_names) == 2:
         notices.append(("three scales", "two (a 2DGS splat)", "its flat Gaussians are drawn as very thin ellipsoids"))
     read = {*_MEANS, *_NORMALS, *scale_names, *_ROTATIONS, "opacity", *colour_names, *rest_names(rest), _FILTER}
-    unread = [column.name for column in vertex.properties if column.name not in read]
-    unread += [f"element {element.name}" for element in header.elements if element is not vertex]
-    mode = _FILTER in kinds or is_antialiased(header)
+    unread = [name for name in vertex.columns if name not in read]
+    unread += [f"element {name}" for name in header.elements if name != "vertex"]
+    mode = _FILTER in kinds or header.is_antialiased
     return dataclasses.replace(loaded, is_antialiased=mode, notices=tuple(notices), unread=tuple(unread))
 
 
 def _check_properties(vertex: Element, path: str) -> tuple[list[str], list[str], int]:
     """Names of the scales and of the colours, and the number of further SH properties."""
-    kinds, rest = vertex.kinds(), sum(column.name.startswith("f_rest_") for column in vertex.properties)
+    kinds, rest = vertex.kinds, sum(name.startswith("f_rest_") for name in vertex.columns)
     if rest not in (*REST_COUNTS, _REST_OF_DEGREE_4):
-        raise ply_error(path, "0, 9, 24 or 45 properties f_rest_* (SH degree 0 to 3)", rest)
+        raise _error(path, "0, 9, 24 or 45 properties f_rest_* (SH degree 0 to 3)", rest)
     scales = _SCALES if _SCALES[2] in kinds else _SCALES[:2]
     colours = _RGB if _DC[0] not in kinds and set(_RGB) <= kinds.keys() else _DC
     needed = [*_MEANS, *scales, *_ROTATIONS, "opacity", *colours, *rest_names(rest)]
@@ -103,30 +276,20 @@ def _check_properties(vertex: Element, path: str) -> tuple[list[str], list[str],
     if missing:
         more = f" and {len(missing) - SHOWN} more" if len(missing) > SHOWN else ""
         do = "pass a splat: this may be a point cloud, or a mesh, of which mi-splat capture takes pictures"
-        raise ply_error(path, "the properties of a 3DGS splat", f"no {', '.join(missing[:SHOWN])}{more}", do)
+        raise _error(path, "the properties of a 3DGS splat", f"no {', '.join(missing[:SHOWN])}{more}", do)
     for name in needed:
         if kinds[name][0] != "f" and name not in _RGB:
-            raise ply_error(path, f"{name} as float or double", f"an integer ({kinds[name]})")
+            raise _error(path, f"{name} as float or double", f"an integer ({kinds[name]})")
     return scales, colours, rest
 
 
 def _columns(rows: Rows, names: Sequence[str]) -> NDArray[np.floating]:
     """(rows, names) values, without a copy if that can be."""
-    if not names or rows.dtype.hasobject:  # plyfile leaves the lists of a row as objects
-        return np.stack([rows[name] for name in names], axis=1) if names else np.empty((len(rows), 0), np.float32)
-    return np.asarray(structured_to_unstructured(rows[list(names)]))
+    return np.asarray(structured_to_unstructured(rows[list(names)])) if names else np.empty((len(rows), 0), np.float32)
 
 
-def _full(kind: str) -> float:
-    """The value of a colour channel that is fully lit."""
-    return 1.0 if kind[0] == "f" else float(np.iinfo(kind).max)
-
-
-def write_splat(scene: GaussianScene, path: str | os.PathLike[str], *, antialiased: bool = False) -> None:
-    """Save a splat as 3DGS writes it: binary little-endian float32 with zero normals and the scene's SH degree.
-
-    Means and SH of a float32 scene are kept bit for bit; saving what was loaded writes the same bytes again.
-    """
+def write_ply(scene: GaussianScene, path: str | os.PathLike[str], *, antialiased: bool = False) -> None:
+    """Save a splat as 3DGS writes it: binary little-endian float32 with zero normals and the scene's SH degree."""
     import torch  # reading does without
 
     from mi_splat.io.parameters import to_raw_parameters
@@ -138,208 +301,7 @@ def write_splat(scene: GaussianScene, path: str | os.PathLike[str], *, antialias
     after = values["opacities"][:, None], values["scales"], values["rotations"]
     table = np.concatenate([*before, *after], axis=1, dtype="<f4")
     names = [*_MEANS, *_NORMALS, *_DC, *rest_names(rest.shape[1]), "opacity", *_SCALES, *_ROTATIONS]
+    head = header_bytes({"vertex": Element(len(scene), dict.fromkeys(names, ("f4",)))}, antialiased=antialiased)
     with atomic_write(path) as file:
-        write_all(file, memoryview(header_bytes([("vertex", len(scene), "float", names)], antialiased=antialiased)))
+        write_all(file, memoryview(head))
         write_all(file, table.reshape(-1).view(np.uint8).data)
-
-
-Rows = NDArray[np.void]
-
-HEADER_LIMIT = 64 * 1024
-"""Longest header in bytes; the ones that 3DGS writes have 1.5 KB."""
-_MOST_LISTS, _LONGEST_LINE, _MOST_TEXT = 1 << 21, 1 << 20, 1 << 30
-"""Lists that a file may have, bytes of a line of text, and bytes of a file that plyfile reads into objects."""
-
-_ORDERS = {b"ascii": "", b"binary_little_endian": "<", b"binary_big_endian": ">"}
-"""Byte order in NumPy's letters of each encoding, empty for text."""
-_INTEGERS = {
-    **dict.fromkeys((b"int8", b"char"), "i1"),
-    **dict.fromkeys((b"uint8", b"uchar"), "u1"),
-    **dict.fromkeys((b"int16", b"short"), "i2"),
-    **dict.fromkeys((b"uint16", b"ushort"), "u2"),
-    **dict.fromkeys((b"int32", b"int"), "i4"),
-    **dict.fromkeys((b"uint32", b"uint"), "u4"),
-}
-_KINDS = {
-    **_INTEGERS,
-    **dict.fromkeys((b"float32", b"float"), "f4"),
-    **dict.fromkeys((b"float64", b"double"), "f8"),
-}
-_NAMES = {kind: name for name, kind in _KINDS.items()}
-
-
-@dataclass(frozen=True, slots=True)
-class Property:
-    """One column of an element: NumPy kind of its values, and of its length if each value is a list."""
-
-    name: str
-    kind: str
-    length_kind: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Element:
-    """One table of a PLY file."""
-
-    name: str
-    count: int
-    properties: tuple[Property, ...]
-
-    @property
-    def has_lists(self) -> bool:
-        """Whether rows may differ in size."""
-        return any(column.length_kind for column in self.properties)
-
-    def kinds(self) -> dict[str, str]:
-        """NumPy kind of each property that is a single number."""
-        return {column.name: column.kind for column in self.properties if not column.length_kind}
-
-
-@dataclass(frozen=True, slots=True)
-class Header:
-    """What a PLY file says about itself: byte order ("" for text), tables in file order, size in bytes, comments."""
-
-    order: str
-    elements: tuple[Element, ...]
-    size: int
-    comments: tuple[str, ...]
-
-    def element(self, name: str) -> Element | None:
-        """The element of a name."""
-        return next((element for element in self.elements if element.name == name), None)
-
-
-def ply_error(path: str, expected: str, got: object, do: str = "export the splat again") -> SplatFileError:
-    """The error for a PLY file."""
-    return SplatFileError.of(path, expected, got, do)
-
-
-def read_header(file: io.FileIO, path: str) -> Header:
-    """Read the header at the start of `file`."""
-    start = os.pread(file.fileno(), HEADER_LIMIT, 0)
-    magic = re.match(rb"ply[ \t]*(\r\n|\n|\r)", start)
-    if start.startswith(LFS_POINTER):
-        raise ply_error(path, "a PLY file", *LFS_ADVICE)
-    if magic is None:
-        raise ply_error(path, "a PLY file (first line 'ply')", f"a file that starts with {start[:8]!r}", "pass a splat")
-    newline = re.escape(magic[1])
-    end = re.search(newline + rb"end_header[ \t\r]*" + newline, start)
-    if end is None:
-        do = "write or download it again, if it is truncated"
-        raise ply_error(path, "a PLY header that ends with end_header", f"none in {len(start)} bytes", do)
-    order, comments, elements = "none", list[str](), list[tuple[str, int, list[Property]]]()
-    for line in start[magic.end() : end.start()].split(magic[1]):
-        match line.split():
-            case [] | [b"obj_info", *_]:
-                pass
-            case [b"comment", *words]:
-                comments.append(b" ".join(words).decode("utf-8", "replace"))
-            case [b"format", encoding, b"1.0"] if encoding in _ORDERS and order == "none":
-                order = _ORDERS[encoding]
-            case [b"element", name, count] if re.fullmatch(rb"\d{1,18}", count):
-                elements.append((_text(name), int(count), []))
-            case [b"property", kind, name] if elements and kind in _KINDS:
-                elements[-1][2].append(Property(_text(name), _KINDS[kind]))
-            case [b"property", b"list", length, kind, name] if elements and length in _INTEGERS and kind in _KINDS:
-                elements[-1][2].append(Property(_text(name), _KINDS[kind], _INTEGERS[length]))
-            case _:
-                expected = "one format, elements with a count, and their properties, as in PLY 1.0"
-                raise ply_error(path, expected, repr(_text(line.strip()[:80])), "repair the header or export it again")
-    if order == "none":
-        raise ply_error(path, "a line 'format' in the header", "none")
-    tables = tuple(Element(name, count, tuple(columns)) for name, count, columns in elements)
-    for names in (
-        [table.name for table in tables],
-        *([column.name for column in table.properties] for table in tables),
-    ):
-        if not names or len(set(names)) < len(names):
-            got = next((f"{name} twice" for name in names if names.count(name) > 1), "none")
-            raise ply_error(path, "elements and properties with different names", got)
-    return Header(order, tables, end.end(), tuple(comments))
-
-
-def _text(word: bytes) -> str:
-    return word.decode("ascii", "backslashreplace")
-
-
-def read_rows(file: io.FileIO, header: Header, name: str, path: str) -> Rows:
-    """All rows of an element; of one with lists only the single numbers, and of text integers as float64."""
-    size, number = os.fstat(file.fileno()).st_size, [element.name for element in header.elements].index(name)
-    needed, later = header.elements[: number + 1], header.elements[number + 1 :]
-    if not header.order or any(element.has_lists for element in needed):
-        return _read_with_plyfile(file, header, needed, size, path)
-    end = header.size + sum(map(_least, header.elements))
-    if end > size or (end < size and not any(element.has_lists for element in later)):
-        raise _mismatch(header, f"{end} bytes", f"{size} bytes", path)
-    element = needed[-1]
-    record = np.dtype([(column, header.order + kind) for column, kind in element.kinds().items()])
-    file.seek(header.size + sum(map(_least, needed[:-1])))
-    rows = np.fromfile(file, record, element.count)
-    if len(rows) < element.count:
-        raise ply_error(path, f"{element.count} rows of {name}", f"{len(rows)}: the file shrank", "try again")
-    return rows
-
-
-def _least(element: Element) -> int:
-    """Bytes that an element takes in a binary file; the least, with empty lists, if it has lists."""
-    return element.count * sum(int((column.length_kind or column.kind)[1:]) for column in element.properties)
-
-
-def _mismatch(header: Header, expected: str, got: str, path: str) -> SplatFileError:
-    counts = ", ".join(f"{element.count} x {element.name}" for element in header.elements)
-    do = "it is truncated, something was appended, or a count is wrong: write or download it again"
-    return ply_error(path, f"{expected} for {counts}", got, do)
-
-
-def _read_with_plyfile(file: io.FileIO, header: Header, elements: tuple[Element, ...], size: int, path: str) -> Rows:
-    """The rows of the last one of the first elements of a file, which are text or have lists.
-
-    plyfile believes a header, so it gets one of our own, after the sizes were held against the bytes that are there.
-    """
-    wanted, what = elements[-1], "rows with lists" if header.order else "text"
-    least = sum(e.count * 2 * len(e.properties) if not header.order else _least(e) for e in elements)
-    lists = sum(e.count * sum(bool(column.length_kind) for column in e.properties) for e in elements)
-    if header.size + least - (not header.order) > size or lists > _MOST_LISTS:
-        raise _mismatch(header, f"at least {header.size + least} bytes of {what}", f"{size} bytes", path)
-    if size > _MOST_TEXT:
-        raise ply_error(path, f"at most {_MOST_TEXT:,} bytes of {what}", f"{size:,}", "export it as binary")
-    try:
-        import plyfile
-    except ImportError as error:
-        do = "pip install plyfile, or export the file as binary without lists"
-        raise ply_error(path, f"the package plyfile, to read {what}", "none", do) from error
-    file.seek(header.size)
-    data = file.read()
-    if not header.order:
-        data = re.sub(rb"[\r\n]\s*", b"\n", data.strip()) + b"\n"
-        lines, rows = data.count(b"\n") * (len(data) > 1), sum(element.count for element in header.elements)
-        if lines != rows:
-            raise _mismatch(header, f"{rows} lines", f"{lines}", path)
-        if max(map(len, data.split(b"\n"))) > _LONGEST_LINE:
-            raise ply_error(path, f"lines of at most {_LONGEST_LINE} bytes", "a longer one", "export it as binary")
-    encoding = next(name for name, letter in _ORDERS.items() if letter == header.order)
-    head = [b"ply", b"format " + encoding + b" 1.0"]
-    for element in elements:
-        head.append(f"element {element.name} {element.count}".encode())
-        for column in element.properties:  # text says 255.0 for an integer, too
-            kind = _NAMES["f8" if not header.order and column.kind[0] != "f" else column.kind]
-            length = [b"list", _NAMES[column.length_kind]] if column.length_kind else []
-            head.append(b" ".join([b"property", *length, kind, column.name.encode()]))
-    stream = io.BytesIO(b"\n".join([*head, b"end_header", data]))
-    try:
-        with np.errstate(all="ignore"), warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # NumPy's, about lists without values
-            table: Rows = plyfile.PlyData.read(stream, mmap=False)[wanted.name].data
-    except (plyfile.PlyParseError, ValueError, OverflowError) as error:
-        raise ply_error(path, f"intact {what} of {wanted.name}", " ".join(str(error).split())[:100]) from error
-    if header.order and wanted is header.elements[-1] and stream.read(1):
-        raise _mismatch(header, "the end of the file", "more", path)
-    return table
-
-
-def header_bytes(elements: Sequence[tuple[str, int, str, Sequence[str]]], *, antialiased: bool = False) -> bytes:
-    """The header of a binary file with elements of a name, a count, and properties of one kind."""
-    lines = ["ply", "format binary_little_endian 1.0", *(["comment SplatRenderMode: mip"] if antialiased else [])]
-    for name, count, kind, columns in elements:
-        lines += [f"element {name} {count}", *(f"property {kind} {column}" for column in columns)]
-    return "\n".join([*lines, "end_header", ""]).encode()

@@ -1,6 +1,5 @@
 """Coloured points, and the PLY file in which 3DGS trainers look for them."""
 
-import io
 import os
 from dataclasses import dataclass
 
@@ -13,28 +12,21 @@ from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import atomic_write, write_all
 from mi_splat.io.errors import SplatFileError, from_os_error
-from mi_splat.io.ply import read_header, read_rows
+from mi_splat.io.loaded import open_regular
+from mi_splat.io.ply import Element, header_bytes, read_header, read_rows
 
 _AXES, _CHANNELS = ("x", "y", "z"), ("red", "green", "blue")
-# Readers of other trainers ask for normals as well.
-_RECORD = np.dtype([*((name, "<f4") for name in (*_AXES, "nx", "ny", "nz")), *((name, "u1") for name in _CHANNELS)])
+_KINDS = {**dict.fromkeys((*_AXES, "nx", "ny", "nz"), "f4"), **dict.fromkeys(_CHANNELS, "u1")}
+"""Of the columns that are written; readers of other trainers ask for normals as well."""
 _GREY = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointCloud:
-    """Coloured points on surfaces, from which a training may start.
+    """Coloured points on surfaces, from which a training may start."""
 
-    Attributes:
-        points: (P, 3) float32, world units.
-        colours: (P, 3) float32, sRGB in [0, 1].
-
-    Raises:
-        InvalidValueError: The shapes do not agree, or a value is not finite or out of range.
-    """
-
-    points: Tensor
-    colours: Tensor
+    points: Tensor  # (P, 3) float32, world units
+    colours: Tensor  # (P, 3) float32, sRGB in [0, 1]
 
     def __post_init__(self) -> None:
         for name in ("points", "colours"):
@@ -62,15 +54,14 @@ def to_bytes(colours: Tensor) -> NDArray[np.uint8]:
 
 def save_points(cloud: PointCloud, path: str | os.PathLike[str]) -> None:
     """Save points as binary PLY with zero normals and 8-bit colours; the file appears whole or not at all."""
-    rows = np.zeros(len(cloud), _RECORD)
+    rows = np.zeros(len(cloud), [(name, f"<{kind}") for name, kind in _KINDS.items()])
     for i, name in enumerate(_AXES):
         rows[name] = cloud.points[:, i].numpy()
     for i, name in enumerate(_CHANNELS):
         rows[name] = to_bytes(cloud.colours[:, i])
-    lines = [f"property {'uchar' if name in _CHANNELS else 'float'} {name}" for name in _RECORD.names or ()]
-    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}", *lines, "end_header", ""]
+    head = header_bytes({"vertex": Element(len(rows), {name: (kind,) for name, kind in _KINDS.items()})})
     with atomic_write(path) as file:
-        write_all(file, memoryview("\n".join(head).encode()))
+        write_all(file, memoryview(head))
         write_all(file, rows.view(np.uint8).data)
 
 
@@ -81,10 +72,10 @@ def load_points(path: str | os.PathLike[str]) -> PointCloud:
     """
     name = os.fspath(path)
     try:
-        with io.FileIO(name) as file:
+        with open_regular(name) as file:
             header = read_header(file, name)
-            element = header.element("vertex")
-            kinds = {} if element is None else element.kinds()
+            element = header.elements.get("vertex")
+            kinds = {} if element is None else element.kinds
             if not set(_AXES) <= kinds.keys():
                 got = ", ".join(kinds) or "no element named vertex"
                 raise SplatFileError.of(name, "vertices with x, y and z", got, "export the points again")

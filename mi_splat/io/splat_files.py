@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import io
 import os
 import warnings
@@ -12,19 +12,108 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from mi_splat.attributes import LARGEST
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError, install, message
 from mi_splat.io.documents import atomic_write, write_all
-from mi_splat.io.errors import SplatFileError, SplatFileWarning, SplatLossWarning, from_os_error, path_name
-from mi_splat.io.folders import splat_in
-from mi_splat.io.formats.detection import HEAD, META, USD, format_to_read, format_to_write
-from mi_splat.io.loaded import Loaded, arrays_of, open_regular
-from mi_splat.io.ply import read_header
+from mi_splat.io.errors import (
+    SplatFileError,
+    SplatFileWarning,
+    SplatLossWarning,
+    from_os_error,
+    path_name,
+)
+from mi_splat.io.folders import META, splat_in
+from mi_splat.io.loaded import Encoded, Loaded, arrays_of, open_regular
+from mi_splat.io.ply import read_header, write_ply
 
 if TYPE_CHECKING:
-    from mi_splat.io.loaded import Encoded
     from mi_splat.scene import GaussianScene
 
+HEAD = 32
+"""First bytes of a file by which its format is known."""
+
+USD = (".usdc", ".usda", ".usdz")
+"""OpenUSD in binary, as text and as a package; what is called `.usd` is read by its mark."""
+
+SUFFIXES = (".ply", ".glb", *USD, ".compressed.ply", ".sog", ".spz", ".splat", ".ksplat")
+
+_MAGIC = {b"ply": ".ply", b"NGSP": ".spz", b"\x1f\x8b": ".spz", b"PK\x03\x04": ".sog", b"glTF": ".glb"}
+_MAGIC |= {b"PXR-USDC": ".usdc", b"#usda": ".usda"}
+_OTHERS = {
+    ".gltf": "pack it into one .glb, for instance with gltf-transform",
+    ".obj": "this is a mesh: capture pictures of it with mi-splat capture, and train a splat on them",
+    ".lcc": "convert it to .ply with splat-transform",
+    ".lcc2": "convert it to .ply with splat-transform",
+    ".csv": "save it as .ply; splat-transform writes .csv from that",
+    ".html": "save it as .ply; splat-transform makes a page from that",
+    ".usd": "call it .usdc or .usda, as what it begins with says",
+}
+_PROGRAMS = (".pt", ".pth", ".ckpt", ".pkl", ".pickle")
+"""Checkpoints of PyTorch: to unpickle one runs what is in it, so none is opened, whatever it begins with."""
+
+
+def suffix_of(path: str) -> str | None:
+    """The suffix of the format that a name promises; None if it ends otherwise."""
+    name = os.path.basename(path).lower()
+    if name == META or name.endswith("." + META):
+        return META
+    return max((suffix for suffix in SUFFIXES if name.endswith(suffix)), key=len, default=None)
+
+
+def format_to_read(path: str, head: bytes) -> str:
+    """The suffix of the format of a file, ".ply" also for compressed ones, `META` for an unbundled SOG.
+
+    A name that promises nothing is overruled by the file's mark; one that promises something else is an error.
+    """
+    if os.path.basename(path).lower().endswith(_PROGRAMS):
+        raise _unknown(path)
+    named = suffix_of(path)
+    named = ".ply" if named == ".compressed.ply" else named
+    marked = next((suffix for mark, suffix in _MAGIC.items() if head.startswith(mark)), None)
+    if named is None and marked is None:
+        raise _unknown(path)
+    if named in (None, marked) and marked is not None:
+        return marked
+    if marked is not None and named in (".splat", ".ksplat", META, *_MAGIC.values()):
+        raise SplatFileError.of(path, f"a {named} file", f"the mark of a {marked} file", f"rename it to {marked}")
+    return str(named)
+
+
+def format_to_write(path: str) -> str:
+    """The suffix of the format in which a file is to be written."""
+    named = suffix_of(path)
+    if named is None:
+        raise _unknown(path)
+    if named == META:
+        raise SplatFileError.of(path, "a format that is written", "an unbundled SOG", "save it as .sog")
+    if named == ".ksplat":
+        do = "save it as .ply and convert that with create-ksplat of GaussianSplats3D"
+        raise SplatFileError.of(path, "a format that is written", ".ksplat, which is only read", do)
+    if named in USD:
+        require_usd(path)
+    return named
+
+
+def require_usd(path: str) -> None:
+    """Raise unless the package that reads and writes OpenUSD is installed."""
+    if importlib.util.find_spec("pxr") is None:
+        expected = "the package usd-core, for files of OpenUSD"
+        raise SplatFileError.of(path, expected, "none", f"{install('usd')}, or use .glb")
+
+
+def _unknown(path: str) -> SplatFileError:
+    """The error for a name that fits no format."""
+    ending = os.path.splitext(path)[1].lower()
+    do = _OTHERS.get(ending, "convert it to .ply, for instance with splat-transform")
+    if ending in _PROGRAMS:
+        do = (
+            "a checkpoint can be a program, and is not opened: export a .ply where you trust it, with ns-export "
+            "gaussian-splat of nerfstudio, gsplat.export_splats, or save_ply of 3DGS"
+        )
+    return SplatFileError.of(path, f"a name that ends in {', '.join(SUFFIXES)}", ending or "no ending", do)
+
+
 _FORMATS = {
+    ".ply": ("mi_splat.io.ply", "read_ply", ""),
     ".compressed.ply": ("mi_splat.io.formats.compressed_ply", "read_compressed_ply", "write_compressed_ply"),
     ".glb": ("mi_splat.io.formats.gltf", "read_glb", "write_glb"),
     ".spz": ("mi_splat.io.formats.spz", "read_spz", "write_spz"),
@@ -34,7 +123,7 @@ _FORMATS = {
     ".ksplat": ("mi_splat.io.formats.ksplat", "read_ksplat", ""),
     **dict.fromkeys(USD, ("mi_splat.io.formats.usd", "read_usd", "write_usd")),
 }
-"""Module, reader and writer of each format but the PLY."""
+"""Module, reader and writer of each format; the PLY is written a part at a time."""
 TAGGED = (".ply", ".compressed.ply", ".sog", ".spz")
 """Formats that can say that a splat was trained with antialiasing."""
 _NEVER_EMPTY = (".glb", ".sog", ".splat")
@@ -112,26 +201,15 @@ def load_stored(path: str | os.PathLike[str]) -> Loaded:
         # Values that are not finite make NumPy warn where they are cast; each reader judges them at its end.
         with open_regular(name) as file, np.errstate(all="ignore"):
             suffix = format_to_read(name, os.pread(file.fileno(), HEAD, 0))
-            if suffix == ".ply":
-                return _read_ply(file, name)
+            if suffix == ".ply" and read_header(file, name).is_compressed:
+                suffix = ".compressed.ply"
+            if suffix in USD:
+                require_usd(name)
             module, function, _ = _FORMATS[suffix]
             read: Callable[[io.FileIO, str], Loaded] = getattr(importlib.import_module(module), function)
             return read(file, name)
     except OSError as error:
         raise from_os_error(name, "a splat file that can be read", error) from error
-
-
-def _read_ply(file: io.FileIO, path: str) -> Loaded:
-    """Read a PLY, compressed or not: its header says which."""
-    header = read_header(file, path)
-    vertex = header.element("vertex")
-    if vertex is not None and "packed_position" in vertex.kinds():
-        from mi_splat.io.formats.compressed_ply import read_compressed_ply
-
-        return read_compressed_ply(file, header, path)
-    from mi_splat.io.ply import read_splat
-
-    return read_splat(file, header, path)
 
 
 def write_splat_file(
@@ -142,8 +220,6 @@ def write_splat_file(
     antialiased: bool = False,
 ) -> Encoded:
     """Like `save_splat`, but what is lost is returned and not warned of; formats of `TAGGED` keep `antialiased`."""
-    from mi_splat.io.loaded import Encoded
-    from mi_splat.io.ply import write_splat
     from mi_splat.scene import check_scene
 
     check_scene("scene", scene)
@@ -155,7 +231,7 @@ def write_splat_file(
         expected = f"values that are finite in float32, up to {LARGEST:g}"
         raise InvalidValueError.of("scene", expected, "others", "remove those Gaussians")
     if suffix == ".ply":
-        write_splat(scene, path, antialiased=antialiased)
+        write_ply(scene, path, antialiased=antialiased)
         return Encoded(b"", ())
     module, _, function = _FORMATS[suffix]
     write: Callable[..., Encoded] = getattr(importlib.import_module(module), function)

@@ -25,7 +25,7 @@ from mi_splat.io.loaded import (
     restore_largest,
     vanished,
 )
-from mi_splat.io.ply import REST_COUNTS, Header, header_bytes, is_antialiased, read_rows, rest_names
+from mi_splat.io.ply import REST_COUNTS, Element, Header, header_bytes, read_header, read_rows, rest_names
 from mi_splat.sh import colour_to_dc
 
 CHUNK = 256
@@ -39,11 +39,12 @@ _POSITION_BITS, _ROTATION_BITS, _COLOUR_BITS = (11, 10, 11), (10, 10, 10), (8, 8
 _SH_LIMIT = 4.0
 
 
-def read_compressed_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
+def read_compressed_ply(file: io.FileIO, path: str) -> Loaded:
     """Read a compressed PLY, with or without ranges of colours and SH."""
+    header = read_header(file, path)
     packed = _columns(file, header, "vertex", _PACKED, "u4", path).astype(np.uint32)
-    chunk, rest = header.element("chunk"), header.element("sh")
-    coloured = chunk is not None and _COLOURS[0] in chunk.kinds()
+    chunk, rest = header.elements.get("chunk"), header.elements.get("sh")
+    coloured = chunk is not None and _COLOURS[0] in chunk.kinds
     names = [*_RANGES, *_SCALES, *(_COLOURS if coloured else [])]
     ends = _columns(file, header, "chunk", names, "f4", path).astype(np.float64)
     if len(ends) != -(-len(packed) // CHUNK):
@@ -51,13 +52,13 @@ def read_compressed_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
     ends = ends[np.arange(len(packed)) // CHUNK]
     colours = _unpack(packed[:, 3], _COLOUR_BITS)
     shown = _between(ends[:, 12:18], colours[:, :3]) if coloured else colours[:, :3]
-    sh = np.empty((len(packed), 1 + (len(rest.properties) // 3 if rest else 0), 3), np.float32)
+    sh = np.empty((len(packed), 1 + (len(rest.columns) // 3 if rest else 0), 3), np.float32)
     sh[:, 0] = colour_to_dc(shown)
     if rest is not None:
-        if len(rest.properties) not in REST_COUNTS[1:] or rest.count != len(packed):
-            got = f"{len(rest.properties)} for {rest.count}"
+        if len(rest.columns) not in REST_COUNTS[1:] or rest.count != len(packed):
+            got = f"{len(rest.columns)} for {rest.count}"
             raise _bad(path, "9, 24 or 45 bytes of SH for each Gaussian", got)
-        table = _columns(file, header, "sh", rest_names(len(rest.properties)), "u1", path).astype(np.uint8)
+        table = _columns(file, header, "sh", rest_names(len(rest.columns)), "u1", path).astype(np.uint8)
         sh[:, 1:] = _unpack_sh(table).reshape(len(table), 3, sh.shape[1] - 1).transpose(0, 2, 1)
     loaded = judged(
         _between(ends[:, 0:6], _unpack(packed[:, 0], _POSITION_BITS)),
@@ -66,7 +67,7 @@ def read_compressed_ply(file: io.FileIO, header: Header, path: str) -> Loaded:
         colours[:, 3],
         sh,
     )
-    return dataclasses.replace(loaded, is_antialiased=is_antialiased(header))
+    return dataclasses.replace(loaded, is_antialiased=header.is_antialiased)
 
 
 def write_compressed_ply(arrays: Arrays, *, antialiased: bool = False) -> Encoded:
@@ -88,13 +89,13 @@ def write_compressed_ply(arrays: Arrays, *, antialiased: bool = False) -> Encode
     ).astype("<u4")
     rest = values.sh[:, 1:].transpose(0, 2, 1)
     rest = rest.reshape(len(order), 3 * rest.shape[2])
-    shape = [
-        ("chunk", len(ranges[0]), "float", [*_RANGES, *_SCALES, *_COLOURS]),
-        ("vertex", len(order), "uint", _PACKED),
-    ]
+    elements = {
+        "chunk": Element(len(ranges[0]), dict.fromkeys([*_RANGES, *_SCALES, *_COLOURS], ("f4",))),
+        "vertex": Element(len(order), dict.fromkeys(_PACKED, ("u4",))),
+    }
     if rest.shape[1]:
-        shape.append(("sh", len(order), "uchar", rest_names(rest.shape[1])))
-    data = header_bytes(shape, antialiased=antialiased)
+        elements["sh"] = Element(len(order), dict.fromkeys(rest_names(rest.shape[1]), ("u1",)))
+    data = header_bytes(elements, antialiased=antialiased)
     data += np.concatenate(ranges, axis=1).astype("<f4").tobytes() + packed.tobytes() + _pack_sh(rest).tobytes()
     losses = [
         *outside("SH clamped to -4..4", rest, -_SH_LIMIT, _SH_LIMIT, "of a coefficient"),
@@ -121,9 +122,9 @@ def _columns(
     file: io.FileIO, header: Header, name: str, columns: list[str], kind: str, path: str
 ) -> NDArray[np.generic]:
     """(rows, columns) values of an element that has these properties of this kind, and nothing else."""
-    element = header.element(name)
-    if element is None or element.kinds() != dict.fromkeys(columns, kind) or element.has_lists:
-        got = "none" if element is None else f"{len(element.properties)} properties"
+    element = header.elements.get(name)
+    if element is None or element.columns != dict.fromkeys(columns, (kind,)):
+        got = "none" if element is None else f"{len(element.columns)} properties"
         raise _bad(path, f"{len(columns)} properties {columns[0]}, ... of kind {kind} in the element {name}", got)
     rows = read_rows(file, header, name, path)
     return np.stack([rows[column] for column in columns], axis=1)

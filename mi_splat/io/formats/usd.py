@@ -21,7 +21,6 @@ import numpy as np
 
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats import axes, usd_child
-from mi_splat.io.formats.detection import require_usd
 from mi_splat.io.loaded import FREE_GAUSSIANS, HIGHER_BANDS, Array, Arrays, Encoded, Loaded, Notice, judged
 from mi_splat.io.parsing import Fields, parse
 from mi_splat.sh import degree_of
@@ -43,7 +42,6 @@ def read_usd(file: io.FileIO, path: str) -> Loaded:
     The file is read by a process of its own, which has limits (`usd_child`). No other file is opened: whatever asks for
     one is refused, and so are references, variants and inherited prims inside of the file.
     """
-    require_usd(path)
     file.seek(0)
     head = file.read(4)
     ending = {b"#usd": ".usda", b"PK\x03\x04": ".usdz"}.get(head, ".usdc")
@@ -107,7 +105,6 @@ def _gaussians(part: Fields, values: Array) -> tuple[Loaded, Array]:
 
 def write_usd(arrays: Arrays, ending: str) -> Encoded:
     """A scene as an OpenUSD file with one prim, y up, one metre a unit; nothing is rounded."""
-    require_usd(ending)
     from pxr import Sdf, Usd, UsdGeom, UsdVol, Vt
 
     turned = axes.flipped(arrays, axes.Z)
