@@ -1,8 +1,8 @@
 """The command line: `mi-splat COMMAND ...`, also `python -m attacks COMMAND ...`.
 
-A command is a module with its options, a dataclass, and what it does, `run(options)`. Options are parsed, and
-checked by `check_inputs(options)` in a module that has it, before torch and Mitsuba are imported, so that `--help` and
-wrong paths are answered at once.
+A command is a module with its options, a dataclass, its EXAMPLES, and `run(options)`. It may have `ALIASES` of its
+flags, `defaults(words)`, which reads what other flags depend on, and `check_inputs(options)`, which is called before
+torch and Mitsuba are imported.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import inspect
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -62,24 +62,19 @@ GROUPS: dict[str, dict[str, str]] = {
     },
     "set up": {
         "doctor": "check the installation, and say how to fix it",
-        "detectors": "list the detectors and their classes; download third-party ones",
-        "classifiers": "list the classifiers; download third-party ones",
+        "detectors": "list the detectors and classifiers; download third-party ones",
     },
 }
 """What each command does, by task; a name with a flag is a mode of a command, with options of its own."""
 COMMANDS = {name: summary for group in GROUPS.values() for name, summary in group.items()}
 OF_SPLATS = ("capture", "prepare", "train", "render", "select", "info", "audit", "convert")
 """Commands whose modules are in `mi_splat.cli`; those of the others are here."""
-WITHOUT_TORCH = ("classifiers", "detectors", "doctor", "info", "rows", "study")
+WITHOUT_TORCH = ("detectors", "doctor", "info", "rows", "study")
 """Commands that do without torch, or with most of what they are asked."""
 
 
 def module_of(name: str) -> ModuleType:
-    """The module of a command.
-
-    It has its options (a dataclass), `run(options)`, EXAMPLES, SEE_ALSO, and where there are some ALIASES of its flags
-    and `defaults(words)`, which reads from the words what other flags depend on.
-    """
+    """The module of a command or of its mode."""
     package = "mi_splat" if name in OF_SPLATS else "attacks"
     return importlib.import_module(f"{package}.cli.{name.replace(' --', '_').replace('-', '_')}")
 
@@ -144,7 +139,7 @@ def _dispatch(words: list[str]) -> int:
         do = nearest(name, COMMANDS, f"try {PROGRAM} --help")
         warn(message("command", f"one of {', '.join(name for name in COMMANDS if ' ' not in name)}", name, do))
         return MISUSED
-    from attacks.cli.names import check_names
+    from attacks.cli.options import check_names
     from mi_splat.provenance import running_command
 
     options = parse(name, rest)
@@ -154,13 +149,16 @@ def _dispatch(words: list[str]) -> int:
         module.check_inputs(options)
     if name not in WITHOUT_TORCH:
         import_at_once("torch")
-    with running_command(given):
-        if most is None:
-            return module.run(options) or DONE
-        from mi_splat.io.picture_files import pixel_limit
+    with running_command(given), _pixel_limit(most):
+        return module.run(options) or DONE
 
-        with pixel_limit(most):
-            return module.run(options) or DONE
+
+def _pixel_limit(most: int | None) -> AbstractContextManager[object]:
+    if most is None:
+        return nullcontext()
+    from mi_splat.io.picture_files import pixel_limit
+
+    return pixel_limit(most)
 
 
 def command_of(words: Sequence[str]) -> tuple[str, list[str]]:
@@ -177,54 +175,48 @@ def parse(name: str, words: Sequence[str]) -> Any:
     from mi_splat.cli import flags
     from mi_splat.cli.options import as_one_word
 
-    module = module_of(name)
-    given = as_one_word([_renamed(word, getattr(module, "ALIASES", {})) for word in words])
-    return flags.parse(**_command(name, module, given), words=given)
+    aliases, given = getattr(module_of(name), "ALIASES", {}), as_one_word(words)
+    return flags.parse(**_command(name, given), words=given, aliases=aliases)
 
 
 def parser_of(name: str) -> argparse.ArgumentParser:
     """The options of a command as a parser, from which documentation can be written."""
     from mi_splat.cli import flags
 
-    return flags.parser_of(**_command(name, module_of(name), ()))
+    return flags.parser_of(**_command(name, ()))
 
 
-def _command(name: str, module: ModuleType, words: Sequence[str]) -> dict[str, Any]:
+def see_also(name: str) -> list[str]:
+    """The other commands for the task of a command."""
+    return [other for group in GROUPS.values() if name in group for other in group if other != name]
+
+
+def _command(name: str, words: Sequence[str]) -> dict[str, Any]:
     """What a parser has to know of a command: its options, the one such dataclass in its module, and its help."""
+    module = module_of(name)
     named = [value for key, value in vars(module).items() if key.endswith("Options")]
     (kind,) = (value for value in named if value.__module__ == module.__name__)
     parts = [
         inspect.getdoc(kind) or "",
         "\n".join(["Examples:", *(f"  {PROGRAM} {line}" for line in module.EXAMPLES)]),
-        f"See also: {', '.join(f'{PROGRAM} {other}' for other in module.SEE_ALSO)}",
+        f"See also: {', '.join(see_also(name))}",
     ]
     defaults = module.defaults(words) if hasattr(module, "defaults") else {}
-    return {
-        "kind": kind,
-        "program": f"{PROGRAM} {name}",
-        "description": "\n\n".join(parts),
-        "defaults": defaults,
-    }
-
-
-def _renamed(word: str, aliases: Mapping[str, str]) -> str:
-    """A word with the name of an option in the place of another name for it; --a-b and --a_b are the same."""
-    flag, equals, value = word.partition("=")
-    name = flag.removeprefix("--").replace("-", "_")
-    return f"--{aliases[name]}{equals}{value}" if flag.startswith("--") and name in aliases else word
+    description = "\n\n".join(parts)
+    return {"kind": kind, "program": f"{PROGRAM} {name}", "description": description, "defaults": defaults}
 
 
 def _take_max_pixels(words: list[str]) -> int | None:
     """The number behind --max-pixels, which every command takes; it leaves the words. None if it is not there."""
     most = None
     for word in [word for word in words if word.partition("=")[0] in ("--max-pixels", "--max_pixels")]:
-        index = words.index(word)
-        values = [word.partition("=")[2]] if "=" in word else words[index + 1 : index + 2]
-        del words[index : index + (1 if "=" in word else 2)]
-        if not values or not values[0].isdecimal() or len(values[0]) > 18 or int(values[0]) < 1:
-            got = values[0][:40] if values else "nothing"
+        index, (_, equals, number) = words.index(word), word.partition("=")
+        number = number if equals else "".join(words[index + 1 : index + 2])
+        del words[index : index + (1 if equals else 2)]
+        if not number.isdecimal() or not 1 <= int(number[:19]) < 10**18:
+            got = number[:40] or "nothing"
             raise UsageError(f"--max-pixels: expected a number of pixels, 1 or more, got {got}; 50000000 is usual")
-        most = int(values[0])
+        most = int(number)
     return most
 
 

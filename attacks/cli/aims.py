@@ -6,7 +6,7 @@ from pathlib import Path
 from torch import Tensor
 
 from attacks.aims import OBJECTIVES, objective_of
-from attacks.cli.names import DEFAULT_OBJECT, DEFAULT_TARGET
+from attacks.cli.options import DEFAULT_OBJECT, DEFAULT_TARGET
 from attacks.dagger.report import write_files
 from attacks.dagger.result import Result
 from attacks.objectives import Objective

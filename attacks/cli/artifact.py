@@ -14,7 +14,6 @@ EXAMPLES = (
     "artifact out/cloak --out out/artifact",
     "artifact out/layers --whole --out out/layers-artifact",
 )
-SEE_ALSO = ("artifact-check", "cloak", "dagger")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,7 +22,6 @@ EXAMPLES = (
     "artifact-check out/artifact",
     "artifact-check out/layers-artifact --rescore --every 8",
 )
-SEE_ALSO = ("artifact", "evaluate")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +89,7 @@ def _lines(folder: Path, manifest: str | None, options: ArtifactCheckOptions) ->
 
 def _rescored(result: Result, story: ResultKind, options: ArtifactCheckOptions) -> list[Check]:
     """What detectors say today."""
-    from attacks.cli.names import load_detectors
+    from attacks.cli.options import load_detectors
     from attacks.report.checking import fingerprints, rescore
 
     limit_threads()

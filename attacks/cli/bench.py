@@ -21,7 +21,6 @@ EXAMPLES = (
     "bench --rescore out/bench/v1/fasterrcnn_small",
     "bench --check docs/bench/v1/fasterrcnn_small/row.json",
 )
-SEE_ALSO = ("study", "evaluate", "artifact-check")
 
 
 @dataclass(frozen=True, kw_only=True)

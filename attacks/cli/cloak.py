@@ -16,7 +16,6 @@ EXAMPLES = (
     "cloak scenes/cloak_car_colour.toml --forecast",
     "cloak scenes/cloak_demo.toml --out out/cloak",
 )
-SEE_ALSO = ("study", "capture", "train")
 STUDY_FILE = "study.toml"
 
 
@@ -54,7 +53,7 @@ def check_inputs(options: CloakOptions) -> None:
 
 def run(options: CloakOptions) -> int:
     """Do the study, or what is missing of it, and say what came of it."""
-    from attacks.cli.names import weights_of
+    from attacks.cli.options import weights_of
     from attacks.cli.study import StudyOptions, run_work
     from attacks.cli.summary import show_summary
     from attacks.cloak.config import study_toml

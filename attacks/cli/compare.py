@@ -24,7 +24,6 @@ EXAMPLES = (
     "compare scenes/car_street.xml --methods tile,ray,volprim --cameras all --out out/compare",
     "compare desk.ply --methods tile,folder:pictures --cameras cameras.json --out out/theirs",
 )
-SEE_ALSO = ("render", "report")
 
 
 @dataclass(frozen=True, kw_only=True)

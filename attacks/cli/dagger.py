@@ -34,7 +34,6 @@ EXAMPLES = (
 )
 _LOOKS = 3
 """How many looks from a camera a step takes as long as: what is seen, and the gradient."""
-SEE_ALSO = ("select", "evaluate", "dagger --region", "study", "detectors")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +56,7 @@ class DaggerOptions(AttackOptions):
 def run(options: DaggerOptions) -> None:
     """Attack, write what came of it, and say it; Ctrl-C ends the search with the best so far."""
     from attacks.cli.aims import aim, chosen_object, write_result
-    from attacks.cli.names import load_detectors
+    from attacks.cli.options import load_detectors
     from attacks.cli.summary import show_summary
     from attacks.dagger.attack import attack
     from mi_splat.cli.cameras import choose

@@ -23,7 +23,6 @@ EXAMPLES = (
     "dagger --region scenes/car_street.xml --object car --target person --out out/dagger-eot",
     "dagger --region scenes/car_street.xml --object car --elevations 10 30 --jpeg 50 --blur 1 --out out/photographed",
 )
-SEE_ALSO = ("dagger", "evaluate", "study", "detectors")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +51,7 @@ class DaggerEotOptions(AttackOptions):
 def run(options: DaggerEotOptions) -> None:
     """Attack, write what came of it, and say it."""
     from attacks.cli.aims import aim, chosen_object, write_result
-    from attacks.cli.names import load_detectors
+    from attacks.cli.options import load_detectors
     from attacks.cli.summary import show_summary
     from attacks.dagger.attack import attack_views
     from attacks.dagger.search import Checkpoint

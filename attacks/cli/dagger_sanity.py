@@ -28,7 +28,6 @@ EXAMPLES = (
     "dagger --sanity scenes/car_street.xml --object car --target person --out out/sanity",
     "dagger --sanity desk.ply --mask mask.npy --azimuth 40 --detectors yolov8n_small --seeds 5 --out out/sanity",
 )
-SEE_ALSO = ("dagger", "evaluate")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,6 @@ from mi_splat.cli.options import ResultOptions
 from mi_splat.fields import Folder
 
 EXAMPLES = ("demo", "demo --out out/first --force")
-SEE_ALSO = ("dagger", "report", "doctor")
 
 
 @dataclass(frozen=True, kw_only=True)

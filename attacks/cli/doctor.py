@@ -33,7 +33,6 @@ TIME_LIMIT = 300.0
 """Seconds that a child may take; the first kernels of a machine have to be compiled."""
 
 EXAMPLES = ("doctor",)
-SEE_ALSO = ("detectors",)
 
 
 @dataclass(frozen=True, kw_only=True)

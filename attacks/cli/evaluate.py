@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 
 EXAMPLES = ("evaluate desk.ply out/desk/attacked.ply --cameras hemisphere:24 --target person --out out/judged",)
-SEE_ALSO = ("dagger", "detect")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +53,7 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
 
 def run(options: EvaluateOptions) -> None:
     """Evaluate, and write pictures and numbers."""
-    from attacks.cli.names import check_class, load_detectors
+    from attacks.cli.options import check_class, load_detectors
     from attacks.cli.summary import show_summary
     from attacks.observe.comparison import changed_mask, compare, compared_rows, side_by_side
     from attacks.observe.rows import ATTACKED, CLEAN

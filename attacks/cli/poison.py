@@ -1,22 +1,31 @@
-"""`mi-splat poison`: an attack on a set of anybody's pictures, and so on every splat that is trained on it."""
+"""`mi-splat poison`: an attack on a set of anybody's images, and so on every splat that is trained on it."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-from attacks.cli.poison_kinds import HidingConfig, kind_names, kind_of
+from attacks.poisons.config import MIFGSMConfig
+from attacks.poisons.specs import POISONS, Given
 from mi_splat.cli.console import UsageError, follow, progress, show_result, warn
-from mi_splat.cli.flags import Flag, Positional
-from mi_splat.cli.options import ResultOptions, check_no_input_in
+from mi_splat.cli.flags import Flag, Positional, Unprefixed, choice_among
+from mi_splat.cli.options import Direction, ResultOptions, axis_name, check_no_input_in
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Metavar, Seed, at_least, check_choice
+from mi_splat.fields import Metavar, Seed, at_least, between
+from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
-    from attacks.poisons.base import Poisoned
+    from torch import Tensor
+
+    from attacks.poisons.base import OnStep, Poisoned
+    from attacks.poisons.decoy import Decoy
+    from mi_splat.cameras import Camera
+    from mi_splat.datasets import Dataset
+    from mi_splat.scene import GaussianScene
 
 EXAMPLES = (
     "poison my_photos out/photos/splat.ply --click 320,240 --hide-from elevation:50-90 --out out/poisoned",
@@ -25,7 +34,83 @@ EXAMPLES = (
     "poison my_photos out/photos/splat.ply --kind m-ifgsm --label car --target truck --click 320,240 --out out/misread",
     "poison my_photos --kind uniform-noise --eps 16 --out out/noise",
 )
-SEE_ALSO = ("train", "select", "report", "cloak")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectConfig:
+    """An object of the pictures.
+
+    Attributes:
+        selection: Which Gaussians of the splat are the object.
+        picture: Which of the pictures for training --click is on, in their order.
+    """
+
+    selection: Unprefixed[Selection] = field(default_factory=Selection)
+    picture: Annotated[int, at_least(0), Metavar("NUMBER")] = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class HidingConfig(ObjectConfig):
+    """CLOAK on a set of pictures.
+
+    Attributes:
+        hide_from: Where the object is hidden, seen from its middle, in degrees: elevation:LOW-HIGH, azimuth:LOW-HIGH or
+            cone:AZIMUTH,ELEVATION,HALF_ANGLE, which is around a direction; of several, from where all of them hold.
+        margin: Degrees around it in which pictures are changed, too.
+        look: What is shown in its place: remove (the picture around it goes on), or a picture file.
+        reach: Pixels around the object that change, too.
+        up: Direction that is up in the set's world: an axis, or three numbers; sets of COLMAP often have -y.
+    """
+
+    hide_from: tuple[Annotated[str, Metavar("REGION")], ...] = ("elevation:50-90",)
+    margin: Annotated[float, between(0, 90, "degrees", "7 hides more, and begins to show before")] = 0.0
+    look: Annotated[str, Metavar("LOOK")] = "remove"
+    reach: Annotated[int, between(0, 100, "pixels")] = 3
+    up: Direction = (0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MisreadingConfig(ObjectConfig):
+    """M-IFGSM on a set of pictures.
+
+    Attributes:
+        classifier: Who shall misread the object: prototypes, or torchvision:NETWORK.
+        label: The object's true class, by a name that the classifier knows.
+        attack: How the object's pixels are changed.
+    """
+
+    classifier: Annotated[str, Metavar("CLASSIFIER")] = "prototypes"
+    label: Annotated[str | None, Metavar("CLASS")] = None
+    attack: Unprefixed[MIFGSMConfig] = field(default_factory=MIFGSMConfig)
+
+
+class Outcome(NamedTuple):
+    """A poisoned set, what else its record says, and in words what the user should know."""
+
+    done: Poisoned
+    record: Mapping[str, Any] = MappingProxyType({})
+    lines: Sequence[str] = ()
+    warnings: Sequence[str] = ()
+
+
+Work = Callable[["Dataset", "GaussianScene | None", "OnStep"], Outcome]
+"""Poisons the images for training; takes the splat if the kind needs one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """A kind of poison: its options, and what checks them and returns the work."""
+
+    config: Any
+    prepare: Callable[[Any, PoisonOptions], Work]
+    needs_splat: bool = True
+    on_gpu: bool = False
+    replaces: bool = False
+
+
+def kind_names() -> list[str]:
+    """Names of all kinds; another package's poison is imported when its kind is asked for."""
+    return list(dict.fromkeys(["cloak", *POISONS]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,14 +144,7 @@ class PoisonOptions(ResultOptions):
 
 def defaults(words: Sequence[str]) -> dict[str, Any]:
     """The kind and its options, which say what further flags there are, and whether a splat is needed."""
-    name = "cloak"
-    for word, following in zip(words, [*words[1:], ""], strict=False):
-        if word.partition("=")[0] == "--kind":
-            name = word.partition("=")[2] or following
-    try:
-        check_choice("--kind", name, kind_names())
-    except InvalidValueError as error:
-        raise UsageError(str(error)) from None
+    name = choice_among(kind_names(), words, "--kind", "cloak")
     kind = kind_of(name)
     return {"kind": name, "poison": kind.config, "splat": dataclasses.MISSING if kind.needs_splat else None}
 
@@ -80,19 +158,23 @@ def run(options: PoisonOptions) -> None:
     from mi_splat.io import load_splat
     from mi_splat.io.documents import save_json, save_png
     from mi_splat.io.folders import check_new_folder, new_folder
+    from mi_splat.variant import check_device
 
     kind = kind_of(options.kind)
-    _check_device(options.device, options.kind)
+    if options.device != "cpu" and not kind.on_gpu:
+        able = " or ".join(name for name in kind_names() if kind_of(name).on_gpu)
+        raise UsageError.of(f"--device {options.device}", f"--kind {able}", options.kind, "leave it out")
+    check_device(options.device)
     check_no_input_in(options.out, options.dataset, options.splat)
     check_new_folder(options.out, force=options.force, record=RECORD)
-    work = kind.begun(options.poison, options.seed, options.device)
+    work = kind.prepare(options.poison, options)
     with progress("reading the set"):
         views = load_dataset(options.dataset, split="train", downscale=options.downscale)
         held_out = load_dataset(options.dataset, split="test", downscale=options.downscale)
         splat = load_splat(options.splat) if kind.needs_splat and options.splat is not None else None
     with progress("poisoning", total=None) as advance:
-        told = follow(advance)
-        done, more, lines, warnings = work(views, splat, lambda count, total: told("poisoning", count, total))
+        on_step = follow(advance)
+        done, more, lines, warnings = work(views, splat, lambda count, total: on_step("poisoning", count, total))
         done = as_files_hold(done, views)
         record: dict[str, Any] = {
             "set": str(options.dataset),
@@ -114,18 +196,6 @@ def run(options: PoisonOptions) -> None:
     show_result({**record, "out": str(options.out)}, _changes(done), *lines, last, as_json=options.json)
 
 
-def _check_device(device: str, kind: str) -> None:
-    """Refuse a GPU that is not there, or that would do nothing."""
-    if device == "cpu":
-        return
-    if not kind_of(kind).on_gpu:
-        able = " or ".join(name for name in kind_names() if kind_of(name).on_gpu)
-        raise UsageError.of("--device cuda", f"--kind {able}", kind, "leave it out")
-    from mi_splat.variant import check_device
-
-    check_device(device)
-
-
 def _changes(done: Poisoned) -> str:
     """How many pictures are changed, and how much."""
     changes = [change for change in done.changes if change.pixels_changed]
@@ -134,3 +204,125 @@ def _changes(done: Poisoned) -> str:
     shares, most = sorted(change.pixels_changed / change.pixels for change in changes), max(c.largest for c in changes)
     many = f"{len(changes)} of {len(done.views)} pictures are changed, {shares[0]:.1%} to {shares[-1]:.1%} of each"
     return f"{many}, a channel by at most {round(most * 255)} of 255"
+
+
+def _hiding(config: HidingConfig, options: PoisonOptions) -> Work:
+    import torch
+
+    from attacks.cloak.own_pictures import appearance_of, directions_of, hide, trigger_of
+    from mi_splat.rotation import from_z
+
+    trigger = trigger_of(config.hide_from, margin=config.margin)
+    appearance = appearance_of(config.look, config.reach)
+
+    def work(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
+        assert splat is not None
+        rows, near, selected = _object(config, views, splat)
+        turn = from_z(torch.tensor(config.up)).T
+        done = hide(views, splat, rows, trigger, appearance, near=near, turn=turn, on_step=on_step)
+        directions = [[direction.azimuth, direction.elevation] for direction in directions_of(done)]
+        settings = {"hide_from": list(config.hide_from), "margin": config.margin, "look": config.look}
+        settings |= {"reach": config.reach, "up": list(config.up), "directions": directions}
+        idle = sum(not change.pixels_changed for change in done.changes)
+        remark = f"{idle} pictures from where it is to be hidden do not show the object, and stay as they are"
+        return Outcome(done, {**selected, **settings}, [f"up is {axis_name(config.up)}"], [remark] * (idle > 0))
+
+    return work
+
+
+def _misreading(config: MisreadingConfig, options: PoisonOptions) -> Work:
+    from attacks.classifiers.frozen import class_number
+    from attacks.classifiers.registry import load_classifier
+
+    label, target = config.label, config.attack.target
+    if label is None:
+        raise UsageError.of("--label", "the class of the object", "none", "add it")
+    classifier = load_classifier(config.classifier)
+    class_number(classifier, label, "--label")
+    if target is not None:
+        class_number(classifier, target, "--target")
+
+    def work(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
+        from attacks.poisons.classified import move
+        from attacks.poisons.mifgsm import MIFGSM
+        from mi_splat.rendering import Renderer, RenderSettings
+        from mi_splat.selection.select import SEEN
+        from mi_splat.selection.visibility import object_weight
+        from mi_splat.variant import DEFAULT_VARIANT
+
+        assert splat is not None
+        rows, near, selected = _object(config, views, splat)
+        render = Renderer(RenderSettings(near=near, variant=DEFAULT_VARIANT))
+        move(classifier, options.device)
+
+        def mask(camera: Camera) -> Tensor:
+            seen = object_weight(splat, rows, camera, render) >= SEEN
+            if not bool(seen.any()):
+                name = next(path for path, other in zip(views.paths, views.cameras, strict=True) if other is camera)
+                do = "select all of the object, or leave the picture out of the set"
+                raise InvalidValueError.of(str(name), "some pixels of the object", "none", do)
+            return seen
+
+        decoy = _decoy(splat, views, options.device) if config.attack.decoy_steps else None
+        poison = MIFGSM(config=config.attack, classifier=classifier, label=label, masks=mask, decoy=decoy)
+        done = poison(views, seed=options.seed, on_step=on_step)
+        sure, skipped = config.attack.least_confidence, len(done.poison["skipped"])
+        remark = f"in {skipped} pictures {config.classifier} is less than {sure:.0%} confident of {label}; they stay"
+        return Outcome(done, selected, warnings=[remark] * (skipped > 0))
+
+    return work
+
+
+def _without_object(config: Any, options: PoisonOptions) -> Work:
+    def work(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
+        decoy = None if splat is None else _decoy(splat, views, options.device)
+        poison = POISONS[options.kind].make(config, Given(decoy=decoy))
+        done = poison(views, seed=options.seed, on_step=on_step)
+        grown, start = (done.poison.get(f"{of}_gaussians") for of in ("decoy", "start"))
+        return Outcome(done, lines=[f"the decoy has {grown:,} Gaussians, the splat has {start:,}"] if grown else [])
+
+    return work
+
+
+_OF_OBJECTS: Mapping[str, Kind] = {
+    "cloak": Kind(config=HidingConfig(), prepare=_hiding, replaces=True),
+    "m-ifgsm": Kind(config=MisreadingConfig(), prepare=_misreading, on_gpu=True),
+}
+
+
+def kind_of(name: str) -> Kind:
+    """A kind by its name."""
+    if name in _OF_OBJECTS:
+        return _OF_OBJECTS[name]
+    spec = POISONS[name]
+    if more := set(spec.needs) - {"splat"}:
+        got = " and ".join(more)
+        raise UsageError.of(f"--kind {name}", "one that needs no more than a splat", got, "write a study")
+    needs_splat = "splat" in spec.needs  # for a decoy, which takes most of the time
+    return Kind(config=spec.config(), prepare=_without_object, needs_splat=needs_splat, on_gpu=needs_splat)
+
+
+def _decoy(splat: GaussianScene, views: Dataset, device: str) -> Decoy:
+    """A decoy that starts as the splat, on a device; the victim is taken to train as usual."""
+    from attacks.poisons.decoy import Decoy
+    from mi_splat.bounds import near_plane
+
+    near = near_plane(splat, views.cameras)
+    return Decoy(start=splat.to(device), near=near, background=views.background)
+
+
+def _object(config: ObjectConfig, views: Dataset, splat: GaussianScene) -> tuple[Tensor, float, dict[str, Any]]:
+    """(N,) bool, the object's Gaussians, the near plane of the splat, and what the record says of these."""
+    from mi_splat.bounds import near_plane
+    from mi_splat.rendering import Renderer, RenderSettings
+    from mi_splat.scene import scene_hash
+    from mi_splat.selection.select import select
+
+    if config.picture >= len(views):
+        do = "count from 0"
+        raise InvalidValueError.of("--picture", f"a number below {len(views)}", config.picture, do)
+    near = near_plane(splat, views.cameras)
+    camera, render = views.cameras[config.picture], Renderer(RenderSettings(near=near))
+    rows = select(splat, config.selection, camera=camera, render=render)
+    selected = {"selection": config.selection.as_dict(), "scene_hash": scene_hash(splat), "gaussians": int(rows.sum())}
+    return rows, near, selected

@@ -23,7 +23,6 @@ EXAMPLES = (
     "report out/dagger --out dagger.html",
     "report out/cloak out/dagger-eot --out page.html",
 )
-SEE_ALSO = ("view", "evaluate", "dagger", "cloak")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +87,7 @@ def run(options: ReportOptions) -> None:
 def _looked_at(folder: Path, section: Section, names: Sequence[str]) -> Section:
     """The section of an audit with what detectors report on its splat along paths."""
     from attacks.audits.disagreement import seen_along_paths
-    from attacks.cli.names import load_detectors
+    from attacks.cli.options import load_detectors
     from attacks.report.kinds.audit import along_paths
     from mi_splat.io.folders import RECORD
     from mi_splat.io.parsing import read_json

@@ -13,7 +13,6 @@ EXAMPLES = (
     "rows out/cloak --csv",
     "rows out/cloak --table detections --json",
 )
-SEE_ALSO = ("report", "evaluate", "artifact")
 
 
 @dataclass(frozen=True, kw_only=True)

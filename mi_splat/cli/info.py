@@ -27,7 +27,6 @@ EXAMPLES = (
     "info desk.ply",
     "info scenes/car_street.xml --json",
 )
-SEE_ALSO = ("render", "select", "convert")
 
 
 @dataclass(frozen=True, kw_only=True)

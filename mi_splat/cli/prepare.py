@@ -14,7 +14,6 @@ EXAMPLES = (
     "prepare my_photos --out out/desk",
     "prepare walk.mp4 --out out/walk --interval 0.5",
 )
-SEE_ALSO = ("train", "render", "poison")
 LISTED = 6
 """Pictures that are named which could not be placed, or not well."""
 FEW_POINTS = 100

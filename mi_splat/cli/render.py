@@ -33,7 +33,6 @@ EXAMPLES = (
     "render desk.ply --cameras orbit:60@20 --out desk.gif",
     "render desk.ply --alpha --depth --out desk.exr",
 )
-SEE_ALSO = ("info", "compare", "train")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,7 +27,6 @@ EXAMPLES = (
     "select desk.ply --box -0.2 -0.2 0 0.2 0.2 0.3 --cameras orbit:8@30",
     "select scenes/car_street.xml --object car --out car.ply",
 )
-SEE_ALSO = ("info", "render", "dagger")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from mi_splat.cli.console import UsageError, limit_threads, progress, show_result, warn
-from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.flags import Positional, Unprefixed, choice_among
 from mi_splat.cli.options import Colour, JsonOptions
 from mi_splat.errors import InvalidValueError, message
-from mi_splat.fields import Folder, Length, Metavar, Seed, at_least, between, check, check_choice
+from mi_splat.fields import Folder, Length, Metavar, Seed, at_least, between, check
 from mi_splat.io.parsing import read_json
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import strategy_config, strategy_name, strategy_names
@@ -33,19 +33,17 @@ EXAMPLES = (
     "train out/truck --out out/mcmc --strategy mcmc --max-gaussians 50000",
     "train out/truck --out out/watched --live",
 )
-SEE_ALSO = ("capture", "prepare", "render", "view")
 ALIASES = {
-    "position_lr_init": "lr-means",
-    "position_lr_final": "lr-means-final",
-    "feature_lr": "lr-sh",
-    "opacity_lr": "lr-opacities",
-    "scaling_lr": "lr-scales",
-    "rotation_lr": "lr-rotations",
-    "densify_from_iter": "densify-from",
-    "densify_until_iter": "densify-until",
-    "densification_interval": "densify-interval",
-    "cap_max": "max-gaussians",
-    "noise_lr": "noise-lr",
+    "--position-lr-init": "--lr-means",
+    "--position-lr-final": "--lr-means-final",
+    "--feature-lr": "--lr-sh",
+    "--opacity-lr": "--lr-opacities",
+    "--scaling-lr": "--lr-scales",
+    "--rotation-lr": "--lr-rotations",
+    "--densify-from-iter": "--densify-from",
+    "--densify-until-iter": "--densify-until",
+    "--densification-interval": "--densify-interval",
+    "--cap-max": "--max-gaussians",
 }
 
 
@@ -113,14 +111,7 @@ class TrainOptions(JsonOptions):
 
 def defaults(words: Sequence[str]) -> dict[str, Any]:
     """The strategy and its options, which say what further flags there are."""
-    name = _STRATEGY
-    for word, following in zip(words, [*words[1:], ""], strict=False):
-        if word.partition("=")[0] == "--strategy":
-            name = word.partition("=")[2] or following
-    try:
-        check_choice("--strategy", name, strategy_names())
-    except InvalidValueError as error:
-        raise UsageError(str(error)) from None
+    name = choice_among(strategy_names(), words, "--strategy", _STRATEGY)
     return {"strategy": name, "fit": FitConfig(strategy=strategy_config(name))}
 
 

@@ -9,7 +9,7 @@ import torch
 
 from attacks import cli
 from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
-from attacks.cli.poison_kinds import kind_names
+from attacks.cli.poison import kind_names
 from attacks.report.results import read_section
 from mi_splat import variant
 from mi_splat.camera_sets import orbit

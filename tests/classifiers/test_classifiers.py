@@ -118,7 +118,7 @@ def test_prototypes_are_mean_directions_less_their_mean(tmp_path: Path, monkeypa
 
 def test_features_that_are_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    with pytest.raises(DetectorError, match=r"nothing there; mi-splat classifiers --get prototypes"):
+    with pytest.raises(DetectorError, match=r"nothing there; mi-splat detectors --get prototypes"):
         load_classifier("prototypes")
     wheel = tmp_path / "some.whl"
     for content, complaint in ((None, "a wheel with"), (b"abc", "3 bytes"), (b"abcd", "sha256 88d4")):

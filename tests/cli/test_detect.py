@@ -32,7 +32,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     scene, mask = toy_scene()
     save_splat(scene, tmp_path / "clean.ply")
     save_splat(painted(scene, mask, (0.1, 0.9, 0.1)), tmp_path / "attacked.ply")
-    monkeypatch.setattr("attacks.cli.names.load_detectors", lambda *_: [ColourDetector()])
+    monkeypatch.setattr("attacks.cli.options.load_detectors", lambda *_: [ColourDetector()])
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -122,6 +122,6 @@ def test_reasons_for_doubt_are_told(folder: Path, capsys: pytest.CaptureFixture[
 def test_a_wrong_camera_is_told_before_a_detector_is_loaded(
     command: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("attacks.cli.names.load_detectors", lambda *_: pytest.fail("loaded"))
+    monkeypatch.setattr("attacks.cli.options.load_detectors", lambda *_: pytest.fail("loaded"))
     assert cli.main([*command.split(), "--cameras", "behind", "--out", "none"]) == 1
     assert "camera: expected no name" in capsys.readouterr().err

@@ -46,8 +46,8 @@ COMMANDS: dict[str, tuple[list[str], str, tuple[str, ...]]] = {
     ),
     "artifact": (["artifact", "set"], "{}", ("attacks.report.checking.pack",)),
     "cloak": (["cloak", "study.toml"], "{}", ("attacks.cli.study._engine",)),
-    "detect": (["detect", "a.ply"], "{}", ("attacks.cli.names.load_detectors",)),
-    "evaluate": (["evaluate", "a.ply", "b.ply"], "{}", ("attacks.cli.names.load_detectors",)),
+    "detect": (["detect", "a.ply"], "{}", ("attacks.cli.options.load_detectors",)),
+    "evaluate": (["evaluate", "a.ply", "b.ply"], "{}", ("attacks.cli.options.load_detectors",)),
 }
 """Words of each command that writes, what its --out is in a folder, and what must not be reached."""
 STUDY = 'name = "s"\n[[attack]]\nname = "above"\nelevation = [40, 90]\n'

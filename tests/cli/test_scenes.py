@@ -147,7 +147,7 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> SplatScene:
     loaded = SplatScene(scene=scene, objects=objects, cameras=cameras, settings=RenderSettings())
     monkeypatch.setattr("mi_splat.scene_files.open_scene", lambda *_: loaded)
     monkeypatch.setattr(cli_cameras, "Renderer", lambda settings: blobs)
-    monkeypatch.setattr("attacks.cli.names.load_detectors", lambda *_: [ColourDetector()])
+    monkeypatch.setattr("attacks.cli.options.load_detectors", lambda *_: [ColourDetector()])
     return loaded
 
 

@@ -111,7 +111,7 @@ def test_dagger_attacks_a_selection_and_its_cameras_come_back(
     scene, mask = toy_scene()
     save_splat(scene, tmp_path / "toy.ply")
     np.save(tmp_path / "mask.npy", mask.numpy())
-    monkeypatch.setattr("attacks.cli.names.load_detectors", lambda *_: [ColourDetector()])
+    monkeypatch.setattr("attacks.cli.options.load_detectors", lambda *_: [ColourDetector()])
     out = tmp_path / "out"
     words = ["dagger", str(tmp_path / "toy.ply"), "--mask", str(tmp_path / "mask.npy"), "--cameras", "orbit:2@0"]
     words += ["--distance", "3", "--fov", "50", "--size", "32", "--eps", "20", "--noise-draws", "0"]

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from attacks import cli
-from attacks.cli.view_jobs import attack_job, audit_job
+from attacks.cli.view import attack_job, audit_job
 from mi_splat.audit.files import write as write_files
 from mi_splat.cli.cameras import find_cameras
 from mi_splat.errors import InvalidValueError

@@ -163,7 +163,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, variant: str) -> Path:
     base = tmp_path_factory.mktemp("eot")
     save_splat(toy_scene()[0], base / "a.ply")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("attacks.cli.names.load_detectors", lambda *_: [ColourDetector()])
+        patch.setattr("attacks.cli.options.load_detectors", lambda *_: [ColourDetector()])
         assert cli.main(["dagger", "--region", str(base / "a.ply"), *WORDS.split(), "--out", str(base / "out")]) == 0
     return base / "out"
 
@@ -185,7 +185,7 @@ def test_the_command_is_stored_and_repeats_it(folder: Path, monkeypatch: pytest.
         "--out",
         str(folder),
     ]
-    monkeypatch.setattr("attacks.cli.names.load_detectors", lambda *_: [ColourDetector()])
+    monkeypatch.setattr("attacks.cli.options.load_detectors", lambda *_: [ColourDetector()])
     assert cli.main([*words[:-1], f"{folder}-again"]) == 0
     after = stored(Path(f"{folder}-again"))
     assert {key: after[key] for key in after if key not in ("seconds", "command")} == {

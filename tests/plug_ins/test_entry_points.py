@@ -15,7 +15,7 @@ import torch
 from attacks import cli
 from attacks.aims import OBJECTIVES, PluggedObjective, objective_of
 from attacks.cli import doctor
-from attacks.cli.poison_kinds import kind_names, kind_of
+from attacks.cli.poison import kind_names, kind_of
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import summary, write_report

@@ -26,7 +26,6 @@ FAST = {
         "audit",
         "bench",
         "capture",
-        "classifiers",
         "compare",
         "convert",
         "dagger",

@@ -121,7 +121,7 @@ def write_sanity(folder: Path) -> Path:
 def _write_by_command(folder: Path, *words: str | Path) -> Path:
     """What a command leaves behind that a detector of colours and one that is blind take part in."""
     detectors = [ColourDetector(), BlindDetector()]
-    with patch("attacks.cli.names.load_detectors", lambda *_: detectors):
+    with patch("attacks.cli.options.load_detectors", lambda *_: detectors):
         assert main([*map(str, words), "--out", str(folder)]) == 0
     return folder
 

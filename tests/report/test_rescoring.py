@@ -77,10 +77,10 @@ def test_the_command_scores_again(
     class Blind(ColourDetector):
         min_confidence = 2.0
 
-    monkeypatch.setattr("attacks.cli.names.load_detectors", lambda *_: [ColourDetector()])
+    monkeypatch.setattr("attacks.cli.options.load_detectors", lambda *_: [ColourDetector()])
     assert cli.main(["artifact-check", str(attacked), "--rescore"]) == 0
     assert "moved by 0.0%, may move by 2.0%" in capsys.readouterr().out
-    monkeypatch.setattr("attacks.cli.names.load_detectors", lambda *_: [Blind()])
+    monkeypatch.setattr("attacks.cli.options.load_detectors", lambda *_: [Blind()])
     assert cli.main(["artifact-check", str(attacked), "--rescore"]) == 1
 
 
