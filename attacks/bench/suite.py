@@ -25,7 +25,7 @@ ONE_VIEW, ALL_VIEWS, CLOAK, TRANSFER = COLUMNS = ("one_view", "all_views", "cloa
 AUDIT = "audit"
 """The study file of those that audit files."""
 ASSETS_FROM = 900_000
-"""Seeds of assets that no detector was trained on begin here (`mi_splat.assets.recipes`)."""
+"""Seeds of assets that no detector was trained on begin here (`mi_splat.capture.sources`)."""
 _SEEDS, _DRAWN = ("seed", "seeds", "judge_seed"), 90_000
 _READER = DocumentReader(expected="a TOML file", do="correct it, or get the suite again")
 

@@ -1,6 +1,5 @@
-"""Daylight: a sun, a sky with clouds, and plausible ones of them by chance."""
+"""Daylight: a sun, and a sky with clouds."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,29 +23,6 @@ class Light:
     horizon: Colour = (0.85, 0.93, 1.0)  # linear RGB of the sky at the horizon
     clouds: float = 0.3  # fraction of the sky covered with clouds, 0 to 1
     seed: int = 0  # which clouds
-
-
-def daylight(seed: int) -> Light:
-    """A plausible light for `seed`: bright sun at any time of the day, haze, or an overcast sky."""
-    rng = np.random.default_rng([seed, 0x11647])
-    overcast = float(np.clip(rng.normal(0.35, 0.4), 0, 1))
-    elevation = float(rng.uniform(12, 75))
-    warm = math.exp(-elevation / 22)
-    exposure = float(rng.uniform(0.75, 1.15))
-    grey = np.array([0.86, 0.9, 0.95])
-    zenith = np.array([0.32, 0.55, 1.0]) * (1 - overcast) + grey * overcast
-    horizon = np.array([0.85 + 0.15 * warm, 0.92 - 0.05 * warm, 1.0 - 0.3 * warm]) * (1 - overcast) + grey * overcast
-    return Light(
-        sun_azimuth=float(rng.uniform(0, 360)),
-        sun_elevation=elevation,
-        sun_strength=exposure * 2.8 * (1 - overcast) ** 1.5 * (1 - 0.4 * warm),
-        sun_colour=(1.0, 0.96 - 0.25 * warm, 0.9 - 0.5 * warm),
-        sky_strength=exposure * (0.55 + 0.7 * overcast),
-        zenith=(float(zenith[0]), float(zenith[1]), float(zenith[2])),
-        horizon=(float(horizon[0]), float(horizon[1]), float(horizon[2])),
-        clouds=float(rng.uniform(0, 0.8)),
-        seed=seed,
-    )
 
 
 def sky_map(light: Light) -> Floats:

@@ -1,6 +1,6 @@
-"""Surroundings: a street with houses, trees and lamps, a park, plain grounds, a room; and one of them by chance."""
+"""Surroundings: a street with houses, trees and lamps."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from mi_splat.assets import textures
 from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, transform, translation
 from mi_splat.assets.primitives import box, ellipsoid, extrude, quad, sheet, sweep
-from mi_splat.fields import check_choice
 
 REACH = 45.0
 """Half of the length of a street, metres."""
@@ -73,7 +72,8 @@ def lamp(rng: np.random.Generator) -> list[Mesh]:
     ]
 
 
-def _stood(parts: Sequence[Mesh], x: float, y: float, turn: float = 0.0) -> list[Mesh]:
+def stood(parts: Sequence[Mesh], x: float, y: float, turn: float = 0.0) -> list[Mesh]:
+    """Parts turned about z and moved on the ground."""
     return [transform(part, translation(x, y, 0) @ rotation("z", turn)) for part in parts]
 
 
@@ -111,9 +111,9 @@ def _row(rng: np.random.Generator, out: float, front: float, verge: float) -> li
         width = rng.uniform(6.5, 10)
         if rng.random() < 0.85:
             home = house(rng, width=width)
-            parts += _stood(home, x + width / 2, front + out * rng.uniform(0, 1), 0.0 if out > 0 else 180.0)
+            parts += stood(home, x + width / 2, front + out * rng.uniform(0, 1), 0.0 if out > 0 else 180.0)
         if rng.random() < 0.5:
-            parts += _stood(tree(rng), x + rng.uniform(0, 2), verge, rng.uniform(0, 360))
+            parts += stood(tree(rng), x + rng.uniform(0, 2), verge, rng.uniform(0, 360))
         x += width + rng.uniform(0.0, 3.0)
     return parts
 
@@ -137,80 +137,8 @@ def build(seed: int = 0, *, clearance: float = 6.0, centre: float = 0.0) -> Asse
         for x in np.arange(-REACH * 0.8, REACH * 0.8, 17.0):
             foot = (x + rng.uniform(3, 8), edge + out * 0.5)
             if np.hypot(foot[0] - centre, foot[1]) > clearance + 1.5:
-                parts += _stood(lamp(rng), *foot, 180.0 if out > 0 else 0.0)
+                parts += stood(lamp(rng), *foot, 180.0 if out > 0 else 0.0)
     return Asset("street", tuple(parts))
-
-
-def park(seed: int = 0, *, clearance: float = 8.0) -> Asset:
-    """Grass with trees around and often a path."""
-    rng = np.random.default_rng([seed, 0x9A])
-    parts = [ground(240, textures.grass(256, seed), tile=rng.uniform(2.5, 5))]
-    for _ in range(int(rng.integers(5, 16))):
-        angle, reach = rng.uniform(0, 2 * np.pi), clearance + 3 + rng.uniform(0, 25)
-        parts += _stood(tree(rng), reach * np.cos(angle), reach * np.sin(angle), rng.uniform(0, 360))
-    if rng.random() < 0.6:
-        gravel = textures.speckle((128, 128), (0.62, 0.55, 0.45), rng, grain=0.15, patch=0.2)
-        offset, width = rng.uniform(-4, 4), rng.uniform(1.5, 3)
-        path = strip((offset - width / 2, offset + width / 2), 0.01, gravel, tile=1.5)
-        parts.append(transform(path, rotation("z", rng.uniform(0, 360))))
-    return Asset("park", tuple(parts))
-
-
-GROUNDS = ("asphalt", "car park", "paving", "sand", "earth", "snow", "concrete", "grass")
-"""Kinds of open ground."""
-
-
-def plain(seed: int = 0, kind: str | None = None) -> Asset:
-    """Open ground of one kind."""
-    rng = np.random.default_rng([seed, 0x91])
-    tone = rng.uniform(0.8, 1.15)
-    makers: tuple[Callable[[], Floats], ...] = (
-        lambda: textures.road(256, seed, markings=False),
-        lambda: textures.road(256, seed),
-        lambda: textures.tiles(256, seed, colour=rng.uniform(0.4, 0.7, 3), rows=8, columns=6, joint=0.03),
-        lambda: textures.speckle((256, 256), np.array((0.76, 0.66, 0.48)) * tone, rng, grain=0.05, patch=0.2),
-        lambda: textures.speckle((256, 256), np.array((0.4, 0.3, 0.21)) * tone, rng, grain=0.1, patch=0.4),
-        lambda: textures.speckle((256, 256), (0.88, 0.9, 0.93), rng, grain=0.015, patch=0.07),
-        lambda: textures.speckle((256, 256), np.array((0.6, 0.6, 0.58)) * tone, rng, grain=0.05, patch=0.2),
-        lambda: textures.grass(256, seed),
-    )
-    number = int(rng.integers(len(makers)))
-    if kind is not None:
-        check_choice("kind", kind, GROUNDS)
-        number = GROUNDS.index(kind)
-    return Asset("ground", (ground(260, makers[number](), tile=7.0 if number == 1 else rng.uniform(2.5, 6)),))
-
-
-def room(seed: int = 0, *, size: float = 14.0) -> Asset:
-    """The floor and two walls of a large room without a ceiling, daylight coming from above."""
-    rng = np.random.default_rng([seed, 0x90])
-    colour = np.array([(0.55, 0.38, 0.22), (0.7, 0.55, 0.36), (0.35, 0.22, 0.13), (0.75, 0.74, 0.7)][rng.integers(4)])
-    boards = textures.tiles(256, seed, colour=colour, rows=16, columns=2, joint=0.02, spread=0.09)
-    parts = [ground(size * 3, boards, tile=rng.uniform(1.8, 3))]
-    wall = np.clip(rng.uniform(0.45, 0.9) + rng.uniform(-0.12, 0.12, 3), 0, 1)
-    paper = textures.speckle((64, 64), wall, rng, grain=0.01, patch=0.05)
-    if rng.random() < 0.4:
-        paper[:, ::8] *= 0.85
-    for turn in (0.0, 90.0, 180.0, 270.0)[: int(rng.integers(1, 4))]:
-        side = box((0.2, 3 * size, 2.8), paper, centre=(-size, 0, 1.4))
-        skirting = box((0.05, 3 * size, 0.14), (0.9, 0.9, 0.88), centre=(-size + 0.12, 0, 0.07))
-        parts += [transform(m, rotation("z", turn)) for m in (side, skirting)]
-    return Asset("room", tuple(parts))
-
-
-def backdrop(seed: int = 0, *, clearance: float = 8.0) -> Asset:
-    """Surroundings by chance, turned and shifted: a street, a park, open ground, a room."""
-    rng = np.random.default_rng([seed, 0xBAC])
-    kind = rng.random()
-    if kind < 0.35 and clearance <= 7.5:
-        shift = rng.uniform(-15, 15)
-        return build(seed, clearance=clearance, centre=-shift).transformed(
-            translation(shift, rng.uniform(-0.5, 0.5), 0)
-        )
-    turn = rotation("z", rng.uniform(0, 360))
-    if kind < 0.5:
-        return park(seed, clearance=clearance).transformed(turn)
-    return (plain(seed) if kind < 0.85 else room(seed, size=clearance + 2)).transformed(turn)
 
 
 WALLS = (

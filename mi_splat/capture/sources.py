@@ -3,7 +3,7 @@
 import hashlib
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from mi_splat.assets import ASSETS, build
 from mi_splat.assets.daylight import Light
-from mi_splat.assets.mesh import Asset
-from mi_splat.assets.recipes import RECIPES
+from mi_splat.assets.mesh import Asset, rotation, translation
+from mi_splat.assets.street import build as build_street
 from mi_splat.assets.textures import Kind, square_of_ground
 from mi_splat.cameras import Camera
 from mi_splat.capture.mesh_files import SUFFIXES, LoadedMesh, load_mesh
@@ -46,6 +46,37 @@ FARTHEST = 10.0
 thousandth of the radius away from the surface."""
 
 Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExampleScene:
+    """One of the shipped scenes as meshes: a target object in surroundings, in daylight."""
+
+    assets: Callable[[], tuple[Asset, Asset]]
+    light: Light
+    centre: Point
+
+
+def _stop_sign() -> tuple[Asset, Asset]:
+    street = build_street(900001, clearance=8.0)
+    turned = street.transformed(translation(0, -2.9, 0) @ rotation("z", 180))
+    sign = build("stop sign", 900003).transformed(translation(0, 0, 0.115))
+    return sign.body, Asset(turned.name, (*turned.meshes, *sign.support))
+
+
+# Asset seeds from 900000 on are kept out of the training of detectors.
+EXAMPLES = {
+    "car_street": ExampleScene(
+        assets=lambda: (build("car", 900004), build_street(900005, clearance=9.0)),
+        light=Light(sun_azimuth=-50, sun_elevation=52, seed=900000),
+        centre=(0.0, 0.0, 0.7),
+    ),
+    "stop_sign": ExampleScene(
+        assets=_stop_sign,
+        light=Light(sun_azimuth=35, sun_elevation=48, seed=900001),
+        centre=(0.0, 0.0, 1.94),
+    ),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,7 +161,7 @@ def open_source(
     """The source called `name`."""
     path = Path(name)
     suffix = path.suffix.lower()
-    is_asset = name not in RECIPES and name.partition(":")[0] in ASSETS
+    is_asset = name not in EXAMPLES and name.partition(":")[0] in ASSETS
     mesh, surroundings = mesh or MeshSettings(), surroundings or SurroundingsSettings()
     if mesh != MeshSettings() and suffix not in SUFFIXES:
         what = "up, scale, rotate, front and missing textures"
@@ -140,22 +171,17 @@ def open_source(
         expected = "a mesh file, or an object of the project, to go with"
         error = InvalidValueError.of("ground, sun and environment", expected, name, "leave them out")
         raise error.hinted("--ground, --sun, --environment")
-    if name in RECIPES:
-        return _recipe(name)
+    if name in EXAMPLES:
+        example = EXAMPLES[name]
+        return source_of(*example.assets(), example.light, centre=example.centre)
     if is_asset:
         return _asset(name, surroundings)
     if suffix == ".xml":
         return _xml(path)
     if suffix in SUFFIXES:
         return _mesh(load_mesh(path, mesh), name, surroundings)
-    expected = f"one of {', '.join((*RECIPES, *ASSETS))}, or a file that ends in .xml, {', '.join(SUFFIXES)}"
+    expected = f"one of {', '.join((*EXAMPLES, *ASSETS))}, or a file that ends in .xml, {', '.join(SUFFIXES)}"
     raise InvalidValueError.of("scene", expected, name, "name one of these")
-
-
-def _recipe(name: str) -> CaptureSource:
-    """A scene of the project in its daylight."""
-    recipe = RECIPES[name]
-    return source_of(*recipe.assets(), recipe.light, centre=recipe.centre)
 
 
 def source_of(target: Asset, surroundings: Asset, light: Light, *, centre: Point) -> CaptureSource:

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_SIDE
-from mi_splat.assets import build, street
-from mi_splat.assets.daylight import Light, daylight
+from mi_splat.assets import build
+from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.assets.primitives import ellipsoid
 from mi_splat.cameras import Camera, RenderFn, View, orbit_pose, project_points
@@ -43,7 +43,7 @@ from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, merge
-from scenes.recipes.detector_surroundings import of_kind, random_surroundings, scatter
+from scenes.recipes.detector_surroundings import backdrop, daylight, of_kind, random_surroundings, scatter
 from scenes.recipes.disc_splats import DiscConfig, RefineConfig, disc_splat, refine
 
 SPLITS = {"train": (0, 100_000), "validation": (300_000, 400_000), "held-out": (500_000, 600_000)}
@@ -92,7 +92,7 @@ class PictureSet:
         samples: Samples per pixel.
         empty: Fraction of scenes without any object.
         pair: Fraction of scenes with two objects.
-        street: Fraction of scenes in the surroundings of `mi_splat.assets.street.backdrop`, which has no street.
+        street: Fraction of scenes in the surroundings of `detector_surroundings.backdrop`, which has no street.
         least_visible: Objects of which less than this fraction can be seen are not labelled.
         elevation: Lowest and highest elevation of the cameras, degrees.
         focus: Classes that take turns as a scene's first object.
@@ -186,7 +186,7 @@ def random_scene(config: PictureSet, number: int) -> PictureScene:
     if config.around is not None:
         around = of_kind(config.around, int(rng.integers(low, high)), rng, radius)
     elif rng.random() < config.street:
-        around = street.backdrop(int(rng.integers(low, high)))
+        around = backdrop(int(rng.integers(low, high)))
         around = Asset(around.name, (*around.meshes, *scatter(rng, radius))) if rng.random() < 0.5 else around
     else:
         around = random_surroundings(rng, radius)

@@ -1,11 +1,15 @@
 """What stands around the objects in training pictures: the project's own streets, parks and rooms, or random things."""
 
+import math
+from collections.abc import Callable
+
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from mi_splat.assets import street
-from mi_splat.assets.mesh import Asset, Mesh, rotation, transform, translation
+from mi_splat.assets import street, textures
+from mi_splat.assets.daylight import Light
+from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, transform, translation
 from mi_splat.assets.primitives import box, ellipsoid, lathe, quad, sheet
 
 Pixels = NDArray[np.float32]
@@ -139,15 +143,103 @@ def random_surroundings(rng: Generator, radius: float) -> Asset:
     return Asset("surroundings", tuple(meshes))
 
 
+def daylight(seed: int) -> Light:
+    """A plausible light for `seed`: bright sun at any time of the day, haze, or an overcast sky."""
+    rng = np.random.default_rng([seed, 0x11647])
+    overcast = float(np.clip(rng.normal(0.35, 0.4), 0, 1))
+    elevation = float(rng.uniform(12, 75))
+    warm = math.exp(-elevation / 22)
+    exposure = float(rng.uniform(0.75, 1.15))
+    grey = np.array([0.86, 0.9, 0.95])
+    zenith = np.array([0.32, 0.55, 1.0]) * (1 - overcast) + grey * overcast
+    horizon = np.array([0.85 + 0.15 * warm, 0.92 - 0.05 * warm, 1.0 - 0.3 * warm]) * (1 - overcast) + grey * overcast
+    return Light(
+        sun_azimuth=float(rng.uniform(0, 360)),
+        sun_elevation=elevation,
+        sun_strength=exposure * 2.8 * (1 - overcast) ** 1.5 * (1 - 0.4 * warm),
+        sun_colour=(1.0, 0.96 - 0.25 * warm, 0.9 - 0.5 * warm),
+        sky_strength=exposure * (0.55 + 0.7 * overcast),
+        zenith=(float(zenith[0]), float(zenith[1]), float(zenith[2])),
+        horizon=(float(horizon[0]), float(horizon[1]), float(horizon[2])),
+        clouds=float(rng.uniform(0, 0.8)),
+        seed=seed,
+    )
+
+
+def park(seed: int = 0, *, clearance: float = 8.0) -> Asset:
+    """Grass with trees around and often a path."""
+    rng = np.random.default_rng([seed, 0x9A])
+    parts = [street.ground(240, textures.grass(256, seed), tile=rng.uniform(2.5, 5))]
+    for _ in range(int(rng.integers(5, 16))):
+        angle, reach = rng.uniform(0, 2 * np.pi), clearance + 3 + rng.uniform(0, 25)
+        parts += street.stood(street.tree(rng), reach * np.cos(angle), reach * np.sin(angle), rng.uniform(0, 360))
+    if rng.random() < 0.6:
+        gravel = textures.speckle((128, 128), (0.62, 0.55, 0.45), rng, grain=0.15, patch=0.2)
+        offset, width = rng.uniform(-4, 4), rng.uniform(1.5, 3)
+        path = street.strip((offset - width / 2, offset + width / 2), 0.01, gravel, tile=1.5)
+        parts.append(transform(path, rotation("z", rng.uniform(0, 360))))
+    return Asset("park", tuple(parts))
+
+
+def plain(seed: int = 0) -> Asset:
+    """Open ground of one kind: asphalt, paving, sand, earth, snow, concrete or grass."""
+    rng = np.random.default_rng([seed, 0x91])
+    tone = rng.uniform(0.8, 1.15)
+    makers: tuple[Callable[[], Floats], ...] = (
+        lambda: textures.road(256, seed, markings=False),
+        lambda: textures.road(256, seed),
+        lambda: textures.tiles(256, seed, colour=rng.uniform(0.4, 0.7, 3), rows=8, columns=6, joint=0.03),
+        lambda: textures.speckle((256, 256), np.array((0.76, 0.66, 0.48)) * tone, rng, grain=0.05, patch=0.2),
+        lambda: textures.speckle((256, 256), np.array((0.4, 0.3, 0.21)) * tone, rng, grain=0.1, patch=0.4),
+        lambda: textures.speckle((256, 256), (0.88, 0.9, 0.93), rng, grain=0.015, patch=0.07),
+        lambda: textures.speckle((256, 256), np.array((0.6, 0.6, 0.58)) * tone, rng, grain=0.05, patch=0.2),
+        lambda: textures.grass(256, seed),
+    )
+    number = int(rng.integers(len(makers)))
+    return Asset("ground", (street.ground(260, makers[number](), tile=7.0 if number == 1 else rng.uniform(2.5, 6)),))
+
+
+def room(seed: int = 0, *, size: float = 14.0) -> Asset:
+    """The floor and two walls of a large room without a ceiling, daylight coming from above."""
+    rng = np.random.default_rng([seed, 0x90])
+    colour = np.array([(0.55, 0.38, 0.22), (0.7, 0.55, 0.36), (0.35, 0.22, 0.13), (0.75, 0.74, 0.7)][rng.integers(4)])
+    boards = textures.tiles(256, seed, colour=colour, rows=16, columns=2, joint=0.02, spread=0.09)
+    parts = [street.ground(size * 3, boards, tile=rng.uniform(1.8, 3))]
+    wall = np.clip(rng.uniform(0.45, 0.9) + rng.uniform(-0.12, 0.12, 3), 0, 1)
+    paper = textures.speckle((64, 64), wall, rng, grain=0.01, patch=0.05)
+    if rng.random() < 0.4:
+        paper[:, ::8] *= 0.85
+    for turn in (0.0, 90.0, 180.0, 270.0)[: int(rng.integers(1, 4))]:
+        side = box((0.2, 3 * size, 2.8), paper, centre=(-size, 0, 1.4))
+        skirting = box((0.05, 3 * size, 0.14), (0.9, 0.9, 0.88), centre=(-size + 0.12, 0, 0.07))
+        parts += [transform(m, rotation("z", turn)) for m in (side, skirting)]
+    return Asset("room", tuple(parts))
+
+
+def backdrop(seed: int = 0, *, clearance: float = 8.0) -> Asset:
+    """Surroundings by chance, turned and shifted: a street, a park, open ground, a room."""
+    rng = np.random.default_rng([seed, 0xBAC])
+    kind = rng.random()
+    if kind < 0.35 and clearance <= 7.5:
+        shift = rng.uniform(-15, 15)
+        return street.build(seed, clearance=clearance, centre=-shift).transformed(
+            translation(shift, rng.uniform(-0.5, 0.5), 0)
+        )
+    turn = rotation("z", rng.uniform(0, 360))
+    if kind < 0.5:
+        return park(seed, clearance=clearance).transformed(turn)
+    return (plain(seed) if kind < 0.85 else room(seed, size=clearance + 2)).transformed(turn)
+
+
 def of_kind(kind: str, seed: int, rng: Generator, radius: float) -> Asset:
     """Surroundings of one kind that leave their middle free."""
     if kind == "street":
         shift = rng.uniform(-15, 15)
         return street.build(seed, clearance=CLEARANCE, centre=-shift).transformed(translation(shift, 0, 0))
     if kind == "park":
-        return street.park(seed, clearance=CLEARANCE)
+        return park(seed, clearance=CLEARANCE)
     if kind == "room":
-        return street.room(seed, size=CLEARANCE + 2)
+        return room(seed, size=CLEARANCE + 2)
     if kind == "ground":
-        return street.plain(seed)
+        return plain(seed)
     return random_surroundings(rng, radius)

@@ -1,6 +1,6 @@
 """Makes a splat scene that the project ships, from its meshes: `python -m scenes.recipes.example_scenes stop_sign`.
 
-`mi_splat.assets.recipes` says what the scenes show. NAME.xml, its two splats and NAME.json, a record with counts,
+`mi_splat.capture.sources` says what the scenes show. NAME.xml, its two splats and NAME.json, a record with counts,
 settings, seed and PSNR, are written; with the recipe's own numbers it takes about a quarter of an hour.
 """
 
@@ -9,6 +9,7 @@ import json
 import math
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,9 @@ from torch import Tensor
 
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import ellipsoid
-from mi_splat.assets.recipes import RECIPES, SceneRecipe, around
 from mi_splat.cameras import Camera, View, angle_of, look_at
 from mi_splat.capture.path_tracer import capture, depth_maps, scene_dict
+from mi_splat.capture.sources import EXAMPLES, ExampleScene, Point
 from mi_splat.capture.writer import nearness, surface_samples
 from mi_splat.io import load_splat, save_splat
 from mi_splat.metrics import psnr
@@ -39,13 +40,81 @@ _GOLDEN_RATIO = 0.6180339887498949
 """The additive recurrence with this step spreads points over [0, 1) more evenly than any other (Niederreiter 1992)."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneRecipe:
+    """How a splat of one of the project's mesh scenes is made, and where its cameras stand."""
+
+    source: ExampleScene
+    target: str
+    surroundings: str
+    sensors: dict[str, Point]
+    distance: tuple[float, float]
+    elevation: tuple[float, float]
+    azimuth: tuple[float, float]
+    counts: tuple[int, int, int]
+    views: int
+    steps: int
+    limit: int
+
+
+def around(azimuth: float, elevation: float, distance: float) -> Point:
+    """Offset of a camera from the centre, rounded to millimetres: angles in degrees, distance in metres."""
+    a, e = math.radians(azimuth), math.radians(elevation)
+    x, y, z = math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)
+    return round(distance * x, 3), round(distance * y, 3), round(distance * z, 3)
+
+
+RECIPES = {
+    "car_street": SceneRecipe(
+        source=EXAMPLES["car_street"],
+        target="car",
+        surroundings="street",
+        sensors={
+            "front": around(5, 8, 5.4),
+            "three_quarter": around(-38, 14, 5.6),
+            "side": around(-92, 9, 6.0),
+            "rear": around(152, 16, 5.6),
+            "high": around(55, 42, 6.0),
+            "top": around(20, 80, 6.2),
+        },
+        distance=(4.8, 8.0),
+        elevation=(2, 85),
+        azimuth=(0, 360),
+        counts=(16_000, 60_000, 1_500),
+        views=96,
+        steps=7000,
+        limit=48_000,
+    ),
+    "stop_sign": SceneRecipe(
+        source=EXAMPLES["stop_sign"],
+        target="stop_sign",
+        surroundings="roadside",
+        sensors={
+            "front": around(0, 2, 1.7),
+            "left": around(38, 4, 1.7),
+            "right": around(-35, 0, 1.7),
+            "low": around(12, -22, 1.8),
+            "high": around(-15, 35, 1.8),
+            "far": around(8, 3, 2.8),
+        },
+        distance=(1.4, 3.4),
+        elevation=(-20, 55),
+        azimuth=(-62, 62),
+        counts=(6_000, 60_000, 1_500),
+        views=80,
+        steps=7000,
+        limit=24_000,
+    ),
+}
+
+
 def _camera(origin: NDArray[np.float64], target: NDArray[np.float64]) -> Camera:
     return Camera(to_world=look_at(origin.tolist(), target.tolist()), focal=FOCAL, width=SIZE, height=SIZE)
 
 
 def sensors(recipe: SceneRecipe) -> dict[str, Camera]:
     """The named cameras of a scene file."""
-    centre = np.array(recipe.centre)
+    centre = np.array(recipe.source.centre)
     return {name: _camera(centre + offset, centre) for name, offset in recipe.sensors.items()}
 
 
@@ -59,9 +128,9 @@ def random_cameras(recipe: SceneRecipe, count: int, *, seed: int) -> list[Camera
         fraction = (i * _GOLDEN_RATIO + rng.random() / count) % 1
         azimuth = recipe.azimuth[0] + fraction * (recipe.azimuth[1] - recipe.azimuth[0])
         offset = np.array(around(azimuth, elevation, rng.uniform(*recipe.distance)))
-        origin = np.array(recipe.centre) + offset
+        origin = np.array(recipe.source.centre) + offset
         origin[2] = max(origin[2], 0.3)
-        target = np.array(recipe.centre) + rng.normal(0, 0.05, 3) * np.linalg.norm(offset)
+        target = np.array(recipe.source.centre) + rng.normal(0, 0.05, 3) * np.linalg.norm(offset)
         cameras.append(_camera(origin, target))
     return cameras
 
@@ -77,7 +146,7 @@ def start_splat(
     recipe: SceneRecipe, views: Sequence[View], depths: Sequence[Tensor], *, seed: int
 ) -> tuple[GaussianScene, GaussianScene]:
     """Untrained splats of the target and of its surroundings, sky included."""
-    target, surroundings = recipe.assets()
+    target, surroundings = recipe.source.assets()
     density = nearness([view.camera for view in views][:: max(1, len(views) // 24)])
     parts = []
     for asset, count, overlap in zip((target, surroundings, _dome()), recipe.counts, (0.6, 0.62, 0.9), strict=True):
@@ -120,7 +189,7 @@ def scene_xml(name: str, recipe: SceneRecipe) -> str:
             f'        <string name="filename" value="{name}_{shape}.ply"/>',
             "    </shape>",
         ]
-    centre = np.array(recipe.centre)
+    centre = np.array(recipe.source.centre)
     fov = math.degrees(angle_of(FOCAL, SIZE))
     for sensor, offset in recipe.sensors.items():
         origin = ", ".join(f"{v:.6g}" for v in centre + offset)
@@ -150,8 +219,8 @@ def make(
     recipe, start = RECIPES[name], time.time()
     views, steps = recipe.views if views is None else views, recipe.steps if steps is None else steps
     folder.mkdir(parents=True, exist_ok=True)
-    target, surroundings = recipe.assets()
-    description = scene_dict([target], light=recipe.light, backdrop=surroundings)
+    target, surroundings = recipe.source.assets()
+    description = scene_dict([target], light=recipe.source.light, backdrop=surroundings)
     cameras = random_cameras(recipe, views, seed=seed)
     pictures = capture(description, cameras, samples=samples, seed=seed)
     depths = depth_maps(description, cameras, seed=seed)

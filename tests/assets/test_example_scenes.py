@@ -8,12 +8,11 @@ from pathlib import Path
 import pytest
 import torch
 
-from mi_splat.assets import recipes
-from mi_splat.assets.recipes import RECIPES
 from mi_splat.cameras import project_box
+from mi_splat.capture import sources
 from mi_splat.io import load_splat
 from mi_splat.scene import GaussianScene, merge
-from scenes.recipes.example_scenes import SIZE, belongs, make, scene_xml, sensors
+from scenes.recipes.example_scenes import RECIPES, SIZE, belongs, make, scene_xml, sensors
 
 SCENES = Path(__file__).parents[2] / "scenes"
 
@@ -37,7 +36,7 @@ def test_target_fills_enough_of_the_picture(name: str) -> None:
 def test_asset_seeds_are_kept_out_of_training() -> None:
     numbers = [
         node.args[-1].value
-        for node in ast.walk(ast.parse(Path(recipes.__file__).read_text()))
+        for node in ast.walk(ast.parse(Path(sources.__file__).read_text()))
         if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("build", "build_street")
         if isinstance(node.args[-1], ast.Constant)
     ]
