@@ -56,10 +56,7 @@ class Volprim:
             tensors = [t.detach() for t in tensors]
         means, scales, (w, *xyz), opacities, sh = tensors[0], tensors[1], tensors[2].unbind(1), tensors[3], tensors[4]
         data = torch.cat([means, scales, torch.stack([*xyz, w], dim=1)], dim=1)
-        picture: Tensor = _bridge(self.variant)(
-            data, opacities[:, None], sh.flatten(1), _Job(camera, self.settings.near)
-        )
-        return picture
+        return _bridge(self.variant)(data, opacities[:, None], sh.flatten(1), _Job(camera, self.settings.near))
 
 
 class _Job:

@@ -166,8 +166,7 @@ def wing(kind: Species, tint: float, span: Floats, chord: Floats, points: Floats
         colours = mix(colours, (0.08, 0.09, 0.12), (np.mod(span * 16, 1) < 0.25) * (span > 0.5))
     quills = np.mod(chord * 9 + span * 3 + 0.25 * noise(points, 0.02), 1) < 0.18
     edges = np.where(span > 0.42, quills, _scales(points, 0.0095) > 0)
-    result: Floats = (colours * (1 - 0.24 * edges)[:, None] * tint).astype(np.float32)
-    return result
+    return (colours * (1 - 0.24 * edges)[:, None] * tint).astype(np.float32)
 
 
 CELL = 0.0040
@@ -268,12 +267,10 @@ def _trunk(bird: _Bird, noise: Noise) -> Mesh:
         span = np.clip((0.066 - on_wing[:, 0]) / 0.18, 0, 1)  # from the shoulder to the tip
         chord = np.clip((on_wing[:, 2] + 0.03) / 0.07, 0, 1)
         colours[folded] = wing(bird.kind, bird.tint, span, chord, on_wing, noise)
-        result: Floats = colours * (1 + 0.08 * noise(points, (0.012, 0.003, 0.003)))[:, None]
-        return result
+        return colours * (1 + 0.08 * noise(points, (0.012, 0.003, 0.003)))[:, None]
 
     def relief(points: Floats) -> Floats:
-        fluff: Floats = 0.0011 * noise(points, (0.016, 0.008, 0.008))
-        return fluff
+        return 0.0011 * noise(points, (0.016, 0.008, 0.008))
 
     return body(_layers(bird), CELL, paint, relief=relief, roughness=bird.kind.roughness)
 

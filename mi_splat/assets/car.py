@@ -8,7 +8,17 @@ from numpy.typing import ArrayLike
 
 from mi_splat.assets import textures
 from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, scaling, transform, translation
-from mi_splat.assets.primitives import Points, box, ellipsoid, lathe, loft, rounded_rectangle, smooth_interpolate, sweep
+from mi_splat.assets.primitives import (
+    Points,
+    at_height,
+    box,
+    ellipsoid,
+    lathe,
+    loft,
+    rounded_rectangle,
+    smooth_interpolate,
+    sweep,
+)
 
 GLASS = (0.05, 0.065, 0.075)
 BLACK = (0.045, 0.045, 0.05)
@@ -92,12 +102,10 @@ def bottom_edge(s: Proportions, x: float) -> float:
 def body(s: Proportions, paint: ArrayLike) -> list[Mesh]:
     """The painted shell below the windows, with open wheel arches, over a black floor."""
     arch = s.wheel * 1.17
+    around = arch * np.sin(np.linspace(-np.pi / 2, np.pi / 2, 17))
     stations = [np.linspace(-s.length / 2, s.length / 2, 61)]
     for axle in s.axles:
-        stations += [
-            axle + arch * np.sin(np.linspace(-np.pi / 2, np.pi / 2, 17)),
-            np.array([axle - arch - 1e-3, axle + arch + 1e-3]),
-        ]
+        stations += [axle + around, np.array([axle - arch - 1e-3, axle + arch + 1e-3])]
     x = np.unique(np.round(np.concatenate(stations), 4))
     tops = top_edge(s, x)
     levels = np.array([0.0, 0.12, 0.25, 0.42, 0.6, 0.75, 0.88, 0.95, 1.0])
@@ -133,7 +141,7 @@ def cabin(s: Proportions, paint: ArrayLike, roof_paint: ArrayLike, glass_roof: b
         loop[:, 0] += (front + rear) / 2
         bow = 0.09 * (1 - (loop[:, 1] / half) ** 2)
         loop[:, 0] += np.where(loop[:, 0] > 0, bow, -bow * 0.6)
-        return np.concatenate([loop, np.full((len(loop), 1), height[level])], 1)
+        return at_height(loop, height[level])
 
     glass = loft(np.array([ring(i, 0.0) for i in range(7)]), GLASS, roughness=0.08)
     roof_rings = [ring(4, 0.006), ring(5, 0.008), ring(6, 0.004)]
@@ -145,28 +153,19 @@ def cabin(s: Proportions, paint: ArrayLike, roof_paint: ArrayLike, glass_roof: b
         roof_rings.append(last)
     parts = [glass, loft(np.array(roof_rings), roof_paint, roughness=0.08)]
     if glass_roof:
-        middle = [(0.3, 0.06), (0.3, 0.075)]
-        pane = [rounded_rectangle(0.5 * (s.top[1] - s.top[0]), 0.85 * s.half, 0.06) for _ in middle]
-        rings = [
-            np.concatenate([p + centre[:2], np.full((len(p), 1), height[6] + z)], 1)
-            for p, (_, z) in zip(pane, middle, strict=True)
-        ]
-        parts.append(loft(np.array(rings), GLASS, roughness=0.08))
+        pane = rounded_rectangle(0.5 * (s.top[1] - s.top[0]), 0.85 * s.half, 0.06) + centre[:2]
+        parts.append(loft([at_height(pane, height[6] + z) for z in (0.06, 0.075)], GLASS, roughness=0.08))
     outside = [ring(i, 0.002) for i in range(7)]
     corner = len(outside[0]) // 4
     for start in range(4):
         path = np.array([loop[start * corner + 2] for loop in outside[1:]])
         parts.append(sweep(path, np.full(len(path), 0.045), paint, segments=8, roughness=0.08))
+    span = s.base[1] * 0.5 + s.top[1] * 0.5 - s.top[0] * 0.6 - s.base[0] * 0.4
     for fraction in (0.44, 0.62) if s.base[0] < -0.42 * s.length else (0.42,):
+        x = s.top[0] * 0.6 + s.base[0] * 0.4 + fraction * span
         for side in (1, -1):
-            pillar = []
-            for i, loop in enumerate(outside[1:]):
-                x = (
-                    s.top[0] * 0.6
-                    + s.base[0] * 0.4
-                    + fraction * (s.base[1] * 0.5 + s.top[1] * 0.5 - s.top[0] * 0.6 - s.base[0] * 0.4)
-                )
-                pillar.append([x, side * (np.abs(loop[:, 1]).max() - 0.012), height[i + 1]])
+            edges = [side * (np.abs(loop[:, 1]).max() - 0.012) for loop in outside[1:]]
+            pillar = [[x, y, z] for y, z in zip(edges, height[1:], strict=True)]
             parts.append(sweep(pillar, np.tile([0.035, 0.022], (6, 1)), BLACK, segments=6))
     return parts
 
@@ -180,40 +179,19 @@ PAINTS = (
 def _wheel(s: Proportions, rng: np.random.Generator) -> list[Mesh]:
     """One wheel around the origin, its outside towards +y."""
     r, w = s.wheel, 0.105
-    tyre = lathe(
-        [
-            [r * 0.66, -w],
-            [r * 0.93, -w],
-            [r, -w * 0.7],
-            [r, w * 0.7],
-            [r * 0.93, w],
-            [r * 0.68, w],
-            [r * 0.64, w * 0.55],
-        ],
-        (0.06, 0.06, 0.065),
-        segments=32,
-    )
+    tread = [[r * 0.66, -w], [r * 0.93, -w], [r, -w * 0.7], [r, w * 0.7], [r * 0.93, w], [r * 0.68, w]]
+    tyre = lathe([*tread, [r * 0.64, w * 0.55]], (0.06, 0.06, 0.065), segments=32)
     metal = CHROME if rng.random() < 0.75 else (0.2, 0.2, 0.22)
-    dish = lathe(
-        [[r * 0.66, w * 0.2], [r * 0.67, w * 0.75], [r * 0.6, w * 0.8], [r * 0.56, w * 0.45], [0, w * 0.42]],
-        np.array(metal) * 0.45,
-        segments=32,
-    )
-    rim = lathe(
-        [[r * 0.6, w * 0.5], [r * 0.68, w * 0.6], [r * 0.68, w * 0.98], [r * 0.6, w * 0.9], [r * 0.585, w * 0.5]],
-        metal,
-        segments=32,
-        roughness=0.2,
-    )
+    bowl = [[r * 0.66, w * 0.2], [r * 0.67, w * 0.75], [r * 0.6, w * 0.8], [r * 0.56, w * 0.45], [0, w * 0.42]]
+    dish = lathe(bowl, np.array(metal) * 0.45, segments=32)
+    edge = [[r * 0.6, w * 0.5], [r * 0.68, w * 0.6], [r * 0.68, w * 0.98], [r * 0.6, w * 0.9], [r * 0.585, w * 0.5]]
+    rim = lathe(edge, metal, segments=32, roughness=0.2)
     hub = lathe([[0.07, w * 0.4], [0.07, w * 0.92], [0.045, w], [0, w]], metal, segments=16, roughness=0.2)
-    parts = [tyre, dish, rim, hub]
     spokes = int(rng.choice([5, 6, 8, 10]))
-    for i in range(spokes):
-        spoke = box(
-            (r * 0.56, 0.3 * r * (5 / spokes) ** 0.8, 0.03), metal, centre=(r * 0.32, 0, w * 0.82), roughness=0.2
-        )
-        parts.append(transform(spoke, rotation("z", 360 * i / spokes)))
-    return [transform(part, rotation("x", -90)) for part in parts]
+    size = (r * 0.56, 0.3 * r * (5 / spokes) ** 0.8, 0.03)
+    spoke = box(size, metal, centre=(r * 0.32, 0, w * 0.82), roughness=0.2)
+    turned = [transform(spoke, rotation("z", 360 * i / spokes)) for i in range(spokes)]
+    return [transform(part, rotation("x", -90)) for part in (tyre, dish, rim, hub, *turned)]
 
 
 def plate(rng: np.random.Generator) -> Floats:
@@ -234,19 +212,10 @@ def _front(s: Proportions, rng: np.random.Generator) -> list[Mesh]:
         centre = (x - 0.09, side * lamp_y, lamp_z)
         turn = translation(*centre) @ rotation("z", side * 17) @ rotation("y", 12)
         parts.append(transform(ellipsoid(lamp, (0.9, 0.92, 0.95), roughness=0.08), turn))
-        parts.append(
-            transform(
-                ellipsoid((lamp[0] * 0.98, lamp[1] * 1.1, lamp[2] * 1.22), BLACK), translation(-0.016, 0, 0) @ turn
-            )
-        )
-        parts.append(
-            ellipsoid(
-                (0.1, 0.16, 0.09),
-                (0.9, 0.9, 0.85),
-                centre=(x - 0.05, side * w * 0.62, s.clearance + 0.2),
-                roughness=0.08,
-            )
-        )
+        frame = ellipsoid((lamp[0] * 0.98, lamp[1] * 1.1, lamp[2] * 1.22), BLACK)
+        parts.append(transform(frame, translation(-0.016, 0, 0) @ turn))
+        fog = (x - 0.05, side * w * 0.62, s.clearance + 0.2)
+        parts.append(ellipsoid((0.1, 0.16, 0.09), (0.9, 0.9, 0.85), centre=fog, roughness=0.08))
     grille_h = rng.uniform(0.1, 0.2)
     grille_z = s.nose * rng.uniform(0.66, 0.76)
     parts.append(_bulge((x - 0.045, grille_z), (0.1, w * rng.uniform(0.8, 1.05), grille_h), BLACK))
@@ -260,11 +229,7 @@ def _front(s: Proportions, rng: np.random.Generator) -> list[Mesh]:
 def _bulge(position: tuple[float, float], size: tuple[float, float, float], colour: Sequence[float]) -> Mesh:
     """A rounded bar across the car at (x, z)."""
     outline = rounded_rectangle(size[0], size[1], size[0] * 0.45, corner=4) + np.array((position[0], 0.0))
-    rings = [
-        np.concatenate([outline, np.full((len(outline), 1), z)], 1)
-        for z in (position[1] - size[2] / 2, position[1] + size[2] / 2)
-    ]
-    return loft(np.array(rings), colour)
+    return loft([at_height(outline, position[1] + side * size[2] / 2) for side in (-1, 1)], colour)
 
 
 def _rear(s: Proportions, rng: np.random.Generator, kind: str) -> list[Mesh]:
@@ -274,23 +239,17 @@ def _rear(s: Proportions, rng: np.random.Generator, kind: str) -> list[Mesh]:
     for side in (1, -1):
         size = (0.16, 0.2, 0.42) if tall else (0.2, 0.42, 0.17)
         z = s.tail * (0.8 if tall else 0.84)
-        lamp = ellipsoid(
-            size, (0.7, 0.02, 0.03), centre=(x + 0.07, side * w * (0.83 if tall else 0.68), z), roughness=0.08
+        lamp, signal = (
+            (x + 0.07, side * w * (0.83 if tall else 0.68), z),
+            (x + 0.01, side * w * 0.7, z - size[2] * 0.45),
         )
-        parts.append(lamp)
-        parts.append(
-            ellipsoid(
-                (0.1, 0.12, 0.06),
-                (0.95, 0.6, 0.15),
-                centre=(x + 0.01, side * w * 0.7, z - size[2] * 0.45),
-                roughness=0.08,
-            )
-        )
+        parts.append(ellipsoid(size, (0.7, 0.02, 0.03), centre=lamp, roughness=0.08))
+        parts.append(ellipsoid((0.1, 0.12, 0.06), (0.95, 0.6, 0.15), centre=signal, roughness=0.08))
     parts.append(_bulge((x + 0.035, s.clearance + 0.15), (0.12, w * 1.6, 0.16), BLACK))
     parts.append(box((0.02, 0.52, 0.115), plate(rng), centre=(x - 0.012, 0, s.tail * 0.66)))
-    parts.append(lathe([[0.035, 0], [0.035, 0.08], [0.025, 0.08], [0.025, 0]], CHROME, segments=12))
-    parts[-1] = transform(parts[-1], translation(x + 0.02, -w * 0.55, s.clearance + 0.06) @ rotation("y", -90))
-    return parts
+    exhaust = lathe([[0.035, 0], [0.035, 0.08], [0.025, 0.08], [0.025, 0]], CHROME, segments=12)
+    pose = translation(x + 0.02, -w * 0.55, s.clearance + 0.06) @ rotation("y", -90)
+    return [*parts, transform(exhaust, pose)]
 
 
 def _trim(s: Proportions, paint: ArrayLike) -> list[Mesh]:
@@ -306,34 +265,22 @@ def _trim(s: Proportions, paint: ArrayLike) -> list[Mesh]:
             path = [[x, side * half_width_at(s, x, t), low + t * (top - low)] for t in levels]
             parts.append(sweep(path, np.full(9, 0.009), line, segments=4, up=(1, 0, 0)))
         for x in (doors[0] + 0.18, doors[1] + 0.18):
-            parts.append(
-                box(
-                    (0.2, 0.035, 0.03),
-                    CHROME,
-                    centre=(x, side * (half_width_at(s, x, 0.78) + 0.012), s.clearance + 0.78 * (s.belt - s.clearance)),
-                    roughness=0.2,
-                )
-            )
+            y, z = side * (half_width_at(s, x, 0.78) + 0.012), s.clearance + 0.78 * (s.belt - s.clearance)
+            parts.append(box((0.2, 0.035, 0.03), CHROME, centre=(x, y, z), roughness=0.2))
         span = np.linspace(s.axles[0] + s.wheel * 1.25, s.axles[1] - s.wheel * 1.25, 8)
         path = [[x, side * (half_width_at(s, x, 0.05) - 0.005), s.clearance + 0.04] for x in span]
         parts.append(sweep(path, np.full(8, 0.055), BLACK, segments=8))
         x = s.base[1] - 0.12
-        parts.append(
-            ellipsoid((0.17, 0.2, 0.15), paint, centre=(x, side * (s.half + 0.07), s.belt + 0.06), roughness=0.08)
-        )
-        parts.append(
-            sweep([[x, side * s.half * 0.86, s.belt], [x, side * (s.half + 0.03), s.belt + 0.04]], [0.03, 0.03], BLACK)
-        )
+        mirror = (x, side * (s.half + 0.07), s.belt + 0.06)
+        parts.append(ellipsoid((0.17, 0.2, 0.15), paint, centre=mirror, roughness=0.08))
+        arm = [[x, side * s.half * 0.86, s.belt], [x, side * (s.half + 0.03), s.belt + 0.04]]
+        parts.append(sweep(arm, [0.03, 0.03], BLACK))
         front = np.linspace(s.base[1] + 0.1, s.length * 0.455, 8)
         path = [[x, side * s.half_width(x) * 0.72, float(top_edge(s, np.array([x]))[0]) + 0.013] for x in front]
         parts.append(sweep(path, np.full(8, 0.009), line, segments=4))
-    wiper = s.base[1] + 0.03
-    parts.append(
-        sweep(
-            [[wiper + 0.09, -0.3, s.belt + 0.03], [wiper + 0.08, 0.3, s.belt + 0.03]], [0.012, 0.012], BLACK, segments=5
-        )
-    )
-    return parts
+    x, z = s.base[1] + 0.03, s.belt + 0.03
+    wiper = sweep([[x + 0.09, -0.3, z], [x + 0.08, 0.3, z]], [0.012, 0.012], BLACK, segments=5)
+    return [*parts, wiper]
 
 
 def build(seed: int = 0, colour: Sequence[float] | None = None) -> Asset:
@@ -341,10 +288,8 @@ def build(seed: int = 0, colour: Sequence[float] | None = None) -> Asset:
     rng = np.random.default_rng([seed, 0xCA2])
     kind = str(rng.choice(["saloon", "hatchback", "estate", "offroad"], p=[0.35, 0.3, 0.15, 0.2]))
     s = proportions(kind, rng)
-    paint = np.clip(
-        np.array(PAINTS[rng.integers(len(PAINTS))]) * rng.uniform(0.85, 1.1) + rng.uniform(-0.03, 0.03, 3), 0.02, 0.95
-    )
-    paint = paint if colour is None else np.asarray(colour, np.float64)
+    drawn = np.array(PAINTS[rng.integers(len(PAINTS))]) * rng.uniform(0.85, 1.1) + rng.uniform(-0.03, 0.03, 3)
+    paint = np.clip(drawn, 0.02, 0.95) if colour is None else np.asarray(colour, np.float64)
     roof = paint if rng.random() < 0.85 else np.array(BLACK if paint.mean() > 0.3 else (0.85, 0.85, 0.85))
     parts = [*body(s, paint), *cabin(s, paint, roof, bool(rng.random() < 0.2)), *_front(s, rng), *_rear(s, rng, kind)]
     parts += _trim(s, paint)
@@ -355,10 +300,8 @@ def build(seed: int = 0, colour: Sequence[float] | None = None) -> Asset:
             pose = translation(axle, side * (s.half - 0.115), s.wheel) @ rotation("z", turn) @ scaling(1, side, 1)
             parts += [transform(part, pose) for part in wheel]
     if kind in ("estate", "offroad"):
+        x, rise = np.linspace(s.top[0] + 0.1, s.top[1] - 0.1, 6), np.array([-0.03, 0.04, 0.04, 0.04, 0.04, -0.03])
         for side in (1, -1):
-            rail = [
-                [x, side * s.half * 0.56, s.roof - 0.01 + (0.04 if 0 < i < 5 else -0.03)]
-                for i, x in enumerate(np.linspace(s.top[0] + 0.1, s.top[1] - 0.1, 6))
-            ]
+            rail = np.stack([x, np.full(6, side * s.half * 0.56), s.roof - 0.01 + rise], 1)
             parts.append(sweep(rail, np.full(6, 0.018), CHROME, segments=6))
     return Asset("car", tuple(parts))

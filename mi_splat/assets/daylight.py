@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mi_splat.assets.mesh import Floats
+from mi_splat.assets.textures import between
 
 Colour = tuple[float, float, float]
 
@@ -38,25 +38,12 @@ def sky_map(light: Light) -> Floats:
     rng = np.random.default_rng([light.seed, 0xC10D])
     noise = np.zeros((height, width))
     for octave in range(5):
-        cells = rng.random((3 << octave, 6 << octave))
-        noise += _stretch(cells, height, width) / 1.7**octave
+        rows, columns = 3 << octave, 6 << octave
+        y, x = np.linspace(0, rows - 1, height), np.arange(width) * columns / width
+        noise += between(rng.random((rows, columns)), y, x) / 1.7**octave
     noise = (noise - noise.min()) / max(float(np.ptp(noise)), 1e-9)
     cover = np.clip((noise - (1 - light.clouds)) * 4, 0, 1)[..., None] * np.clip(elevation / 12, 0, 1)
     white = max(light.horizon) * 1.25
     sky = sky * (1 - cover) + cover * white * (0.75 + 0.25 * noise[..., None])
     ground = np.array([0.2, 0.19, 0.17]) * (0.5 + light.sun_strength / 5)
     return (light.sky_strength * np.where(elevation < 0, ground, sky)).astype(np.float32)
-
-
-def _stretch(cells: NDArray[np.float64], height: int, width: int) -> NDArray[np.float64]:
-    """Smooth enlargement of a small grid, periodic in the horizontal direction."""
-    rows, columns = cells.shape
-    y = np.linspace(0, rows - 1, height)
-    x = np.arange(width) * columns / width
-    i, j = np.minimum(y.astype(int), rows - 2), x.astype(int)
-    fy, fx = (y - i)[:, None], (x - j)[None]
-    fy, fx = fy * fy * (3 - 2 * fy), fx * fx * (3 - 2 * fx)
-    a, b = cells[i][:, j], cells[i][:, (j + 1) % columns]
-    c, d = cells[i + 1][:, j], cells[i + 1][:, (j + 1) % columns]
-    result: NDArray[np.float64] = (a * (1 - fx) + b * fx) * (1 - fy) + (c * (1 - fx) + d * fx) * fy
-    return result

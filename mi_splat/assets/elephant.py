@@ -92,8 +92,7 @@ def _appearance(rng: np.random.Generator) -> _Appearance:
 
 def _posed(pose: Floats, points: Doubles) -> Doubles:
     """Points (N, 3) of the head's frame in that of the body."""
-    placed: Doubles = np.asarray(points, np.float64) @ pose[:3, :3].T + pose[:3, 3]
-    return placed
+    return np.asarray(points, np.float64) @ pose[:3, :3].T + pose[:3, 3]
 
 
 def _legs(appearance: _Appearance) -> tuple[list[Blob], Doubles]:
@@ -240,8 +239,7 @@ def _ear_texture(appearance: _Appearance, noise: Noise) -> Floats:
     veins = np.abs(np.sin(angle * 7)) < 0.10 * (1.15 - points[:, 0])
     colours = mix(colours, appearance.skin * 0.55, 0.7 * veins)
     colours *= np.clip(1.15 - 0.55 * (1 - points[:, 0]) ** 2, 0, 1)[:, None]
-    result: Floats = np.clip(colours, 0, 1).reshape(112, 112, 3)
-    return result
+    return np.clip(colours, 0, 1).reshape(112, 112, 3)
 
 
 def _tusks(appearance: _Appearance) -> list[Mesh]:

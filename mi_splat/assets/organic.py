@@ -284,8 +284,7 @@ class Noise:
 def mix(base: Floats, colour: ArrayLike, amount: ArrayLike) -> Floats:
     """Colours (N, 3) blended towards a colour (3,) or (N, 3) by (N,) amounts, clipped to [0, 1]."""
     weight = np.clip(np.asarray(amount, np.float32), 0, 1)[:, None]
-    value: Floats = (base * (1 - weight) + np.asarray(colour, np.float32) * weight).astype(np.float32)
-    return value
+    return (base * (1 - weight) + np.asarray(colour, np.float32) * weight).astype(np.float32)
 
 
 def spot(points: Floats, centre: ArrayLike, radii: ArrayLike, soft: float = 0.2) -> Floats:

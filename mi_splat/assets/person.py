@@ -125,12 +125,10 @@ def clothed(appearance: Appearance, arms: list[Limb], legs: list[Limb], noise: N
             if len(chosen):
                 colours[chosen] = painter(appearance, points[chosen], noise)
         grain = 1 + 0.07 * noise(points, 0.015) + 0.06 * noise(points, (0.03, 0.03, 0.12))
-        result: Floats = colours * grain[:, None]
-        return result
+        return colours * grain[:, None]
 
     def relief(points: Floats) -> Floats:
-        folds: Floats = 0.006 * noise(points, (0.06, 0.06, 0.11)) * (points[:, 2] > 0.1)
-        return folds
+        return 0.006 * noise(points, (0.06, 0.06, 0.11)) * (points[:, 2] > 0.1)
 
     return body(layers, 0.0195, paint, relief=relief)
 
@@ -263,8 +261,7 @@ def build(seed: int) -> Asset:
 def _pick(rng: np.random.Generator, table: Sequence[Sequence[float]], spread: float = 0.04) -> Floats:
     """A colour near one of a table."""
     row = np.asarray(table[int(rng.integers(len(table)))])
-    colour: Floats = np.clip(row + rng.uniform(-spread, spread, 3), 0.03, 0.95).astype(np.float32)
-    return colour
+    return np.clip(row + rng.uniform(-spread, spread, 3), 0.03, 0.95).astype(np.float32)
 
 
 def _appearance(rng: np.random.Generator) -> Appearance:
@@ -428,8 +425,7 @@ def head(appearance: Appearance, noise: Noise) -> Mesh:
             if appearance.style == "curly"
             else 0
         )
-        bumps: Floats = (0.008 * noise(points, 0.018) * hairy).astype(np.float32) * (points[:, 0] < 0.06)
-        return bumps
+        return (0.008 * noise(points, 0.018) * hairy).astype(np.float32) * (points[:, 0] < 0.06)
 
     return body(_head_layers(appearance), 0.0085, paint, relief=relief)
 
@@ -444,8 +440,7 @@ def hand(appearance: Appearance, arm: Limb, side: int) -> Mesh:
 
     def paint(points: Floats, layer: NDArray[np.int64]) -> Floats:
         shade = 1 - 0.12 * (points[:, 1] < -0.005) * 1.0
-        colours: Floats = (appearance.skin * shade[:, None]).astype(np.float32)
-        return colours
+        return (appearance.skin * shade[:, None]).astype(np.float32)
 
     mesh = body([Layer(tuple(blobs), 0.012)], 0.0105, paint, texels=2)
     along = arm.end / np.linalg.norm(arm.end)

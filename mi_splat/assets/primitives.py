@@ -110,9 +110,7 @@ def lathe(
     radius, z = np.asarray(profile, np.float64).T
     angle = 2 * np.pi * np.arange(segments) / segments
     ring = np.stack([np.cos(angle), np.sin(angle)], -1)
-    rings = np.concatenate(
-        [radius[:, None, None] * ring, np.broadcast_to(z[:, None, None], (len(z), segments, 1))], axis=-1
-    )
+    rings = [at_height(r * ring, height) for r, height in zip(radius, z, strict=True)]
     return loft(rings, colour, roughness=roughness, smooth=smooth)
 
 
@@ -158,9 +156,8 @@ def ellipsoid(
     angle = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)
     profile = np.stack([np.maximum(np.cos(angle), 0) / 2, np.sin(angle) / 2], -1)
     profile[[0, -1], 0] = 0
-    return transform(
-        lathe(profile, colour, segments=segments, roughness=roughness), translation(*centre) @ scaling(*size)
-    )
+    ball = lathe(profile, colour, segments=segments, roughness=roughness)
+    return transform(ball, translation(*centre) @ scaling(*size))
 
 
 def extrude(
@@ -182,7 +179,7 @@ def extrude(
     count = len(outline)
     low, span = outline.min(0), np.maximum(np.ptp(outline, axis=0), 1e-9)
     uvs = (outline - low) / span
-    levels = [np.concatenate([outline, np.full((count, 1), z)], 1) for z in (0.0, depth)]
+    levels = [at_height(outline, z) for z in (0.0, depth)]
     i, j = np.arange(count), (np.arange(count) + 1) % count
     sides = np.concatenate([np.stack([i, j, j + count], 1), np.stack([i, j + count, i + count], 1)])
     ends = triangulate(outline)
@@ -230,12 +227,17 @@ GLYPHS: dict[str, list[list[tuple[float, float]]]] = {
 def strokes(text: str, *, centre: Sequence[float], height: float, width: float, gap: float) -> list[Points]:
     """Polylines of `text` around `centre`; `width` and `gap` are those of one letter, all in the unit of `height`."""
     total = len(text) * width + (len(text) - 1) * gap
-    lines = []
-    for position, letter in enumerate(text):
-        left = centre[0] - total / 2 + position * (width + gap)
-        for line in GLYPHS.get(letter, []):
-            lines.append(np.asarray(line) * (width, height) + (left, centre[1] - height / 2))
-    return lines
+    lefts = [centre[0] - total / 2 + position * (width + gap) for position in range(len(text))]
+    return [
+        np.asarray(line) * (width, height) + (left, centre[1] - height / 2)
+        for left, letter in zip(lefts, text, strict=True)
+        for line in GLYPHS.get(letter, [])
+    ]
+
+
+def at_height(outline: Points, z: float) -> Points:
+    """(P, 3) the (P, 2) points of an outline at one height."""
+    return np.concatenate([outline, np.full((len(outline), 1), z)], 1)
 
 
 def rounded_rectangle(length: float, width: float, radius: float, *, corner: int = 6) -> Points:

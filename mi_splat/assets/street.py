@@ -33,32 +33,21 @@ def tree(rng: np.random.Generator) -> list[Mesh]:
     green = np.array([rng.uniform(0.16, 0.34), rng.uniform(0.32, 0.48), rng.uniform(0.08, 0.16)])
     leaves = textures.grass(64, int(rng.integers(1 << 30))) * 0.5 + green.astype(np.float32) * 0.5
     tall = rng.uniform(3.5, 6.5)
-    parts = [
-        sweep(
-            [[0, 0, -0.1], [rng.normal(0, 0.1), 0, tall * 0.35], [0, rng.normal(0, 0.2), tall * 0.7]],
-            [0.16, 0.12, 0.06],
-            bark,
-            segments=8,
-        )
-    ]
+    trunk = [[0, 0, -0.1], [rng.normal(0, 0.1), 0, tall * 0.35], [0, rng.normal(0, 0.2), tall * 0.7]]
+    parts = [sweep(trunk, [0.16, 0.12, 0.06], bark, segments=8)]
     if rng.random() < 0.7:
         for _ in range(9):
-            offset = rng.normal(0, 1, 3) * (0.75, 0.75, 0.5)
+            x, y, z = rng.normal(0, 1, 3) * (0.75, 0.75, 0.5)
             size = rng.uniform(1.2, 2.2) * tall / 5
-            blob = ellipsoid(
-                (size, size, size * 0.85), leaves, centre=(offset[0], offset[1], tall * 0.72 + offset[2]), segments=14
-            )
+            blob = ellipsoid((size, size, size * 0.85), leaves, centre=(x, y, tall * 0.72 + z), segments=14)
             bumps = 1 + 0.13 * rng.normal(size=(len(blob.vertices), 1))
             middle = blob.vertices.mean(0)
-            parts.append(
-                type(blob)(middle + (blob.vertices - middle) * bumps, blob.faces, blob.uvs * 2, leaves, None, False)
-            )
+            rough = middle + (blob.vertices - middle) * bumps
+            parts.append(Mesh(rough, blob.faces, blob.uvs * 2, leaves, None, False))
     else:
         for level in np.linspace(0.2, 0.85, 5):
-            wide = (1.05 - level) * tall * 0.3
-            parts.append(
-                sweep([[0, 0, tall * level], [0, 0, tall * (level + 0.28)]], [wide, 0.02], leaves, segments=12)
-            )
+            cone = [[0, 0, tall * level], [0, 0, tall * (level + 0.28)]]
+            parts.append(sweep(cone, [(1.05 - level) * tall * 0.3, 0.02], leaves, segments=12))
     return parts
 
 
@@ -207,13 +196,9 @@ def house(rng: np.random.Generator, *, width: float) -> list[Mesh]:
         parts.append(box((1.6, 1.6, 0.9), (0.5, 0.5, 0.5), centre=(rng.uniform(-w / 2, w / 2), deep / 2, tall + 0.7)))
     elif style == 1:
         rise, over = rng.uniform(1.6, 2.8), 0.35
-        for y0, y1 in ((-over, deep / 2), (deep + over, deep / 2)):
-            grid = np.array(
-                [
-                    [[-w - 0.2, y0, tall - 0.1], [w + 0.2, y0, tall - 0.1]],
-                    [[-w - 0.2, y1, tall + rise], [w + 0.2, y1, tall + rise]],
-                ]
-            )
+        for y in (-over, deep + over):
+            edges = ((y, tall - 0.1), (deep / 2, tall + rise))
+            grid = [[[x, *edge] for x in (-w - 0.2, w + 0.2)] for edge in edges]
             parts.append(sheet(grid, tiles, repeat=(width / 2.2, 2.0), smooth=False))
         gable = extrude([[0.0, 0.0], [deep, 0.0], [deep / 2, rise]], width, plain)
         parts.append(transform(gable, translation(-w, 0, tall) @ rotation("x", 90) @ rotation("y", 90)))
@@ -221,12 +206,8 @@ def house(rng: np.random.Generator, *, width: float) -> list[Mesh]:
     else:
         rise = rng.uniform(1.8, 3.0)
         for sign in (-1, 1):
-            grid = np.array(
-                [
-                    [[sign * (w + 0.25), -0.3, tall - 0.15], [sign * (w + 0.25), deep, tall - 0.15]],
-                    [[0, -0.3, tall + rise], [0, deep, tall + rise]],
-                ]
-            )
+            edges = ((sign * (w + 0.25), tall - 0.15), (0, tall + rise))
+            grid = [[[x, y, z] for y in (-0.3, deep)] for x, z in edges]
             parts.append(sheet(grid, tiles, repeat=(deep / 2.2, 2.0), smooth=False))
         gable = extrude([[-w, 0.0], [w, 0.0], [0.0, rise]], 0.1, plain)
         parts.append(transform(gable, translation(0, 0.1, tall) @ rotation("x", 90)))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from mi_splat.assets import textures
 from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, transform, translation
-from mi_splat.assets.primitives import box, lathe, loft, rounded_rectangle, sweep
+from mi_splat.assets.primitives import at_height, box, lathe, loft, rounded_rectangle, sweep
 
 SHELLS = (
     (0.1, 0.35, 0.6), (0.75, 0.1, 0.14), (0.08, 0.08, 0.09), (0.6, 0.62, 0.64), (0.9, 0.55, 0.1), (0.1, 0.5, 0.45),
@@ -43,7 +43,7 @@ def _shell(s: _Size, colour: Point) -> Mesh:
         inset = edge * (1 - np.cos(np.radians(angle)))
         z = edge * (1 + np.sin(np.radians(angle))) if angle < 0 else s.height - edge * (1 - np.sin(np.radians(angle)))
         outline = rounded_rectangle(s.depth - 2 * inset, s.width - 2 * inset, max(edge - 0.55 * inset, 0.01), corner=6)
-        rings.append(np.concatenate([outline, np.full((len(outline), 1), s.low + z)], 1))
+        rings.append(at_height(outline, s.low + z))
     return loft(np.array(rings), colour, roughness=0.2)
 
 
@@ -86,10 +86,8 @@ def _wheels(s: _Size, rng: np.random.Generator) -> list[Mesh]:
 def _handles(s: _Size, rng: np.random.Generator) -> list[Mesh]:
     """Handles on top and on one side, the telescopic one (drawn out or not), and a badge."""
     above = [[0.02, y, s.top + z] for y, z in ((-0.1, -0.01), (-0.085, 0.022), (0.085, 0.022), (0.1, -0.01))]
-    edge = s.width / 2
-    beside = [
-        [0, edge + y, s.low + s.height * t] for y, t in ((-0.01, 0.4), (0.022, 0.43), (0.022, 0.57), (-0.01, 0.6))
-    ]
+    bend = ((-0.01, 0.4), (0.022, 0.43), (0.022, 0.57), (-0.01, 0.6))
+    beside = [[0, s.width / 2 + y, s.low + s.height * t] for y, t in bend]
     parts = [sweep(above, np.full(4, 0.012), BLACK, segments=8), sweep(beside, np.full(4, 0.011), BLACK, segments=8)]
     reach = rng.uniform(0.2, 0.42) if rng.random() < 0.65 else 0.03
     back, end = -s.depth / 2 + 0.035, s.top + reach

@@ -21,17 +21,20 @@ def fractal_noise(size: tuple[int, int], rng: np.random.Generator, *, cells: int
         count = cells << octave
         if count > min(size):
             break
-        grid = rng.random((count, count))
         y, x = np.arange(height) * count / height, np.arange(width) * count / width
-        i, j = y.astype(int), x.astype(int)
-        fy, fx = (y - i)[:, None], (x - j)[None]
-        fy, fx = fy * fy * (3 - 2 * fy), fx * fx * (3 - 2 * fx)
-        top = grid[i][:, j] * (1 - fx) + grid[i][:, (j + 1) % count] * fx
-        low = (i + 1) % count
-        bottom = grid[low][:, j] * (1 - fx) + grid[low][:, (j + 1) % count] * fx
-        total += (top * (1 - fy) + bottom * fy) / 2**octave
+        total += between(rng.random((count, count)), y, x) / 2**octave
     span = float(np.ptp(total))
     return np.asarray((total - total.min()) / (span if span > 0 else 1.0), np.float64)
+
+
+def between(cells: Field, y: Field, x: Field) -> Field:
+    """Smooth values between the cells of a grid at fractional rows and columns; the grid repeats."""
+    i, j = y.astype(int), x.astype(int)
+    fy, fx = (y - i)[:, None], (x - j)[None]
+    fy, fx = fy * fy * (3 - 2 * fy), fx * fx * (3 - 2 * fx)
+    rows = (cells[i], cells[(i + 1) % len(cells)])
+    top, bottom = (row[:, j] * (1 - fx) + row[:, (j + 1) % cells.shape[1]] * fx for row in rows)
+    return np.asarray(top * (1 - fy) + bottom * fy, np.float64)
 
 
 def canvas(size: tuple[int, int], colour: ArrayLike) -> Floats:
@@ -215,13 +218,10 @@ def football(size: int = 256, seed: int = 0) -> Floats:
     corners = np.array([(0, a, b * golden) for a in (-1, 1) for b in (-1, 1)])
     twelve = np.concatenate([np.roll(corners, k, 1) for k in range(3)])
     twelve /= np.linalg.norm(twelve, axis=1, keepdims=True)
+    close = twelve @ twelve.T > 0.4
     triples = [(i, j, k) for i in range(12) for j in range(i) for k in range(j)]
-    near = [
-        t
-        for t in triples
-        if min(twelve[t[0]] @ twelve[t[1]], twelve[t[0]] @ twelve[t[2]], twelve[t[1]] @ twelve[t[2]]) > 0.4
-    ]
-    twenty = np.array([twelve[list(t)].sum(0) for t in near])
+    near = [[i, j, k] for i, j, k in triples if close[i, j] and close[i, k] and close[j, k]]
+    twenty = np.array([twelve[t].sum(0) for t in near])
     twenty /= np.linalg.norm(twenty, axis=1, keepdims=True)
     # Planes of the truncated icosahedron: pentagons lie a little further out than hexagons.
     heights = (normal @ spin) @ np.concatenate([twelve / 0.9393, twenty / 0.9150]).T

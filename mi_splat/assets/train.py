@@ -4,6 +4,7 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, transform, translation
 from mi_splat.assets.primitives import Points, box, ellipsoid, lathe, loft, smooth_interpolate, sweep
@@ -46,6 +47,11 @@ def _profile(c: _Car) -> Points:
     return np.concatenate([right, right[::-1] * (-1, 1)])
 
 
+def _lean(c: _Car, level: ArrayLike) -> Points:
+    """How far back a cab's front leans at relative heights (0 floor, 1 roof)."""
+    return smooth_interpolate(level, [0, 0.3, 0.55, 1], [0, 0, 0.25, 1]) * c.lean
+
+
 def _body(c: _Car, cab: tuple[bool, bool]) -> list[Mesh]:
     """Body shell; an end with a cab narrows and leans back, the other is flat."""
     outline = _profile(c)
@@ -55,11 +61,7 @@ def _body(c: _Car, cab: tuple[bool, bool]) -> list[Mesh]:
         end = min(t, 1 - t) / 0.12
         has_cab = cab[0] if t < 0.5 else cab[1]
         narrow = 1 - (0.16 if has_cab else 0.02) * max(0.0, 1 - end) ** 2.2
-        low = (
-            smooth_interpolate(tall, [0, 0.3, 0.55, 1], [0, 0, 0.25, 1])
-            * c.lean
-            * (max(0.0, 1 - end) if has_cab else 0.0)
-        )
+        low = _lean(c, tall) * (max(0.0, 1 - end) if has_cab else 0.0)
         x = c.x + (t - 0.5) * c.length - np.sign(t - 0.5) * low
         z = c.floor + (outline[:, 1] - c.floor) * (1 - 0.05 * (1 - narrow) / 0.16)
         rings.append(np.stack([x, outline[:, 0] * narrow, z], 1))
@@ -76,8 +78,7 @@ def _front(c: _Car, sign: float, rng: np.random.Generator) -> list[Mesh]:
     height = c.roof - c.floor
 
     def on_front(y: float, t: float, out: float = 0.0) -> tuple[float, float, float]:
-        lean = float(smooth_interpolate(t, [0, 0.3, 0.55, 1], [0, 0, 0.25, 1])) * c.lean
-        return end - sign * (lean - out), y, c.floor + t * height * 0.95
+        return end - sign * (float(_lean(c, t)) - out), y, c.floor + t * height * 0.95
 
     low, high, wide = 0.5, 0.8, c.half * 0.74
     parts = []
@@ -96,21 +97,14 @@ def _front(c: _Car, sign: float, rng: np.random.Generator) -> list[Mesh]:
         parts.append(ellipsoid((0.14, 0.32, 0.24), (0.95, 0.94, 0.85), centre=(x, py, z), roughness=0.08))
         parts.append(ellipsoid((0.12, 0.16, 0.14), (0.75, 0.04, 0.04), centre=(x, py * 0.62, z), roughness=0.08))
         buffer = lathe([[0.09, 0], [0.09, 0.28], [0.22, 0.3], [0.22, 0.36], [0, 0.37]], BLACK, segments=16)
-        parts.append(
-            transform(buffer, translation(end - sign * 0.02, y * 0.85, c.floor - 0.02) @ rotation("y", sign * 90))
-        )
+        place = translation(end - sign * 0.02, y * 0.85, c.floor - 0.02)
+        parts.append(transform(buffer, place @ rotation("y", sign * 90)))
     x, _, z = on_front(0, 0.9)
     parts.append(ellipsoid((0.2, 0.3, 0.2), (0.95, 0.94, 0.85), centre=(x - sign * 0.02, 0, z), roughness=0.08))
     parts.append(box((0.3, 0.2, 0.2), BLACK, centre=(end + sign * 0.12, 0, c.floor - 0.05)))
-    plough = np.array(
-        [
-            [end - sign * 0.25, -c.half * 0.85, 0.25],
-            [end + sign * 0.1, 0, 0.2],
-            [end - sign * 0.25, c.half * 0.85, 0.25],
-        ]
-    )
-    parts.append(sweep(plough, np.tile([0.05, 0.22], (3, 1)), BLACK, segments=6))
-    return parts
+    sides = [[end - sign * 0.25, y * c.half * 0.85, 0.25] for y in (-1, 1)]
+    plough = [sides[0], [end + sign * 0.1, 0, 0.2], sides[1]]
+    return [*parts, sweep(plough, np.tile([0.05, 0.22], (3, 1)), BLACK, segments=6)]
 
 
 def _sides(c: _Car, rng: np.random.Generator, *, cab: tuple[bool, bool], passengers: bool) -> list[Mesh]:
@@ -120,15 +114,12 @@ def _sides(c: _Car, rng: np.random.Generator, *, cab: tuple[bool, bool], passeng
     height = c.roof - c.floor
     for y in (-c.half, c.half):
         for z, tall in ((0.13, 0.1), (0.3, 0.05)) if rng.random() < 0.5 else ((0.26, 0.16), (0.67, 0.05)):
-            parts.append(
-                box((right - left, 0.03, tall * height), c.stripe, centre=((left + right) / 2, y, c.floor + z * height))
-            )
+            centre = ((left + right) / 2, y, c.floor + z * height)
+            parts.append(box((right - left, 0.03, tall * height), c.stripe, centre=centre))
         if passengers:
-            count = max(3, int((right - left) / 1.5))
+            count, level = max(3, int((right - left) / 1.5)), c.floor + 0.52 * height
             for x in np.linspace(left + 1.3, right - 1.3, count):
-                parts.append(
-                    box((0.95, 0.05, 0.3 * height), GLASS, centre=(x, y, c.floor + 0.52 * height), roughness=0.08)
-                )
+                parts.append(box((0.95, 0.05, 0.3 * height), GLASS, centre=(x, y, level), roughness=0.08))
             doors = (left + 0.45, right - 0.45)
         else:
             for x in np.linspace(left + 1.0, right - 1.0, 5):
@@ -145,19 +136,8 @@ def _sides(c: _Car, rng: np.random.Generator, *, cab: tuple[bool, bool], passeng
 def _bogies(c: _Car, *, axles: int) -> list[Mesh]:
     parts: list[Mesh] = []
     radius = 0.46
-    wheel = lathe(
-        [
-            [0.12, -0.07],
-            [radius, -0.07],
-            [radius + 0.02, -0.05],
-            [radius, 0.06],
-            [radius * 0.8, 0.03],
-            [0.15, 0.05],
-            [0, 0.1],
-        ],
-        (0.3, 0.29, 0.28),
-        segments=20,
-    )
+    rim = [[0.12, -0.07], [radius, -0.07], [radius + 0.02, -0.05], [radius, 0.06], [radius * 0.8, 0.03]]
+    wheel = lathe([*rim, [0.15, 0.05], [0, 0.1]], (0.3, 0.29, 0.28), segments=20)
     for centre in (c.x - c.length * 0.31, c.x + c.length * 0.31):
         span = 1.25 * (axles - 1)
         for offset in np.linspace(-span / 2, span / 2, axles):
@@ -224,15 +204,8 @@ def build(seed: int = 0) -> Asset:
     else:
         engine = car(x=0.0, length=length, roof=height)
         parts, cab = [], (True, True)
-    parts += [
-        *_body(engine, cab),
-        *_sides(engine, rng, cab=cab, passengers=kind == "railcar"),
-        *_front(engine, 1.0, rng),
-    ]
-    if cab[0]:
-        parts += _front(engine, -1.0, rng)
-    parts += [
-        *_bogies(engine, axles=3 if kind == "locomotive" and rng.random() < 0.5 else 2),
-        *_roof(engine, rng, electric=electric),
-    ]
-    return Asset("train", tuple(parts))
+    parts += [*_body(engine, cab), *_sides(engine, rng, cab=cab, passengers=kind == "railcar")]
+    for sign in (1.0, -1.0) if cab[0] else (1.0,):
+        parts += _front(engine, sign, rng)
+    parts += _bogies(engine, axles=3 if kind == "locomotive" and rng.random() < 0.5 else 2)
+    return Asset("train", (*parts, *_roof(engine, rng, electric=electric)))

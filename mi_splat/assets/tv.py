@@ -4,7 +4,7 @@ import numpy as np
 
 from mi_splat.assets import textures
 from mi_splat.assets.mesh import Asset, Floats, Mesh, rotation, transform, translation
-from mi_splat.assets.primitives import box, loft, quad, rounded_rectangle, sweep
+from mi_splat.assets.primitives import at_height, box, loft, quad, rounded_rectangle, sweep
 
 
 def _landscape(rng: np.random.Generator) -> Floats:
@@ -16,9 +16,8 @@ def _landscape(rng: np.random.Generator) -> Floats:
     sun = np.hypot((x - rng.uniform(0.15, 0.85)) * 16 / 9, y - rng.uniform(0.65, 0.85))
     textures.paint(picture, textures.cover(sun - 0.07, 0.01), (1.0, 0.95, 0.7))
     for level in (0.55, 0.42, 0.28):
-        ridge = (
-            level + 0.09 * np.sin(x * rng.uniform(4, 9) + rng.uniform(0, 6)) + 0.03 * np.sin(x * 23 + rng.uniform(0, 6))
-        )
+        ridge = level + 0.09 * np.sin(x * rng.uniform(4, 9) + rng.uniform(0, 6))
+        ridge += 0.03 * np.sin(x * 23 + rng.uniform(0, 6))
         textures.paint(picture, textures.cover(y - ridge, 0.01), rng.uniform(0.05, 0.6, 3) * (0.7, 1.0, 0.7))
     return np.clip(picture, 0, 1)
 
@@ -28,18 +27,13 @@ def _match(rng: np.random.Generator) -> Floats:
     picture = textures.canvas((144, 256), (0.12, 0.45, 0.16))
     x, y = textures.grid((144, 256))
     textures.paint(picture, np.where((x * 10) % 1 < 0.5, 0.3, 0.0), (0.2, 0.6, 0.2))
-    for line in (
-        np.abs(x - 0.5),
-        np.abs(np.hypot((x - 0.5) * 16 / 9, y - 0.5) - 0.2),
-        np.abs(y - 0.05),
-        np.abs(y - 0.95),
-    ):
+    circle = np.abs(np.hypot((x - 0.5) * 16 / 9, y - 0.5) - 0.2)
+    for line in (np.abs(x - 0.5), circle, np.abs(y - 0.05), np.abs(y - 0.95)):
         textures.paint(picture, textures.cover(line - 0.006, 0.008), (0.9, 0.95, 0.9))
     for _ in range(14):
         where = np.hypot((x - rng.uniform(0.08, 0.92)) * 16 / 9, (y - rng.uniform(0.1, 0.9)) * 0.55)
-        textures.paint(
-            picture, textures.cover(where - 0.02, 0.01), ((0.85, 0.1, 0.1), (0.95, 0.95, 0.95))[rng.integers(2)]
-        )
+        shirt = ((0.85, 0.1, 0.1), (0.95, 0.95, 0.95))[rng.integers(2)]
+        textures.paint(picture, textures.cover(where - 0.02, 0.01), shirt)
     return picture
 
 
@@ -78,12 +72,9 @@ def _foot(rng: np.random.Generator, width: float, low: float, colour: Floats) ->
     style = rng.integers(3)
     if style == 0:
         plate = rounded_rectangle(0.24, 0.45 * width, 0.04)
-        rings = [
-            np.concatenate([plate * s, np.full((len(plate), 1), z)], 1)
-            for s, z in ((1, 0.0), (1, 0.012), (0.96, 0.018))
-        ]
+        rings = [at_height(plate * s, z) for s, z in ((1, 0.0), (1, 0.012), (0.96, 0.018))]
         neck = sweep([[-0.03, 0, 0.01], [-0.02, 0, low + 0.06]], [[0.05, 0.02], [0.045, 0.018]], colour, up=(1, 0, 0))
-        return [loft(np.array(rings), colour, roughness=0.2), neck]
+        return [loft(rings, colour, roughness=0.2), neck]
     spread = (0.32 if style == 1 else 0.4) * width
     legs = []
     for side in (1, -1):
@@ -101,30 +92,23 @@ def build(seed: int = 0) -> Asset:
     height = width * 0.5625 * rng.uniform(0.98, 1.05)
     low = rng.uniform(0.05, 0.1)
     bezel = rng.uniform(0.01, 0.03)
-    colour = np.array(
-        [(0.03, 0.03, 0.035), (0.06, 0.06, 0.065), (0.45, 0.46, 0.48), (0.85, 0.85, 0.84)][
-            rng.choice(4, p=[0.5, 0.25, 0.15, 0.1])
-        ],
-        np.float32,
-    )
+    casings = [(0.03, 0.03, 0.035), (0.06, 0.06, 0.065), (0.45, 0.46, 0.48), (0.85, 0.85, 0.84)]
+    colour = np.array(casings[rng.choice(4, p=[0.5, 0.25, 0.15, 0.1])], np.float32)
     middle = low + height / 2
     outline = rounded_rectangle(width, height, 0.012, corner=3)
-    slab = []
-    for depth, shrink in ((-0.025, 0.985), (-0.02, 1.0), (0.018, 1.0), (0.02, 0.995)):
-        slab.append(
-            np.stack([np.full(len(outline), depth), outline[:, 0] * shrink, middle + outline[:, 1] * shrink], 1)
-        )
-    parts = [loft(np.array(slab), colour, roughness=0.2)]
+    slab = [
+        np.stack([np.full(len(outline), depth), outline[:, 0] * shrink, middle + outline[:, 1] * shrink], 1)
+        for depth, shrink in ((-0.025, 0.985), (-0.02, 1.0), (0.018, 1.0), (0.02, 0.995))
+    ]
+    parts = [loft(slab, colour, roughness=0.2)]
     half_w, half_h = width / 2 - bezel, height / 2 - bezel
     lift = 0.3 * bezel
     y, z = np.array([-half_w, half_w, half_w, -half_w]), middle + lift + np.array([-half_h, -half_h, half_h, half_h])
     parts.append(quad(np.stack([np.full(4, 0.0215), y, z], 1), screen(rng), roughness=0.08))
-    back = box((0.035, width * 0.62, height * 0.5), colour * 0.8, centre=(-0.035, 0, low + height * 0.35))
-    parts.append(back)
+    parts.append(box((0.035, width * 0.62, height * 0.5), colour * 0.8, centre=(-0.035, 0, low + height * 0.35)))
     for row in np.linspace(-0.12, 0.12, 5):
-        parts.append(
-            box((0.004, width * 0.4, 0.012), colour * 0.3, centre=(-0.053, 0, low + height * 0.38 + row * height))
-        )
+        slot = (-0.053, 0, low + height * 0.38 + row * height)
+        parts.append(box((0.004, width * 0.4, 0.012), colour * 0.3, centre=slot))
     parts.append(box((0.003, 0.05, 0.006), (0.7, 0.7, 0.72), centre=(0.0215, 0, low + bezel * 0.55)))
     parts += _foot(rng, width, low, colour)
     lean = translation(0, 0, low) @ rotation("y", float(rng.uniform(-3, 3))) @ translation(0, 0, -low)

@@ -260,8 +260,7 @@ def load_mesh(path: Path, settings: MeshSettings | None = None) -> LoadedMesh:
 def turning(settings: MeshSettings, *, up: Up) -> NDArray[np.float64]:
     """(3, 3) matrix from the file's axes and unit to z up, the front to +x, and metres."""
     front = axis_turn("z", _TURNS[settings.front or "+x"])
-    turned: NDArray[np.float64] = settings.scale * (front @ turn_of(up, settings.rotate))
-    return turned
+    return settings.scale * (front @ turn_of(up, settings.rotate))
 
 
 def _surfaces(path: Path) -> tuple[list[Surface], list[str], list[str]]:

@@ -129,8 +129,7 @@ def perspective(camera: Camera, what: str = "camera") -> dict[str, Any]:
 
 def mitsuba_pose(camera: Camera) -> NDArray[np.float64]:
     """(4, 4) pose of our camera with the axes of Mitsuba's."""
-    pose: NDArray[np.float64] = camera.to_world.numpy() @ _MITSUBA_TO_OPENCV
-    return pose
+    return camera.to_world.numpy() @ _MITSUBA_TO_OPENCV
 
 
 def sensor_dict(camera: Camera) -> dict[str, Any]:
