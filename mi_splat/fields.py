@@ -258,6 +258,8 @@ def taken(hint: Any, value: Any, name: str, marks: tuple[Any, ...] = (), *, read
         if type(value) not in map(type, parts) or value not in parts:
             raise _unknown(name, value, parts)
         return value
+    if origin is Mapping and read and isinstance(value, Mapping):
+        return {key: taken(parts[1], item, f"{name}, {key}", read=True) for key, item in value.items()}
     if origin is tuple:
         return _tuple(parts, value, name, marks, read=read)
     if dataclasses.is_dataclass(kind) and read:

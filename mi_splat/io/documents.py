@@ -26,8 +26,8 @@ from mi_splat.io.errors import SplatFileError, from_os_error
 LOCK = ".mi-splat.lock"
 """Name of the file in a folder that a process has for itself; see `mi_splat.io.folders`."""
 _TEMPORARY = re.compile(r"\.[0-9a-f]{16}\.tmp")
-_YOUNG, _OLD = 60.0, 24 * 3600.0
-"""Seconds in which a temporary file is left alone, and after which it goes also from a disk without locks."""
+_YOUNG = 60.0
+"""Seconds in which a temporary file is left alone, since its maker may not have come to lock it."""
 _SYNCED_AT_ONCE = 8
 
 
@@ -58,24 +58,20 @@ def sweep_temporary(folder: str | os.PathLike[str]) -> int:
 
 
 def _is_abandoned(entry: os.DirEntry[str]) -> bool:
-    age = time.time() - entry.stat(follow_symlinks=False).st_mtime
-    if age < _YOUNG:  # its maker may not have come to lock it
+    if time.time() - entry.stat(follow_symlinks=False).st_mtime < _YOUNG:
         return False
     descriptor = os.open(entry, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
     try:
-        taken = try_lock(descriptor)
+        return try_lock(descriptor) is True
     finally:
         os.close(descriptor)
-    return age > _OLD if taken is None else taken
 
 
 @contextlib.contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """Write a file so that a crash, a kill or a full disk leaves the old file or the new one, never a part.
 
-    The bytes go to a temporary file in the same folder, reach the disk, and take the name `path` in one step. The mode
-    of a file that was there is kept; a symbolic link is replaced, and not what it leads to. When the body raises, the
-    temporary file is removed.
+    The mode of a file that was there is kept; a symbolic link is replaced, and not what it leads to.
     """
     target = os.path.abspath(path)
     temporary = os.path.join(os.path.dirname(target), _temporary_name())

@@ -1,19 +1,15 @@
 """Checkpoints: safetensors files with notes as JSON, read with distrust."""
 
-import dataclasses
-import functools
-import math
-import types
-import typing
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from mi_splat.errors import InvalidValueError
+from mi_splat.fields import decode
 from mi_splat.io.parsing import DocumentReader, Fields
 
 NOTES = "notes"
@@ -63,41 +59,8 @@ def described(value: Tensor | None) -> str:
 
 
 def read_line(kind: type[_Line], fields: Fields) -> _Line:
-    """A dataclass of numbers, texts, truth values, numbers by name and other such dataclasses from its fields."""
-    hints = _hints(typing.cast(Hashable, kind))
-    if more := sorted(fields.values.keys() - hints.keys()):
-        raise fields.bad(more[0], "no such field", fields.values[more[0]])
-    values = {}
-    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
-        if field.name in fields.values or field.default is dataclasses.MISSING:
-            values[field.name] = _part(hints[field.name], fields, field.name)
+    """A dataclass from the fields that its `asdict` has written."""
     try:
-        return kind(**values)
+        return decode(kind, fields.values, fields.where)
     except InvalidValueError as error:
-        raise fields.error(f"{fields.where}: {error}") from error
-
-
-@functools.cache
-def _hints(kind: Hashable) -> dict[str, Any]:
-    return typing.get_type_hints(typing.cast(type, kind))
-
-
-def _part(hint: Any, fields: Fields, name: str) -> object:
-    """A field as its hint says."""
-    value = fields.values.get(name)
-    if typing.get_origin(hint) in (typing.Union, types.UnionType):
-        if value is None:
-            return None
-        (hint,) = (part for part in typing.get_args(hint) if part is not type(None))
-    if dataclasses.is_dataclass(hint):
-        return read_line(typing.cast(type, hint), fields.object(name))
-    if typing.get_origin(hint) is Mapping:  # names to numbers
-        part = fields.object(name)
-        return {key: part.values[key] for key in part.values if math.isfinite(part.number(key))}
-    if hint is int:
-        return fields.whole(name, -(1 << 63), (1 << 63) - 1)
-    if hint is float:
-        fields.number(name)
-    elif not isinstance(value, hint):
-        raise fields.bad(name, f"a {hint.__name__}", value)
-    return value
+        raise fields.error(str(error)) from error

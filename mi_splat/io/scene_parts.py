@@ -93,13 +93,7 @@ _PICTURES = (".bmp", ".exr", ".hdr", ".jpeg", ".jpg", ".pfm", ".png", ".ppm", ".
 
 @dataclass(slots=True)
 class SceneParts:
-    """What a scene is made of; see `scene_parts`.
-
-    Attributes:
-        elements: All elements in their order, those of included files after their inclusion, with the values of the
-            parameters in their attributes.
-        files: The scene file and every file that an element names, in their order.
-    """
+    """The elements of a scene, parameters filled in, and the scene file with every file that an element names."""
 
     elements: list[Element] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)

@@ -293,20 +293,6 @@ def test_leftovers_of_a_killed_program_are_swept_and_those_of_a_running_one_are_
     assert names(tmp_path) == []
 
 
-def test_on_a_disk_without_locks_leftovers_go_after_a_day(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def no_lock(descriptor: int, how: int) -> None:
-        raise OSError(errno.ENOLCK, "no locks available")
-
-    monkeypatch.setattr(fcntl, "flock", no_lock)
-    (tmp_path / ".0123456789abcdef.tmp").write_text("")
-    (tmp_path / "mine.tmp").write_text("")
-    for age, left in ((90, 2), (90_000, 1)):
-        os.utime(tmp_path / ".0123456789abcdef.tmp", (time.time() - age,) * 2)
-        sweep_temporary(tmp_path)
-        assert len(names(tmp_path)) == left
-    assert sweep_temporary(tmp_path / "none") == 0
-
-
 def test_a_file_is_written_under_a_temporary_name(tmp_path: Path) -> None:
     with atomic_write(tmp_path / "a.bin") as file:
         file.write(b"x")

@@ -100,10 +100,10 @@ BROKEN: dict[str, tuple[Change, str]] = {
     "a wrong generator": (lambda n, t: t["generator"].fill_(255), "the state of a generator"),
     "a negative view": (lambda n, t: n.update(view_queue=[-1]), "view_queue: expected whole numbers from 0"),
     "steps after the last": (lambda n, t: n.update(iteration=4), "iteration: expected a whole number from 0 to 3"),
-    "a history of something else": (lambda n, t: n["history"][0].update(loss="low"), "loss: expected a finite number"),
+    "a history of something else": (lambda n, t: n["history"][0].update(loss="low"), "loss: expected a number"),
     "scores of something else": (
         lambda n, t: n["history"][0].update(held_out={"psnr": 1.0}),
-        r"held_out: ssim: expected a finite number, got None",
+        "held_out: expected the key ssim, got none",
     ),
     "a loss of NaN": (lambda n, t: n["history"][0].update(loss=math.nan), "history/0/loss: expected a finite number"),
     "an extent of zero": (lambda n, t: n.update(scene_extent=0), "scene_extent: expected a number above 0"),
