@@ -1,7 +1,6 @@
 """Folders of results: checked first, whole or not at all, never over something else; leftovers of kills are swept."""
 
 import errno
-import fcntl
 import hashlib
 import json
 import os
@@ -15,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.documents import atomic_write, is_temporary, sweep_temporary
+from mi_splat.io.documents import is_temporary, sweep_temporary
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.folders import (
     MANIFEST,
@@ -61,13 +60,6 @@ def test_a_folder_appears_whole(tmp_path: Path) -> None:
         assert not out.exists()
     assert names(out) == ["result.json"]
     assert names(out.parent) == ["b"]
-
-
-def test_nothing_is_left_of_a_folder_that_failed(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    with pytest.raises(ZeroDivisionError):
-        failing(out)
-    assert names(tmp_path) == []
 
 
 def test_an_older_result_is_refused_or_replaced_whole(tmp_path: Path) -> None:
@@ -291,13 +283,6 @@ def test_leftovers_of_a_killed_program_are_swept_and_those_of_a_running_one_are_
     os.utime(left, (time.time() - 90,) * 2)
     assert sweep_temporary(tmp_path) == 1
     assert names(tmp_path) == []
-
-
-def test_a_file_is_written_under_a_temporary_name(tmp_path: Path) -> None:
-    with atomic_write(tmp_path / "a.bin") as file:
-        file.write(b"x")
-        assert [is_temporary(name) for name in names(tmp_path)] == [True]
-    assert names(tmp_path) == ["a.bin"]
 
 
 # Every file of a result is in its manifest, and a manifest of strangers leads nowhere else

@@ -11,7 +11,6 @@ import pytest
 
 from mi_splat.io import SplatFileError, SplatFileWarning, load_splat, save_splat
 from mi_splat.io.formats.sog import picture_bytes
-from mi_splat.io.formats.splat32 import RECORD
 from tests.io.format_files import gltf_with, rezipped, tame_scene, valid
 
 
@@ -124,35 +123,6 @@ def test_openusd_without_its_package_says_what_to_install(
     with pytest.raises(SplatFileError, match="usd-core"):
         save_splat(tame_scene(2, 0), tmp_path / "out.usda")
     assert not (tmp_path / "out.usda").exists()
-
-
-def splat_rows() -> np.ndarray:
-    """The rows of the valid .splat file, to be changed."""
-    return np.frombuffer(valid("a.splat"), RECORD).copy()
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("means", np.nan, "a coordinate of the mean is nan"),
-        ("means", -np.inf, "a coordinate of the mean is -inf"),
-        ("scales", 0, "a scale is 0"),
-        ("scales", -1, "a scale is -1"),
-        ("scales", np.inf, "a scale is inf"),
-        ("rotations", 128, "the quaternion is zero or not finite"),
-    ],
-)
-def test_invalid_gaussians_are_refused_or_dropped(name: str, value: float, words: str, tmp_path: Path) -> None:
-    rows, path = splat_rows(), tmp_path / "a.splat"
-    rows[name][[3, 7]] = value
-    path.write_bytes(rows.tobytes())
-    message = rf"valid Gaussians, got 2 of 20 that are not \(rows 3, 7; in the first, {words}\)"
-    with pytest.raises(SplatFileError, match=message + "; repair it, or drop them"):
-        load_splat(path)
-    with pytest.warns(SplatFileWarning, match=message + "; they were left out") as caught:
-        scene = load_splat(path, on_invalid="drop")
-    assert caught[0].filename == __file__
-    np.testing.assert_array_equal(scene.means.numpy(), np.delete(splat_rows()["means"], [3, 7], axis=0))
 
 
 def test_values_that_are_not_finite_in_gltf_and_compressed_ply(tmp_path: Path) -> None:

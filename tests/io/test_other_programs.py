@@ -170,8 +170,3 @@ def test_trimesh_draws_our_gltf_as_points(tmp_path: Path) -> None:
         (cloud,) = trimesh.load(tmp_path / "a.glb").geometry.values()
     expected = scene.means * torch.tensor([-1.0, -1.0, 1.0])
     torch.testing.assert_close(torch.from_numpy(cloud.vertices.copy()).float(), expected)
-
-
-def test_the_two_agree_with_each_other(tmp_path: Path) -> None:
-    write_splat_file(tame_scene(300, 3), tmp_path / "a.spz")
-    assert_close(by_transform(tmp_path / "a.spz", tmp_path), by_forge(tmp_path / "a.spz", tmp_path))
