@@ -37,6 +37,7 @@ NEEDED = {
     "compare": ["a.ply"],
     "select": ["a.ply"],
     "poison": ["set", "a.ply"],
+    **dict.fromkeys(("dagger", "dagger --region", "dagger --sanity"), ["a.ply"]),
     "detect": ["a.ply"],
     "evaluate": ["a.ply", "b.ply"],
     "info": ["a.ply"],

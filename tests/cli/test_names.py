@@ -35,19 +35,19 @@ def test_wrong_inputs_are_refused_before_torch_is_imported(
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        ("dagger --target Person", "got Person; did you mean person?"),
-        ("dagger --object car --target car", "another class than the object's, car, got car"),
-        ("dagger --object stop_sign --target stop sign", "another class than the object's, stop sign, got stop sign"),
-        ("dagger --object person", "--target: expected another class than the object's, person"),
-        ("dagger --objective hide --target person", "--target: expected none beside --objective hide, got person"),
-        ("dagger --region --objective untargeted --target car", "none beside --objective untargeted, got car"),
-        ("dagger --detectors fasterrcn_small", "did you mean fasterrcnn_small?"),
-        ("dagger --sanity --detectors fasterrcnn", "detector: expected"),
+        ("dagger a.ply --target Person", "got Person; did you mean person?"),
+        ("dagger a.ply --object car --target car", "another class than the object's, car, got car"),
+        ("dagger a.ply --object stop_sign --target stop sign", "another class than the object's, stop sign, got stop sign"),
+        ("dagger a.ply --object person", "--target: expected another class than the object's, person"),
+        ("dagger a.ply --objective hide --target person", "--target: expected none beside --objective hide, got person"),
+        ("dagger a.ply --region --objective untargeted --target car", "none beside --objective untargeted, got car"),
+        ("dagger a.ply --detectors fasterrcn_small", "did you mean fasterrcnn_small?"),
+        ("dagger a.ply --sanity --detectors fasterrcnn", "detector: expected"),
         ("view a.ply --detectors yolo8n", "did you mean yolov8n?"),
         ("evaluate a.ply b.ply --original car --target car", "another class than the object's, car"),
         ("evaluate a.ply b.ply --detectors yolov8n_small yolov8n_small", "--detectors: expected different names"),
         ("detect a.png --weights a b", "--weights: expected 1 files, got 2"),
-        ("dagger --eps 0", "--eps: expected a number > 0"),
+        ("dagger a.ply --eps 0", "--eps: expected a number > 0"),
     ],
 )
 def test_wrong_names_are_refused_before_a_command_starts(
@@ -63,7 +63,7 @@ def test_wrong_names_are_refused_before_a_command_starts(
 
 
 def test_names_are_checked_without_torch() -> None:
-    code = "import sys; from attacks.cli import main; main(['dagger', '--target', 'Person'])"
+    code = "import sys; from attacks.cli import main; main(['dagger', 'a.ply', '--target', 'Person'])"
     code += "; print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.stdout == "False\n"
@@ -77,7 +77,7 @@ def test_names_are_checked_without_torch() -> None:
 @pytest.mark.parametrize("command", ["render", "capture", "view", "dagger", "train"])
 def test_values_have_one_spelling_in_every_command(command: str) -> None:
     def option(name: str, *words: str) -> object:
-        needed = {"train": ["set", "--out", "out"], "dagger": [], "view": ["a"], "render": ["a"], "capture": ["a"]}
+        needed = {"train": ["set", "--out", "out"], "dagger": ["a"], "view": ["a"], "render": ["a"], "capture": ["a"]}
         options = parse(command, [*needed[command], f"--{name}", *words])
         return getattr(options, name, None) or getattr(getattr(options, "view", options), name)
 

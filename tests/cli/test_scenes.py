@@ -154,7 +154,7 @@ def toy(monkeypatch: pytest.MonkeyPatch) -> SplatScene:
 def test_dagger_writes_its_report(toy: SplatScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     words = ["--object", "thing", "--target", "person", "--eps", "20", "--seed", "3", "--noise-draws", "1"]
-    assert cli.main(["dagger", *words, "--out", str(out)]) == 0
+    assert cli.main(["dagger", "toy.xml", *words, "--out", str(out)]) == 0
     lines = capsys.readouterr().out.splitlines()
     printed = (
         "The attack succeeded: within a ball (l2: 20 over sh) it made fake_colour report person on the object in 1 of 1"
@@ -182,7 +182,7 @@ def test_dagger_writes_its_report(toy: SplatScene, tmp_path: Path, capsys: pytes
 def test_dagger_prints_one_document(toy: SplatScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["--object", "thing", "--objective", "hide", "--attributes", "opacities", "sh", "--eps", "3", "20"]
     words += ["--views", "front", "aside", "--norm", "l2_per_gaussian", "--noise-draws", "0", "--json"]
-    assert cli.main(["dagger", *words, "--out", str(tmp_path)]) == 0
+    assert cli.main(["dagger", "toy.xml", *words, "--out", str(tmp_path)]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["target"] is None
     assert document["radius"] == {"opacities": 3.0, "sh": 20.0}
@@ -202,7 +202,7 @@ def test_dagger_prints_one_document(toy: SplatScene, tmp_path: Path, capsys: pyt
 def test_dagger_says_what_is_wrong(
     words: list[str], says: str, toy: SplatScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.main(["dagger", *words, "--out", str(tmp_path / "out")]) == 1
+    assert cli.main(["dagger", "toy.xml", *words, "--out", str(tmp_path / "out")]) == 1
     captured = capsys.readouterr()
     assert says in captured.err
     assert len(captured.err.splitlines()) == 1
@@ -227,7 +227,7 @@ def test_every_setting_of_the_attack_is_a_flag(toy: SplatScene, tmp_path: Path) 
         "--gradient-power",
         "0.5",
     ]
-    assert cli.main(["dagger", *words, "--out", str(tmp_path)]) == 0
+    assert cli.main(["dagger", "toy.xml", *words, "--out", str(tmp_path)]) == 0
     config = DaggerConfig(
         attributes=("sh", "means"),
         eps=(3.0,),
