@@ -37,9 +37,15 @@ def test_wrong_inputs_are_refused_before_torch_is_imported(
     [
         ("dagger a.ply --target Person", "got Person; did you mean person?"),
         ("dagger a.ply --object car --target car", "another class than the object's, car, got car"),
-        ("dagger a.ply --object stop_sign --target stop sign", "another class than the object's, stop sign, got stop sign"),
+        (
+            "dagger a.ply --object stop_sign --target stop sign",
+            "another class than the object's, stop sign, got stop sign",
+        ),
         ("dagger a.ply --object person", "--target: expected another class than the object's, person"),
-        ("dagger a.ply --objective hide --target person", "--target: expected none beside --objective hide, got person"),
+        (
+            "dagger a.ply --objective hide --target person",
+            "--target: expected none beside --objective hide, got person",
+        ),
         ("dagger a.ply --region --objective untargeted --target car", "none beside --objective untargeted, got car"),
         ("dagger a.ply --detectors fasterrcn_small", "did you mean fasterrcnn_small?"),
         ("dagger a.ply --sanity --detectors fasterrcnn", "detector: expected"),
