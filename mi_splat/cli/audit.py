@@ -11,13 +11,12 @@ from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cli.console import UsageError, progress, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, Direction, JsonOptions, axis_name, check_no_input_in
-from mi_splat.errors import MiSplatError, message
+from mi_splat.errors import MiSplatError
 from mi_splat.fields import Folder, Metavar, between
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
-    from mi_splat.audit.linting import Lint
     from mi_splat.audit.results import Audit
     from mi_splat.cameras import Camera
     from mi_splat.io.loaded import Loaded
@@ -83,21 +82,12 @@ class AuditOptions(JsonOptions):
 
 def run(options: AuditOptions) -> int:
     """Audit every file, also after one that could not be judged."""
-    from mi_splat.audit.files import ENDINGS, sarif
+    from mi_splat.audit.files import sarif
     from mi_splat.io.documents import save_json
-    from mi_splat.io.folders import check_new_file, check_new_folder, check_not_input
 
     folders = _folders(options)
-    for folder in folders.values():
-        check_no_input_in(folder, *options.files, options.against)
-        check_new_folder(folder, force=options.force)
-    if options.sarif is not None:
-        check_not_input(options.sarif, *options.files, options.against)
-        check_new_file(options.sarif, ENDINGS, force=options.force)
-    if options.against is not None and options.only == "lint":
-        raise UsageError(message("--against", "looks to be audited, too", "--only lint", "leave that out"))
-    _check_repair(options)
-    _check_pictures(options)
+    _check_flags(options)
+    _check_outputs(options, folders.values())
     results, failures = [], 0
     for path in options.files:
         try:
@@ -115,19 +105,14 @@ def run(options: AuditOptions) -> int:
     lines = [line for document in results if "error" not in document for line in _lines(document)]
     show_result(results[0] if len(results) == 1 else {"files": results}, *lines, as_json=options.json)
     bad = {"hidden look", "error"} | ({"suspicious", "changed"} if options.strict else set())
-    if failures:
-        return FAILED
-    return (
-        SUSPICIOUS
-        if any(bad & {document["verdict"], _state(document), *_severities(document)} for document in results)
-        else 0
-    )
+    return FAILED if failures else SUSPICIOUS if any(bad & _verdicts(document) for document in results) else 0
 
 
-def _state(document: dict[str, Any]) -> str:
-    """Whether anything is not as in the clean file, if there was one."""
+def _verdicts(document: dict[str, Any]) -> set[str]:
+    """The verdict on looks, the severities of lint, and "changed" if anything is not as in the clean file."""
     against = document.get("against", {})
-    return "changed" if against.get("changed") or against.get("removed") else "as it was"
+    changed = {"changed"} if against.get("changed") or against.get("removed") else set()
+    return {document["verdict"], *changed, *(finding["severity"] for finding in document.get("lint", ()))}
 
 
 def _folders(options: AuditOptions) -> dict[Path, Path]:
@@ -139,39 +124,52 @@ def _folders(options: AuditOptions) -> dict[Path, Path]:
     folders = {path: options.out / Path(os.path.abspath(path)).stem for path in options.files}
     if len(set(folders.values())) < len(options.files):
         do = "rename one, or audit them one by one"
-        raise UsageError(message("--out", "files of different names", [path.name for path in options.files], do))
+        raise UsageError.of("--out", "files of different names", [path.name for path in options.files], do)
     return folders
 
 
-def _check_pictures(options: AuditOptions) -> None:
-    """Raise, before any work is done, if something is asked of a set of pictures that only a splat can answer."""
+def _check_flags(options: AuditOptions) -> None:
+    """Raise if flags exclude each other, or do not fit the files."""
     from mi_splat.datasets import is_dataset
 
-    asked = {name: getattr(options, name) for name in ("cameras", "only", "repair", "against")}
-    for path in options.files:
-        for name, given in asked.items():
-            if given and is_dataset(path):
-                raise UsageError(message(f"--{name}", "a splat", f"the pictures {path}", "leave it out"))
-        if options.downscale > 1 and not is_dataset(path):
-            raise UsageError(message("--downscale", "a folder of pictures with cameras", path, "leave it out"))
+    sets = [path for path in options.files if is_dataset(path)]
+    splats = [path for path in options.files if path not in sets]
+    only_lint, looks = options.only == "lint", "hidden looks to be looked for"
+    refused: list[tuple[str, object, str, object, str]] = [
+        ("--against", options.against and only_lint, looks, "--only lint", "leave that out"),
+        ("--repair", options.repair and only_lint, looks, "--only lint", "leave that out"),
+        (
+            "--repair",
+            options.repair and options.files[1:],
+            "one file to audit",
+            len(options.files),
+            "repair one by one",
+        ),
+        ("--keep", options.keep != "outside" and not options.repair, "--repair beside it", "none", "add it"),
+        ("--downscale", options.downscale > 1 and splats, "images with cameras", splats and splats[0], "leave it out"),
+    ]
+    for name in ("cameras", "only", "repair", "against") if sets else ():
+        refused.append((f"--{name}", getattr(options, name), "a splat", f"the pictures {sets[0]}", "leave it out"))
+    for flag, is_wrong, expected, got, do in refused:
+        if is_wrong:
+            raise UsageError.of(flag, expected, got, do)
 
 
-def _check_repair(options: AuditOptions) -> None:
-    """Raise, before any work is done, unless a repaired splat can be written where it is wanted."""
-    from mi_splat.io.folders import check_new_file, check_not_input
+def _check_outputs(options: AuditOptions, folders: Iterable[Path]) -> None:
+    """Raise, before any work is done, unless everything can be written where it is wanted."""
+    from mi_splat.audit.files import ENDINGS
+    from mi_splat.io.folders import check_new_file, check_new_folder, check_not_input
     from mi_splat.io.splat_files import format_to_write
 
-    if options.repair is None:
-        if options.keep != "outside":
-            raise UsageError(message("--keep", "--repair beside it", "none", "say where the repaired splat goes"))
-        return
-    if options.only == "lint":
-        raise UsageError(message("--repair", "hidden looks to be looked for", "--only lint", "leave that out"))
-    if len(options.files) > 1:
-        raise UsageError(message("--repair", "one file to audit", len(options.files), "repair them one by one"))
-    format_to_write(str(options.repair))
-    check_not_input(options.repair, options.files[0], options.against)
-    check_new_file(options.repair, (options.repair.suffix.lower(),), force=options.force)
+    for folder in folders:
+        check_no_input_in(folder, *options.files, options.against)
+        check_new_folder(folder, force=options.force)
+    if options.repair is not None:
+        format_to_write(str(options.repair))
+    for file, endings in ((options.sarif, ENDINGS), (options.repair, None)):
+        if file is not None:
+            check_not_input(file, *options.files, options.against)
+            check_new_file(file, endings or (file.suffix.lower(),), force=options.force)
 
 
 def _repair(
@@ -190,7 +188,7 @@ def _repair(
     except MiSplatError as error:
         do = "keep the other side by --keep, or leave --repair out"
         expected = "something left that can be audited again"
-        raise MiSplatError(message("--repair", expected, f"a splat of which is said: {error}", do)) from error
+        raise MiSplatError.of("--repair", expected, f"a splat of which is said: {error}", do) from error
     assert options.repair is not None
     save_splat(repaired, options.repair)
     counts = {"coloured_anew": coloured, "left_out": left_out}
@@ -200,21 +198,26 @@ def _repair(
 def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str, Any]:
     """Audit one file and write its result, if that is wanted."""
     from mi_splat.audit.files import document, write
+    from mi_splat.audit.linting import lint_file, lint_scene
     from mi_splat.datasets import is_dataset
+    from mi_splat.scene_files import open_scene
 
     if is_dataset(path):
         return _audited_pictures(path, folder, options)
     with progress(f"auditing {path.name}"):
-        stored = _stored(path)
-        lint = _linted(path, stored) if options.only != "looks" else None
+        is_scene, lint = path.suffix.lower() == ".xml", None
+        stored = None if is_scene else _stored(path)
+        if options.only != "looks":
+            lint = lint_scene(open_scene(path).scene) if is_scene else lint_file(path, stored)
         scene, judged, cameras, unjudged = None, None, None, "only lint was asked for"
-        if lint is not None and any(item.rule == "overdraw" and item.severity == "error" for item in lint.findings):
+        errors = [item.rule for item in lint.findings if item.severity == "error"] if lint is not None else []
+        if "overdraw" in errors:
             unjudged = "it would stop the renderer, see overdraw"
         elif options.only != "lint":
             try:
-                scene, judged, cameras = _looked_at(path, stored, options)
+                scene, judged, cameras = _with_looks(path, stored, options)
             except MiSplatError as error:
-                if lint is None or not any(item.severity == "error" for item in lint.findings):
+                if not errors:
                     raise
                 unjudged = " ".join(str(error).split())
         files = list[Path]()
@@ -242,25 +245,17 @@ def _audited_pictures(path: Path, folder: Path | None, options: AuditOptions) ->
 
 
 def _stored(path: Path) -> Loaded | None:
-    """What a splat file holds, read once; None of a scene XML, and of a file that cannot be read."""
+    """What a splat file holds, read once; None if it cannot be read, which lint says."""
     from mi_splat.io.errors import SplatFileError
     from mi_splat.io.splat_files import load_stored
 
     try:
-        return None if path.suffix.lower() == ".xml" else load_stored(path)
+        return load_stored(path)
     except SplatFileError:
         return None
 
 
-def _linted(path: Path, stored: Loaded | None) -> Lint:
-    """What the rules say of a splat file, as it is stored, or of what a scene XML loads."""
-    from mi_splat.audit.linting import lint_file, lint_scene
-    from mi_splat.scene_files import open_scene
-
-    return lint_scene(open_scene(path).scene) if path.suffix.lower() == ".xml" else lint_file(path, stored)
-
-
-def _looked_at(
+def _with_looks(
     path: Path, stored: Loaded | None, options: AuditOptions
 ) -> tuple[GaussianScene, Audit, Sequence[Camera] | None]:
     """A scene, its hidden looks, and the cameras that were given."""
@@ -269,49 +264,37 @@ def _looked_at(
     from mi_splat.cli.cameras import find_cameras
     from mi_splat.scene_files import open_scene
 
-    loaded = open_scene(path, stored=stored)
-    cameras = None
+    loaded, cameras = open_scene(path, stored=stored), None
     if options.cameras:
         wanted = CameraOptions(cameras=options.cameras, up=options.up or CameraOptions().up)
         cameras = tuple(find_cameras(loaded, wanted).values())
-    against = None
-    if options.against:
-        against = changes(loaded.scene, open_scene(options.against).scene)
+    against = changes(loaded.scene, open_scene(options.against).scene) if options.against else None
     judged = audit(loaded.scene, cameras=cameras, up=options.up)
     return loaded.scene, replace(judged, against=against), cameras
 
 
-def _severities(document: dict[str, Any]) -> set[str]:
-    return {finding["severity"] for finding in document.get("lint", ())}
-
-
-def _lines(document: dict[str, Any]) -> list[str]:
+def _lines(document: dict[str, Any]) -> Iterator[str]:
     """A result for a human."""
     first, *rest = document["summary"]
+    yield f"{document['file']}: {first}"
     if "up" in document:
         rest.append(f"up is {axis_name(document['up'])}")
     if "repair" in document:
         rest.append(_repair_line(document["repair"]))
-    rest += [_finding(finding) for finding in document.get("lint", ())]
-    cost = document.get("cost")
-    if cost and cost["overdraw"]:
-        worst = cost["overdraw"]
+    for finding in document.get("lint", ()):
+        shown = ", ".join(map(str, finding["rows"][:5])) + (", ..." if finding["count"] > 5 else "")
+        where = f" {finding['count']:,} Gaussians (rows {shown})." if finding["count"] else ""
+        rest.append(f"{finding['severity']}, {finding['rule']}:{where} {finding['reason']}")
+    if cost := document.get("cost", {}).get("overdraw"):
         rest.append(
-            f"cost: fillRatio {cost['fill_ratio']:.3g}; from the worst camera "
-            f"{worst['mean']:,.0f} Gaussians over each other in the mean, {worst['highest']:,} at most"
+            f"cost: fillRatio {document['cost']['fill_ratio']:.3g}; from the worst camera "
+            f"{cost['mean']:,.0f} Gaussians over each other in the mean, {cost['highest']:,} at most"
         )
-    return [f"{document['file']}: {first}", *(f"  {line}" for line in rest), *document["files"]]
-
-
-def _finding(finding: dict[str, Any]) -> str:
-    """One finding of lint for a human."""
-    shown = ", ".join(map(str, finding["rows"][:5])) + (", ..." if finding["count"] > 5 else "")
-    where = f" {finding['count']:,} Gaussians (rows {shown})." if finding["count"] else ""
-    return f"{finding['severity']}, {finding['rule']}:{where} {finding['reason']}"
+    yield from (f"  {line}" for line in rest)
+    yield from document["files"]
 
 
 def _repair_line(repair: dict[str, Any] | None) -> str:
-    """What --repair did, for a human."""
     if repair is None:
         return "nothing was found that could be repaired, and nothing is written"
     return (

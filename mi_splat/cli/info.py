@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from mi_splat.attributes import ATTRIBUTES, values_hash
 from mi_splat.cli.console import import_at_once, progress, show_json, show_table
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import Direction, JsonOptions, axis_name
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.io.errors import SplatFileWarning
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def _scene_file_facts(path: Path, up: Up) -> dict[str, object]:
     parts = {name: len(range(*rows.indices(len(loaded.scene)))) for name, rows in loaded.objects.items()}
     cameras = {name: f"{camera.width} x {camera.height}" for name, camera in loaded.cameras.items()}
     splat: Arrays = {name: value.numpy() for name, value in zip(ATTRIBUTES, loaded.scene.tensors(), strict=True)}
-    boxes = {name: _bounds(splat["means"][rows]) for name, rows in loaded.objects.items() if parts[name]}
+    boxes = {name: _at(splat["means"][rows], (0.0, 1.0)) for name, rows in loaded.objects.items() if parts[name]}
     return {"parts": parts, "part_bounds": boxes, "cameras": cameras, **splat_facts(splat, up)}
 
 
@@ -95,41 +95,33 @@ def splat_facts(splat: Arrays, up: Up = None) -> dict[str, object]:
     least and most, and the largest of any Gaussian in any direction: where these are far apart, the splat was not made
     of what cameras saw alone. `height` is where the middle 98 % are along `up`, if that is given.
     """
+    import numpy as np
+
     from mi_splat.sh import degree_of
 
     means = splat["means"]
     facts: dict[str, object] = {"gaussians": len(means), "sh_degree": degree_of(splat["sh"].shape[1])}
     if len(means):
-        facts["bounds"] = _bounds(means)
-        facts["box"] = _bounds(means, outside=0.01)
+        facts["bounds"] = _at(means, (0.0, 1.0))
+        facts["box"] = _at(means, (0.01, 0.99))
         if up is not None:
-            (lowest,), (highest,) = _bounds(means @ _unit(up), outside=0.01)
+            (lowest,), (highest,) = _at(means @ _unit(up), (0.01, 0.99))
             facts |= {"up": list(up), "height": [lowest, highest]}
-        middle = _median(means)
-        facts["middle"] = middle.tolist()
-        facts["reach"] = float(_median(_lengths(means - middle)))
-        facts["opacity"] = _quantiles(splat["opacities"])
-        facts["scale"] = _quantiles(splat["scales"].ravel())
+        (middle,) = _at(means, (0.5,))
+        distances = np.linalg.norm(means.astype(np.float64) - middle, axis=1)
+        facts |= {"middle": middle, "reach": _at(distances, (0.5,))[0]}
+        for name, values in (("opacity", splat["opacities"]), ("scale", splat["scales"].ravel())):
+            facts[name] = dict(zip((f"{share:.0%}" for share in QUANTILES), _at(values, QUANTILES), strict=True))
         facts["colour"] = _colours(splat["sh"])
     return {**facts, "hash": values_hash(splat)}
 
 
-def _median(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The lower median along the first axis."""
+def _at(values: NDArray[np.floating[Any]], shares: Sequence[float]) -> list[Any]:
+    """The values, of each column, below which such a share of them lies; each is one of them."""
     import numpy as np
 
-    last: NDArray[np.float32] = np.sort(values, axis=0)[(len(values) - 1) // 2]
-    return last
-
-
-def _lengths(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Lengths of rows, each sum rounded to float32 once, as torch's norm does it."""
-    import numpy as np
-
-    squares = np.zeros(len(vectors), np.float32)
-    for column in vectors.T.astype(np.float64):
-        squares = (column**2 + squares).astype(np.float32)
-    return np.sqrt(squares)
+    ordered = np.sort(values, axis=0)
+    return [ordered[round(share * (len(ordered) - 1))].tolist() for share in shares]
 
 
 def _unit(direction: tuple[float, float, float]) -> NDArray[np.float32]:
@@ -138,26 +130,8 @@ def _unit(direction: tuple[float, float, float]) -> NDArray[np.float32]:
 
     length = math.hypot(*direction)
     if not (math.isfinite(length) and length > 0):
-        raise InvalidValueError(message("--up", "a direction", direction, "for instance -y"))
+        raise InvalidValueError.of("--up", "a direction", direction, "for instance -y")
     return np.array(direction, np.float32)[:, None] / np.float32(length)
-
-
-def _bounds(means: NDArray[np.float32], *, outside: float = 0.0) -> list[list[float]]:
-    """Lower and upper corner of the box around points, without so large a share at either end of each axis."""
-    import numpy as np
-
-    ordered = np.sort(means, axis=0)
-    last = len(ordered) - 1
-    return [ordered[round(share * last)].tolist() for share in (outside, 1 - outside)]
-
-
-def _quantiles(values: NDArray[np.float32]) -> dict[str, float]:
-    """Minimum, 5 %, median, 95 % and maximum; each is one of the values."""
-    import numpy as np
-
-    ordered = np.sort(values)
-    rows = [round(q * (len(ordered) - 1)) for q in QUANTILES]
-    return {f"{q:.0%}": float(ordered[row]) for q, row in zip(QUANTILES, rows, strict=True)}
 
 
 def _colours(sh: NDArray[np.float32]) -> dict[str, float]:
@@ -173,10 +147,8 @@ def _text(value: object) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{name}: {_text(part)}" for name, part in value.items())
     if isinstance(value, list):
-        first, *rest = value
-        if isinstance(first, list):
-            return " to ".join(_text(part) for part in value)
-        return "(" + ", ".join(_text(part) for part in (first, *rest)) + ")"
+        texts = list(map(_text, value))
+        return " to ".join(texts) if isinstance(value[0], list) else f"({', '.join(texts)})"
     if isinstance(value, float):
         return f"{value:.4g}"
     return f"{value:,}" if isinstance(value, int) else "none" if value is None else str(value)

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from mi_splat.cli.console import UsageError, limit_threads, progress, show_result, warn
 from mi_splat.cli.flags import Positional, Unprefixed, choice_among
 from mi_splat.cli.options import Colour, JsonOptions
-from mi_splat.errors import InvalidValueError, message
-from mi_splat.fields import Folder, Length, Metavar, Seed, at_least, between, check
+from mi_splat.errors import InvalidValueError
+from mi_splat.fields import Folder, Length, Metavar, Seed, at_least, between
 from mi_splat.io.parsing import read_json
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import strategy_config, strategy_name, strategy_names
@@ -101,13 +101,6 @@ class TrainOptions(JsonOptions):
     port: Annotated[int, between(0, 65535, do="0 takes a free one"), Metavar("PORT")] | None = None
     """Port of the page of --live; 0 is any free one, None is 8080."""
 
-    def __post_init__(self) -> None:
-        check(self)
-        name = strategy_name(self.fit.strategy)
-        if self.strategy != name:
-            do = "pass both alike"
-            raise InvalidValueError(message("strategy", f"{name}, as in fit", self.strategy, do))
-
 
 def defaults(words: Sequence[str]) -> dict[str, Any]:
     """The strategy and its options, which say what further flags there are."""
@@ -115,11 +108,10 @@ def defaults(words: Sequence[str]) -> dict[str, Any]:
     return {"strategy": name, "fit": FitConfig(strategy=strategy_config(name))}
 
 
-_PORT = 8080
-"""Port of the page unless another is asked for."""
-_RANDOM = 10_000
+PORT = 8080
+RANDOM_START = 10_000
 """Gaussians of a start without points."""
-_WORTH_A_WORD = 0.001
+CULLED = 0.001
 """Share of the Gaussians from which it is said that the near plane hides them."""
 
 
@@ -130,22 +122,21 @@ def run(options: TrainOptions) -> None:
     from mi_splat.variant import check_device
 
     if options.port is not None and not options.live:
-        raise UsageError(message("--port", "--live beside it", "no page", "add --live, or leave it out"))
+        raise UsageError.of("--port", "--live beside it", "no page", "add --live, or leave it out")
     check_device(options.device)
     if options.live:
         from mi_splat.viewer.server import check_port
 
-        check_port("127.0.0.1", _port(options))
+        check_port("127.0.0.1", PORT if options.port is None else options.port)
     with own_folder(options.out, CONFIG, CHECKPOINT):
         _train(options)
 
 
 def _train(options: TrainOptions) -> None:
-    """As `run`, in a folder that is this process's own."""
     from mi_splat.bounds import near_plane
     from mi_splat.datasets import load_dataset
     from mi_splat.metrics import load_lpips
-    from mi_splat.training.resume import METRICS, SPLAT, train
+    from mi_splat.training.resume import train
 
     limit_threads(1)
     config = options.fit
@@ -154,20 +145,16 @@ def _train(options: TrainOptions) -> None:
         views = load(split="train")
         if config.masks and not any(frame.mask for frame in views.frames):
             do = "leave out --masks, or put them where the set says"
-            raise InvalidValueError(message(str(options.dataset), "masks of pictures", "none", do))
+            raise InvalidValueError.of(str(options.dataset), "masks of pictures", "none", do)
         held_out = load(split="test")
         start = _start(views, options)
         near = near_plane(start, views.cameras) if options.near is None else options.near
         render = _renderer(options, near)
     _warn_of_culled(start, views, near)
-    begun = time.monotonic()
-    lpips = load_lpips() if options.lpips else None
-    describe = _ProgressText()
+    begun, lpips = time.monotonic(), load_lpips() if options.lpips else None
     sets = (views, held_out) if len(held_out) else (views,)
-    with (
-        _page(options, sets, start, near) as page,
-        progress("training", total=config.iterations) as advance,
-    ):
+    with _page(options, sets, start, near) as page, progress("training", total=config.iterations) as advance:
+        describe = _ProgressText()
 
         def on_resume(state: TrainState) -> None:
             whole = f"the run has all its {config.iterations:,} steps; only its results are written again"
@@ -175,9 +162,10 @@ def _train(options: TrainOptions) -> None:
             warn(whole if state.iteration >= config.iterations else rest)
             advance("training", state.iteration)
 
-        def on_step(line: Progress) -> None:
-            advance(describe(line))
-            page.note(line)
+        def on_step(step: Progress) -> None:
+            advance(describe(step))
+            if page is not None:
+                page.note(step)
 
         trained = train(
             views,
@@ -192,12 +180,19 @@ def _train(options: TrainOptions) -> None:
             settings={"near": near, "background": list(options.background), "device": options.device},
             dataset=options.dataset,
             on_resume=on_resume,
-            on_start=page.begin,
+            on_start=None if page is None else page.begin,
             on_step=on_step,
-            hold=page.hold,
+            hold=None if page is None else page.hold,
         )
-    figures, seconds = read_json(options.out / METRICS), time.monotonic() - begun
-    lines = [f"{options.out / SPLAT}: {len(trained.scene):,} Gaussians after {config.iterations} steps"]
+    _show(options, len(trained.scene), time.monotonic() - begun)
+
+
+def _show(options: TrainOptions, count: int, seconds: float) -> None:
+    """Say what came of the training."""
+    from mi_splat.training.resume import METRICS, SPLAT
+
+    figures = read_json(options.out / METRICS)
+    lines = [f"{options.out / SPLAT}: {count:,} Gaussians after {options.fit.iterations} steps"]
     if figures["psnr"] is not None:
         perceptual = "" if figures["lpips"] is None else f", LPIPS {figures['lpips']:.4f}"
         quality = f"PSNR {figures['psnr']:.2f} dB, SSIM {figures['ssim']:.4f}{perceptual}"
@@ -208,27 +203,13 @@ def _train(options: TrainOptions) -> None:
     show_result({**figures, "out": str(options.out), "seconds": seconds}, *lines, as_json=options.json)
 
 
-class _NoPage:
-    """Nobody follows the training."""
-
-    def begin(self, state: TrainState) -> None:
-        """Hear of the run."""
-
-    def note(self, line: Progress) -> None:
-        """Hear of a step."""
-
-    def hold(self) -> bool:
-        """Do what is to be done between two steps; whether the training is to wait."""
-        return False
-
-
 @contextlib.contextmanager
 def _page(
     options: TrainOptions, sets: Sequence[Dataset], start: GaussianScene, near: float
-) -> Iterator[_NoPage | LiveTraining]:
-    """The page that follows the training, if there is to be one."""
+) -> Iterator[LiveTraining | None]:
+    """The page that follows the training, with --live."""
     if not options.live:
-        yield _NoPage()
+        yield None
         return
     from mi_splat.rendering import Renderer, RenderSettings
     from mi_splat.training.resume import SPLAT
@@ -239,14 +220,9 @@ def _page(
     settings = RenderSettings(background=options.background, near=near)
     content = training_content(sets, start, dataset=options.dataset, out=options.out / SPLAT, settings=settings)
     live = LiveTraining(Painter(content, Renderer(settings)), options.fit.iterations)
-    with Page(live, port=_port(options)) as live.page:
+    with Page(live, port=PORT if options.port is None else options.port) as live.page:
         warn(f"open {live.page.address}")
         yield live
-
-
-def _port(options: TrainOptions) -> int:
-    """Port of the page."""
-    return _PORT if options.port is None else options.port
 
 
 def _renderer(options: TrainOptions, near: float) -> Renderer:
@@ -256,7 +232,7 @@ def _renderer(options: TrainOptions, near: float) -> Renderer:
     config = options.fit
     if config.random_background and any(options.background):
         do = "leave out --background or --random-background"
-        raise InvalidValueError(message("--background", "black beside --random-background", options.background, do))
+        raise InvalidValueError.of("--background", "black beside --random-background", options.background, do)
     variant = "cuda_ad_rgb" if options.device == "cuda" else ""
     alpha = config.random_background
     settings = RenderSettings(background=options.background, near=near, alpha=alpha, variant=variant)
@@ -268,7 +244,7 @@ def _warn_of_culled(start: GaussianScene, views: Dataset, near: float) -> None:
     from mi_splat.bounds import culled_in_view
 
     culled = [culled_in_view(start, camera, near) for camera in views.cameras]
-    if max(culled) > _WORTH_A_WORD * len(start):
+    if max(culled) > CULLED * len(start):
         most = f"{max(culled):,} of {len(start):,} Gaussians"
         warn(f"in {sum(map(bool, culled))} of {len(culled)} pictures, up to {most} are nearer than near = {near:g}")
 
@@ -280,10 +256,10 @@ def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
 
     if options.outliers and not (options.start is None and options.random is None):
         do = "leave out --start and --random"
-        raise InvalidValueError(message("--outliers", "a start on the points of the set", "another", do))
+        raise InvalidValueError.of("--outliers", "a start on the points of the set", "another", do)
     limit = options.fit.strategy.max_gaussians if options.fit.strategy.adds_gaussians else None
     if options.start is not None and options.random is not None:
-        raise InvalidValueError(message("--random", "no other start", f"--start {options.start}", "leave one out"))
+        raise InvalidValueError.of("--random", "no other start", f"--start {options.start}", "leave one out")
     if options.start is not None:
         return load_splat(options.start)
     if options.random is not None:
@@ -291,8 +267,8 @@ def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
     if views.points is None or not len(views.points):
         if options.outliers:
             do = "leave out --outliers"
-            raise InvalidValueError(message("--outliers", "a start on the points of the set", "a set without any", do))
-        count = _RANDOM if limit is None else min(limit, _RANDOM)
+            raise InvalidValueError.of("--outliers", "a start on the points of the set", "a set without any", do)
+        count = RANDOM_START if limit is None else min(limit, RANDOM_START)
         warn(f"the set has no points: starting on {count:,} Gaussians anywhere (see --random, --start)")
         return random_points(views, count, seed=options.seed)
     cloud = with_outliers(views.points, views, options.outliers, seed=options.seed)
@@ -303,18 +279,17 @@ def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
 
 
 class _ProgressText:
-    """What the progress bar says of a step."""
+    """Loss, number of Gaussians, rate since this call of the program, and the last score of the held-out views."""
 
     def __init__(self) -> None:
-        self._first: int | None = None
-        self._begun = time.monotonic()
+        self._begun: tuple[int, float] | None = None
         self._held_out = ""
 
-    def __call__(self, line: Progress) -> str:
-        """Loss, number of Gaussians, rate since this call of the program, and the last look at the held-out views."""
-        if self._first is None:
-            self._first, self._begun = line.iteration, time.monotonic()
-        elif line.held_out is not None:
-            self._held_out = f", held out {line.held_out.psnr:.2f} dB"
-        rate = (line.iteration - self._first) / max(time.monotonic() - self._begun, 1e-3)
-        return f"loss {line.loss:.4f}, {line.count:,} Gaussians, {rate:.1f} steps/s{self._held_out}"
+    def __call__(self, step: Progress) -> str:
+        if self._begun is None:
+            self._begun = step.iteration, time.monotonic()
+        elif step.held_out is not None:
+            self._held_out = f", held out {step.held_out.psnr:.2f} dB"
+        first, begun = self._begun
+        rate = (step.iteration - first) / max(time.monotonic() - begun, 1e-3)
+        return f"loss {step.loss:.4f}, {step.count:,} Gaussians, {rate:.1f} steps/s{self._held_out}"

@@ -117,7 +117,7 @@ def test_the_command_repairs_what_it_finds(
         (["old/s.json", "--out", "old", "--force"], "--out: expected a folder without the input", 2),
         (["a.ply", "--against", "old/s.json", "--out", "old", "--force"], "expected a folder without the input", 2),
         (["a.ply", "set", "--against", "b.ply"], "--against: expected a splat, got the pictures set", 2),
-        (["set", "a.ply", "--downscale", "2"], "--downscale: expected a folder of pictures with cameras, got a.ply", 2),
+        (["set", "a.ply", "--downscale", "2"], "--downscale: expected images with cameras, got a.ply", 2),
         (["a.ply", "--keep", "inside"], "--keep: expected --repair beside it", 2),
     ],
 )

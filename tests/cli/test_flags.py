@@ -37,7 +37,7 @@ NEEDED = {
     "compare": ["a.ply"],
     "select": ["a.ply"],
     "poison": ["set", "a.ply"],
-    **dict.fromkeys(("dagger", "dagger --region", "dagger --sanity"), ["a.ply"]),
+    **{name: ["a.ply"] for name in ("dagger", "dagger --region", "dagger --sanity")},
     "detect": ["a.ply"],
     "evaluate": ["a.ply", "b.ply"],
     "info": ["a.ply"],

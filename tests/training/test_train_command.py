@@ -11,7 +11,6 @@ from plyfile import PlyData
 from attacks import cli
 from attacks.cli import parse
 from mi_splat.cli.train import TrainOptions
-from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import MCMCConfig
@@ -95,5 +94,3 @@ def test_flags_become_the_configs() -> None:
     given = parse("train", ["set", "--out", "out", *words])
     assert isinstance(given, TrainOptions)
     assert given.fit == FitConfig(strategy=MCMCConfig(noise_lr=3.0, max_gaussians=7), lr_sh=0.1, iterations=9)
-    with pytest.raises(InvalidValueError, match="expected classic, as in fit, got mcmc"):
-        TrainOptions(dataset=Path("set"), out=Path("out"), strategy="mcmc")
