@@ -1,14 +1,11 @@
 """A page that follows a training changes nothing of it, shows where it stands, stops it and lets it go on."""
 
 import dataclasses
-import os
-import signal
 import threading
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 
@@ -19,7 +16,7 @@ from mi_splat.training.initialization import from_points
 from mi_splat.training.loop import Fit, Progress
 from mi_splat.training.resume import train
 from mi_splat.viewer import live as module
-from mi_splat.viewer.live import SPLAT, LiveTraining, curve_data, training_content
+from mi_splat.viewer.live import SPLAT, LiveTraining, training_content
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.server import Page
 from tests.training.sets import views_of, watching
@@ -82,20 +79,6 @@ def test_a_training_that_is_watched_pauses_continues_and_is_the_same(
     assert f"All held-out pictures at step {STEPS}: PSNR" in live.remarks[-1]
 
 
-def test_a_paused_training_can_be_ended(live: LiveTraining, tmp_path: Path) -> None:
-    """With Ctrl-C, and its checkpoint is written."""
-    live.toggle()
-
-    def hold() -> bool:
-        os.kill(os.getpid(), signal.SIGINT)
-        return live.paused
-
-    _, views = views_of()
-    with pytest.raises(KeyboardInterrupt):
-        train(views, beginning(), tmp_path / "ended", render=watching(), config=CONFIG, hold=hold)
-    assert (tmp_path / "ended" / "checkpoint.safetensors").is_file()
-
-
 def test_the_first_picture_is_a_held_out_one_beside_its_photograph(live: LiveTraining) -> None:
     shown = live.content
     assert shown.names == ("photograph", SPLAT)
@@ -118,11 +101,3 @@ def test_a_photograph_that_cannot_be_read_is_reported_and_ends_nothing(live: Liv
     assert live.turn()
     assert live.remarks[0] == f"Step 1 of {STEPS}"
     assert str(shown.views.paths[0]) in live.remarks[-1]
-
-
-def test_curves_are_thinned_out_evenly() -> None:
-    steps, values = curve_data([(step, float(step)) for step in range(1024)])
-    assert np.array_equal(steps, values)
-    assert np.allclose(np.diff(steps), 4)
-    assert curve_data([])[0].shape == (1,)
-    assert curve_data([(3, 1.0)]) == (np.array([3.0]), np.array([1.0]))

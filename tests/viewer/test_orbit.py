@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mi_splat.camera_sets import hemisphere
-from mi_splat.cameras import Camera, look_at, orbit_pose
+from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.directions import Point
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene_files import orbit_camera
@@ -28,15 +28,8 @@ def orbit(azimuth: float = 30.0, elevation: float = 20.0, distance: float = 5.0)
 @given(ANGLE, ELEVATION, LENGTH)
 def test_the_camera_is_that_of_render(azimuth: float, elevation: float, distance: float) -> None:
     ours = orbit(azimuth, elevation, distance).camera((64, 48))
-    theirs = orbit_camera(
-        random_scene(5),
-        azimuth=azimuth,
-        elevation=elevation,
-        distance=distance,
-        fov=50.0,
-        size=(64, 48),
-        centre=(1.0, 2.0, 0.5),
-    )
+    numbers = {"azimuth": azimuth, "elevation": elevation, "distance": distance, "fov": 50.0}
+    theirs = orbit_camera(random_scene(5), **numbers, size=(64, 48), centre=(1.0, 2.0, 0.5))
     assert torch.equal(ours.to_world, theirs.to_world)
     assert (ours.fx, ours.fy) == (theirs.fx, theirs.fy)
 
@@ -101,12 +94,6 @@ def test_a_camera_of_a_file_is_kept_to_the_bit_and_its_roll_when_it_moves(
     assert plain.principal is None
     moved = orbit.moved((9.0, 2.0, 0.5), (1.0, 2.0, 0.5))
     assert (moved.exact, moved.roll, moved.distance) == (None, orbit.roll, 8.0)
-
-
-def test_a_camera_that_looks_away_keeps_its_place_and_direction() -> None:
-    camera = Camera(to_world=look_at((5, 0, 1), (0, 0, 0)), focal=50, width=64, height=64)
-    orbit = orbit_of(camera, (9, 0, 2))
-    assert torch.allclose(orbit.changed().camera((64, 64)).to_world, camera.to_world, atol=1e-5)
 
 
 def test_the_focus_is_what_all_cameras_look_at() -> None:

@@ -164,7 +164,7 @@ def test_each_kind_of_invalid_message_is_reported_once(
         browser.look(START)
         browser.picture(FULL)
         slider = browser.control("Elevation")["uuid"]
-        for number in range(300):
+        for number in range(100):
             for value in (f"{number}{'x' * 2000}", {str(number): "y" * 2000}, ["z" * 2000]):
                 browser.say("GuiUpdateMessage", uuid=slider, updates={"value": value})
         browser.say("GuiUpdateMessage", uuid=slider, updates={"value": 70.0})

@@ -13,13 +13,11 @@ import torch
 
 from attacks import cli
 from mi_splat.errors import InvalidValueError
-from mi_splat.scene import GaussianScene
-from mi_splat.sh import dc_to_colour
 from mi_splat.viewer.jobs import Choice, Number, Value
-from mi_splat.viewer.picking import TINT, Click, clicked, tinted
+from mi_splat.viewer.picking import Click, clicked
 from mi_splat.viewer.runner import JobRunner
 from mi_splat.viewer.session import DIFFERENCE, SIDE_BY_SIDE, Pace, Step, ViewState, lay_out
-from tests.viewer.contents import START, WORK, ball, balls, painter, runner
+from tests.viewer.contents import START, WORK, balls, painter, runner
 
 MIDDLE = Click(splat="clean", pixel=(24, 16), orbit=START)
 
@@ -63,17 +61,6 @@ def test_a_selected_object_is_highlighted_until_it_is_cleared() -> None:
     assert np.array_equal(jobs.painter.paint(state, Step.FULL, Pace()).pixels, plain)
 
 
-def test_tinted_gaussians_are_half_of_another_colour_from_everywhere() -> None:
-    scene = ball((0.2, 0.4, 0.6)).with_degree(1)
-    scene = GaussianScene(*scene.tensors()[:4], scene.sh + 0.01)
-    mask = torch.arange(len(scene)) < 3
-    changed = tinted(scene, mask)
-    before = dc_to_colour(scene.sh[:, 0])
-    assert torch.allclose(dc_to_colour(changed.sh[mask, 0]), 0.5 * before[mask] + 0.5 * torch.tensor(TINT), atol=1e-6)
-    assert torch.equal(changed.sh[mask, 1:], 0.5 * scene.sh[mask, 1:])
-    assert torch.equal(changed.sh[~mask], scene.sh[~mask])
-
-
 def test_the_command_selects_by_the_same_click() -> None:
     jobs = runner()
     jobs.pick(MIDDLE)
@@ -85,19 +72,6 @@ def test_the_command_selects_by_the_same_click() -> None:
     assert (options.view.azimuth, options.view.size, options.view.near) == (30.0, (48, 32), 0.2)
     jobs.pick(replace(MIDDLE, adds=True))
     assert not jobs.picked.command  # several clicks, perhaps from several cameras
-
-
-def test_requests_during_a_turn_wait_for_a_picture() -> None:
-    """A slider that is moved all the time must not keep pictures from being made."""
-    jobs, done = runner(), list[int]()
-
-    def again() -> None:
-        done.append(len(done))
-        jobs.later(again)
-
-    jobs.later(again)
-    assert [jobs.turn(), jobs.turn()] == [True, True]
-    assert done == [0, 1]
 
 
 def test_a_job_runs_and_its_result_is_shown() -> None:

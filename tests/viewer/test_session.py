@@ -50,8 +50,3 @@ def test_the_pace_finds_the_size_whose_time_is_wanted(cost: float) -> None:
     assert took <= 1.3 * pace.seconds
     assert took >= pace.seconds / 1.3 or pace.scale == 1.0
     assert pace.after(took) == pace  # and there it stays
-
-
-def test_sizes_of_coarse_pictures() -> None:
-    assert Pace(scale=0.5).size((101, 50)) == (50, 25)
-    assert Pace(scale=0.2).size((2, 1)) == (1, 1)
