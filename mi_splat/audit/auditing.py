@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from mi_splat.audit.evidence import Cover, cover_heat, cover_of, edit_of, heat_of, middle_of, pair_of, split_of
+from mi_splat.audit.evidence import cover_heat, cover_of, edit_of, heat_of, pair_of, split_of
 from mi_splat.audit.explanations import (
-    Scores,
+    Explanation,
     angles_between,
     cameras_of_look,
     explain,
@@ -22,7 +22,7 @@ from mi_splat.audit.explanations import (
     region_of,
 )
 from mi_splat.audit.frames import Frame, Target, frame_of, targets, whole
-from mi_splat.audit.results import Audit, Look, ObjectAudit, Occluder, Pair, vector
+from mi_splat.audit.results import Audit, Look, ObjectAudit, Pair, Scores, Vector, vector
 from mi_splat.audit.surfaces import (
     Elements,
     Sight,
@@ -43,12 +43,7 @@ from mi_splat.scene_files import resized
 Job = tuple[Target, tuple[Camera, ...]]  # an object and the cameras that look at it, in the frame
 
 
-def audit(
-    scene: GaussianScene,
-    *,
-    cameras: Sequence[Camera] | None = None,
-    up: Point | None = None,
-) -> Audit:
+def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, up: Point | None = None) -> Audit:
     """Say whether a splat shows something from some directions only, from where, and which Gaussians carry it.
 
     Nothing but the splat is used. The verdict is the same when the splat is turned, moved, resized or shuffled, but for
@@ -56,9 +51,10 @@ def audit(
     """
     check_scene("scene", scene)
     frame = frame_of(scene)
-    jobs, in_room = [(whole(frame.scene), given(frame, cameras))] if cameras is not None else [], False
     if cameras is None:
         jobs, in_room = _looks_at(frame, up)
+    else:
+        jobs, in_room = [(whole(frame.scene), given(frame, cameras, LIMITS.given_size))], False
     objects, heats = [], []
     for target, around in jobs:
         if (judged := judged_object(frame, target, around)) is not None:
@@ -91,9 +87,7 @@ def _looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
     return jobs, True
 
 
-def given(
-    frame: Frame, cameras: Sequence[Camera], *, longer_side: int | None = LIMITS.given_size
-) -> tuple[Camera, ...]:
+def given(frame: Frame, cameras: Sequence[Camera], longer_side: int | None) -> tuple[Camera, ...]:
     """Cameras of the world in the frame, not too many of them, and small unless `longer_side` is None."""
     cameras = as_cameras(cameras)
     if len(cameras) < LIMITS.least_cameras:
@@ -130,7 +124,7 @@ def judged_object(
     by_piece = torch.stack([piece_scores(look.pieces, look.shown) for look in surface_looks]).amax(0)
     area = (pieces.size * frame.to_world.scale) ** 2
     able = reachable(pieces, view)
-    cover = cover_of(frame.scene, view, target)
+    occluder, covered = cover_of(frame.scene, view, target) if pictures is None else (None, {})
     judged = ObjectAudit(
         rows=frame.order[target.rows],
         centre=vector(frame.point(target.centre)),
@@ -142,7 +136,7 @@ def judged_object(
         uncontradicted=(pieces.unseen + int((pieces.judged & ~able).sum())) * area,
         cameras=tuple(_in_world(frame, camera) for camera in cameras),
         looks=tuple(looks),
-        occluder=_occluder(frame, view, cover) if pictures is None else None,
+        occluder=occluder and dataclasses.replace(occluder, axis=_turned(frame, occluder.axis)),
         edit=edit_of(frame, target) if pictures is None else None,
     )
     if judged.verdict == "nothing found" or pictures is not None:
@@ -151,7 +145,7 @@ def judged_object(
     if judged.look.evidence >= LIMITS.suspicion:
         heat = heat_of(scene, pieces, view, by_piece, target, judged.looks)
     if judged.covered:
-        heat = torch.maximum(heat, cover_heat(scene, view, cover, target))
+        heat = torch.maximum(heat, cover_heat(scene, view, covered, target))
     return judged, (rows, heat)
 
 
@@ -161,31 +155,18 @@ def _look(frame: Frame, target: Target, view: Sight, look: SurfaceLook) -> Look:
     region = region_of(view.directions, shown, target.up)
     by_piece = piece_scores(look.pieces, shown)
     return Look(
-        region=dataclasses.replace(
-            region, axis=vector(frame.direction(torch.tensor(region.axis, dtype=torch.float64)))
-        ),
+        region=dataclasses.replace(region, axis=_turned(frame, region.axis)),
         shown=shown,
         amounts=look_amounts(look.pieces, shown),
-        score=scores.direction,
-        incidence=scores.incidence,
-        mirror=scores.mirror,
-        shift=scores.shift,
-        fade=scores.fade,
+        **{field.name: getattr(scores, field.name) for field in dataclasses.fields(Scores)},
         area=int((by_piece > LIMITS.changed).sum()) * (look.pieces.size * frame.to_world.scale) ** 2,
         pair=_pair(frame, look.pieces, view, by_piece, shown),
     )
 
 
-def _occluder(frame: Frame, view: Sight, cover: Cover) -> Occluder | None:
-    """What covers the object, in the world."""
-    if not bool((cover.blocked > LIMITS.blocked).any()):
-        return None
-    return Occluder(
-        axis=vector(frame.direction(middle_of(view.directions, cover.blocked))),
-        blocked=cover.blocked,
-        transparent=cover.transparent,
-        score=cover.score,
-    )
+def _turned(frame: Frame, axis: Vector) -> Vector:
+    """A direction of the frame as one of the world."""
+    return vector(frame.direction(torch.tensor(axis, dtype=torch.float64)))
 
 
 def _pair(frame: Frame, pieces: Elements, view: Sight, score: Tensor, shown: Tensor) -> Pair | None:
@@ -232,7 +213,7 @@ def looked_at(frame: Frame, jobs: list[Job]) -> float:
 class SurfaceLook:
     """A look, and the pieces of surface on which it was measured."""
 
-    scores: Scores  # how well each explanation fits
+    scores: Explanation  # how well each explanation fits
     shown: Tensor  # (K,) bool, the cameras that see it
     pieces: Elements  # the surface, without what cameras see that were left out
 
@@ -247,7 +228,7 @@ def looks_of(pieces: Elements, view: Sight) -> list[SurfaceLook]:
     for _ in range(LIMITS.most_looks):
         scores = explain(pieces, view)
         another = scores.excess >= LIMITS.excess
-        if looks and not (another and scores.direction >= LIMITS.another_look * looks[0].scores.direction):
+        if looks and not (another and scores.score >= LIMITS.another_look * looks[0].scores.score):
             break
         shown = cameras_of_look(pieces, view, scores) & kept
         looks.append(SurfaceLook(scores=scores, shown=shown, pieces=pieces))

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -10,7 +9,7 @@ from torch.nn import functional
 
 from mi_splat.audit.explanations import Split, angles_between
 from mi_splat.audit.frames import Frame, Target
-from mi_splat.audit.results import Edit, Look, vector
+from mi_splat.audit.results import Edit, Look, Occluder, vector
 from mi_splat.audit.surfaces import Elements, Sight, basis, lattice, near_of, rays
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera, project_points
@@ -142,28 +141,12 @@ def _camera(scene: GaussianScene, strange: Tensor, target: Target) -> tuple[Tens
     return finer[int(values.argmax())], float(values.max())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Cover:
-    """What covers an object, in the frame of the splat."""
-
-    blocked: Tensor  # (K,) share of the rays to the object that end at something in the air, by camera
-    transparent: float  # share of that something that free cameras look through; 0 if they hardly look at it
-    points: Tensor  # (P, 3) points of it
-    air: dict[int, Tensor]  # of each blocked camera its number, and the (H, W) bool pixels that show it
-
-    @property
-    def score(self) -> float:
-        """Share of blocked cameras times what others look through."""
-        return float((self.blocked > LIMITS.blocked).double().mean()) * self.transparent
-
-
-def cover_of(scene: GaussianScene, view: Sight, target: Target) -> Cover:
-    """What covers an object."""
+def cover_of(scene: GaussianScene, view: Sight, target: Target) -> tuple[Occluder | None, dict[int, Tensor]]:
+    """What covers an object, in the frame, and (H, W) bool the pixels that show it, by number of the blocked camera."""
     centre = target.centre.float()
     heights = scene.means[target.rows] @ (centre if target.up is None else target.up.float())
     floor = float(heights.kthvalue(max(1, len(heights) // 50)).values)
-    blocked, points = torch.zeros(len(view.cameras)), [torch.zeros(0, 3)]
-    shown: dict[int, Tensor] = {}
+    blocked, points, shown = torch.zeros(len(view.cameras)), list[Tensor](), dict[int, Tensor]()
     for number, (camera, depth) in enumerate(zip(view.cameras, view.depths, strict=True)):
         eye, directions = camera.position.float(), rays(camera)
         unit = functional.normalize(directions, dim=-1)
@@ -180,9 +163,12 @@ def cover_of(scene: GaussianScene, view: Sight, target: Target) -> Cover:
         if blocked[number] > LIMITS.blocked:
             shown[number] = air
             points.append(surface[air][:: max(1, int(air.sum()) // LIMITS.cover_points)])
-    cover = torch.cat(points)
-    through = _through(view, cover, (blocked < LIMITS.free).nonzero()[:, 0], target.radius) if len(cover) else 0.0
-    return Cover(blocked=blocked, transparent=through, points=cover, air=shown)
+    if not shown:
+        return None, {}
+    through = _through(view, torch.cat(points), (blocked < LIMITS.free).nonzero()[:, 0], target.radius)
+    middle = functional.normalize(view.directions[blocked > LIMITS.blocked].sum(0), dim=0)
+    share = float((blocked > LIMITS.blocked).double().mean())
+    return Occluder(axis=vector(middle), blocked=blocked, transparent=through, score=share * through), shown
 
 
 def _through(view: Sight, points: Tensor, free: Tensor, radius: float) -> float:
@@ -197,12 +183,6 @@ def _through(view: Sight, points: Tensor, free: Tensor, radius: float) -> float:
         beyond += int((shown > depth + LIMITS.same_depth * radius).sum())
         seen += int(((shown - depth).abs() <= LIMITS.same_depth * radius).sum())
     return beyond / (beyond + seen) if beyond + seen >= LIMITS.least_cover_points else 0.0
-
-
-def middle_of(directions: Tensor, blocked: Tensor) -> Tensor:
-    """(3,) float64 unit vector: the middle of the directions that are covered."""
-    middle = directions[blocked > LIMITS.blocked].sum(0)
-    return functional.normalize(middle, dim=0) if math.isfinite(float(middle.norm())) else middle
 
 
 def pair_of(pieces: Elements, view: Sight, score: Tensor, shown: Tensor) -> tuple[int, int, float] | None:
@@ -262,11 +242,11 @@ def own_scores(scene: GaussianScene, view: Sight, shown: Tensor) -> Tensor:
     return Split.of(*sums).scores()
 
 
-def cover_heat(scene: GaussianScene, view: Sight, cover: Cover, target: Target) -> Tensor:
+def cover_heat(scene: GaussianScene, view: Sight, covered: dict[int, Tensor], target: Target) -> Tensor:
     """(N,) heat of the Gaussians in the air that cover an object, by the pixels that they make up of what does."""
     sums, near = torch.zeros(len(scene)), near_of(target, view.cameras)
-    for number in _evenly(torch.tensor(list(cover.air)), LIMITS.heat_cameras):
-        air = cover.air[number].float()
+    for number in _evenly(torch.tensor(list(covered)), LIMITS.heat_cameras):
+        air = covered[number].float()
         sums += _made_up(scene, view.cameras[number], torch.stack([air, air], -1), near)[:, 0]
     in_air = (scene.means - target.centre.float()).norm(dim=1) > LIMITS.air * target.radius
     heat: Tensor = LIMITS.cover_heat * in_air * sums / (sums + LIMITS.cover_pixels)

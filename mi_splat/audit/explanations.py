@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from mi_splat.audit.results import Region, excess, vector
+from mi_splat.audit.results import Region, Scores, vector
 from mi_splat.audit.surfaces import Elements, Sight, basis, lattice
 from mi_splat.audit.thresholds import LIMITS
 
@@ -228,21 +228,11 @@ Sides = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Scores:
-    """How well each explanation fits an object."""
+class Explanation(Scores):
+    """The cone of directions that explains most, and how well gloss would."""
 
-    direction: float  # score of the best set of directions
-    incidence: float  # score of the best angle between surface and view
-    mirror: float  # score of the best set of mirrored directions
-    shift: float  # of the set of directions that has most of it
-    fade: float  # the same, less the most that a set of angles of incidence has
-    axis: Tensor  # (3,) of the best set of directions
-    half_width: float  # its, in degrees
-
-    @property
-    def excess(self) -> float:
-        """What gloss does not explain."""
-        return excess(self.direction, self.incidence, self.mirror, self.shift, self.fade)
+    axis: Tensor  # (3,)
+    half_width: float  # degrees
 
 
 def angles_between(first: Tensor, second: Tensor) -> Tensor:
@@ -321,7 +311,7 @@ def set_scores(moments: Tensor, cell: Tensor, sides: Sides) -> Tensor:
     return ((score * count).sum(0) / max(able, 1) * highest).sqrt()
 
 
-def explain(pieces: Elements, view: Sight) -> Scores:
+def explain(pieces: Elements, view: Sight) -> Explanation:
     """Score how well sets of directions explain the colours of an object, and how well gloss would."""
     judged = pieces.judged.nonzero()[:, 0]
     judged = judged[torch.linspace(0, len(judged) - 1, min(len(judged), LIMITS.most_pieces)).round().long()]
@@ -350,8 +340,8 @@ def explain(pieces: Elements, view: Sight) -> Scores:
     by_angle = profiles.parted(by_incidence, _CHUNK)
     fade = float(profiles.fades(*parted).max() - profiles.fades(*by_angle).max())
     angles, best, (axes, half_widths) = len(LIMITS.cosines), int(direct.argmax()), _cones()
-    return Scores(
-        direction=float(direct[best]),
+    return Explanation(
+        score=float(direct[best]),
         incidence=float(rivals[:angles].max()),
         mirror=float(rivals[angles:].max()),
         shift=float(profiles.shifts(*parted).max()),
@@ -393,7 +383,7 @@ def reachable(pieces: Elements, view: Sight) -> Tensor:
     return able
 
 
-def cameras_of_look(pieces: Elements, view: Sight, scores: Scores) -> Tensor:
+def cameras_of_look(pieces: Elements, view: Sight, scores: Explanation) -> Tensor:
     """(K,) bool, which cameras see the look: a set of any form, begun with the best cone.
 
     Each piece votes for the side whose mean colour is nearer to what the camera sees, by its score.

@@ -84,7 +84,7 @@ def compare_pictures(
 ) -> PictureAudit:
     """Compare pictures on a surface that is known."""
     frame = frame_of(surface)
-    cameras, pictures = given(frame, cameras_of(views), longer_side=None), [view.image for view in views]
+    cameras, pictures = given(frame, cameras_of(views), None), [view.image for view in views]
     standing = targets(frame.scene, None if up is None else frame.own(up))
     objects = [dataclasses.replace(target, cells=_cells(target, cameras)) for target in standing]
     judgements = [judged_object(frame, target, cameras, pictures) for target in objects]

@@ -36,8 +36,8 @@ class Repair(NamedTuple):
     """A repaired splat, and how many of its Gaussians were changed or removed."""
 
     scene: GaussianScene  # the splat itself where nothing was found that could be repaired
-    coloured: int  # gaussians that have other colours
-    left_out: int  # gaussians that are no longer there
+    coloured: int  # Gaussians that have other colours
+    left_out: int  # Gaussians that are no longer there
 
 
 def repaired(scene: GaussianScene, judged: Audit, *, keep: Keep = "outside") -> GaussianScene:

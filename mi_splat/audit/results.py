@@ -118,12 +118,6 @@ Verdict = Literal["nothing found", "suspicious", "hidden look"]
 Vector = tuple[float, float, float]
 
 
-def excess(score: float, incidence: float, mirror: float, shift: float, fade: float) -> float:
-    """Excess of a set of directions (sRGB): shift and fade, less where gloss explains the change nearly as well."""
-    ahead = 1 - max(incidence, mirror) / max(score, 1e-9)
-    return (shift + LIMITS.contrast * fade) * max(0.0, ahead) ** 2
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Region:
     """Directions from the middle of an object: a cone, a sector of azimuths above a ground, or all but these.
@@ -154,24 +148,31 @@ class Pair:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Look:
-    """An appearance that an object shows from some directions only, and how much of it gloss would explain."""
+class Scores:
+    """How well a set of directions explains the colours of an object, and how well gloss would."""
 
-    region: Region  # the directions, in the simplest form that fits
-    shown: Tensor  # (K,) bool, the cameras that see the look
-    amounts: Tensor  # (K,) how much of it each camera sees: about 0 none of it, about 1 all; 0 where no surface tells
     score: float  # how much of the surface changes between the sides, and how far (sRGB), in [0, 1]
     incidence: float  # the same score, if colours follow the angle between surface and view
     mirror: float  # the same score, if colours follow the direction in which a mirror would reflect
     shift: float  # change of the mean colour (sRGB) from the same directions for faces that look different ways
     fade: float  # share of the contrast that changes so, less what the angle of incidence explains
-    area: float  # world units squared of the surface that changes
-    pair: Pair | None  # two cameras that prove it; None if no two see the same surface
 
     @property
     def excess(self) -> float:
-        """What gloss does not explain; see `excess`."""
-        return excess(self.score, self.incidence, self.mirror, self.shift, self.fade)
+        """What gloss does not explain (sRGB): shift and fade, less where it explains the change nearly as well."""
+        ahead = 1 - max(self.incidence, self.mirror) / max(self.score, 1e-9)
+        return (self.shift + LIMITS.contrast * self.fade) * max(0.0, ahead) ** 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Look(Scores):
+    """An appearance that an object shows from some directions only, and how much of it gloss would explain."""
+
+    region: Region  # the directions, in the simplest form that fits
+    shown: Tensor  # (K,) bool, the cameras that see the look
+    amounts: Tensor  # (K,) how much of it each camera sees: about 0 none of it, about 1 all; 0 where no surface tells
+    area: float  # world units squared of the surface that changes
+    pair: Pair | None  # two cameras that prove it; None if no two see the same surface
 
     @property
     def evidence(self) -> float:

@@ -205,11 +205,12 @@ def test_what_covers_an_object_from_above_and_lets_others_through() -> None:
         opacities=torch.ones(3),
         sh=torch.zeros(3, 1, 3),
     )
-    cover = cover_of(scene, view, target)
+    cover, covered = cover_of(scene, view, target)
+    assert cover is not None
     assert torch.equal(cover.blocked > 0.3, directions[:, 2] > 0.7)
     assert cover.transparent > 0.9
     assert cover.score == pytest.approx(float((directions[:, 2] > 0.7).double().mean()), rel=0.1)
-    heat = cover_heat(scene, view, cover, target)
+    heat = cover_heat(scene, view, covered, target)
     assert float(heat[2]) > 0.1
     assert not heat[:2].any()
 
