@@ -20,6 +20,14 @@ from mi_splat.scene_files import resized
 from mi_splat.selection.clusters import nearest_neighbours
 from mi_splat.sh import colour_to_dc
 
+_UNITS = {
+    "position": "world units",
+    "scale": "of its logarithm",
+    "rotation": "degrees",
+    "opacity": "of 1",
+    "colour": "sRGB",
+}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
@@ -89,15 +97,16 @@ def changes(scene: GaussianScene, clean: GaussianScene) -> Changes:
     spacing = _spacing(clean)
     partner, by_order = _partners(scene, clean, spacing)
     matched = partner >= 0
-    differences = _differences(scene.select(matched), clean.select(partner[matched]))
+    ours, theirs = _components(scene), _components(clean)
     changed = ~matched
     amount = torch.zeros(int(matched.sum()))
     rows = []
-    for (name, unit), values in differences.items():
+    for name in ours:
+        values = _difference(name, ours[name][matched], theirs[name][partner[matched]])
         differs = values > (LIMITS.rounding * spacing if name == "position" else LIMITS.rounding)
         changed[matched] |= differs
         amount = torch.maximum(amount, values / {"position": spacing, "rotation": 57.3}.get(name, 1.0))
-        rows.append(_row(name, unit, values[differs], _components(name, scene), _components(name, clean)))
+        rows.append(_row(name, values[differs], ours[name], theirs[name]))
     mask = changed.clone()
     if bool(changed[matched].all()) and len(amount):
         mask[matched] = amount > LIMITS.more_changed * amount.median()
@@ -151,40 +160,32 @@ def _partners(scene: GaussianScene, clean: GaussianScene, spacing: float) -> tup
     return torch.where(kept, partner, -1), False
 
 
-def _differences(scene: GaussianScene, clean: GaussianScene) -> dict[tuple[str, str], Tensor]:
-    """(M,) difference of each Gaussian from its partner, by attribute and unit."""
-    conjugate = clean.rotations * clean.rotations.new_tensor([1.0, -1.0, -1.0, -1.0])
-    turn = multiply(scene.rotations.double(), conjugate.double())
-    turn = turn / turn.norm(dim=1, keepdim=True).clamp(min=1e-12)
-    step = float(colour_to_dc(torch.tensor(1.0)) - colour_to_dc(torch.tensor(0.0)))
-    gap = (scene.sh - clean.sh).abs()
-    differences = {
-        ("position", "world units"): (scene.means - clean.means).norm(dim=1),
-        ("scale", "of its logarithm"): (scene.scales.log() - clean.scales.log()).nan_to_num().abs().amax(1),
-        ("rotation", "degrees"): 2 * torch.atan2(turn[:, 1:].norm(dim=1), turn[:, 0].abs()).rad2deg().float(),
-        ("opacity", "of 1"): (scene.opacities - clean.opacities).abs(),
-        ("colour", "sRGB"): gap[:, 0].amax(1) / step,
-    }
-    for band in range(1, scene.degree + 1):
-        differences[f"SH of degree {band}", "coefficient"] = gap[:, band**2 : (band + 1) ** 2].flatten(1).amax(1)
-    return differences
-
-
-def _components(attribute: str, scene: GaussianScene) -> Tensor:
-    """(N, C) values of an attribute."""
-    if attribute.startswith("SH"):
-        band = int(attribute[-1])
-        return scene.sh[:, band**2 : (band + 1) ** 2].flatten(1)
-    return {
+def _components(scene: GaussianScene) -> dict[str, Tensor]:
+    """(N, C) values of each attribute."""
+    values = {
         "position": scene.means,
         "scale": scene.scales.clamp(min=1e-12).log(),
         "rotation": scene.rotations * torch.where(scene.rotations[:, :1] < 0, -1.0, 1.0),
         "opacity": scene.opacities[:, None],
         "colour": scene.sh[:, 0],
-    }[attribute]
+    }
+    bands = range(1, scene.degree + 1)
+    return values | {f"SH of degree {band}": scene.sh[:, band**2 : (band + 1) ** 2].flatten(1) for band in bands}
 
 
-def _row(name: str, unit: str, values: Tensor, ours: Tensor, clean: Tensor) -> Change:
+def _difference(attribute: str, ours: Tensor, clean: Tensor) -> Tensor:
+    """(M,) difference of each Gaussian from its partner, in the attribute's unit."""
+    if attribute == "position":
+        return (ours - clean).norm(dim=1)
+    if attribute == "rotation":
+        turn = multiply(ours.double(), (clean * clean.new_tensor([1.0, -1.0, -1.0, -1.0])).double())
+        turn = turn / turn.norm(dim=1, keepdim=True).clamp(min=1e-12)
+        return 2 * torch.atan2(turn[:, 1:].norm(dim=1), turn[:, 0].abs()).rad2deg().float()
+    step = float(colour_to_dc(torch.tensor(1.0)) - colour_to_dc(torch.tensor(0.0)))
+    return (ours - clean).abs().amax(1) / (step if attribute == "colour" else 1.0)
+
+
+def _row(name: str, values: Tensor, ours: Tensor, clean: Tensor) -> Change:
     """One row of the table, of the differences that are any and of all values of both."""
     ranks = torch.linspace(0, 1, LIMITS.quantiles, dtype=torch.float64)
 
@@ -196,7 +197,7 @@ def _row(name: str, unit: str, values: Tensor, ours: Tensor, clean: Tensor) -> C
     distance = torch.where(spread > 0, gap / spread.clamp(min=1e-12), (gap > 0).double())
     return Change(
         attribute=name,
-        unit=unit,
+        unit=_UNITS.get(name, "coefficient"),
         count=len(values),
         median=float(values.median()) if len(values) else 0.0,
         most=float(values.max()) if len(values) else 0.0,

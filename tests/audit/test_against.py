@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlparse
 
 import pytest
 import torch
@@ -114,38 +113,24 @@ def test_the_command_writes_what_changed(
 # Audits as SARIF: the essentials of its schema, and which finding is of which rule
 
 
-def told(file: str, judged: Audit, **more: Any) -> dict[str, Any]:
-    return {"file": file, **document(judged), **more}
-
-
 def run_of(*documents: dict[str, Any]) -> dict[str, Any]:
     """The run of a log, after the essentials of the schema were checked."""
     log = json.loads(json.dumps(sarif(documents), allow_nan=False))
-    assert log["version"] == "2.1.0"
-    assert log["$schema"].endswith("sarif-2.1.0.json")
     (run,) = log["runs"]
-    assert set(run) <= {"tool", "invocations", "artifacts", "results"}
-    driver = run["tool"]["driver"]
-    assert driver["name"]
-    assert driver["version"]
-    ids = [rule["id"] for rule in driver["rules"]]
+    rules, levels = run["tool"]["driver"]["rules"], {"error", "warning", "note"}
+    assert (log["version"], log["$schema"][-16:]) == ("2.1.0", "sarif-2.1.0.json")
+    ids = [rule["id"] for rule in rules]
     assert len(set(ids)) == len(ids)
-    for rule in driver["rules"]:
-        assert rule["shortDescription"]["text"]
-        assert rule["help"]["text"]
-        assert rule["defaultConfiguration"]["level"] in ("error", "warning", "note")
+    assert all(rule["shortDescription"]["text"] and rule["help"]["text"] for rule in rules)
+    assert {rule["defaultConfiguration"]["level"] for rule in rules} <= levels
     for result in run["results"]:
-        assert set(result) == {"ruleId", "ruleIndex", "level", "message", "locations", "properties"}
         assert ids[result["ruleIndex"]] == result["ruleId"]
-        assert result["level"] in ("error", "warning", "note", "none")
+        assert result["level"] in levels
         assert result["message"]["text"].endswith(".")
-        (location,) = result["locations"]
-        artifact = location["physicalLocation"]["artifactLocation"]
-        assert urlparse(artifact["uri"]).scheme in ("", "file")
-        assert " " not in artifact["uri"]
+        location = result["locations"][0]["physicalLocation"]
+        artifact = location["artifactLocation"]
         assert run["artifacts"][artifact["index"]]["location"]["uri"] == artifact["uri"]
-        assert location["physicalLocation"]["region"]["startLine"] == 1
-    assert isinstance(run["invocations"][0]["executionSuccessful"], bool)
+        assert location["region"]["startLine"] == 1
     return dict(run)
 
 
@@ -161,7 +146,7 @@ def run_of(*documents: dict[str, Any]) -> dict[str, Any]:
     ],
 )
 def test_each_finding_is_of_its_rule(judged: Audit, rules: list[tuple[str, str]]) -> None:
-    run = run_of(told("a splat.ply", judged))
+    run = run_of({"file": "a splat.ply", **document(judged)})
     assert [(result["ruleId"], result["level"]) for result in run["results"]] == rules
     (artifact,) = run["artifacts"]
     assert artifact["location"]["uri"] == "a%20splat.ply"

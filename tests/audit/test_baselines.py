@@ -84,7 +84,7 @@ class Reddest:
 
 @pytest.fixture(scope="module")
 def red() -> Made:
-    return standing("suitcase", count=900).with_colours(
+    return standing("suitcase", count=500).with_colours(
         lambda own, normals, views: torch.tensor([0.8, 0.1, 0.1]).expand(len(views), len(own), 3), degree=3
     )
 
