@@ -51,7 +51,15 @@ def from_above(suitcase: Made) -> Made:
 
 @pytest.fixture(scope="module")
 def judged(from_above: Made) -> Audit:
-    return audit(from_above.scene)
+    return _finer(from_above.scene)
+
+
+def _finer(scene: GaussianScene) -> Audit:
+    """An audit with 70 images of 96 pixels."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(vars(LIMITS), "image_size", 96)
+        patch.setitem(vars(LIMITS), "cameras", 70)
+        return audit(scene)
 
 
 def _overlap(look: Look, item: ObjectAudit, inside: Callable[[Tensor], Tensor]) -> float:
@@ -141,7 +149,7 @@ def test_the_verdict_does_not_depend_on_axes_units_and_rows(judged: Audit, from_
     shift = torch.tensor([30.0, -5.0, 12.0], dtype=torch.float64)
     order = torch.randperm(len(scene), generator=torch.Generator().manual_seed(3))
     moved = scene.transform(Similarity(rotation=turn, translation=shift, scale=0.05)).select(order)
-    again = audit(moved)
+    again = _finer(moved)
     assert again.verdict == judged.verdict
     first, second = judged.strongest.look, again.strongest.look
     assert second.excess == pytest.approx(first.excess, rel=0.25)
@@ -152,7 +160,7 @@ def test_the_verdict_does_not_depend_on_axes_units_and_rows(judged: Audit, from_
 
 
 def test_given_cameras_look_at_all_that_they_see(from_above: Made) -> None:
-    eyes = 7 * lattice(60, 5.0, 85.0) * float(from_above.scene.means[from_above.rows].norm(dim=1).max()) / 2
+    eyes = 7 * lattice(45, 5.0, 85.0) * float(from_above.scene.means[from_above.rows].norm(dim=1).max()) / 2
     cameras = [
         Camera(to_world=look_at(eye.tolist(), (0.0, 0.0, 0.1)), focal=200.0, width=160, height=120) for eye in eyes
     ]
@@ -232,7 +240,7 @@ def test_the_command_writes_what_it_found(
     assert record["up"] == [0, 0, 1]
     assert record["objects"][0]["up"] == pytest.approx([0, 0, 1], abs=1e-6)
     assert record["summary"][0].startswith("hidden look")
-    assert {camera["name"] for camera in record["cameras"]} == {"inside", "outside"}
+    assert {camera["name"] for camera in record["cameras"]} >= {"inside", "outside"}
     with Image.open(out / "pair.png") as picture:
         pixels = np.asarray(picture.convert("RGB")).astype(int)
     assert pixels.shape == (512, 1032, 3)
