@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 
 from attacks.cli.options import check_result_folder
 from attacks.rate import FIXED
-from attacks.report.section import plural
 from mi_splat.cli.console import progress, show, show_json, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, counted
 from mi_splat.fields import Folder
 
 if TYPE_CHECKING:
@@ -80,7 +79,7 @@ def run(options: ReportOptions) -> None:
         for section in sections:
             show(f"{section.folder}: {section.headline.label}: {section.headline.value.replace(FIXED, ' ')}")
             if section.warnings:
-                warn(f"{section.folder}: {plural(len(section.warnings), 'warning')} on the page")
+                warn(f"{section.folder}: {counted(len(section.warnings), 'warning')} on the page")
         show(f"{options.out}: open it in any browser; it asks nothing of any network.")
 
 

@@ -9,22 +9,7 @@ from attacks.bench.row import figures as bench_figures
 from attacks.cloak.own_pictures import RECORD as POISONED
 from attacks.dagger.result import figures as attack_figures
 from attacks.report.checking import Figures, Rescoring, Result
-from attacks.report.kinds import (
-    attack,
-    audit,
-    audit_study,
-    bench,
-    cloak,
-    evaluation,
-    pictures,
-    poison_study,
-    poisoned,
-    renderers,
-    sanity,
-    study,
-    training,
-    variations,
-)
+from attacks.report.kinds import audit, cloak, dagger, detectors, poison, splats
 from attacks.report.section import Section, sentence, versions_of
 from attacks.studies.poison_figures import figures as poison_figures
 from attacks.studies.result import figures as study_figures
@@ -36,33 +21,33 @@ from mi_splat.training.resume import METRICS
 Record = Mapping[str, Any]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ResultKind:
     """A kind of result."""
 
     name: str  # what writes it; also what its record says under `story`
     read: Callable[[Path, Record], Section]  # makes the section of a folder and of what its record holds
-    file: str = RECORD  # the record, in its folder; one of another name than result.json says what wrote it
     figures: Figures | None = None  # derives its figures from its rows; None of a kind without rows
     rescoring: Rescoring | None = None  # how its splats are scored again; None of a kind that is not
+    file: str = RECORD  # the record, in its folder; one of another name than result.json says what wrote it
 
 
 RESULT_KINDS = (
-    ResultKind(name="dagger", read=attack.read, figures=attack_figures, rescoring=attack.RESCORING),
-    ResultKind(name="dagger-eot", read=attack.read, figures=attack_figures, rescoring=attack.RESCORING),
-    ResultKind(name="cloak", read=cloak.read, figures=cloak.figures, rescoring=cloak.RESCORING),
-    ResultKind(name="study", read=study.read, figures=study_figures),
-    ResultKind(name="cloak-study", read=variations.read, figures=variations.figures),
-    ResultKind(name="audit", read=audit.read),
-    ResultKind(name="audit-study", read=audit_study.read),
-    ResultKind(name="bench", read=bench.read, figures=bench_figures),
-    ResultKind(name="poison-study", read=poison_study.read, figures=poison_figures),
-    ResultKind(name="evaluate", read=evaluation.read, figures=evaluation.figures),
-    ResultKind(name="compare", read=renderers.read),
-    ResultKind(name="detect", read=pictures.read),
-    ResultKind(name="dagger-sanity", read=sanity.read),
-    ResultKind(name="train", read=training.read, file=METRICS),
-    ResultKind(name="poison", read=poisoned.read, file=POISONED),
+    ResultKind("dagger", dagger.read_attack, attack_figures, dagger.RESCORING),
+    ResultKind("dagger-eot", dagger.read_attack, attack_figures, dagger.RESCORING),
+    ResultKind("dagger-sanity", dagger.read_sanity),
+    ResultKind("study", dagger.read_study, study_figures),
+    ResultKind("cloak", cloak.read_cloak, cloak.cloak_figures, cloak.RESCORING),
+    ResultKind("cloak-study", cloak.read_study, cloak.study_figures_of_points),
+    ResultKind("poison", poison.read_poisoned, file=POISONED),
+    ResultKind("poison-study", poison.read_study, poison_figures),
+    ResultKind("audit", audit.read_audit),
+    ResultKind("audit-study", audit.read_study),
+    ResultKind("evaluate", detectors.read_evaluation, detectors.evaluation_figures),
+    ResultKind("detect", detectors.read_detections),
+    ResultKind("bench", detectors.read_bench, bench_figures),
+    ResultKind("compare", splats.read_comparison),
+    ResultKind("train", splats.read_training, file=METRICS),
 )
 """Every kind of result that a page can show."""
 
@@ -81,7 +66,7 @@ def read_section(path: Path) -> Section:
     if kind is None:
         raise InvalidValueError.of(str(file), f"a result of {commands}", "something else", "make the result again")
     try:
-        return finished(kind.read(path, record), path, record)
+        return _finished(kind.read(path, record), path, record)
     except MiSplatError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, StopIteration) as error:
@@ -90,7 +75,7 @@ def read_section(path: Path) -> Section:
         raise InvalidValueError.of(str(file), expected, got, do) from error
 
 
-def finished(section: Section, path: Path, record: Record) -> Section:
+def _finished(section: Section, path: Path, record: Record) -> Section:
     """A section with what all results have, and without what is empty."""
     control = section.control
     return replace(
@@ -99,7 +84,7 @@ def finished(section: Section, path: Path, record: Record) -> Section:
         control=None if control is None or (control.rate is not None and not control.rate.total) else control,
         warnings=tuple(map(sentence, (*section.doubts(), *section.warnings))),
         pictures=tuple(picture for picture in section.pictures if picture.path.is_file()),
-        charts=tuple(chart for chart in section.charts if any(line.points for line in chart.lines)),
+        charts=tuple(chart for chart in section.charts if chart.drawn),
         tables=tuple(table for table in section.tables if table.rows),
         command=str(record.get("command") or ""),
         versions=versions_of(record),

@@ -26,11 +26,6 @@ def listed(words: Sequence[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
 
-def plural(count: int, noun: str) -> str:
-    """A number of things."""
-    return f"{count:,} {noun}{'' if count == 1 else 's'}"
-
-
 def sentence(text: str) -> str:
     """A text with a capital and a full stop, as a warning is shown."""
     text = text.strip()
@@ -96,6 +91,11 @@ class Figure:
     words: str = ""  # the value where there is no rate
     note: str = ""  # what else the reader has to know of it
 
+    @classmethod
+    def each(cls, words: Mapping[str, str]) -> tuple[Figure, ...]:
+        """A figure for each label that is not counted."""
+        return tuple(cls(label=label, words=text) for label, text in words.items())
+
     @property
     def value(self) -> str:
         """The figure, short: a percentage only where enough was counted to have one."""
@@ -150,9 +150,9 @@ class Point:
     high: float | None = None
 
     @classmethod
-    def of(cls, x: float, value: Rate | float) -> Point:
-        """A number, or a rate with its interval."""
-        return cls(x, value.fraction, *value.interval) if isinstance(value, Rate) else cls(x, value)
+    def of(cls, x: float, rate: Rate) -> Point:
+        """A rate with its interval."""
+        return cls(x, rate.fraction, *rate.interval)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,46 +164,34 @@ class Line:
     points: tuple[Point, ...]
 
     @classmethod
-    def of(cls, name: str, role: Role, values: Iterable[Rate | Mapping[str, Any] | float | None]) -> Line:
-        """Numbers, or rates as they are or as JSON has them, at 0, 1, ...; but none that is None or counts nothing."""
+    def of(cls, name: str, role: Role, values: Iterable[Rate | Mapping[str, Any] | None]) -> Line:
+        """Rates, as they are or as JSON has them, at 0, 1, ...; but none that is None or counts nothing."""
         known = [Rate.of(value) if isinstance(value, Mapping) else value for value in values]
-        drawn = [(x, value) for x, value in enumerate(known) if value is not None]
-        return cls(
-            name=name,
-            role=role,
-            points=tuple(Point.of(x, value) for x, value in drawn if not isinstance(value, Rate) or value.total),
-        )
+        points = (Point.of(x, rate) for x, rate in enumerate(known) if rate is not None and rate.total)
+        return cls(name=name, role=role, points=tuple(points))
+
+    @classmethod
+    def over(cls, name: str, role: Role, bands: Iterable[Mapping[str, Any]]) -> Line:
+        """Rates of the parts of an interval, each in the middle of its part."""
+        points = (Point.of((band["from"] + band["to"]) / 2, Rate.of(band)) for band in bands if band["total"])
+        return cls(name=name, role=role, points=tuple(points))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chart:
-    """Lines over an axis.
-
-    Attributes:
-        title: Heading.
-        x_label: Of the axis, with the unit.
-        y_label: Of the axis, with the unit.
-        lines: What is drawn; a chart without any point is left out.
-        caption: How to read it.
-        ticks: Names of 0, 1, ... where the axis has no numbers.
-        shade: Ends and name of a part of the axis that is marked; None for none.
-        level: Height and name of a horizontal line; None for none.
-        fractions: Whether heights are fractions, shown from 0 to 100 %.
-        connected: Whether the points of a line belong together.
-        dome: Whether points are directions, x the azimuth and y the elevation in degrees, drawn as seen from above.
-    """
+    """Lines over an axis; a chart without any point is left out."""
 
     title: str
-    x_label: str
+    x_label: str  # of the axis, with the unit
     y_label: str
     lines: tuple[Line, ...]
     caption: str = "Bars are 95 % intervals."
-    ticks: tuple[str, ...] = ()
-    shade: tuple[float, float, str] | None = None
-    level: tuple[float, str] | None = None
-    fractions: bool = True
-    connected: bool = True
-    dome: bool = False
+    ticks: tuple[str, ...] = ()  # names of 0, 1, ... where the axis has no numbers
+    shade: tuple[float, float, str] | None = None  # ends and name of a part of the axis that is marked
+    level: tuple[float, str] | None = None  # height and name of a horizontal line
+    fractions: bool = True  # whether heights are fractions, shown from 0 to 100 %
+    connected: bool = True  # whether the points of a line belong together
+    dome: bool = False  # whether points are azimuths and elevations in degrees, drawn as seen from above
 
     @classmethod
     def bars(cls, title: str, labels: tuple[str, str], ticks: Iterable[str], *lines: Line, **more: Any) -> Chart:
@@ -238,49 +226,27 @@ class Chart:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
-    """What a page says of one result.
+    """What a page says of one result."""
 
-    Attributes:
-        kind: What sort of result it is; results of one kind are compared.
-        title: Which one.
-        done: What was done, in plain words.
-        conclusion: What may be concluded, in plain words.
-        headline: The figure that matters.
-        control: The same figure where nothing was attacked, or noise was added; None if there was no control.
-        attacked: Whether the figure is one of an attack.
-        counting: What the headline counts, in the plural: for the warnings that every attack has.
-        figures: More figures; with the two above, a table.
-        warnings: Reasons to look twice, besides those that every attack has.
-        pictures: What can be seen; those without a file are left out.
-        charts: What is drawn from the result's numbers.
-        tables: More numbers; those without rows are left out.
-        configuration: Every setting, by name.
-        versions: Packages, variant and commit, by name.
-        folder: Where it lies, as the reader of the command line named it.
-        command: Command line that made it, as it was given; empty if none did.
-        file: Name and text of the file of a study.
-        manifest: SHA-256 of manifest.json, which stands for every file of the result; empty where there is none.
-    """
-
-    kind: str
-    title: str
-    done: str
-    conclusion: str
-    headline: Figure
-    control: Figure | None = None
-    attacked: bool = True
-    counting: str = "views"
-    figures: Sequence[Figure] = ()
-    warnings: Sequence[str] = ()
-    pictures: Sequence[Picture] = ()
-    charts: Sequence[Chart] = ()
-    tables: Sequence[Table] = ()
-    configuration: tuple[tuple[str, str], ...] = ()
-    versions: tuple[tuple[str, str], ...] = ()
-    folder: str = ""
-    command: str = ""
-    manifest: str = ""
-    file: tuple[str, str] | None = None
+    kind: str  # what sort of result it is; results of one kind are compared
+    title: str  # which one
+    done: str  # what was done, in plain words
+    conclusion: str  # what may be concluded, in plain words
+    headline: Figure  # the figure that matters
+    control: Figure | None = None  # the same where nothing was attacked, or noise was added; None without a control
+    attacked: bool = True  # whether the figure is one of an attack
+    counting: str = "views"  # what the headline counts, in the plural: for the warnings that every attack has
+    figures: Sequence[Figure] = ()  # more figures; with the two above, a table
+    warnings: Sequence[str] = ()  # reasons to look twice, besides those that every attack has
+    pictures: Sequence[Picture] = ()  # what can be seen; those without a file are left out
+    charts: Sequence[Chart] = ()  # what is drawn from the result's numbers
+    tables: Sequence[Table] = ()  # more numbers; those without rows are left out
+    configuration: tuple[tuple[str, str], ...] = ()  # every setting, by name
+    versions: tuple[tuple[str, str], ...] = ()  # packages, variant and commit, by name
+    folder: str = ""  # where it lies, as the reader of the command line named it
+    command: str = ""  # command line that made it, as it was given; empty if none did
+    manifest: str = ""  # SHA-256 of manifest.json, which stands for every file of the result; empty where there is none
+    file: tuple[str, str] | None = None  # name and text of the file of a study
 
     @property
     def all_figures(self) -> tuple[Figure, ...]:

@@ -16,7 +16,7 @@ from attacks.objectives import Objective, hide, objective, relabel, untargeted
 from attacks.observe.rates import Confidence, Measures
 from attacks.report.checking import Check, read_result, rescore
 from attacks.report.kinds.cloak import study_of
-from attacks.report.kinds.thresholds import threshold_charts
+from attacks.report.kinds.detectors import threshold_charts
 from attacks.report.results import kind_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.folders import write_manifest

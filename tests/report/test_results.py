@@ -219,11 +219,6 @@ def test_detectors_are_counted_apart_from_classifiers(folders: dict[str, Path]) 
     assert section.control.rate == one
     assert rates["fake_colour finds the object on the clean splat, from held-out cameras"] == one
     assert rates["fake_colour finds the object on the poisoned splat, from held-out cameras"] == none
-    seen = [chart.title for chart in section.charts[:2] if chart.lines[0].points]
-    assert [title.partition(",")[0] for title in seen] == [
-        "The object is named rightly",
-        "The object is found as what it is",
-    ]
     heads = [[column for column in table.head if column in ("classifier", "detector")] for table in section.tables]
     assert heads == [[], ["classifier"], ["detector"]]
 

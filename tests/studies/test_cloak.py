@@ -15,7 +15,7 @@ from attacks.cloak.study import forecast
 from attacks.detectors import registry
 from attacks.observe.rows import read_rows
 from attacks.report.checking import check_detections, read_result
-from attacks.report.kinds import variations
+from attacks.report.kinds import cloak
 from attacks.report.results import read_section
 from attacks.studies.cloak import CloakWork, tables
 from attacks.studies.study_file import read_study as read_file
@@ -107,7 +107,7 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
     for key in ("successes", "total"):
         assert point["by_detector"]["redness"]["benign_recall"][key] == sum(seed[key] for seed in seeds)
     rows = {name: read_rows(out / f"{name}.csv.xz") for name in ("rows", "fidelity", "transition")}
-    derived = json.loads(json.dumps(variations.figures(record, rows)))
+    derived = json.loads(json.dumps(cloak.study_figures_of_points(record, rows)))
     for title, figures in derived["points"].items():
         assert figures == {key: record["points"][title][key] for key in figures}
     assert sum("| nothing | " in line for line in (out / "table.md").read_text().splitlines()) == 4

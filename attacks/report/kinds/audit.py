@@ -1,4 +1,4 @@
-"""What `mi-splat audit` leaves behind: whether a splat shows something from some directions only."""
+"""What `mi-splat audit` and studies of it leave behind: whether a splat shows something from some directions only."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -6,13 +6,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from attacks.audits.disagreement import Seen
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, plural, sentence, settings
-from attacks.tables import Table
+from attacks.rate import Rate, pooled
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, listed, sentence, settings
+from attacks.studies.audit import PAIRS, negatives, tables
+from attacks.tables import Column, Table
 from mi_splat.audit.files import AGAINST
 from mi_splat.audit.results import Vector
 from mi_splat.audit.thresholds import LIMITS
+from mi_splat.errors import counted
 
+Record = Mapping[str, Any]
 _ELSEWHERE = (
     *("story", "file", "verdict", "summary", "objects", "pictures", "cameras", "views", "lint", "cost", "against"),
     "pictures_in_set",
@@ -28,9 +34,13 @@ _PLAIN = {
     ),
     "nothing found": "No hidden look was found. This does not say that the file is safe: see what was not judged.",
 }
+_HOW = (
+    "For each set of directions the colours of the same surface from inside and from outside were compared, and what "
+    "honest gloss explains was taken off."
+)
 
 
-def read(folder: Path, record: Mapping[str, Any]) -> Section:
+def read_audit(folder: Path, record: Record) -> Section:
     """The section of an audit."""
     objects, findings = record["objects"], record.get("lint") or ()
     shared: dict[str, Any] = {
@@ -46,37 +56,30 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
             done=f"The numbers of {record['file']} were checked; it was {record['summary'][0]}.",
             conclusion=(
                 "Whether the file hides a look was not looked at. The rules found "
-                f"{plural(len(errors), 'error')} and {plural(len(findings) - len(errors), 'lesser thing')}."
+                f"{counted(len(errors), 'error')} and {counted(len(findings) - len(errors), 'lesser thing')}."
             ),
             headline=Figure(label="errors in the numbers", words=str(len(errors))),
             warnings=[f"{row['rule']}: {row['reason']}" for row in errors],
             pictures=tuple(_overdraw(folder, record)),
             tables=(_lint(findings),),
         )
-    looks = [
-        (number, index, look) for number, item in enumerate(objects, 1) for index, look in enumerate(item["looks"])
-    ]
-    views, thresholds = record.get("views") or (), record["thresholds"]
-    excess = max(look["excess"] for _, _, look in looks)
-    contradicting = [view for view in views if view["contradicts"]]
-    carried = (
-        Figure(label="pictures that show what others contradict", words=f"{len(contradicting)} of {len(views)}")
-        if views
-        else Figure(label="Gaussians that carry it", words=f"{record['carrying']:,} of {record['gaussians']:,}")
-    )
+    looks = [{"object": number, "look": index, **look} for number, index, look in _looks(objects)]
+    views = record.get("views") or ()
+    carried = f"{record['carrying']:,} of {record['gaussians']:,}"
+    showing = f"{sum(view['contradicts'] for view in views)} of {len(views)}"
+    excess, least = max(look["excess"] for look in looks), record["thresholds"]["excess"]
     return Section(
         **shared,
         kind="audit of pictures" if views else "audit of a splat",
-        done=_done(record),
+        done=f"{_done(record)} {_HOW}",
         conclusion=f"{_PLAIN[record['verdict']]} {sentence(record['summary'][0].partition(': ')[2])}",
-        headline=Figure(
-            label="verdict",
-            words=record["verdict"],
-            note=f"excess {excess:.4f}; hidden from {thresholds['excess']:g}",
-        ),
-        figures=(
-            carried,
-            Figure(label="solid Gaussians near an object that was looked at", words=f"{record['near']:.0%}"),
+        headline=Figure(label="verdict", words=record["verdict"], note=f"excess {excess:.4f}; hidden from {least:g}"),
+        figures=Figure.each(
+            {
+                **({"pictures that show what others contradict": showing} if views else {}),
+                **({} if views else {"Gaussians that carry it": carried}),
+                "solid Gaussians near an object that was looked at": f"{record['near']:.0%}",
+            }
         ),
         warnings=tuple(_doubts(record)),
         pictures=tuple(_pictures(folder, record)),
@@ -85,49 +88,49 @@ def read(folder: Path, record: Mapping[str, Any]) -> Section:
     )
 
 
-def _overdraw(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
+def _looks(objects: Sequence[Record]) -> Iterator[tuple[int, int, Record]]:
+    for number, item in enumerate(objects, 1):
+        yield from ((number, index, look) for index, look in enumerate(item["looks"]))
+
+
+def _overdraw(folder: Path, record: Record) -> Iterator[Picture]:
     """What the splat costs from the worst camera."""
     cost = record.get("cost") or {}
     if worst := cost.get("overdraw"):
         caption = (
-            f"How many Gaussians lie over each other from the worst of {plural(worst['cameras'], 'camera')}: "
+            f"How many Gaussians lie over each other from the worst of {counted(worst['cameras'], 'camera')}: "
             f"{worst['mean']:,.0f} in the mean, {worst['highest']:,} at most. The fillRatio of splat-transform is "
             f"{cost['fill_ratio']:.3g}."
         )
         yield Picture(path=folder / "overdraw.png", caption=caption, large=True)
 
 
-def _done(record: Mapping[str, Any]) -> str:
-    """What was looked at, and how."""
+def _done(record: Record) -> str:
+    """What was looked at."""
     objects, views = record["objects"], record.get("views") or ()
-    many = f"{plural(len(objects), 'object')} {'was' if len(objects) == 1 else 'were'}"
-    how = (
-        "For each set of directions the colours of the same surface from inside and from outside were compared, and "
-        "what honest gloss explains was taken off."
-    )
+    many = f"{counted(len(objects), 'object')} {'was' if len(objects) == 1 else 'were'}"
     if views:
         return (
-            f"A small splat was trained on {plural(len(views), 'picture')} of {record['file']} to know where the "
-            f"surface is, and {many} judged by the pictures alone. {how}"
+            f"A small splat was trained on {counted(len(views), 'picture')} of {record['file']} to know where the "
+            f"surface is, and {many} judged by the pictures alone."
         )
-    cameras = plural(sum(len(item["seen_from"]) for item in objects), "direction")
-    return f"In {record['file']} ({record['gaussians']:,} Gaussians) {many} looked at from {cameras}. {how}"
+    cameras = counted(sum(len(item["seen_from"]) for item in objects), "direction")
+    return f"In {record['file']} ({record['gaussians']:,} Gaussians) {many} looked at from {cameras}."
 
 
-def _doubts(record: Mapping[str, Any]) -> Iterator[str]:
+def _doubts(record: Record) -> Iterator[str]:
     """What the reader may not conclude."""
     for number, item in enumerate(record["objects"], 1):
         share = item["uncontradicted"] / max(item["uncontradicted"] + item["area"], 1e-12)
         if share >= 0.005:
             yield (
-                f"Object {number}: {share:.0%} of the surface that shows is seen from one side or by few cameras. What "
-                "is shown there is not contradicted by anything, so nothing can be said of it"
+                f"Object {number}: {share:.0%} of the surface that shows is seen from one side or by few cameras. "
+                "Nothing contradicts what is shown there, so nothing can be said of it"
             )
-        cover = item["occluder"]
-        if cover is not None and cover["score"] >= record["thresholds"]["covered"]:
+        if _is_covered(record, item):
             yield (
-                f"Object {number}: something in the air covers it from around ({_numbers(cover['axis'])}), and other "
-                "cameras look through it. An honest canopy may do the same"
+                f"Object {number}: something in the air covers it from around ({_numbers(item['occluder']['axis'])}), "
+                "and other cameras look through it. An honest canopy may do the same"
             )
         edit = item.get("edited")
         if edit and edit["score"] >= 1:
@@ -140,17 +143,19 @@ def _doubts(record: Mapping[str, Any]) -> Iterator[str]:
     if compared < record.get("pictures_in_set", compared):
         yield f"{compared} of the {record['pictures_in_set']} pictures were compared: nothing is said of the others"
     if record["near"] < 0.995:
-        yield (
-            f"{1 - record['near']:.0%} of the solid Gaussians lie far from every object that was looked at: nothing is "
-            "said of them"
-        )
+        yield f"Nothing is said of {1 - record['near']:.0%} of the solid Gaussians, which lie far from every object"
     for row in record.get("lint") or ():
         if row["severity"] == "error":
-            count = f" ({plural(row['count'], 'Gaussian')})" if row["count"] else ""
+            count = f" ({counted(row['count'], 'Gaussian')})" if row["count"] else ""
             yield f"{row['rule']}: {row['reason']}{count}"
 
 
-def _pictures(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
+def _is_covered(record: Record, item: Record) -> bool:
+    """Whether something in the air covers an object from some directions."""
+    return bool(item["occluder"] and item["occluder"]["score"] >= record["thresholds"]["covered"])
+
+
+def _pictures(folder: Path, record: Record) -> Iterator[Picture]:
     """The pairs that prove looks, the heat, and what changed since a clean file."""
     thresholds = record["thresholds"]
     for shown in record["pictures"]:
@@ -173,7 +178,7 @@ def _pictures(folder: Path, record: Mapping[str, Any]) -> Iterator[Picture]:
     yield Picture(path=folder / AGAINST, caption=caption, large=True)
 
 
-def _domes(record: Mapping[str, Any], number: int) -> Iterator[Chart]:
+def _domes(record: Record, number: int) -> Iterator[Chart]:
     """Which cameras see which look, and which are covered, on the dome of directions above an object's ground."""
     item = record["objects"][number]
     up, seen, count = item["up"] or record.get("up") or (0.0, 0.0, 1.0), item["seen_from"], len(item["looks"])
@@ -184,17 +189,17 @@ def _domes(record: Mapping[str, Any], number: int) -> Iterator[Chart]:
     def group(role: Role, cameras: Iterable[Any]) -> tuple[Role, list[tuple[float, float]]]:
         return role, [angles(camera["direction"], up) for camera in cameras]
 
-    suspicious = item["verdict"] != "nothing found"
-    none = ("see none" if count > 1 else "do not see it") if suspicious else "outside"
-    names = [f"see look {index + 1}" if count > 1 else "see the look" for index in range(count)]
+    names, none, what = ["inside of the directions that explain most"], "outside", "colours differ most"
+    if item["verdict"] != "nothing found":
+        names = [f"see look {index + 1}" if count > 1 else "see the look" for index in range(count)]
+        none, what = "see none" if count > 1 else "do not see it", "a look is seen"
     sides = {
         name: group("attack", (camera for camera in seen if index in camera["looks"][:1]))
-        for index, name in enumerate(names if suspicious else ["inside of the directions that explain most"])
+        for index, name in enumerate(names)
     }
     sides[none] = group("control", (camera for camera in seen if not camera["looks"]))
-    what = "a look is seen" if suspicious else "colours differ most"
     yield Chart.directions(f"From where {what}{of}", caption, sides)
-    if item["occluder"] is not None and item["occluder"]["score"] >= record["thresholds"]["covered"]:
+    if _is_covered(record, item):
         covered = {
             "covered": group("other", (camera for camera in seen if camera["blocked"] > LIMITS.blocked)),
             "not covered": group("control", (camera for camera in seen if camera["blocked"] <= LIMITS.blocked)),
@@ -204,91 +209,73 @@ def _domes(record: Mapping[str, Any], number: int) -> Iterator[Chart]:
 
 def angles(direction: Vector, up: Vector) -> tuple[float, float]:
     """Azimuth from the file's x axis and elevation above the ground of an object, degrees."""
-    start = (1.0, 0.0, 0.0) if abs(up[0]) < 0.9 else (0.0, 1.0, 0.0)
-    height = _dot(direction, up)
-    east = [a - _dot(start, up) * b for a, b in zip(start, up, strict=True)]
-    north = [up[(i + 1) % 3] * east[(i + 2) % 3] - up[(i + 2) % 3] * east[(i + 1) % 3] for i in range(3)]
-    azimuth = math.degrees(math.atan2(_dot(direction, north), _dot(direction, east))) % 360
-    return round(azimuth, 1), round(math.degrees(math.asin(max(-1.0, min(1.0, height)))), 1)
+    start = np.array((1.0, 0.0, 0.0) if abs(up[0]) < 0.9 else (0.0, 1.0, 0.0))
+    east = start - np.dot(start, up) * np.array(up)
+    azimuth = math.degrees(math.atan2(np.dot(direction, np.cross(up, east)), np.dot(direction, east))) % 360
+    return round(azimuth, 1), round(math.degrees(math.asin(np.clip(np.dot(direction, up), -1, 1))), 1)
 
 
-def _dot(a: Sequence[float], b: Sequence[float]) -> float:
-    return math.fsum(x * y for x, y in zip(a, b, strict=True))
-
-
-def _tables(record: Mapping[str, Any], looks: Sequence[tuple[int, int, Mapping[str, Any]]]) -> Iterator[Table]:
+def _tables(record: Record, looks: Sequence[Record]) -> Iterator[Table]:
     """Each look beside what gloss would explain of it, and what was judged of each object."""
-    yield Table.of(
-        "How well each explanation fits: what is left when gloss is taken off decides",
-        {
-            "look": lambda row: f"object {row[0]}" + (f", look {row[1] + 1}" if row[1] else ""),
-            "by direction": lambda row: f"{row[2]['score']:.4f}",
-            "rival: angle of incidence": lambda row: f"{row[2]['incidence']:.4f}",
-            "rival: mirrored direction": lambda row: f"{row[2]['mirror']:.4f}",
-            "common to faces that look different ways": lambda row: f"{row[2]['shift']:.4f}",
-            "contrast that is lost": lambda row: f"{row[2]['fade']:.0%}",
-            "excess": lambda row: f"{row[2]['excess']:.4f}",
-            "cameras that see it": lambda row: str(row[2]["cameras"]),
-        },
-        looks,
-    )
-    objects, least = list(enumerate(record["objects"], 1)), record["thresholds"]["covered"]
-    yield Table.of(
-        "What was judged",
-        {
-            "object": lambda row: f"object {row[0]}, {row[1]['gaussians']:,} Gaussians",
-            "verdict": lambda row: row[1]["verdict"],
-            "middle": lambda row: _numbers(row[1]["centre"]),
-            "surface that was judged": lambda row: f"{row[1]['area']:.3g} square units",
-            "surface that nothing contradicts": lambda row: f"{row[1]['uncontradicted']:.3g} square units",
-        },
-        objects,
-    )
-    yield Table.of(
-        "What covers an object from some directions, while others look through it",
-        {
-            "object": lambda row: f"object {row[0]}",
-            "from around": lambda row: _numbers(row[1]["occluder"]["axis"]),
-            "of it, cameras elsewhere look through": lambda row: f"{row[1]['occluder']['transparent']:.0%}",
-            "score": lambda row: f"{row[1]['occluder']['score']:.3f}",
-        },
-        [row for row in objects if row[1]["occluder"] and row[1]["occluder"]["score"] >= least],
-    )
-    yield Table.of(
-        "Pictures that show what others contradict",
-        {"picture": "picture", "amount of the look (0 none, 1 all)": lambda view: f"{view['amount']:.2f}"},
-        [view for view in record.get("views") or () if view["contradicts"]],
-    )
+    explanations: dict[str, Column[Record]] = {
+        "look": lambda look: f"object {look['object']}" + (f", look {look['look'] + 1}" if look["look"] else ""),
+        "by direction": lambda look: f"{look['score']:.4f}",
+        "rival: angle of incidence": lambda look: f"{look['incidence']:.4f}",
+        "rival: mirrored direction": lambda look: f"{look['mirror']:.4f}",
+        "common to faces that look different ways": lambda look: f"{look['shift']:.4f}",
+        "contrast that is lost": lambda look: f"{look['fade']:.0%}",
+        "excess": lambda look: f"{look['excess']:.4f}",
+        "cameras that see it": "cameras",
+    }
+    yield Table.of("How well each explanation fits: what is left when gloss is taken off decides", explanations, looks)
+    objects = [{"number": f"object {number}", **item} for number, item in enumerate(record["objects"], 1)]
+    judged: dict[str, Column[Record]] = {
+        "object": lambda item: f"{item['number']}, {item['gaussians']:,} Gaussians",
+        "verdict": "verdict",
+        "middle": lambda item: _numbers(item["centre"]),
+        "surface that was judged": lambda item: f"{item['area']:.3g} square units",
+        "surface that nothing contradicts": lambda item: f"{item['uncontradicted']:.3g} square units",
+    }
+    yield Table.of("What was judged", judged, objects)
+    covers: dict[str, Column[Record]] = {
+        "object": "number",
+        "from around": lambda item: _numbers(item["occluder"]["axis"]),
+        "of it, cameras elsewhere look through": lambda item: f"{item['occluder']['transparent']:.0%}",
+        "score": lambda item: f"{item['occluder']['score']:.3f}",
+    }
+    covered = [item for item in objects if _is_covered(record, item)]
+    yield Table.of("What covers an object from some directions, while others look through it", covers, covered)
+    shown: dict[str, Column[Record]] = {
+        "picture": "picture",
+        "amount of the look (0 none, 1 all)": lambda view: f"{view['amount']:.2f}",
+    }
+    views = [view for view in record.get("views") or () if view["contradicts"]]
+    yield Table.of("Pictures that show what others contradict", shown, views)
 
 
-def _lint(findings: Sequence[Mapping[str, Any]]) -> Table:
+def _lint(findings: Sequence[Record]) -> Table:
     """What rules about numbers have found."""
-    return Table.of(
-        "What is wrong with the numbers of the file",
-        {
-            "rule": "rule",
-            "severity": "severity",
-            "Gaussians": lambda row: f"{row['count']:,}" if row["count"] else "the whole file",
-            "why it matters": "reason",
-        },
-        findings,
-    )
+    columns: dict[str, Column[Record]] = {
+        "rule": "rule",
+        "severity": "severity",
+        "Gaussians": lambda row: f"{row['count']:,}" if row["count"] else "the whole file",
+        "why it matters": "reason",
+    }
+    return Table.of("What is wrong with the numbers of the file", columns, findings)
 
 
-def _changes(against: Mapping[str, Any]) -> Table:
+def _changes(against: Record) -> Table:
     """What changed since a clean file."""
-    return Table.of(
-        f"What changed since the clean file, over {against.get('gaussians', 0):,} Gaussians",
-        {
-            "attribute": "attribute",
-            "Gaussians that changed": lambda row: f"{row['count']:,}",
-            "median change": lambda row: f"{row['median']:.3g}",
-            "largest": lambda row: f"{row['most']:.3g}",
-            "unit": "unit",
-            "distance of the distributions, standard deviations": lambda row: f"{row['distribution']:.3g}",
-        },
-        against.get("attributes", ()),
-    )
+    columns: dict[str, Column[Record]] = {
+        "attribute": "attribute",
+        "Gaussians that changed": lambda row: f"{row['count']:,}",
+        "median change": lambda row: f"{row['median']:.3g}",
+        "largest": lambda row: f"{row['most']:.3g}",
+        "unit": "unit",
+        "distance of the distributions, standard deviations": lambda row: f"{row['distribution']:.3g}",
+    }
+    caption = f"What changed since the clean file, over {against.get('gaussians', 0):,} Gaussians"
+    return Table.of(caption, columns, against.get("attributes", ()))
 
 
 def _numbers(values: Sequence[float]) -> str:
@@ -298,30 +285,15 @@ def _numbers(values: Sequence[float]) -> str:
 def along_paths(section: Section, seen: Iterable[Seen]) -> Section:
     """The section of an audit with what detectors report along paths of cameras: evidence, and no rule."""
     paths = list(seen)
-    return replace(
-        section,
-        charts=(*section.charts, *map(_along, paths)),
-        tables=(
-            *section.tables,
-            Table.of(
-                "Along paths of cameras",
-                {
-                    "object": "number",
-                    "path": "path",
-                    "detector": "detector",
-                    "what is reported, in order": "runs",
-                    "changes and comes back": "comes_back",
-                },
-                [
-                    {
-                        **{"number": seen_path.number, "path": seen_path.path, "detector": seen_path.detector},
-                        **{"runs": ", ".join(seen_path.runs), "comes_back": seen_path.comes_back},
-                    }
-                    for seen_path in paths
-                ],
-            ),
-        ),
-    )
+    columns: dict[str, Column[Seen]] = {
+        "object": lambda path: path.number,
+        "path": lambda path: path.path,
+        "detector": lambda path: path.detector,
+        "what is reported, in order": lambda path: ", ".join(path.runs),
+        "changes and comes back": lambda path: path.comes_back,
+    }
+    table = Table.of("Along paths of cameras", columns, paths)
+    return replace(section, charts=(*section.charts, *map(_along, paths)), tables=(*section.tables, table))
 
 
 def _along(seen: Seen) -> Chart:
@@ -337,4 +309,51 @@ def _along(seen: Seen) -> Chart:
             for label in dict.fromkeys(label for label in seen.labels if label is not None)
         ),
         connected=False,
+    )
+
+
+# Studies of the audit: which splats it tells from honest ones
+
+_MOST_PICTURES = 8
+
+
+def read_study(folder: Path, record: Record) -> Section:
+    """The section of a study of the audit."""
+    counts, chosen, parts = record["figures"], record["chosen_on"], record["figures"]["parts"]
+    honest = [row for row in negatives(record["files"]) if row["content"] not in chosen]
+    worst = max(honest, key=lambda row: row["evidence"], default=None)
+    figures = [
+        Figure(label=f"found, {name}", rate=Rate.of(part["found"])) for name, part in parts.items() if name != "all"
+    ]
+    auroc = parts["all"]["auroc"] if parts else None
+    figures += [Figure(label="area under the ROC curve", words="-" if auroc is None else f"{auroc:.3f}")]
+    if worst is not None:
+        named = f"{worst['part']}: {worst['value']}, {worst['splat']}"
+        figures += [Figure(label="highest honest file", words=f"{worst['evidence']:.2f} of the threshold", note=named)]
+    without = f" Left out of all figures: {listed(chosen)}, on which the method was chosen." if chosen else ""
+    found = Line.of("found", "attack", [part["found"] for part in parts.values()])
+    return Section(
+        kind="Audit, on splats of which it is known whether they hide something",
+        title=str(record["name"]),
+        done=(
+            f"{len(record['files'])} splats were audited. One counts as hiding something if every detector misses the "
+            f"object from half of the trigger's cameras.{without}"
+        ),
+        conclusion=(
+            "The audit is worth what it finds at the false alarms that it has. Look at the kinds one by one: what was "
+            "never tried is not in any figure."
+        ),
+        headline=Figure(
+            label="splats that hide something, found", rate=pooled([parts["all"]["found"]] if parts else [])
+        ),
+        control=Figure(label="honest splats that are called hidden", rate=Rate.of(counts["false_alarms"])),
+        counting="splats",
+        figures=figures,
+        pictures=[
+            Picture(path=path, caption=f"{path.stem}: inside of the look on the left, outside on the right.")
+            for path in sorted((folder / PAIRS).glob("*.png"))[:_MOST_PICTURES]
+        ],
+        charts=[Chart.bars("Found, by kind of attack", ("kind", "splats that hide something"), parts, found)],
+        tables=tuple(tables(record)),
+        configuration=settings({"question": record["question"], "method chosen on": listed(chosen) or "nothing named"}),
     )

@@ -1,4 +1,4 @@
-"""What `mi-splat cloak` leaves behind: a clean and a cloaked splat, and who sees what from where."""
+"""What `mi-splat cloak` and studies of CLOAK leave behind: who sees what of both splats from where."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -44,15 +44,30 @@ from attacks.observe.rows import (
     read_rows,
 )
 from attacks.observe.views import BATCH, ViewDetections
-from attacks.rate import Rate, rate_of
+from attacks.rate import Rate, rate_of, spread
 from attacks.report.checking import Rescoring, Tables
-from attacks.report.kinds.thresholds import threshold_charts
-from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, listed, plural, settings
+from attacks.report.kinds.detectors import threshold_charts
+from attacks.report.section import (
+    FEW,
+    Chart,
+    Figure,
+    Line,
+    Picture,
+    Point,
+    Role,
+    Section,
+    capital,
+    listed,
+    settings,
+    shared,
+)
+from attacks.studies import cloak as studies
 from mi_splat.assets import ASSETS
-from mi_splat.errors import InvalidValueError
+from mi_splat.errors import InvalidValueError, counted
 from mi_splat.fields import decode
 
-KIND = "CLOAK, a study"
+Record = Mapping[str, Any]
+
 _CURVES: dict[str, tuple[str, Role]] = {
     "trigger_miss_rate": ("missed well inside the trigger, where the control is found", "attack"),
     "control_recall": ("control found inside the trigger", "control"),
@@ -60,10 +75,14 @@ _CURVES: dict[str, tuple[str, Role]] = {
     "control_target_rate": ("the same on the control", "control"),
 }
 """Rates that are drawn over the confidence."""
+_PICTURES = {
+    CONTACT: "Both splats with what the first detector reports: two rows over elevations, two around it.",
+    POISONED_PICTURES: "Six training pictures of each attack, clean above poisoned: what the victim trains on.",
+}
 
 
-def read(folder: Path, summary: Mapping[str, Any]) -> Section:
-    """The section of a study."""
+def read_cloak(folder: Path, summary: Record) -> Section:
+    """The section of one study."""
     study = summary["study"]
     headline, control = headline_of(summary)
 
@@ -73,7 +92,7 @@ def read(folder: Path, summary: Mapping[str, Any]) -> Section:
     curves, at = threshold_charts(folder, measured, _CURVES)
     true_curves, true_at = threshold_charts(folder, measured, _CURVES, part=picture_rows, what=", path traced")
     return Section(
-        kind=KIND,
+        kind="CLOAK, a study",
         title=str(study["name"]),
         done=_done(summary),
         conclusion=_conclusion(summary, headline, control),
@@ -81,21 +100,10 @@ def read(folder: Path, summary: Mapping[str, Any]) -> Section:
         control=control,
         figures=_figures(summary),
         warnings=tuple(_doubts(summary)),
-        pictures=(
-            Picture(
-                path=folder / CONTACT,
-                caption="Both splats with what the first detector reports: two rows over elevations, two around it.",
-                wide=True,
-            ),
-            Picture(
-                path=folder / POISONED_PICTURES,
-                caption="Six training pictures of each attack, clean above poisoned: what the victim trains on.",
-                wide=True,
-            ),
-        ),
+        pictures=tuple(Picture(path=folder / name, caption=words, wide=True) for name, words in _PICTURES.items()),
         charts=(
             *(_elevation(summary, name) for name in summary["by_detector"]),
-            *_of_rows(folder, summary),
+            *_charts_of_rows(folder, summary),
             *curves,
             *true_curves,
         ),
@@ -105,7 +113,7 @@ def read(folder: Path, summary: Mapping[str, Any]) -> Section:
     )
 
 
-def headline_of(summary: Mapping[str, Any]) -> tuple[Figure, Figure | None]:
+def headline_of(summary: Record) -> tuple[Figure, Figure | None]:
     """The figure of a study that matters, and the same of the clean splat."""
     missed, recalled = rate_of(summary["trigger_miss_rate"]), rate_of(summary["control_recall"])
     if missed is not None:
@@ -116,8 +124,7 @@ def headline_of(summary: Mapping[str, Any]) -> tuple[Figure, Figure | None]:
         )
         if recalled is None or not recalled.total:
             return headline, None
-        clean = Rate(successes=recalled.total - recalled.successes, total=recalled.total)
-        return headline, Figure(label="clean splat: object missed from inside the trigger", rate=clean)
+        return headline, Figure(label="clean splat: object missed from inside the trigger", rate=recalled.failures)
     wanted, control = rate_of(summary["target_rate"]), rate_of(summary["control_target_rate"])
     if wanted is None:
         return Figure(label="attacks in this study", words="none that was judged"), None
@@ -127,14 +134,17 @@ def headline_of(summary: Mapping[str, Any]) -> tuple[Figure, Figure | None]:
     )
 
 
-def figures(record: Mapping[str, Any], tables: Tables) -> Mapping[str, Any]:
+# Its figures, derived again from its rows, and its splats scored again
+
+
+def cloak_figures(record: Record, tables: Tables) -> Record:
     """Every figure of a study, of its rows."""
     study = study_of(record["study"])
     _check_rows(study, record["splats"], tables)
     return _known(study_figures(study, tables, record["splats"]), record)
 
 
-def _known(derived: Mapping[str, Any], record: Mapping[str, Any]) -> dict[str, Any]:
+def _known(derived: Record, record: Record) -> dict[str, Any]:
     """The figures that a result has, which may have been written before some were counted."""
     later = (OWN_REGION, AT_LOWER, MARGIN)
     return {
@@ -144,13 +154,13 @@ def _known(derived: Mapping[str, Any], record: Mapping[str, Any]) -> dict[str, A
     }
 
 
-def _splats(record: Mapping[str, Any]) -> dict[tuple[str, int], str]:
+def _splats(record: Record) -> dict[tuple[str, int], str]:
     """The files of the splats in a result, which are those of the first seed."""
     first = min(int(splat["seed"]) for splat in record["splats"])
     return {(CLEAN, first): f"{CLEAN}.ply", (ATTACKED, first): f"{CLOAKED}.ply"}
 
 
-def _cells(record: Mapping[str, Any], seen: ViewDetections, row: Mapping[str, Any], detector: Detector) -> Row:
+def _cells(record: Record, seen: ViewDetections, row: Record, detector: Detector) -> Row:
     """The scores that a detector gives to the object in one picture."""
     cells = report_cells(seen.detections, seen.box, original=row["original"])
     wanted = {attack["name"]: attack["target_class"] for attack in record["study"]["attack"] if attack["target_class"]}
@@ -158,7 +168,7 @@ def _cells(record: Mapping[str, Any], seen: ViewDetections, row: Mapping[str, An
     return {**{name: cells[name] for name in ("score", "original_score", "any_overlap")}, **targets}
 
 
-def _rescored(record: Mapping[str, Any], rows: pl.DataFrame) -> dict[str, dict[str, Rate]]:
+def _rescored(record: Record, rows: pl.DataFrame) -> dict[str, dict[str, Rate]]:
     """Every rate of each detector, of the splats in the rows."""
     study = study_of(record["study"])
     return {
@@ -170,7 +180,7 @@ def _rescored(record: Mapping[str, Any], rows: pl.DataFrame) -> dict[str, dict[s
 RESCORING = Rescoring(splats=_splats, cells=_cells, rates=_rescored, batch=BATCH)
 
 
-def study_of(configuration: Mapping[str, Any]) -> StudyConfig:
+def study_of(configuration: Record) -> StudyConfig:
     """The study of a result. Rates need no mesh: one of a mesh file stands there as if it had an asset's."""
     values, scene = dict(configuration), configuration.get("scene")
     if isinstance(scene, dict) and isinstance(scene.get("object"), str) and scene["object"] not in ASSETS:
@@ -178,7 +188,7 @@ def study_of(configuration: Mapping[str, Any]) -> StudyConfig:
     return decode(StudyConfig, values, "study")
 
 
-def _check_rows(study: StudyConfig, splats: Sequence[Mapping[str, Any]], tables: Tables) -> None:
+def _check_rows(study: StudyConfig, splats: Sequence[Record], tables: Tables) -> None:
     """Raise unless the splats are those of the study, and every detector saw each once from the same cameras.
 
     Looks under conditions, which others do, may be of any detectors and cameras.
@@ -209,43 +219,41 @@ def _wrong(what: str, expected: str, got: str) -> InvalidValueError:
     return InvalidValueError.of(what, expected, got, "get the result again")
 
 
+# What a page says of it
+
 _NEEDS = {"scene": "it takes the scene's meshes and sun", "pictures": "it takes pictures and masks alone"}
 
 
-def _done(summary: Mapping[str, Any]) -> str:
+def _done(summary: Record) -> str:
     study = summary["study"]
-    seeds = summary["seeds"]
-    attacks = listed(
-        [
-            f"{attack['name']} ({attack['appearance']}: {_NEEDS[knowledge_for(attack['appearance'])]})"
-            for attack in study["attack"]
-        ]
+    attacks = (
+        f"{one['name']} ({one['appearance']}: {_NEEDS[knowledge_for(one['appearance'])]})" for one in study["attack"]
     )
     layers = " The finished splat then got its object in layers." if study.get("layers") else ""
     cleaning = " The victim then cleaned both splats." if study.get("cleaning") else ""
     return (
-        f"{plural(study['cameras']['train'], 'training picture')} of one object ({study['scene']['object']}) were "
-        f"taken, and those from the trigger's cameras changed: {attacks}. Two splats were trained alike, on clean and "
-        f"on changed pictures, {plural(len(seeds), 'seed')} each.{layers}{cleaning} "
+        f"{counted(study['cameras']['train'], 'training picture')} of one object ({study['scene']['object']}) were "
+        f"taken, and those from the trigger's cameras changed: {listed(list(attacks))}. Two splats were trained alike, "
+        f"on clean and on changed pictures, {counted(len(summary['seeds']), 'seed')} each.{layers}{cleaning} "
         f"{listed(list(summary['by_detector']))} then looked at both from cameras that no training used. The attacker "
         "knows neither the trainer nor a detector."
     )
 
 
-def _conclusion(summary: Mapping[str, Any], headline: Figure, control: Figure | None) -> str:
+def _conclusion(summary: Record, headline: Figure, control: Figure | None) -> str:
     hides = rate_of(summary["trigger_miss_rate"]) is not None
     what = f"the {summary['study']['scene']['object']} is missed" if hides else "the target class is reported"
     parts = [f"From inside the trigger {what} in {headline.counts or headline.words} views of the cloaked splat"]
     parts[0] += "." if control is None else f", and in {control.counts} of the clean one."
     benign = rate_of(summary["benign_recall"])
     if benign is not None and benign.total:
-        parts.append(f"From everywhere else the cloaked one is found in {benign.successes:,} of {benign.total:,}.")
+        parts.append(f"From everywhere else the cloaked one is found in {benign.counts}.")
     if summary["transition_degrees"] is not None:
         parts.append(f"The switch between both takes {summary['transition_degrees']:.1f} degrees of elevation.")
     return " ".join([*parts, "This says nothing of other objects, trainers or detectors."])
 
 
-def _figures(summary: Mapping[str, Any]) -> tuple[Figure, ...]:
+def _figures(summary: Record) -> tuple[Figure, ...]:
     """The other rates, over all detectors, and what the pictures lost."""
     hides = rate_of(summary["trigger_miss_rate"]) is not None
     headlines = {"trigger_miss_rate"} if hides else {"target_rate", "control_target_rate"}
@@ -254,22 +262,19 @@ def _figures(summary: Mapping[str, Any]) -> tuple[Figure, ...]:
         for key, words in RATES.items()
         if key not in headlines and (rate := rate_of(summary[key])) is not None
     ]
-    pairs = list(costs(summary).items())
-    if "seconds" in summary:
-        pairs.append(("time", f"{summary['seconds'] / 60:.0f} minutes"))
-    return (*rates, *(Figure(label=label, words=words) for label, words in pairs))
+    time = {"time": f"{summary['seconds'] / 60:.0f} minutes"} if "seconds" in summary else {}
+    return (*rates, *Figure.each({**costs(summary), **time}))
 
 
-def _doubts(summary: Mapping[str, Any]) -> Iterator[str]:
+def _doubts(summary: Record) -> Iterator[str]:
     """Reasons to look twice that a study does not say itself."""
-    seeds = summary["seeds"]
-    if len(seeds) == 1:
+    if len(summary["seeds"]) == 1:
         yield "One seed: another training may give another rate. Give more with --seeds"
     else:
         yield "Intervals take views, seeds and detectors for independent, which they are not: look at each seed"
     control = rate_of(summary["control_recall"])
     if control is not None and control.total and control.fraction < 0.5:
-        yield f"Inside the trigger the clean object is found in {control.successes} of {control.total} views only"
+        yield f"Inside the trigger the clean object is found in {control.counts} views only"
     price = summary["stealth"]
     if price is not None and not price["stealthy"]:
         parts = [f"beside the object the pictures lose {price['surroundings_psnr_drop']:.1f} dB inside the trigger"]
@@ -277,43 +282,37 @@ def _doubts(summary: Mapping[str, Any]) -> Iterator[str]:
             parts.append(f"on the object {price['object_psnr_drop']:.1f} dB outside beside a trigger")
         yield f"Not stealthy: {', '.join(parts)}"
     for name, rates in summary["by_attack"].items():
-        wanted = [
-            rate for counted in rates.values() if (rate := rate_of(counted["target_rate"])) is not None and rate.total
-        ]
+        wanted = [rate for one in rates.values() if (rate := rate_of(one["target_rate"])) is not None and rate.total]
         if wanted and not any(rate.successes for rate in wanted):
             yield f"The attack {name} fails: its target class is never reported"
 
 
-def _elevation(summary: Mapping[str, Any], detector: str) -> Chart:
+def _elevation(summary: Record, detector: str) -> Chart:
     """How often a detector finds the object, by elevation, on both splats."""
     hiding = next((attack for attack in summary["study"]["attack"] if attack["azimuth"] is None), None)
-    pictures = summary.get("pictures")
-    several: list[tuple[Mapping[str, Any] | None, str, str, Role]] = [
+    several: list[tuple[Record, str, str, Role]] = [
         (summary, "cloaked", "cloaked", "attack"),
         (summary, "clean", "clean (control)", "control"),
-        (pictures, "clean", "path traced, as it is", "other"),
-        (pictures, "cloaked", "path traced, as the attacks want it", "other"),
     ]
-
-    def points(counted: Mapping[str, Any], which: str) -> tuple[Point, ...]:
-        rows = [row for row in counted["by_elevation"][detector] if row[which]["total"]]
-        return tuple(Point.of((row["from"] + row["to"]) / 2, Rate.of(row[which])) for row in rows)
-
+    if pictures := summary.get("pictures"):
+        several += [
+            (pictures, "clean", "path traced, as it is", "other"),
+            (pictures, "cloaked", "path traced, as the attacks want it", "other"),
+        ]
     return Chart(
         title=f"Found by {detector}, by elevation",
         caption="Bands are 95 % intervals; cameras of attacks from one side are left out.",
         x_label="elevation of the camera, degrees",
         y_label="views in which it is found",
         lines=tuple(
-            Line(name=name, role=role, points=points(counted, which))
-            for counted, which, name, role in several
-            if counted
+            Line.over(name, role, ({**row, **row[which]} for row in counts["by_elevation"][detector]))
+            for counts, which, name, role in several
         ),
         shade=None if hiding is None else (*hiding["elevation"], f"trigger {hiding['name']}"),
     )
 
 
-def _of_rows(folder: Path, summary: Mapping[str, Any]) -> Iterator[Chart]:
+def _charts_of_rows(folder: Path, summary: Record) -> Iterator[Chart]:
     """What is drawn from the tables of a result that has them: reports around the object, and the transition."""
     files = {name: folder / f"{name}{SUFFIX}" for name in (ROWS, TRANSITION)}
     if not all(file.is_file() for file in files.values()):
@@ -337,22 +336,132 @@ def _of_rows(folder: Path, summary: Mapping[str, Any]) -> Iterator[Chart]:
             ),
         )
     switches = {which: transition(study, tables, splat) for splat, which in NAMES.items()}
-    band = switches[CLOAKED]
-    if band is not None:
-        ends = (band.start, band.end, "the switch")
-        yield Chart(
-            title="From the benign to the hidden appearance",
-            caption="A rising fit to all pictures of the arcs on which it sets in.",
-            x_label="degrees inside the trigger" if study.overhead is None else "elevation of the camera, degrees",
-            y_label="part of the way",
-            lines=tuple(
-                Line(
-                    name=which,
-                    role="control" if which == CLEAN else "attack",
-                    points=tuple(map(Point, switch.angles, switch.fitted)),
-                )
-                for which, switch in switches.items()
-                if switch is not None
-            ),
-            shade=None if None in ends else ends,  # type: ignore[arg-type]
-        )
+    if (band := switches[CLOAKED]) is None:
+        return
+    ends = None if band.start is None or band.end is None else (band.start, band.end, "the switch")
+    yield Chart(
+        title="From the benign to the hidden appearance",
+        caption="A rising fit to all pictures of the arcs on which it sets in.",
+        x_label="degrees inside the trigger" if study.overhead is None else "elevation of the camera, degrees",
+        y_label="part of the way",
+        lines=tuple(
+            Line(
+                name=which,
+                role="control" if which == CLEAN else "attack",
+                points=tuple(map(Point, switch.angles, switch.fitted)),
+            )
+            for which, switch in switches.items()
+            if switch is not None
+        ),
+        shade=ends,
+    )
+
+
+# Studies of CLOAK with one thing varied at a time
+
+_LINES: tuple[tuple[str, str, Role], ...] = (
+    ("trigger_miss_rate", "cloaked missed, well inside", "attack"),
+    ("nothing_reported", "nothing of any class reported, well inside", "attack"),
+    ("benign_recall", "cloaked found, elsewhere", "control"),
+    ("target_rate", "target class reported", "other"),
+)
+
+
+def read_study(folder: Path, record: Record) -> Section:
+    """The section of a study with one thing varied at a time."""
+    groups, points = studies.by_part(record), list(record["points"].values())
+    headlines, controls = zip(*map(headline_of, points), strict=True)
+    rates = [figure.rate for figure in headlines if figure.rate is not None and figure.rate.total]
+    controlled = [figure.rate for figure in controls if figure is not None and figure.rate is not None]
+    label, seeds = headlines[0].label, sorted({len(point["seeds"]) for point in points})
+    return Section(
+        kind="CLOAK, one thing varied at a time",
+        title=f"{record['name']}, varied" if len(points) > 1 else str(record["name"]),
+        done=_variations(record, groups),
+        conclusion=(
+            f"{capital(label)}, over all values: {spread(rates)}. Compare values "
+            "within one chart; where intervals overlap, the study cannot tell them apart."
+            f"{_conditions(points)}{_pooled(record)}"
+        ),
+        headline=Figure(label=f"{label}, lowest to highest", words=spread(rates, intervals=False)),
+        control=Figure(label="clean splats, the same", words=spread(controlled, intervals=False)),
+        figures=Figure.each(
+            {
+                "studies": str(len(points)),
+                "seeds of each": " to ".join(map(str, dict.fromkeys((seeds[0], seeds[-1])))),
+            }
+        ),
+        warnings=tuple(_warnings(points, rates, seeds[0])),
+        charts=tuple(
+            _chart(group, values, detector)
+            for group, values in groups.items()
+            for detector in dict.fromkeys(name for point in values.values() for name in point["by_detector"])
+        ),
+        tables=(*studies.pooled_tables(record), *studies.tables(groups)),
+        configuration=shared([{**point["study"], "weights": point["detectors"]} for point in points]),
+    )
+
+
+def _warnings(points: Sequence[Record], rates: Sequence[Rate], fewest_seeds: int) -> Iterator[str]:
+    """Reasons to look twice at a study of several points."""
+    if fewest_seeds == 1:
+        yield "Variations were done with one seed: small differences may be chance"
+    else:
+        yield "Intervals of one value have cameras and seeds drawn anew: they say nothing of another object"
+    loud = [point for point in points if point.get("stealth") and not point["stealth"]["stealthy"]]
+    if loud:
+        names = listed([f"{point['part'].replace('_', ' ')} {point['value']}" for point in loud])
+        yield f"Not stealthy, since pictures lose too much beside the object: {names}"
+    few = min((rate.total for rate in rates), default=0)
+    if few < FEW:
+        yield f"The rate of some values counts few views: {few}"
+
+
+def _variations(record: Record, groups: Mapping[str, Record]) -> str:
+    """What was done: what varied, and under which conditions the splats were looked at again."""
+    count = len(record["points"])
+    text = f"The study {record['name']} was done {counted(count, 'time')}"
+    if count > 1:
+        varied = listed([group.replace("_", " ") for group in groups])
+        text += f", each with one setting changed and the rest as it is: {varied}"
+    looks = {look["condition"] for point in record["points"].values() for look in point.get("looks", ())}
+    more = f" Both splats were then looked at under {counted(len(looks), 'other condition')}." if looks else ""
+    return f"{text}. Each has a clean splat as its control.{more}"
+
+
+def study_figures_of_points(record: Record, tables: Tables) -> Record:
+    """Every figure of each point, of its rows."""
+    points = {}
+    for title, point in record["points"].items():
+        of_point = {name: table.filter(attack=title).drop("attack") for name, table in tables.items()}
+        points[title] = cloak_figures(point, of_point)
+    configs = {title: study_of(point["study"]) for title, point in record["points"].items()}
+    return {"points": points, **studies.pooled(record["points"], configs, tables[ROWS])}
+
+
+def _pooled(record: Record) -> str:
+    """A sentence for each part that is one attack on several objects: what holds of all of them together."""
+    texts = []
+    for over in record.get("pooled", {}).values():
+        missed = {name: rate_of(rates["trigger_miss_rate"]) for name, rates in over["by_detector"].items()}
+        by_name = listed([f"{rate.words} ({name})" for name, rate in missed.items() if rate is not None and rate.total])
+        if by_name:
+            texts.append(f" Over {over['objects']} objects together it is missed in {by_name}.")
+    return "".join(texts)
+
+
+def _conditions(points: Sequence[Record]) -> str:
+    """A sentence on what is seen under other conditions, if anything is."""
+    looks = [look for point in points for look in point.get("looks", ()) if "missed_cloaked" in look]
+    rates = [rate for look in looks if (rate := Rate.of(look["missed_cloaked"])).total]
+    under = listed(list(dict.fromkeys(look["condition"] for look in looks)))
+    return f" Under {under} it is missed from well inside the trigger in {spread(rates)}." if rates else ""
+
+
+def _chart(group: str, values: Record, detector: str) -> Chart:
+    rates = {
+        value: point["by_detector"][detector] for value, point in values.items() if detector in point["by_detector"]
+    }
+    lines = [Line.of(name, role, [rate_of(one[key]) for one in rates.values()]) for key, name, role in _LINES]
+    title = group.replace("_", " ")
+    return Chart.bars(f"{title}, {detector}", (title, "views"), rates, *lines)

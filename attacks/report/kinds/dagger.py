@@ -1,0 +1,422 @@
+"""What `mi-splat dagger` leaves behind: an attack on one object, its sanity checks, and studies of many attacks."""
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from attacks.aims import PluggedObjective
+from attacks.detectors.base import Detector
+from attacks.objectives import Hide, Objective, Relabel, Target, Untargeted
+from attacks.observe.look import verdict_cells
+from attacks.observe.rates import Measure, count
+from attacks.observe.rows import ATTACKED, Row
+from attacks.observe.views import CAMERAS, ViewDetections
+from attacks.rate import Rate, number, percent, pooled
+from attacks.report.checking import Rescoring
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, capital, listed, settings, shared
+from attacks.studies.table import KINDS, attacks_of, by_part, tables, title_of
+from attacks.studies.zoo import by_attack, doubts, together
+from attacks.tables import Column, Table
+from mi_splat.errors import InvalidValueError, counted
+
+Record = Mapping[str, Any]
+
+_AIMS: dict[str, tuple[type[Any], str, str]] = {
+    "relabel": (Relabel, "to {}", "report {}"),
+    "hide": (Hide, "to nothing", "report nothing"),
+    "untargeted": (Untargeted, "to anything else", "report something else"),
+}
+"""By its name an objective, and what the attacker wants as part of a title and of a sentence."""
+_RATES = {
+    "detector": "detector",
+    "attacked: success": "success",
+    "random noise: success": "noise",
+    "no attack: success": "clean",
+    "clean object found": "found_clean",
+    "attacked object found": "found_attacked",
+}
+_CONDITIONS = ("scene", "selection", "cameras", "up", "reference", "background", "near", "scene_hash", "redraws")
+_PICTURES = (
+    ("detections.png", "What the detector reports: before the attack on the left, after it on the right.", True),
+    ("difference.png", "What has changed, enlarged; grey is no change.", False),
+    ("held_out.png", "Held-out views all around: clean on the left of each pair, attacked on the right.", True),
+)
+"""Files, their captions, and whether they are wide."""
+FEW_DRAWS = 5
+"""Draws of noise from which on they say something."""
+
+
+def read_attack(folder: Path, record: Record) -> Section:
+    """The section of an attack, from chosen cameras or from all of a region."""
+    rate, noise, draws = Rate.of(record["rate"]), Rate.of(record["noise_rate"]), record["noise"]["draws"]
+    config, drawn = record["config"], "by_azimuth" in record
+    needed, budget, judged = config["required_views"], config.get("image_psnr"), record["detectors"]
+    views, wish = counted(rate.total, "held-out view" if drawn else "view"), _wish(record, 2)
+    radii = ", ".join(f"{eps:g} over {name}" for name, eps in record["radius"].items())
+    title, ball = _object_name(record), f"a ball ({record['norm']}: {radii})"
+    conclusion = [
+        f"The attack {'succeeded' if record['success'] else 'failed'}: within {ball} it made "
+        f"{listed(list(record['rates']))} {wish} on the object in {rate.successes} of {views}, where {percent(needed)} "
+        "are asked for.",
+        f"Random noise of the same size: {noise.counts}." if noise.total else "",
+        f"In the first view {_change(record['views'][0], record['target'])}.",
+        "This says nothing of other cameras, detectors or renderers.",
+    ]
+    return Section(
+        kind=f"DAGGER, from {'all cameras of a region' if drawn else 'chosen cameras'}",
+        title=f"{title} {_wish(record, 1)}{', all cameras' if drawn else ''}",
+        done=(
+            f"The Gaussians of one object ({title}: {record['object_gaussians']:,} Gaussians, of which "
+            f"{record['changed_gaussians']:,} changed) were moved within {ball}"
+            f"{'' if budget is None else f', while the pictures keep {budget:g} dB'}, in at most "
+            f"{counted(config['steps'], 'step')}. The attacker knows the weights. {views} "
+            f"{'that the search has never seen ' if drawn else ''}judged the saved file in 8-bit pictures."
+        ),
+        conclusion=" ".join(filter(None, conclusion)),
+        headline=Figure(
+            label=f"{'held-out ' if drawn else ''}views with the aim reached: {wish}",
+            rate=rate,
+            note=f"{'confidence' if record['target'] else 'score'} {percent(record['score'])}",
+        ),
+        control=Figure(label="random noise of the same size, on the same views", rate=noise),
+        figures=tuple(_attack_figures(record)),
+        warnings=(
+            *record["warnings"],
+            *([f"Few draws of noise: {draws}. Ask for more with --noise-draws"] if 0 < draws < FEW_DRAWS else []),
+        ),
+        pictures=tuple(Picture(path=folder / name, caption=caption, wide=wide) for name, caption, wide in _PICTURES),
+        charts=(*(_by_angle(record, angle, needed) for angle in ("azimuth", "elevation")), _search(record)),
+        tables=(
+            Table.of("Each detector", _RATES, [{"detector": name, **rates} for name, rates in record["rates"].items()]),
+            *(() if drawn else (_views(record),)),
+        ),
+        configuration=settings(
+            {**config, **{name: record[name] for name in _CONDITIONS if name in record}}
+            | {"weights": {one["detector"]: one["detector_fingerprint"] for one in judged}}
+        ),
+    )
+
+
+def _object_name(record: Record) -> str:
+    """The name of the attacked object, or else the first class that was reported on it."""
+    selection = record.get("selection")
+    if isinstance(selection, Mapping) and "object" in selection:
+        return str(selection["object"])
+    originals = (str(rates["original"]) for rates in record["rates"].values() if rates.get("original"))
+    return next(originals, "the selection")
+
+
+def _wish(record: Record, part: int) -> str:
+    """What the attacker wants, as part of a title (1) or of a sentence (2)."""
+    name = record["objective"]
+    words = _AIMS[name][part] if name in _AIMS else ("", f"to its aim, {name}", f"reach its aim, {name},")[part]
+    return str(words).format(record["target"])
+
+
+def _change(view: Record, target: str | None) -> str:
+    """What a detector reported before and after an attack."""
+    after = [f"{target} at {percent(view['target_confidence'])}"] if target else []
+    if view["original"] not in (None, target):
+        after.append(f"{view['original']} at {percent(view['original_confidence'])}")
+    known = " and ".join(after) or "nothing known"
+    return f"{view['detector']} reported {_before(view, ' at ')} on the object before, and {known} after it"
+
+
+def _before(view: Record, between: str = " ") -> str:
+    return f"{view['original']}{between}{percent(view['clean_confidence'])}" if view["original"] else "nothing"
+
+
+def _attack_figures(record: Record) -> Iterator[Figure]:
+    """Other rates, what the pictures lost, the size of the change, steps and time."""
+    for name, rates in record["rates"].items() if len(record["rates"]) > 1 else ():
+        yield Figure(label=name, rate=Rate.of(rates["success"]))
+    yield Figure(label="no attack, on the same views", rate=Rate.of(record["clean_rate"]))
+    yield Figure(label="success without another class of more confidence", rate=Rate.of(record["unambiguous_rate"]))
+    image, noise = record["image"], [value for value in record["noise_psnr"] if value is not None]
+    note = "PSNR of the mean squared error over all views; 26 is easily seen, 40 hardly"
+    yield Figure(label="pictures, attacked against clean", words=number(record["image_psnr"], unit="dB"), note=note)
+    yield from Figure.each(
+        {
+            "the same on the object": number(image["psnr_object"], unit="dB"),
+            "the same with the noise": number(noise[0], unit="dB") if noise else "-",
+            "largest change beside the object (1 is all)": f"{image['outside']:.3f}",
+            "Gaussians changed, of the object's": f"{record['changed_gaussians']:,} of {record['object_gaussians']:,}",
+            **{f"size of the change, {name}": f"{used:.3g}" for name, used in record["used_in_file"].items()},
+            "steps taken": f"{record['steps']} of {record['config']['steps']}",
+            "best score of the noise": percent(max(record["noise"]["scores"], default=0.0)),
+            "time": number(record["seconds"], ".0f", "s"),
+        }
+    )
+
+
+def _views(record: Record) -> Table:
+    """Every view as every detector sees it."""
+    cameras, wanted = record.get("cameras") or [], record["target"] or "target"
+
+    def confidence(key: str) -> Column[tuple[int, Record]]:
+        return lambda row: None if row[1].get(key) is None else percent(row[1][key])
+
+    columns: dict[str, Column[tuple[int, Record]]] = {
+        "camera": lambda row: cameras[row[0] % len(cameras)] if cameras else f"view {row[0]}",
+        "detector": lambda row: row[1]["detector"],
+        "before": lambda row: _before(row[1]),
+        "the same class after": confidence("original_confidence"),
+        f"{wanted} before": confidence("target_confidence_clean"),
+        f"{wanted} after": confidence("target_confidence"),
+        "success": lambda row: row[1]["success"],
+    }
+    return Table.of("Every view", columns, enumerate(record["views"]))
+
+
+def _search(record: Record) -> Chart:
+    """The score over the steps of the search, a line for each run."""
+    runs: dict[int, list[Point]] = {}
+    for line in record["trace"]:
+        if "score" in line:
+            runs.setdefault(line["restart"], []).append(Point(float(line["index"]), line["score"]))
+    if max(map(len, runs.values()), default=0) < 2:
+        runs = {}
+    confidence = record["config"]["objective"].get("confidence")
+    is_confidence = record["story"] == "dagger" and record["objective"] == "relabel" and confidence is not None
+    return Chart(
+        title="The search",
+        caption="Score at each step that was judged.",
+        x_label="step",
+        y_label="score",
+        lines=tuple(
+            Line(name=f"run {run}" if len(runs) > 1 else "score", role="attack", points=tuple(points))
+            for run, points in list(runs.items())[:6]
+        ),
+        level=(confidence, "enough for success") if is_confidence else None,
+    )
+
+
+def _by_angle(record: Record, angle: str, needed: float) -> Chart:
+    parts = [part for part in record.get(f"by_{angle}", ()) if part["total"]]
+    return Chart(
+        title=f"Success by {angle}",
+        caption="Held-out views in equal parts of the region; bands are 95 % intervals.",
+        x_label=f"{angle} of the camera, degrees",
+        y_label="views with success",
+        lines=(Line.over("attacked", "attack", parts if len(parts) > 1 else ()),),
+        level=(needed, "asked for"),
+    )
+
+
+# Scoring again
+
+
+def _objective_of(record: Record) -> Objective:
+    """The objective of an attack."""
+    try:
+        name, values = str(record["objective"]), record["config"]["objective"]
+        if name not in _AIMS and "kind" not in values:
+            do = "score it again in the program that made it, or bring the objective as a plug-in"
+            raise InvalidValueError.of(f"objective {name[:40]}", "one that is known by its name", "functions", do)
+        objective: Objective = _AIMS.get(name, (PluggedObjective,))[0](**values)
+    except (KeyError, TypeError) as error:
+        expected, do = f"the settings of one of {', '.join(_AIMS)}", "get the result again"
+        raise InvalidValueError.of("objective", expected, repr(error), do) from error
+    return objective
+
+
+def _cells(record: Record, seen: ViewDetections, row: Record, detector: Detector) -> Row:
+    """What a detector says of an attacked picture: whether the aim is reached."""
+    if seen.box is None:
+        raise InvalidValueError.of(CAMERAS, "a box of the object in each view", "none", "get the result again")
+    classes = tuple(detector.classes)
+    target = Target(box=seen.box, label=record["target"], classes=classes, original=row["original"])
+    return verdict_cells(_objective_of(record).verdict(seen.detections, target))
+
+
+def _rescored(record: Record, rows: pl.DataFrame) -> dict[str, dict[str, Rate]]:
+    """How often the aim is reached with each detector."""
+    names = {"success": "the aim is reached", "unambiguous": "so, and no other class has more confidence"}
+    measures = {words: Measure(holds=pl.col(name)) for name, words in names.items()}
+    return {name: rates for (name,), rates in count(rows.filter(splat=ATTACKED), measures, ("detector",)).items()}
+
+
+RESCORING = Rescoring(
+    splats=lambda record: {(ATTACKED, int(record["seed"])): "attacked.ply"}, cells=_cells, rates=_rescored, batch=1
+)
+"""One picture at a time, as attacks are judged: the same bits."""
+
+
+# Sanity checks
+
+_ELSEWHERE = ("story", "checks", "command", "versions", "variant", "commit")
+_WORDS = {True: "holds", False: "does not hold", None: "not checked"}
+
+
+def read_sanity(folder: Path, record: Record) -> Section:
+    """The section of `mi-splat dagger --sanity`: whether an attack that fails may be believed."""
+    checks = record["checks"]
+    passed, red, skipped = ([check for check in checks if check["passed"] is state] for state in _WORDS)
+    columns: dict[str, Column[Record]] = {
+        "a sane attack": "claim",
+        "here": lambda check: _WORDS[check["passed"]],
+        "measured": "figures",
+        "if it does not hold": "meaning",
+    }
+    return Section(
+        kind="sanity of DAGGER",
+        title=f"{record['detector']}, {record['target']}",
+        done=(
+            f"{counted(len(checks), 'check')} asked whether DAGGER behaves as a sane attack does on one object and "
+            f"{record['detector']}, with {counted(record['seeds'], 'seed')}: whether success rises with the radius, "
+            "whether gradients are right, whether noise and random search do worse, and so on."
+        ),
+        conclusion=(
+            "Every check that was made holds: where the attack fails here, the reason is not a broken attack."
+            if not red
+            else f"{counted(len(red), 'check')} did not hold: do not take a failure of the attack for robustness."
+        ),
+        headline=Figure(
+            label="checks that hold",
+            words=f"{len(passed)} of {len(passed) + len(red)}",
+            note=f"{len(skipped)} not made" if skipped else "",
+        ),
+        figures=(Figure(label="checks that do not hold", words=listed([check["check"] for check in red]) or "none"),),
+        warnings=(
+            *(f"{check['claim']}: {check['figures']}. {check['meaning']}" for check in red),
+            *(f"Not checked: {check['claim']}" for check in skipped),
+        ),
+        tables=(Table.of("Every check", columns, checks),),
+        configuration=settings({key: value for key, value in record.items() if key not in _ELSEWHERE}),
+    )
+
+
+# Studies of many attacks, and what others see of them
+
+_NUMBER = re.compile(r"\d+(\.\d+)?")
+_JUDGES = {True: "attacked detectors", False: "detectors that were not attacked"}
+
+
+def read_study(folder: Path, record: Record) -> Section:
+    """The section of a study."""
+    attacks = list(attacks_of(record).values())
+    label, counting, lines, key = _headline(record)
+    rate, noise = pooled(line[key] for line in lines), pooled(_noise(line, key) for line in lines)
+    control = f"; random noise of the same size: {noise.counts}" if noise.total else ""
+    names = sorted({name for attack in attacks for name in attack["sources"]})
+    return Section(
+        kind="DAGGER, a study",
+        title=f"{record['name']}, {counted(len(attacks), 'attack')}",
+        done=(
+            f"{record.get('question', '')} {counted(len(attacks), 'attack')} on {listed(names)}. Each is judged on the "
+            "saved file, in 8-bit pictures, beside random noise of its size."
+        ).strip(),
+        conclusion=(
+            f"{capital(label)}: {rate.counts}{control}. Views of one attack are not independent. This says nothing of "
+            "other detectors, objects or budgets."
+        ),
+        headline=Figure(label=label, rate=rate),
+        control=Figure(label="random noise of the same size", rate=noise),
+        counting=counting,
+        figures=tuple(_study_figures(record)),
+        warnings=(*_warnings(attacks), *doubts(record["groups"]), *_doubts(record["looks"])),
+        charts=tuple(_charts(record)),
+        tables=tuple(tables(record)),
+        configuration=shared([*(attack["settings"] for attack in attacks), {"weights": record["detectors"]}]),
+    )
+
+
+def _headline(record: Record) -> tuple[str, str, list[Record], str]:
+    """The figure that matters: its name, what it counts, the lines that it is of, and their key.
+
+    It is that of the attacks of the first part; of a study of looks, whose attacks have no control of their own, that
+    of detectors that were not attacked, if there are such.
+    """
+    groups, looks = record["groups"], record["looks"]
+    members = [group for group in groups if group["part"] == groups[0]["part"]]
+    if members and (not looks or pooled(_noise(group, _key(group)) for group in members).total):
+        part, key = members[0]["part"], _key(members[0])
+        counting, aim = ("held-out views", "success") if key == "rate" else ("attacks", "the aim reached")
+        return f"{counting} with {aim}{f' ({part})' if part else ''}", counting, members, key
+    others = [look for look in looks if not look["white_box"]] or list(looks)
+    key = next(kind for kind in KINDS if kind in others[0])
+    return f"{_JUDGES[others[0]['white_box']]}: {KINDS[key].lower()}", "looks", others, key
+
+
+def _key(group: Record) -> str:
+    """What a group has reached: a rate of the views of a region, or of its attacks."""
+    return "rate" if "rate" in group else "success"
+
+
+def _noise(line: Record, key: str) -> Record:
+    """The control of a rate of a group or of looks."""
+    if key == "success":
+        return {"successes": line["noise_successes"], "total": line["noise_draws"]}
+    control: Record = line[f"noise_{key}"]
+    return control
+
+
+def _study_figures(record: Record) -> Iterator[Figure]:
+    """Further figures: every aim of the attacks, and who else is deceived."""
+    groups, looks = record["groups"], record["looks"]
+    if groups:
+        reached = [attack["success"] for attack in record["attacks"].values() if "success" in attack]
+        yield Figure(label="attacks with the aim reached", rate=Rate(successes=sum(reached), total=len(reached)))
+        strict = "strict_rate" if "rate" in groups[0] else "strict"
+        yield Figure(label="with the object's own class gone, too", rate=pooled(group[strict] for group in groups))
+    for white_box, judges in _JUDGES.items():
+        for kind, meaning in KINDS.items():
+            for key, what in ((kind, meaning.lower()), (f"noise_{kind}", f"{meaning.lower()}, with noise alone")):
+                rates = [look[key] for look in looks if look["white_box"] is white_box and key in look]
+                if rates:
+                    yield Figure(label=f"{judges}: {what}", rate=pooled(rates))
+
+
+def _warnings(attacks: Sequence[Record]) -> Iterator[str]:
+    """The warnings of the attacks; of those that differ in a number alone, the most frequent."""
+    kinds: dict[str, Counter[str]] = {}
+    for text in (text for attack in attacks for text in attack.get("warnings", ())):
+        kinds.setdefault(_NUMBER.sub("", text), Counter())[text] += 1
+    for texts in kinds.values():
+        example = "for instance, " if len(texts) > 1 else ""
+        yield f"{texts.total()} of {counted(len(attacks), 'attack')}: {example}{texts.most_common(1)[0][0]}"
+
+
+def _doubts(looks: Sequence[Record]) -> Iterator[str]:
+    """Judges that do not see the clean object, and figures that noise reaches, so that they say nothing."""
+    others = [look for look in looks if not look["white_box"] and "untargeted" in look]
+    gone, noise = (pooled(look[key] for look in others) for key in ("untargeted", "noise_untargeted"))
+    if gone.successes and noise.total and noise.fraction >= gone.fraction:
+        yield (
+            f"to detectors that were not attacked, random noise hides the object as often ({noise.counts}) as the "
+            f"attacks do ({gone.counts})"
+        )
+    for look in looks:
+        seen = Rate.of(look["found"])
+        if seen.fraction < 0.5:
+            yield f"{look['detector']} finds the clean object in {seen.words} of its looks only ({_labels(look)})"
+
+
+def _labels(look: Record) -> str:
+    return ", ".join([*(f"{title_of(axis)} {label}" for axis, label in look["labels"].items()), str(look["condition"])])
+
+
+def _charts(record: Record) -> Iterator[Chart]:
+    """The success of every line of a table, and what each judge reports, with noise beside it."""
+    for title, groups in by_part(record["groups"]).items():
+        key, ticks, below = _key(groups[0]), tuple(map(str, range(1, len(groups) + 1))), "line of the table"
+        what = "views with success" if key == "rate" else "attacks with the aim reached"
+        if compared := by_attack(groups):
+            groups, ticks, below = [together(of_one) for of_one in compared.values()], tuple(compared), "attack"
+        yield _chart(title or "The attacks", (below, what), groups, key, ticks)
+    for title, looks in by_part(record["looks"]).items():
+        names = tuple(f"{look['detector']}, {_labels(look)}" for look in looks)
+        for kind, meaning in KINDS.items():
+            if kind in looks[0]:
+                yield _chart(f"{meaning}{f': {title}' if title else ''}", ("look", "rate"), looks, kind, names)
+
+
+def _chart(title: str, labels: tuple[str, str], lines: Sequence[Record], key: str, ticks: tuple[str, ...]) -> Chart:
+    """Rates of groups or looks beside each other, and those of noise."""
+    attacked = Line.of("attack", "attack", [line[key] for line in lines])
+    noise = Line.of("random noise", "control", [_noise(line, key) for line in lines])
+    return Chart.bars(title, labels, ticks, attacked, noise)

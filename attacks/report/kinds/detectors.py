@@ -1,0 +1,294 @@
+"""What `mi-splat evaluate`, `mi-splat detect` and `mi-splat bench` leave behind: what detectors report on splats."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from itertools import starmap
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from attacks.bench.row import HEADS, row_of
+from attacks.observe.comparison import compare
+from attacks.observe.rates import (
+    CLUSTERS,
+    DEFAULT_OF_YOLO,
+    REPORTED,
+    Confidence,
+    Measures,
+    comparison_measures,
+    rates_at,
+    threshold_curve,
+    with_control,
+)
+from attacks.observe.rows import ROWS, SUFFIX, read_rows
+from attacks.rate import Rate, number, percent, pooled
+from attacks.report.checking import Tables
+from attacks.report.section import FEW, Chart, Figure, Line, Picture, Point, Role, Section, listed, settings
+from attacks.tables import Table, cell
+from mi_splat.errors import counted
+
+Record = Mapping[str, Any]
+
+# A clean and an attacked splat
+
+_CONDITIONS = (
+    *("clean", "attacked", "clean_hash", "attacked_hash", "selection", "object_gaussians", "original"),
+    *("min_confidence", "background", "near"),
+)
+_RATES = {
+    "found_clean": "found, clean",
+    "found_attacked": "found, attacked",
+    "missed": "missed attacked, of those found clean",
+    "target_clean": "taken for the target, clean",
+    "target_attacked": "taken for the target, attacked",
+}
+_CURVES: dict[str, tuple[str, Role]] = {
+    "missed": ("missed attacked", "attack"),
+    "target_attacked": ("taken for the target, attacked", "attack"),
+    "target_clean": ("taken for the target, clean", "control"),
+}
+"""Rates that are drawn over the confidence."""
+
+
+def read_evaluation(folder: Path, record: Record) -> Section:
+    """The section of an evaluation."""
+    detectors = record["detectors"]
+    name, first = next(iter(detectors.items()))
+    headline, control = _headline(name, first)
+    charts, tables = threshold_charts(
+        folder, partial(comparison_measures, targeted=first["target"] is not None), _CURVES
+    )
+    return Section(
+        kind="a clean and an attacked splat, judged",
+        title=f"{Path(record['attacked']).name} against {Path(record['clean']).name}",
+        done=(
+            f"{listed(list(detectors))} looked at the clean splat {record['clean']} and at the attacked one "
+            f"{record['attacked']} from {counted(len(record['cameras']), 'camera')}, in 8-bit pictures. A detection "
+            f"counts from {record['min_confidence']:g}. Views count in which the object shows "
+            f"({record['object_gaussians']:,} Gaussians)."
+        ),
+        conclusion=" ".join(
+            [*starmap(_conclusion, detectors.items()), "This says nothing of other cameras or detectors."]
+        ),
+        headline=headline,
+        control=control,
+        figures=tuple(figure for name, judged in detectors.items() for figure in _figures(name, judged)),
+        warnings=record["warnings"],
+        pictures=tuple(
+            Picture(
+                path=folder / f"{name}.png", caption=f"{name}: clean on the left, attacked on the right.", wide=True
+            )
+            for name in detectors
+        ),
+        charts=charts,
+        tables=tables,
+        configuration=settings(
+            {
+                **{key: record[key] for key in _CONDITIONS if key in record},
+                "cameras": [camera["name"] for camera in record["cameras"]],
+                "weights": record["fingerprints"],
+            }
+        ),
+    )
+
+
+def evaluation_figures(record: Record, tables: Tables) -> Record:
+    """Every rate of an evaluation, of its rows."""
+    compared = compare(tables[ROWS], confidence=record["min_confidence"])
+    return {"detectors": {judged.detector: judged.as_dict() for judged in compared}}
+
+
+def _headline(name: str, judged: Record) -> tuple[Figure, Figure]:
+    rates = {key: Rate.of(judged[key]) for key in _RATES if judged.get(key)}
+    if judged.get("target"):
+        what = f"{name} reports {judged['target']} on the"
+        attacked, clean, note = rates["target_attacked"], rates["target_clean"], ""
+    else:
+        what = f"{name} misses the {judged['original'] or 'object'} on the"
+        attacked, clean = rates["missed"], rates["found_clean"].failures
+        note = "of the views in which it is found in the clean one"
+    return (
+        Figure(label=f"{what} attacked splat", rate=attacked, note=note),
+        Figure(label=f"{what} clean splat", rate=clean),
+    )
+
+
+def _conclusion(name: str, judged: Record) -> str:
+    attacked, clean = _headline(name, judged)
+    return f"{attacked.label}: {attacked.counts}; {clean.label}: {clean.counts}."
+
+
+def _figures(name: str, judged: Record) -> Iterator[Figure]:
+    """What one detector makes of both splats."""
+    for key, words in _RATES.items():
+        if judged.get(key):
+            yield Figure(label=f"{name}: {words}", rate=Rate.of(judged[key]))
+    yield Figure(label=f"{name}: pictures, attacked against clean", words=number(judged["psnr"], unit="dB"))
+
+
+# Rates over the confidence from which a detection counts, of any result whose folder holds rows
+
+_AT = {f"{confidence:g}": confidence for confidence in (REPORTED, DEFAULT_OF_YOLO)}
+"""Confidences of the table."""
+
+
+def threshold_charts(
+    folder: Path,
+    measures: Callable[[Confidence], Measures],
+    names: Mapping[str, tuple[str, Role]],
+    *,
+    part: Callable[[pl.DataFrame], pl.DataFrame] = lambda rows: rows,
+    what: str = "",
+) -> tuple[tuple[Chart, ...], tuple[Table, ...]]:
+    """A chart for each detector with some rates over the confidence, and a table of them at two confidences."""
+    path = folder / f"{ROWS}{SUFFIX}"
+    drawn = {name: names[name] for name in measures(REPORTED) if name in names}
+    rows = with_control(part(read_rows(path))) if path.is_file() and drawn else pl.DataFrame()
+    if rows.is_empty():
+        return (), ()
+    clusters = CLUSTERS if set(CLUSTERS) <= set(rows.columns) else None
+    curves = {name: threshold_curve(rows, measures, name, by=("detector",), clusters=clusters) for name in drawn}
+    detectors = list(dict.fromkeys(detector for (detector,) in next(iter(curves.values()))))
+
+    def line(name: str, detector: str) -> Line:
+        words, role = drawn[name]
+        points = (Point.of(at, rate) for at, rate in curves[name][detector,] if rate.total)
+        return Line(name=words, role=role, points=tuple(points))
+
+    charts = tuple(
+        Chart(
+            title=f"{detector}{what}, by the confidence that counts",
+            caption=f"Figures of this page count from {REPORTED:g}. Bands are 95 % intervals.",
+            x_label="confidence from which a detection counts",
+            y_label="views",
+            lines=tuple(line(name, detector) for name in drawn),
+        )
+        for detector in detectors
+    )
+    at = rates_at(rows, measures, _AT, ("detector",), clusters=clusters)
+    lines = tuple(
+        (detector, words, *(cell(at[confidence][detector,][name]) for confidence in _AT))
+        for detector in detectors
+        for name, (words, _) in drawn.items()
+    )
+    head = ("detector", "rate", *(f"from {confidence}" for confidence in _AT))
+    caption = f"By the confidence from which a detection counts{what}"
+    return charts, (Table(caption=caption, head=head, rows=lines),)
+
+
+# Pictures, or splats as cameras see them
+
+MOST_PICTURES, MOST_ROWS = 6, 100
+
+
+def read_detections(folder: Path, record: Record) -> Section:
+    """The section of a folder of pictures with boxes."""
+    looks: Sequence[Record] = record["pictures"]
+    by_detector: dict[str, list[Record]] = {}
+    for look in looks:
+        by_detector.setdefault(look["detector"], []).append(look)
+    rate, several = _rate(looks), len(by_detector) > 1
+    names, pictures = listed(list(by_detector)), counted(max(map(len, by_detector.values())), "picture")
+    label = "pictures in which something is reported"
+    return Section(
+        kind="what detectors report",
+        title=f"{names} on {pictures}",
+        done=(
+            f"{names} looked at {pictures}: files, or splats and scenes from cameras. Every detection from a "
+            f"confidence of {record['min_confidence']:g} is listed."
+        ),
+        conclusion=(
+            f"Something is reported in {rate.counts} {'looks of a detector at a picture' if several else 'pictures'}. "
+            "Nothing was attacked, and nothing says what the pictures show: these are reports, not hits."
+        ),
+        headline=Figure(label=label, rate=rate, note="each detector and picture counts once" if several else ""),
+        attacked=False,
+        figures=tuple(
+            Figure(label=f"{name}: {label}", rate=_rate(members)) for name, members in by_detector.items() if several
+        ),
+        warnings=(
+            "Nothing was attacked, and there is no control: whether a report is right is not known",
+            *([f"Few pictures: {rate.total}. The interval is wide; others may give another rate"] * (rate.total < FEW)),
+        ),
+        pictures=tuple(
+            Picture(
+                path=folder / Path(look["picture"]).name,
+                caption=f"{_source(look)}, {look['detector']}: {_reports(look)}.",
+                alt=f"A picture with the boxes of {look['detector']}",
+            )
+            for look in looks[:MOST_PICTURES]
+        ),
+        tables=(
+            Table(
+                caption="By detector and class",
+                head=("detector", "class", "pictures that report it", "detections", "highest confidence"),
+                rows=tuple(_class_rows(by_detector)),
+            ),
+            Table.of(
+                f"Each picture{f', the first {MOST_ROWS} of {len(looks):,}' if len(looks) > MOST_ROWS else ''}",
+                {"picture": _source, "detector": "detector", "reported": _reports},
+                looks[:MOST_ROWS],
+            ),
+        ),
+        configuration=settings(
+            {
+                "inputs": list(dict.fromkeys(look["source"] for look in looks)),
+                "min_confidence": record["min_confidence"],
+                "view": record.get("view", {}),
+                "weights": record["fingerprints"],
+            }
+        ),
+    )
+
+
+def _rate(looks: Sequence[Record], label: str | None = None) -> Rate:
+    """Looks in which something is reported, or one class."""
+    reported = [any(label in (None, item["label"]) for item in look["detections"]) for look in looks]
+    return Rate(successes=sum(reported), total=len(reported))
+
+
+def _source(look: Record) -> str:
+    camera = "" if look["camera"] is None else f" from {look['camera']['name']}"
+    return f"{Path(look['source']).name}{camera}"
+
+
+def _reports(look: Record) -> str:
+    return ", ".join(f"{item['label']} {percent(item['score'])}" for item in look["detections"]) or "nothing"
+
+
+def _class_rows(by_detector: Mapping[str, Sequence[Record]]) -> Iterator[tuple[str, ...]]:
+    """The classes of each detector, those of most looks first."""
+    for name, looks in by_detector.items():
+        counts = Counter(label for look in looks for label in {item["label"] for item in look["detections"]})
+        for label in sorted(counts, key=lambda label: (-counts[label], label)) or ["nothing"]:
+            scores = [item["score"] for look in looks for item in look["detections"] if item["label"] == label]
+            most = percent(max(scores)) if scores else "-"
+            yield name, label, cell(_rate(looks, label if scores else None)), str(len(scores)), most
+
+
+# A row of the scoreboard
+
+
+def read_bench(folder: Path, record: Record) -> Section:
+    """The section of a row, column by column."""
+    columns, score, name = record["columns"], record["score"], record["detector"]["name"]
+    filled = {head: columns[column] for column, head in HEADS.items() if columns[column]["robust"] is not None}
+    words = "no score: a column cannot be filled" if score is None else f"{score['mean']:.3f}"
+    return Section(
+        kind="Scoreboard",
+        title=f"{name}, suite {record['suite']['name']}",
+        done=f"The attacks of the suite were made for {name}. Rates are of views in which it names the clean object.",
+        conclusion=f"Score: {words}. Higher is more robust. It holds for the attacks and scenes of this suite.",
+        headline=Figure(label="score", words=words),
+        control=Figure(label="clean object named", rate=pooled(column["named_clean"] for column in columns.values())),
+        attacked=False,
+        warnings=record["warnings"],
+        figures=[
+            Figure(label=f"still named, {head}", rate=Rate.of(column["robust"])) for head, column in filled.items()
+        ],
+        configuration=tuple(
+            (key, str(value)) for key, value in row_of(record).items() if key not in ("columns", "score")
+        ),
+    )
