@@ -119,23 +119,14 @@ FEW = 10
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """One detector on both splats; rates count the views in which the object shows.
+    """One detector on both splats; rates count the views in which the object shows."""
 
-    Attributes:
-        detector: Its name.
-        original: What the object is; None where any class counts, since nothing said what it is.
-        target: What the attacker wants it to be; None if nothing certain.
-        views: Views in which the object shows.
-        rates: Those of `attacks.observe.rates.comparison_measures`, by name; none of the target without one.
-        psnr: Mean dB between the clean and the attacked pictures that differ; None where all are the same.
-    """
-
-    detector: str
-    original: str | None
-    target: str | None
-    views: int
-    rates: Mapping[str, Rate]
-    psnr: float | None
+    detector: str  # its name
+    original: str | None  # what the object is; None where any class counts, since nothing said what it is
+    target: str | None  # what the attacker wants it to be; None if nothing certain
+    views: int  # in which the object shows
+    rates: Mapping[str, Rate]  # those of `comparison_measures`, by name; none of the target without one
+    psnr: float | None  # mean dB between the clean and the attacked pictures that differ; None where all are the same
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON can hold it."""

@@ -77,22 +77,13 @@ class SunTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Viewing:
-    """How a splat is looked at as long as no condition changes it.
-
-    Attributes:
-        settings: Background and near plane.
-        centre: (3,) world units, what cameras move towards.
-        alone: The object without its surroundings, of a splat.
-        sun: The street of conditions that are hours; None if there is none.
-        clean: The object as its file has it, whose Gaussians a street with a splat of its own must hold; None does not
-            ask.
-    """
+    """How a splat is looked at as long as no condition changes it."""
 
     settings: RenderSettings
-    centre: Point
-    alone: Callable[[GaussianScene], GaussianScene]
-    sun: SunTable | None = None
-    clean: GaussianScene | None = None
+    centre: Point  # (3,) world units, what cameras move towards
+    alone: Callable[[GaussianScene], GaussianScene]  # the object of a splat without its surroundings
+    sun: SunTable | None = None  # the street of conditions that are hours
+    clean: GaussianScene | None = None  # what a street with a splat of its own must hold; None does not ask
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

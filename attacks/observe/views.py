@@ -243,19 +243,12 @@ def cameras_document(cameras: Sequence[Mapping[str, Any]], **settings: Any) -> d
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResultCameras:
-    """What cameras.json says.
+    """What cameras.json says."""
 
-    Attributes:
-        cameras: The cameras by number.
-        boxes: (4,) pixels of the object in each; None where it does not show.
-        settings: Of the renderer.
-        changes: What happens to the picture of each before a detector sees it; nothing without an entry.
-    """
-
-    cameras: tuple[Camera, ...]
-    boxes: tuple[Tensor | None, ...]
+    cameras: tuple[Camera, ...]  # by number
+    boxes: tuple[Tensor | None, ...]  # (4,) pixels of the object in each; None where it does not show
     settings: RenderSettings
-    changes: Mapping[Camera, PictureChange] = field(default_factory=dict)
+    changes: Mapping[Camera, PictureChange] = field(default_factory=dict)  # of pictures before a detector sees them
 
     def look(
         self, scene: GaussianScene, detectors: Sequence[Detector], views: Sequence[int], *, batch: int = BATCH

@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ KEPT = (".json", ".toml", ".csv.xz", ".md")
 """Endings of the files of a result that are always in an artifact; splats and pictures may be left out."""
 
 _BROKEN = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, pl.exceptions.PolarsError)
+Record = Mapping[str, Any]
 Tables = Mapping[str, pl.DataFrame]
 Figures = Callable[[Mapping[str, Any], Tables], Mapping[str, Any]]
 """From the settings in result.json and the rows to figures, which stand in result.json under the same keys."""
@@ -56,19 +57,12 @@ class Check:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Result:
-    """A finished result in its folder.
-
-    Attributes:
-        folder: Where it is.
-        record: Its result.json.
-        manifest: What its manifest says.
-        tables: Its tables of rows by name.
-    """
+    """A finished result in its folder."""
 
     folder: Path
-    record: Mapping[str, Any]
+    record: Mapping[str, Any]  # its result.json
     manifest: Manifest
-    tables: Tables = field(default_factory=dict)
+    tables: Tables  # its tables of rows by name
 
     @property
     def story(self) -> str:
@@ -228,19 +222,14 @@ OnView = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rescoring:
-    """How splats of one kind of result are scored again.
+    """How splats of one kind of result are scored again, each from its record."""
 
-    Attributes:
-        splats: Of its record: the file of each splat, by its name and seed in the rows.
-        cells: From its record, what a detector reports in one view, and a row of that view: the cells that change.
-        rates: From its record and rows, the rates of each detector by their names in words.
-        batch: Pictures that a detector gets at once.
-    """
-
-    splats: Callable[[Mapping[str, Any]], Mapping[tuple[str, int], str]]
-    cells: Callable[[Mapping[str, Any], ViewDetections, Mapping[str, Any], Detector], Row]
-    rates: Callable[[Mapping[str, Any], pl.DataFrame], Mapping[str, Mapping[str, Rate]]]
-    batch: int
+    splats: Callable[
+        [Record], Mapping[tuple[str, int], str]
+    ]  # the file of each splat, by its name and seed in the rows
+    cells: Callable[[Record, ViewDetections, Record, Detector], Row]  # of what is reported in the view of a row
+    rates: Callable[[Record, pl.DataFrame], Mapping[str, Mapping[str, Rate]]]  # of each detector, by their names
+    batch: int  # pictures that a detector gets at once
 
 
 def rescore(

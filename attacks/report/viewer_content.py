@@ -9,7 +9,6 @@ from typing import Any
 
 import torch
 from PIL import ImageDraw
-from torch import Tensor
 
 from attacks.cloak.config import AttackConfig, StudyConfig
 from attacks.cloak.own_pictures import RECORD as POISONED
@@ -35,6 +34,9 @@ from mi_splat.viewer.content import Content, Inspector, ShownSplat, content_of_d
 from mi_splat.viewer.orbit import Orbit, orbit_of
 
 ATTACKED = "attacked.ply"
+Record = Mapping[str, Any]
+_BROKEN = (LookupError, TypeError, ValueError, AttributeError)
+"""What reading a record raises that lacks something, or has something else in its place."""
 
 
 def open_content(
@@ -72,16 +74,13 @@ def recorded_up(path: Path) -> Point:
 
 def _rendered_as_trained(content: Content, run: Mapping[str, Any]) -> tuple[Content, Path | None]:
     """The splat of a training with its near plane and background, and its data set, if that is where it was."""
-    values = run.get("settings") or {}
+    values, usual = run.get("settings") or {}, content.settings
     try:
-        red, green, blue = map(float, values.get("background") or content.settings.background)
-        settings = replace(
-            content.settings, near=float(values.get("near", content.settings.near)), background=(red, green, blue)
-        )
-    except (TypeError, ValueError, AttributeError) as error:
-        raise InvalidValueError.of(
-            f"settings in {CONFIG}", "near and background", repr(error), "train again"
-        ) from error
+        red, green, blue = map(float, values.get("background") or usual.background)
+        settings = replace(usual, near=float(values.get("near", usual.near)), background=(red, green, blue))
+    except _BROKEN as error:
+        what, do = f"settings in {CONFIG}", "train again"
+        raise InvalidValueError.of(what, "near and background", repr(error), do) from error
     set_of_training = _set_of_training(run)
     without = f"{content.title}; the set of its training is not where it was: --cameras names it"
     title = without if run.get("dataset") is not None and set_of_training is None else content.title
@@ -108,57 +107,52 @@ def _set_of_training(run: Mapping[str, Any]) -> Path | None:
 
 def _opened(path: Path, clean: Path | None, background: tuple[float, float, float]) -> Content:
     """As `open_content`, as the files have it."""
-    if is_dataset(path) and not (path / RECORD).is_file() and not splat_in(path):
+    is_result = (path / RECORD).is_file()
+    if is_dataset(path) and not is_result and not splat_in(path):
         if clean is not None:
             do = "view that splat, with --cameras for the set"
             raise InvalidValueError.of("clean", "nothing beside a set of pictures", clean, do)
         return content_of_dataset(path, background=background)
-    if not path.is_dir() or (splat_in(path) and not (path / RECORD).is_file()):
+    if not is_result and (not path.is_dir() or splat_in(path)):
         content = content_of_file(path, clean=clean)
         counts = [len(splat.scene) for splat in content.splats]
         if len(set(counts)) > 1:
             got, do = f"{counts[0]:,} and {counts[1]:,}", "pass the scene that was attacked"
             raise InvalidValueError.of("the scenes", "the same Gaussians in both", got, do)
         return content
-    if not (path / RECORD).is_file():
-        do = "pass a finished result, a set of pictures, or a .ply or .xml file"
-        raise InvalidValueError.of(
-            str(path), f"{RECORD} of mi-splat dagger, evaluate, cloak or audit in it", "none", do
-        )
+    if not is_result:
+        expected, do = f"{RECORD} of mi-splat dagger, evaluate, cloak or audit in it", "pass a finished result, a set"
+        raise InvalidValueError.of(str(path), expected, "none", f"{do} of pictures, or a .ply or .xml file")
     record = read_json(path / RECORD)
-    if record.get("story") == "audit":
-        return _content_of_audit(path, record, clean)
-    if record.get("story") != "cloak":
-        return _content_of_attack(path, record, clean)
-    if clean is not None:
-        raise InvalidValueError.of("clean", "nothing, since a study has its own", clean, "leave it out")
-    return _content_of_study(path, record)
+    reader = {"audit": _content_of_audit, "cloak": _content_of_study}.get(str(record.get("story")), _content_of_attack)
+    try:
+        return reader(path, record, clean)
+    except MiSplatError:
+        raise
+    except _BROKEN as error:
+        expected, do = "a result of mi-splat dagger, evaluate, cloak or audit", "make the result again"
+        raise InvalidValueError.of(str(path / RECORD), expected, repr(error), do) from error
 
 
-def _content_of_attack(folder: Path, record: Mapping[str, Any], clean: Path | None) -> Content:
+def _content_of_attack(folder: Path, record: Record, clean: Path | None) -> Content:
     """The clean and the attacked splat of a DAGGER result or of an evaluation, from the cameras that looked at both."""
     rendered, evaluated = dict[str, Any](), record.get("story") == "evaluate"
-    try:
-        if evaluated:
-            entries, kind, path = record["cameras"], "judging", Path(record["attacked"])
-            names = labels = [str(entry["name"]) for entry in entries]
-            expected, recorded = str(record["clean_hash"]), record["clean"]
-        else:
-            first = record["views"][0]["detector"]  # every detector looked from the same cameras
-            entries = [view["camera"] for view in record["views"] if view["detector"] == first]
-            kind, path = "held-out" if "reference" in record else "attacked", folder / ATTACKED
-            names = [str(number) for number in range(len(entries))]
-            labels = [f"{kind} view {name}" for name in names]
-            expected, recorded = str(record["scene_hash"]), record.get("scene")
-        views = [camera_of(entry) for entry in entries]
-        size = views[0].width, views[0].height
-        if "near" in record:  # not known of a result from Python whose pictures a function made
-            red, green, blue = map(float, record["background"])
-            rendered = {"near": float(record["near"]), "background": (red, green, blue)}
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        made, do = ("an evaluation", "evaluate") if evaluated else ("a result of DAGGER", "dagger")
-        text = message(str(folder / RECORD), made, repr(error), f"make the result again with mi-splat {do}")
-        raise InvalidValueError(text) from error
+    if evaluated:
+        entries, kind, path = record["cameras"], "judging", Path(record["attacked"])
+        names = labels = [str(entry["name"]) for entry in entries]
+        expected, recorded = str(record["clean_hash"]), record["clean"]
+    else:
+        first = record["views"][0]["detector"]  # every detector looked from the same cameras
+        entries = [view["camera"] for view in record["views"] if view["detector"] == first]
+        kind, path = "held-out" if "reference" in record else "attacked", folder / ATTACKED
+        names = [str(number) for number in range(len(entries))]
+        labels = [f"{kind} view {name}" for name in names]
+        expected, recorded = str(record["scene_hash"]), record.get("scene")
+    views = [camera_of(entry) for entry in entries]
+    size = views[0].width, views[0].height
+    if "near" in record:  # not known of a result from Python whose pictures a function made
+        red, green, blue = map(float, record["background"])
+        rendered = {"near": float(record["near"]), "background": (red, green, blue)}
     splat, loaded = _clean_splat(folder, expected, clean, recorded=recorded), open_scene(path)
     if evaluated and scene_hash(loaded.scene) != record.get("attacked_hash"):
         raise InvalidValueError.of(str(path), "the splat that was evaluated", "another", "evaluate it again")
@@ -170,10 +164,7 @@ def _content_of_attack(folder: Path, record: Mapping[str, Any], clean: Path | No
     }
     return Content(
         title=f"{f'Evaluation of {path.name}' if evaluated else _purpose(record)} ({folder})",
-        splats=(
-            splat,
-            ShownSplat(name="attacked", scene=loaded.scene, path=path),
-        ),
+        splats=(splat, ShownSplat(name="attacked", scene=loaded.scene, path=path)),
         settings=replace(of_scene.settings, **rendered),
         start=next(iter(cameras.values()), of_scene.start),
         size=size,
@@ -184,12 +175,11 @@ def _content_of_attack(folder: Path, record: Mapping[str, Any], clean: Path | No
 _PURPOSES = {"relabel": "to be taken for {}", "hide": "to be missed", "untargeted": "to be taken for something else"}
 
 
-def _purpose(record: Mapping[str, Any]) -> str:
+def _purpose(record: Record) -> str:
     """What a DAGGER attack was to do, in a line."""
-    scene, target = record.get("scene"), record.get("target")
+    scene, names = record.get("scene"), [str(entry["detector"]) for entry in record.get("detectors") or ()]
     where = f" on {Path(scene).stem}" if isinstance(scene, str) else ""
-    wanted = _PURPOSES.get(str(record.get("objective")), "attacked").format(target)
-    names = [str(entry.get("detector")) for entry in record.get("detectors") or () if isinstance(entry, Mapping)]
+    wanted = _PURPOSES.get(str(record.get("objective")), "attacked").format(record.get("target"))
     return f"DAGGER{where}: {wanted}" + (f" by {', '.join(names)}" if names else "")
 
 
@@ -228,19 +218,11 @@ def _clean_splat(folder: Path, expected: str, clean: Path | None, *, recorded: o
     raise InvalidValueError(text).hinted("--clean")
 
 
-# An audit
-
-
-def _content_of_audit(folder: Path, record: Mapping[str, Any], audited: Path | None) -> Content:
+def _content_of_audit(folder: Path, record: Record, audited: Path | None) -> Content:
     """The splat beside its heat, from the cameras that prove a look."""
-    try:
-        path = audited or Path(record["file"])
-        x, y, z = map(float, max(record["objects"], key=lambda item: item["evidence"])["centre"])
-        views = {str(values["name"]): camera_of(values) for values in record["cameras"]}
-        count = int(record["gaussians"])
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        do = "make the result again with mi-splat audit"
-        raise InvalidValueError.of(str(folder / RECORD), "an audit", repr(error), do) from error
+    path, count = audited or Path(record["file"]), int(record["gaussians"])
+    x, y, z = map(float, max(record["objects"], key=lambda item: item["evidence"])["centre"])
+    views = {str(values["name"]): camera_of(values) for values in record["cameras"]}
     if not path.exists():
         text = message(f"the splat of {folder}", f"the file {path}", "nothing there", "name the splat that was audited")
         raise InvalidValueError(text).hinted("--clean")
@@ -250,50 +232,39 @@ def _content_of_audit(folder: Path, record: Mapping[str, Any], audited: Path | N
         do = "name the splat that was audited"
         raise InvalidValueError.of(str(path), f"{count:,} Gaussians", f"{len(splats[0].scene):,}", do).hinted("--clean")
     if heat.is_file():
-        hot = ShownSplat(name="heat", scene=open_scene(heat).scene, path=heat)
-        splats = (*splats, hot)
-    cameras = {
-        name: orbit_of(camera, (x, y, z), source=f"{folder / RECORD}{OF}{name}") for name, camera in views.items()
-    }
+        splats = (*splats, ShownSplat(name="heat", scene=open_scene(heat).scene, path=heat))
+    source = f"{folder / RECORD}{OF}"
+    proving = {name: orbit_of(camera, (x, y, z), source=f"{source}{name}") for name, camera in views.items()}
+    of_file = {f"{name} of the file" if name in proving else name: orbit for name, orbit in content.cameras.items()}
     return replace(
         content,
         title=f"Audit of {path.name} ({folder})",
         splats=splats,
-        start=next(iter(cameras.values()), content.start),
-        cameras={
-            **cameras,
-            **{f"{name} of the file" if name in cameras else name: orbit for name, orbit in content.cameras.items()},
-        },
+        start=next(iter(proving.values()), content.start),
+        cameras={**proving, **of_file},
     )
 
 
-# A study of CLOAK
-
-
-def _content_of_study(folder: Path, record: Mapping[str, Any]) -> Content:
-    """The clean and the cloaked splat of a study."""
+def _content_of_study(folder: Path, record: Record, clean: Path | None) -> Content:
+    """The clean and the cloaked splat of a study of CLOAK."""
+    if clean is not None:
+        raise InvalidValueError.of("clean", "nothing, since a study has its own", clean, "leave it out")
     if not isinstance(record.get("study"), dict):
         expected, do = "a study of CLOAK", "make it again with mi-splat cloak"
         raise InvalidValueError.of(f"{folder}", expected, "one without its study", do)
     study = decode(StudyConfig, record["study"], f"the study of {folder}")
-    loaded = {name: open_scene(folder / f"{name}.ply") for name in ("clean", "cloaked")}
-    centre, cameras = study.centre, Setup.of(study).training_cameras
+    centre, cameras, size = study.centre, Setup.of(study).training_cameras, (study.cameras.size, study.cameras.size)
     distance = math.dist(cameras[0].position.tolist(), centre)
-    size = (study.cameras.size, study.cameras.size)
     start = Orbit(target=centre, azimuth=30.0, elevation=15.0, distance=distance, fov=study.cameras.fov)
     triggers = {f"inside {attack.name}": _kept(_inside(attack, start), size) for attack in study.attack}
-    poisoned = _poisoned(study, cameras)
-    named = {
-        f"{'poisoned' if is_in else 'training'} camera {number}": orbit_of(camera, centre)
-        for number, (camera, is_in) in sorted(
-            enumerate(zip(cameras, poisoned, strict=True)), key=lambda item: not item[1][1]
-        )
-    }
+    named: dict[str, Orbit] = {}
+    for number, is_poisoned in sorted(enumerate(_poisoned(study, cameras)), key=lambda item: not item[1]):
+        name = f"{'poisoned' if is_poisoned else 'training'} camera {number}"
+        named[name] = orbit_of(cameras[number], centre)
+    files = {name: folder / f"{name}.ply" for name in ("clean", "cloaked")}
     return Content(
         title=f"CLOAK, study {study.name}: what the triggers show ({folder})",
-        splats=tuple(
-            ShownSplat(name=name, scene=splat.scene, path=folder / f"{name}.ply") for name, splat in loaded.items()
-        ),
+        splats=tuple(ShownSplat(name=name, scene=open_scene(path).scene, path=path) for name, path in files.items()),
         settings=RenderSettings(background=study.scene.background),
         start=next(iter(triggers.values()), start),
         size=size,
@@ -357,9 +328,6 @@ class DetectorInspection:
 
 def detector_inspector(detector: Detector, *, min_confidence: float = MIN_CONFIDENCE) -> Inspector:
     """A function that looks at a picture of a page with a detector, as an evaluation does."""
-
-    def inspect(picture: Tensor) -> DetectorInspection:
-        (detections,) = detector.detect(picture[None])
-        return DetectorInspection(detections=detections, min_confidence=min_confidence)
-
-    return inspect
+    return lambda picture: DetectorInspection(
+        detections=detector.detect(picture[None])[0], min_confidence=min_confidence
+    )
