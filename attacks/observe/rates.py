@@ -10,6 +10,7 @@ holds of one object need not hold of the next: a rate over several has them draw
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -86,10 +87,8 @@ def _resampled(sums: NDArray[np.float64]) -> tuple[float, float]:
     fraction, few = float(sums[0].sum()) / total, first < FEWEST_BLOCKS
     if fraction in (0.0, 1.0) or (few and (sums.ndim == 3 or first == 1)):
         return wilson(fraction, first)
-    generator, drawn = np.random.default_rng(0), sums[:, None]
-    for number in axes:
-        n = sums.shape[number]
-        weights = generator.multinomial(n, np.full(n, 1 / n), size=DRAWS).astype(np.float64)
+    drawn = sums[:, None]
+    for weights in _draws(sums.shape[1:]):
         drawn = np.einsum("kdn...,dn->kd...", np.broadcast_to(drawn, (2, DRAWS, *drawn.shape[2:])), weights)
     fractions = (drawn[0] / np.maximum(drawn[1], 1.0))[drawn[1] > 0]
     if few:
@@ -98,6 +97,13 @@ def _resampled(sums: NDArray[np.float64]) -> tuple[float, float]:
         return wilson(fraction, min(max(worth, first), total))
     low, high = np.quantile(fractions, (0.025, 0.975))
     return float(low), float(high)
+
+
+@lru_cache(maxsize=64)
+def _draws(shape: tuple[int, ...]) -> list[NDArray[np.float64]]:
+    """For each axis, (draws, length) how often each of its parts is drawn: the same whenever the shape is."""
+    generator = np.random.default_rng(0)
+    return [generator.multinomial(n, np.full(n, 1 / n), size=DRAWS).astype(np.float64) for n in shape]
 
 
 def blocks_of(azimuth: str, elevation: str) -> pl.Expr:
