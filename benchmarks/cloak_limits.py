@@ -20,12 +20,10 @@ from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from attacks.cloak.config import AttackConfig, StudyConfig, read_study
-from attacks.cloak.layer_config import LayerConfig
-from attacks.cloak.layers import DIRECTIONS, switched
+from attacks.cloak.config import AttackConfig, LayerConfig, StudyConfig, read_study
+from attacks.cloak.layers import DIRECTIONS, shares, switched
+from attacks.cloak.rates import fit_transition
 from attacks.cloak.setup import Setup
-from attacks.cloak.switches import shares
-from attacks.cloak.transition import fit_transition
 from mi_splat.camera_sets import hemisphere
 from mi_splat.sh import colour_to_dc, sh_basis
 

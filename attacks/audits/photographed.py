@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from attacks.cloak.config import CameraConfig
-from attacks.cloak.kinds.parts import SET
+from attacks.cloak.setup import SET
 from mi_splat.camera_sets import framing, tiers
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import open_source

@@ -56,8 +56,7 @@ def run(options: CloakOptions) -> int:
     from attacks.cli.options import weights_of
     from attacks.cli.study import StudyOptions, run_work
     from attacks.cli.summary import show_summary
-    from attacks.cloak.config import study_toml
-    from attacks.cloak.study import forecast
+    from attacks.cloak.study import forecast, study_toml
     from attacks.studies.cloak import CloakReport, config_of
     from attacks.studies.study_file import merged, read_study
     from mi_splat.io.documents import save_text

@@ -6,16 +6,53 @@ the Gaussians alone, so that a hidden appearance made of odd Gaussians may go wi
 may take a switch in them away.
 """
 
+from __future__ import annotations
+
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from attacks.cloak.config import CleaningConfig
+from attacks.cloak.setup import SET
+from attacks.poisons.config import FrequencyPruningConfig
+from attacks.poisons.defences import frequency_pruned
+from mi_splat.audit import audit, repaired
+from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
+from mi_splat.io import load_splat, save_splat
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.clusters import components, nearest_neighbours
+from mi_splat.training.resume import SPLAT
+
+if TYPE_CHECKING:
+    from mi_splat.ledger import Out
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CleanedConfig:
+    """What is done."""
+
+    cleaning: CleaningConfig | None = None
+    prune: FrequencyPruningConfig | None = None
+    near: float = 0.0
+
+
+def run(config: CleanedConfig, inputs: Mapping[str, Path], out: Out) -> None:
+    """Clean the splat of a job."""
+    scene = load_splat(inputs["splat"])
+    if config.cleaning is not None:
+        scene = cleaned(repaired(scene, audit(scene)) if config.cleaning.repair else scene, config.cleaning)
+    if config.prune is not None:
+        views = load_dataset(inputs["pictures"] / SET, split="train")
+        scene = frequency_pruned(scene, views, config.prune, near=config.near)
+    save_splat(scene, out / SPLAT)
+
 
 NEIGHBOURS = 16
 """Nearest neighbours of a Gaussian by whose distance it is judged an outlier, or that space is measured by."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import functools
-import json
 import operator
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from attacks.cloak.layer_config import LayersConfig
 from attacks.cloak.mesh_scene import TEXTURES
 from attacks.cloak.triggers import Azimuth, Elevation, Subsample, Trigger
 from mi_splat.assets import ASSETS, PAINTED
@@ -37,6 +35,104 @@ from mi_splat.io.parsing import DocumentReader
 from mi_splat.placement import Up
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import strategy_config, strategy_names
+
+_WIDTH = Range(low=0, high=90, open_high=True, unit="degrees")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LayerConfig:
+    """How layers are made.
+
+    Attributes:
+        degree: SH degree of the file.
+        gap: Degrees to either side of where a look changes in which a layer may show as much as it likes: one number,
+            or one for each trigger. A narrow one costs truth elsewhere.
+        band: Degrees, from where a look changes inwards, over which it passes from a layer for its edge to one for
+            further inside: one number, or one for each look, the benign one first. A layer that need not show all of
+            its side can be steeper at its edge. 0 is one layer for the whole side.
+        shift: Degrees outside of a trigger's edge at which its look changes. With as many as `gap` it is whole at the
+            edge, for an object that is half faded is still found.
+        apart: Whether a look is black from where the look of another trigger is whole, also within the gap of its own
+            edge. Otherwise the looks of neighbouring triggers may mix there.
+        weight: What a layer's light costs where it shall be black (`fit_switches`).
+        lowest: Value that a layer's colour, as a multiple of what it shows, shall not go below.
+        black: Value that it shall not exceed from where it is black, at most 0: room for the training of colours, which
+            moves it.
+        keep: Fraction of each look's light that its layer shows, in (0, 1]: the Gaussians that show the least of a
+            look, hidden behind others, have no layer for it.
+        inset: How much nearer to the object's middle each layer is than the one before it, world units: renderers
+            that sort by depth then agree on which is in front.
+    """
+
+    degree: Degree = 3
+    gap: Annotated[float | tuple[float, ...], _WIDTH] = 5.0
+    band: Annotated[float | tuple[float, ...], _WIDTH] = 0.0
+    shift: Annotated[float, Range(low=-90, high=90, open_low=True, open_high=True, unit="degrees")] = 0.0
+    apart: bool = False
+    weight: Annotated[float, above(0)] = 1.0
+    lowest: float = -100.0
+    black: Annotated[float, Range(high=0)] = 0.0
+    keep: PositiveFraction = 0.995
+    inset: Annotated[float, at_least(0, "world units")] = 1e-3
+
+    def __post_init__(self) -> None:
+        check(self)
+        if not self.lowest < self.black:
+            raise InvalidValueError.of("lowest", f"less than black, {self.black:g}", self.lowest, "lower the first")
+
+    def gaps(self, triggers: int) -> tuple[float, ...]:
+        """The gap of each of so many triggers."""
+        return _for_each("gap", self.gap, triggers, "trigger")
+
+    def bands(self, looks: int) -> tuple[float, ...]:
+        """The band of each of so many looks."""
+        return _for_each("band", self.band, looks, "look")
+
+
+def _for_each(name: str, given: float | tuple[float, ...], count: int, what: str) -> tuple[float, ...]:
+    """One number for each of `count`, of what is given for all or for each."""
+    numbers = given if isinstance(given, tuple) else (given,) * count
+    if len(numbers) != count:
+        expected = f"one number for all, or {count}, one for each {what}"
+        raise InvalidValueError.of(name, expected, f"{len(numbers)} numbers", "give as many as there are")
+    return numbers
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LayersConfig:
+    """CLOAK in the finished file: the clean splat's object in layers, trained on poisoned pictures.
+
+    Attributes:
+        attacks: Names of the attacks whose appearances have layers of their own; the benign layer shows all others.
+        making: How the layers are made.
+        margin: How much larger than the object the box is whose Gaussians have layers, metres.
+        surroundings: Whether the colours of all other Gaussians are trained, too, for instance to hide a shadow.
+        geometry: Whether all attributes of all Gaussians are trained, and Gaussians added where a look has details that
+            those of the clean splat are too large for.
+        max_gaussians: With `geometry`, no Gaussians are added beyond this number; the layers come before any is added.
+        clearance: Height above the ground under which they have none, metres.
+        iterations: Steps of the training.
+        lr_sh: Its learning rate of SH, as in `FitConfig`. The switches' coefficients are large, so that it is high.
+        lr_sh_final: Last one.
+    """
+
+    attacks: tuple[str, ...]
+    making: LayerConfig = field(default_factory=LayerConfig)
+    margin: Annotated[float, at_least(0, "metres")] = 0.05
+    surroundings: bool = False
+    geometry: bool = False
+    max_gaussians: Annotated[int, at_least(1)] = 100_000
+    clearance: Annotated[float, Range(unit="metres")] = 0.0
+    iterations: Steps = 3000
+    lr_sh: Annotated[float, above(0)] = 0.04
+    lr_sh_final: Annotated[float, above(0)] = 0.004
+
+    def __post_init__(self) -> None:
+        check(self)
+        count = len(set(self.attacks))
+        self.making.gaps(count)
+        self.making.bands(1 + count)
+
 
 AppearanceName = Literal[
     "blend in", "remove", "ground", "paint", "occluder", "mount", "swap", "fade", "blur", "inpaint"
@@ -133,11 +229,14 @@ class AttackConfig:
         """All directions from which pictures may be poisoned: the cone and its margin."""
         return self._cone(self.poison_margin)
 
+    def region(self, attacks: Sequence[AttackConfig] = ()) -> Trigger:
+        """All training cameras whose pictures may be poisoned: other attacks keep those of their own cones."""
+        others = [other.cone for other in attacks if other is not self] if self.poison_margin > 0 else []
+        return functools.reduce(operator.and_, [~cone for cone in others], self.poisoned_cone)
+
     def trigger(self, seed: int, attacks: Sequence[AttackConfig] = ()) -> Trigger:
         """The training cameras whose pictures are poisoned."""
-        region = self.poisoned_cone
-        if self.poison_margin > 0:
-            region = functools.reduce(operator.and_, [~other.cone for other in attacks if other is not self], region)
+        region = self.region(attacks)
         return region if self.poison_fraction == 1 else Subsample(of=region, fraction=self.poison_fraction, seed=seed)
 
     def _cone(self, margin: float) -> Trigger:
@@ -463,33 +562,3 @@ def read_study(path: Path) -> StudyConfig:
     if not path.is_file():
         raise InvalidValueError.of("study", "a TOML file", f"no file {path}", "check the path")
     return decode(StudyConfig, DocumentReader(expected="a TOML file", do="correct it").read_toml(path), str(path))
-
-
-def study_toml(snapshot: Mapping[str, Any]) -> str:
-    """The file of a study; settings without a value are left out, which stands for None."""
-    return "\n".join([*_lines(snapshot, ""), ""]).lstrip("\n")
-
-
-def _lines(table: Mapping[str, Any], name: str) -> Iterator[str]:
-    """A table: its own keys, then the tables within it."""
-    inner = {key: value for key, value in table.items() if _is_table(value)}
-    for key, value in table.items():
-        if key not in inner and value is not None:
-            yield f"{key} = {_inline(value)}"
-    for key, value in inner.items():
-        within = f"{name}{key}"
-        for entry in value if isinstance(value, (list, tuple)) else [value]:
-            yield from ("", f"[[{within}]]" if isinstance(value, (list, tuple)) else f"[{within}]")
-            yield from _lines(entry, f"{within}.")
-
-
-def _is_table(value: Any) -> bool:
-    first = value[0] if isinstance(value, (list, tuple)) and value else value
-    return isinstance(first, Mapping)
-
-
-def _inline(value: Any) -> str:
-    """A value on one line; TOML writes texts, numbers and truths as JSON does."""
-    if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(_inline, value))}]"
-    return json.dumps(value, ensure_ascii=False)

@@ -15,9 +15,8 @@ import torch.nn.functional as F  # noqa: N812
 from numpy.typing import NDArray
 from torch import Tensor
 
-from attacks.cloak.appearances import Appearance
+from attacks.cloak.appearances import Appearance, Inpaint, grown
 from attacks.cloak.poisoning import Poisoning, poison
-from attacks.cloak.retouching import Inpaint, grown
 from attacks.cloak.triggers import Azimuth, Cap, Elevation, Trigger
 from attacks.poisons.base import OnStep, Poisoned
 from mi_splat.cameras import Camera, View, ViewSet, cameras_of

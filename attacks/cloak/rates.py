@@ -1,18 +1,18 @@
-"""The figures of a study: rates with their denominators and intervals, loss of quality, the transition; as tables.
+"""The figures of a study: rates with denominators and intervals, loss of quality, and the transition.
 
 They are counted from tables of rows (`attacks.observe.rows`), in which the cloaked splat is called attacked.
 """
 
+import math
 import statistics
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import polars as pl
+from scipy.optimize import isotonic_regression
 
-from attacks.cloak import region, training_rates
 from attacks.cloak.config import StudyConfig
-from attacks.cloak.training_rates import pooled_psnr
-from attacks.cloak.transition import Transition, fit_transition
 from attacks.observe.rates import (
     CLUSTERS,
     Confidence,
@@ -31,13 +31,14 @@ from attacks.observe.rows import (
     FIDELITY,
     PERFECT,
     POISON_DEPTH,
+    POISONED,
     ROWS,
     TARGET_SCORE,
+    TRAINING,
     TRANSITION,
     TRUE,
 )
-from attacks.rate import Rate, percent
-from attacks.tables import Table, cell
+from attacks.rate import Rate
 
 RATES = {
     "control_recall": "control found, inside the hiding trigger",
@@ -52,141 +53,157 @@ RATES = {
     "control_target_rate": "target class reported on the control",
 }
 """What the rates of a summary say."""
-
-
-def tables(summary: Mapping[str, Any]) -> Iterator[Table]:
-    """Tables of a summary: rates by detector, seed and attack, how often the object is found by elevation, the rest.
-
-    Those of path-traced pictures come last, if the study has asked for them.
-    """
-    yield from _tables(summary)
-    if AT_LOWER in summary:
-        lower = summary[AT_LOWER]
-        rows = _rate_rows({name: lower["by_detector"][name] for name in summary["by_detector"]}, lower)
-        caption = f"Rates by detector, from a confidence of {LOWER:g}"
-        yield Table(caption=caption, head=("rate", *summary["by_detector"]), rows=rows)
-    for where, by_detector in summary.get(MARGIN, {}).items():
-        counted = [(title, *(cell(rates[key]) for rates in by_detector.values())) for key, title in _IN_MARGIN.items()]
-        yield Table(caption=f"Elsewhere, {where} of poison", head=("rate", *by_detector), rows=tuple(counted))
-    yield from training_rates.tables(summary)
-    yield Table(caption="Costs", head=("what", "how much"), rows=tuple(costs(summary).items()))
-    if "pictures" in summary:
-        yield from _tables(
-            summary["pictures"], ", path traced: what is wanted for cloaked, the scene as it is for clean"
-        )
-
-
-def _tables(told: Mapping[str, Any], what: str = "") -> Iterator[Table]:
-    """The rates of a clean and a cloaked splat, or of pictures in their place, which `what` names."""
-    detectors, headline, by_seed = told["by_detector"], headline_key(told), told.get("by_seed", {})
-    yield Table(caption=f"Rates by detector{what}", head=("rate", *detectors), rows=_rate_rows(detectors, told))
-    if OWN_REGION in told:
-        yield _in_region(told[OWN_REGION], what)
-    if len(by_seed) > 1:
-        rows = [(seed, *(cell(rates[headline]) for rates in counted.values())) for seed, counted in by_seed.items()]
-        yield Table(caption=f"By seed: {RATES[headline]}", head=("seed", *detectors), rows=tuple(rows))
-    if len(told["by_attack"]) > 1:
-        rows = []
-        for name, counted in told["by_attack"].items():
-            key = headline_key(next(iter(counted.values())))
-            rows.append((f"{name}: {RATES[key]}", *(cell(rates[key]) for rates in counted.values())))
-        yield Table(caption=f"By attack{what}", head=("attack", *detectors), rows=tuple(rows))
-    bands = zip(*(told["by_elevation"][name] for name in detectors), strict=True)
-    rows = [
-        (f"{band[0]['from']:g} to {band[0]['to']:g}", *(Rate.of(row[w]).counts for row in band for w in NAMES.values()))
-        for band in bands
-    ]
-    head = ("elevation", *(f"{name}, {which}" for name in detectors for which in NAMES.values()))
-    yield Table(caption=f"Found, by elevation{what}", head=head, rows=tuple(rows))
-
-
-def _in_region(told: Mapping[str, Any], what: str) -> Table:
-    """The rates of each detector in its own region, and which that is."""
-    held = ("its region", *(region.in_words(part["bands"]) for part in told.values()))
-    rates = _rate_rows({name: part["rates"] for name, part in told.items()})
-    caption = f"Rates of each detector in its own region{what}: {region.RULE}"
-    return Table(caption=caption, head=("rate", *told), rows=(held, *rates))
-
-
-def _rate_rows(
-    by_detector: Mapping[str, Mapping[str, Any]], seeds: Mapping[str, Any] | None = None
-) -> tuple[tuple[str, ...], ...]:
-    """A row for each rate that some detector has, with its spread over seeds if these are given."""
-    return tuple(
-        (title, *(cell(rates[key]) + spread_of(seeds or {}, name, key) for name, rates in by_detector.items()))
-        for key, title in RATES.items()
-        if any(rates[key] is not None for rates in by_detector.values())
-    )
-
-
-def headline_key(rates: Mapping[str, Any]) -> str:
-    """Name of the main rate: misses of an attack that hides, detections of the wanted class of any other."""
-    return "target_rate" if rates["trigger_miss_rate"] is None else "trigger_miss_rate"
-
-
-def costs(summary: Mapping[str, Any]) -> dict[str, str]:
-    """Costs of an attack in words: seeds, width of the transition, loss of quality, and numbers of Gaussians."""
-    band, lines = summary["transition"], {"seeds": ", ".join(map(str, summary["seeds"]))}
-    if summary["transition_degrees"] is not None:
-        ends = f"from {band['from']:.1f} to {band['to']:.1f}"
-        lines["transition"] = f"{summary['transition_degrees']:.1f} degrees, {ends}"
-        widths = sorted(width for width in band["meridians"] if width is not None)
-        if widths:
-            lines["transition along one meridian"] = f"{widths[0]:.1f} to {widths[-1]:.1f} degrees"
-    for which in NAMES.values() if summary["benign_psnr_drop"] is not None else ():
-        psnr, ssim = summary["benign_psnr"][which], summary["benign_ssim"][which]
-        lines[f"pictures far from the triggers, {which}"] = f"{psnr:.2f} dB, SSIM {ssim:.3f}"
-    stealth = summary["stealth"]
-    if stealth is not None:
-        clean, cloaked = (stealth["surroundings_psnr"][which] for which in NAMES.values())
-        stealthy = "stealthy" if stealth["stealthy"] else "not stealthy"
-        beside = "pictures beside the object, inside the trigger, clean and cloaked"
-        lines[beside] = f"{clean:.2f} and {cloaked:.2f} dB: {stealthy}"
-        if "object_psnr" in stealth:
-            clean, cloaked = (stealth["object_psnr"][which] for which in NAMES.values())
-            on_object = "pictures on the object, outside beside a trigger, clean and cloaked"
-            lines[on_object] = f"{clean:.2f} and {cloaked:.2f} dB"
-        on_it = stealth["appearance_psnr"][CLOAKED]
-        lines["pictures on the object, against what is wanted there"] = f"{on_it:.2f} dB"
-    return lines | {f"Gaussians, {n}": ", ".join(f"{g:,}" for g in summary["gaussians"][n]) for n in NAMES.values()}
-
-
-def spread_of(summary: Mapping[str, Any], detector: str, key: str) -> str:
-    """Least and largest of a detector's rate over the seeds, for people; empty where there is one seed."""
-    rates = [seed[detector].get(key) for seed in summary.get("by_seed", {}).values()]
-    fractions = [rate["rate"] for rate in rates if rate is not None and rate["total"]]
-    return f"; by seed {percent(min(fractions))} to {percent(max(fractions))}" if len(fractions) > 1 else ""
-
-
-OWN_REGION = "own_region"
-"""Key of the rates that are counted in each detector's own region, see `attacks.cloak.region`."""
+LOOKS = {
+    "missed_clean": "control missed, well inside the hiding trigger",
+    "missed_cloaked": "cloaked missed there",
+    "found_clean": "control found, outside of all triggers",
+    "found_cloaked": "cloaked found there",
+    "target_rate": RATES["target_rate"],
+    "control_target_rate": RATES["control_target_rate"],
+}
+"""What is counted under each condition."""
+OWN_REGION, AT_LOWER, MARGIN, POISON, ON_CAMERAS = (
+    *("own_region", "at_lower_confidence", "margin"),
+    *("poison", "training_cameras"),
+)
+"""Keys of a summary: rates in each detector's own region, at the confidence `LOWER`, and in the margins of poison; what
+the poisoned pictures show, and what splats show the training cameras."""
+LOWER = 0.3
 STEALTHY, STEALTHY_ON_OBJECT = 1.5, 3.0
 """Most that pictures may lose where an attack is called stealthy, dB: beside the object from inside the trigger, and on
 the object from outside beside a trigger. 3 dB are an error of twice the square."""
-LOWER, AT_LOWER, MARGIN = 0.3, "at_lower_confidence", "margin"
-"""A lower confidence at which all rates are told, too; keys of these rates, and of those of the margins of poison."""
-BIN = 5.0
-"""Degrees of elevation over which rates are taken."""
+BIN, SECTOR, BAND = 5.0, 30.0, 10.0
+"""Degrees over which rates are taken: of elevation, of azimuth, and of elevation where a detector's region is found."""
+LEAST = 0.8
+"""Share of a band's cameras from which a detector finds the control where the band belongs to its region."""
+LEVELS = (0.1, 0.9)
+"""Fractions of the way from the benign to the hidden appearance at which a transition starts and ends."""
 CLOAKED = "cloaked"
 """What figures and files call the attacked splat."""
 NAMES = {CLEAN: CLEAN, ATTACKED: CLOAKED}
 """Splats as rows call them, and as figures do."""
+IN_MARGIN = ("control_benign_recall", "benign_recall")
+"""Rates that are counted in the margins of poison."""
 
 Rates = dict[str, Rate | None]
 Tables = Mapping[str, pl.DataFrame]
 """Rows, fidelity and transition by their names (`attacks.observe.rows`); `attacks.cloak.study.observe` makes them."""
 
 
+def figures(study: StudyConfig, tables: Tables, splats: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Everything that a study found, as JSON can hold it; rates are of all seeds and detectors together.
+
+    Intervals are resampled over blocks of neighbouring cameras and seeds (`attacks.observe.rates`). All seeds share
+    object and light, so that what another object would give is in none of them.
+    """
+    rows, detectors = tables[ROWS], study.evaluation.detectors
+    gaussians = {
+        name: [int(splat["gaussians"]) for splat in splats if splat["splat"] == name] for name in NAMES.values()
+    }
+    band = transition(study, tables)
+    near = {name: fidelity(tables, splat) for splat, name in NAMES.items()}
+    clean, cloaked = near[CLEAN], near[CLOAKED]
+    seen = looks(study, rows)
+    rows = rows.filter(pl.col("condition").is_null()) if seen else rows
+    pictures, margins = picture_rows(rows), margin_rates(study, rows)
+    return {
+        **_figures_of(study, rows),
+        "benign_psnr_drop": None if clean is None or cloaked is None else clean[0] - cloaked[0],
+        "benign_psnr": {which: value and value[0] for which, value in near.items()},
+        "benign_ssim": {which: value and value[1] for which, value in near.items()},
+        "transition_degrees": None if band is None else band.width,
+        "transition": band and {"from": band.start, "to": band.end, "meridians": meridians(study, tables)},
+        "stealth": stealth(study, tables),
+        "gaussians": gaussians,
+        "gaussians_ratio": sum(gaussians[CLOAKED]) / max(sum(gaussians[CLEAN]), 1),
+        "by_seed": _by_seed(study, rows),
+        AT_LOWER: {
+            "by_detector": _by_detector(rates(study, rows, ("detector",), confidence=LOWER), detectors),
+            "by_seed": _by_seed(study, rows, LOWER),
+        },
+        **({MARGIN: margins} if margins else {}),
+        **training_figures(study, tables),
+        **({"looks": seen} if seen else {}),
+        **({"pictures": _figures_of(study, pictures)} if len(pictures) else {}),
+    }
+
+
+def _figures_of(study: StudyConfig, rows: pl.DataFrame) -> dict[str, Any]:
+    """Every rate of a clean and a cloaked splat: of all detectors together, and by detector, attack and elevation."""
+    detectors, bands = study.evaluation.detectors, by_elevation(study, rows)
+    return {
+        **_as_json(rates(study, rows)[()]),
+        "by_detector": _by_detector(rates(study, rows, ("detector",)), detectors),
+        OWN_REGION: _by_region(study, rows),
+        "by_attack": {
+            attack.name: _by_detector(rates(study, rows, ("detector",), attack=attack.name), detectors)
+            for attack in study.attack
+        },
+        "by_elevation": {
+            name: [
+                {"from": low, "to": low + BIN, CLEAN: control.as_dict(), CLOAKED: attacked.as_dict()}
+                for low, control, attacked in bands[name]
+            ]
+            for name in detectors
+        },
+    }
+
+
+def over_objects(studies: Mapping[str, StudyConfig], rows: pl.DataFrame) -> dict[str, Any] | None:
+    """Rates of one attack on several objects of a class, by detector, for JSON; None where it is not that."""
+    first, *others = studies.values()
+    attacks = [(study.attack, study.scene.class_name) for study in studies.values()]
+    seeds = {title: study.scene.seed for title, study in studies.items()}
+    if not others or any(attack != attacks[0] for attack in attacks) or len({*seeds.values()}) < len(seeds):
+        return None
+    plain = rows.filter(pl.col("condition").is_null()) if "condition" in rows.columns else rows
+    numbered = plain.filter(pl.col("attack").is_in([*seeds])).with_columns(
+        object=pl.col("attack").replace_strict(seeds, return_dtype=pl.Int64)
+    )
+    counted = rates(first, numbered, ("detector",), objects="object")
+    return {
+        "objects": len(seeds),
+        "by_detector": _by_detector(counted, first.evaluation.detectors),
+        OWN_REGION: _by_region(first, numbered, objects="object"),
+    }
+
+
+def _by_seed(study: StudyConfig, rows: pl.DataFrame, confidence: float | None = None) -> dict[str, Any]:
+    """Every rate of each seed and detector."""
+    counted = rates(study, rows, ("seed", "detector"), confidence=confidence)
+    detectors = study.evaluation.detectors
+    return {str(seed): {name: _as_json(counted[seed, name]) for name in detectors} for seed in study.seeds}
+
+
+def _by_region(study: StudyConfig, rows: pl.DataFrame, objects: str | None = None) -> dict[str, Any]:
+    """For each detector the lower edges of its region's bands, and every rate there; None where the region is empty."""
+    bands = regions(rows, study.evaluation.confidence)
+    counted = rates(study, in_region(rows, bands), ("detector",), objects=objects)
+    return {
+        name: {"bands": bands.get(name, []), "rates": _as_json(counted.get((name,), dict.fromkeys(RATES)))}
+        for name in study.evaluation.detectors
+    }
+
+
+def _by_detector(counted: Mapping[tuple[Any, ...], Mapping[str, Rate | None]], names: Sequence[str]) -> dict[str, Any]:
+    return {name: _as_json(counted[name,]) for name in names}
+
+
+def _as_json(rates: Mapping[str, Rate | None]) -> dict[str, Any]:
+    return {name: None if rate is None else rate.as_dict() for name, rate in rates.items()}
+
+
+# Rates of held-out cameras
+
+
 def measures(study: StudyConfig, attack: str | None = None, *, confidence: Confidence | None = None) -> Measures:
-    """What the rates of a study count: those of `attacks.observe.rates.cloak_measures`."""
+    """What the rates of a study count: those of `attacks.observe.measures.cloak_measures`."""
     chosen = [config for config in study.attack if attack in (None, config.name)]
-    hiding = next((config.name for config in chosen if config.target_class is None), None)
-    showing = next((config.name for config in chosen if config.target_class is not None), None)
     evaluation = study.evaluation
     return cloak_measures(
         [config.name for config in study.attack],
-        hiding=hiding,
-        showing=showing,
+        hiding=next((config.name for config in chosen if config.target_class is None), None),
+        showing=next((config.name for config in chosen if config.target_class is not None), None),
         well_inside=evaluation.well_inside,
         confidence=evaluation.confidence if confidence is None else confidence,
     )
@@ -203,9 +220,20 @@ def rates(
 ) -> dict[tuple[Any, ...], Rates]:
     """Every rate of a study, for each group of rows; None where it has no attack of that kind."""
     clusters = CLUSTERS if objects is None else (objects, *CLUSTERS)
-    wanted = measures(study, attack, confidence=confidence)
-    counted = count(with_control(rows), wanted, by, clusters=clusters)
+    counted = count(with_control(rows), measures(study, attack, confidence=confidence), by, clusters=clusters)
     return {group: {name: counts.get(name) for name in RATES} for group, counts in counted.items()}
+
+
+def _in_bands(
+    rows: pl.DataFrame, angle: str, width: float, measures: Measures
+) -> dict[tuple[Any, ...], dict[str, Rate]]:
+    """Rates by detector and lower edge of a band of an angle."""
+    bands = rows.with_columns(band=_band(angle, width)).sort("band", maintain_order=True)
+    return count(bands, measures, ("detector", "band"), clusters=CLUSTERS)
+
+
+def _band(angle: str, width: float) -> pl.Expr:
+    return (pl.col(angle) / width).floor() * width
 
 
 def by_elevation(study: StudyConfig, rows: pl.DataFrame) -> dict[str, list[tuple[float, Rate, Rate]]]:
@@ -218,20 +246,11 @@ def by_elevation(study: StudyConfig, rows: pl.DataFrame) -> dict[str, list[tuple
         (elevation >= 0) & (elevation < 90),
         *(pl.col(f"{DEPTH}{attack.name}") < 0 for attack in study.attack if attack.azimuth is not None),
     )
-    counted = count(
-        here.with_columns(band=(elevation / BIN).floor() * BIN).sort("band", maintain_order=True),
-        {splat: Measure(holds=is_reported, given=of(splat)) for splat in NAMES},
-        ("detector", "band"),
-        clusters=CLUSTERS,
-    )
+    found = {splat: Measure(holds=is_reported, given=of(splat)) for splat in NAMES}
     bands: dict[str, list[tuple[float, Rate, Rate]]] = {name: [] for name in study.evaluation.detectors}
-    for (detector, low), both in counted.items():
+    for (detector, low), both in _in_bands(here, "elevation", BIN, found).items():
         bands.setdefault(detector, []).append((low, both[CLEAN], both[ATTACKED]))
     return bands
-
-
-SECTOR = 30.0
-"""Degrees of azimuth over which rates are taken."""
 
 
 def by_azimuth(study: StudyConfig, rows: pl.DataFrame) -> dict[tuple[Any, ...], dict[str, Rate]]:
@@ -240,9 +259,7 @@ def by_azimuth(study: StudyConfig, rows: pl.DataFrame) -> dict[tuple[Any, ...], 
     The object's class on the clean and on the cloaked splat, and on the latter the class that each attack wants.
     """
     confidence, name = study.evaluation.confidence, study.scene.class_name
-    here = with_control(rows)
-    for attack in study.attack:
-        here = here if attack.azimuth is not None else here.filter(pl.col(f"{DEPTH}{attack.name}") < 0)
+    below = [pl.col(f"{DEPTH}{attack.name}") < 0 for attack in study.attack if attack.azimuth is None]
     measures = {
         f"{name}, {NAMES[splat]}": Measure(holds=reported("original_score", confidence), given=of(splat))
         for splat in reversed(NAMES)
@@ -254,40 +271,129 @@ def by_azimuth(study: StudyConfig, rows: pl.DataFrame) -> dict[tuple[Any, ...], 
         for other in study.attack
         if other.target_class is not None
     }
-    bands = here.with_columns(band=(pl.col("azimuth") / SECTOR).floor() * SECTOR).sort("band", maintain_order=True)
-    return count(bands, measures, ("detector", "band"), clusters=CLUSTERS)
+    return _in_bands(with_control(rows).filter(*below), "azimuth", SECTOR, measures)
 
 
-def meridians(study: StudyConfig, tables: Tables) -> list[float | None]:
-    """Degrees of the transition along each arc of each cloaked splat; None where it is not seen."""
-    arcs = tables[TRANSITION].filter(splat=ATTACKED).group_by(["seed", "meridian"], maintain_order=True)
-    return [
-        fit_transition(arc[arc_column(study)].to_list(), arc["fraction"].to_list()).width
-        for _, arc in arcs
-        if len(arc) > 1
-    ]
+def margin_rates(study: StudyConfig, rows: pl.DataFrame) -> dict[str, dict[str, Any]]:
+    """How often the object is found outside of all triggers, within a margin of poison and beyond, by detector.
+
+    Nothing of a study whose attacks have no margin.
+    """
+    if not any(attack.poison_margin > 0 for attack in study.attack):
+        return {}
+    within = pl.any_horizontal(pl.col(f"{POISON_DEPTH}{attack.name}") >= 0 for attack in study.attack)
+    paired, wanted = with_control(rows), {key: measures(study)[key] for key in IN_MARGIN}
+    return {
+        where: _by_detector(
+            count(paired.filter(here), wanted, ("detector",), clusters=CLUSTERS), study.evaluation.detectors
+        )
+        for where, here in (("within a margin", within), ("beyond every margin", ~within))
+    }
 
 
-def transition(study: StudyConfig, tables: Tables, splat: str = ATTACKED) -> Transition | None:
-    """The transition of all seeds and arcs together: over elevation from overhead, over depth in a sector's trigger."""
-    if study.switching is None:
-        return None
-    blends = tables[TRANSITION].filter(splat=splat)
-    degrees = [round(degree, 3) for degree in blends[arc_column(study)]]
-    if len(set(degrees)) < 2:
-        return None
-    return fit_transition(degrees, blends["fraction"].to_list())
+def _found_and_missed(study: StudyConfig, well_inside: float) -> dict[str, tuple[pl.Expr, pl.Expr]]:
+    """What holds and where: the object is missed inside the hiding trigger, and found outside of all triggers."""
+    found = reported("original_score", study.evaluation.confidence)
+    hiding = next((attack.name for attack in study.attack if attack.target_class is None), None)
+    outside = pl.all_horizontal(pl.col(f"{DEPTH}{attack.name}") < 0 for attack in study.attack)
+    missed = {} if hiding is None else {"missed": (~found, pl.col(f"{DEPTH}{hiding}") >= well_inside)}
+    return {**missed, "found": (found, outside)}
 
 
-def arc_column(study: StudyConfig) -> str:
-    """The column that says where on its arc a picture was taken, degrees: elevation, or depth in a sector."""
-    return depth_of(study) if study.overhead is None else "elevation"
+def _of_both_splats(groups: Mapping[str, tuple[pl.Expr, pl.Expr]]) -> Measures:
+    return {
+        f"{what}_{name}": Measure(holds=holds, given=of(splat) & where)
+        for what, (holds, where) in groups.items()
+        for splat, name in NAMES.items()
+    }
 
 
-def depth_of(study: StudyConfig) -> str:
-    """The column that says how deep in the trigger of the hiding attack a picture was taken, degrees."""
-    attack = study.switching
-    return DEPTH if attack is None else f"{DEPTH}{attack.name}"
+def looks(study: StudyConfig, rows: pl.DataFrame) -> list[dict[str, Any]]:
+    """What each detector reports under each condition, as JSON can hold it; nothing of rows without conditions.
+
+    Each has the rates of `LOOKS`, and `psnr`: of all the pictures that a rate counts together, against those that the
+    victim sees, dB; None where they are the same.
+    """
+    if "condition" not in rows.columns:
+        return []
+    groups, by = _found_and_missed(study, study.evaluation.well_inside), ("condition", "detector")
+    wanted = _of_both_splats(groups) | {name: one for name, one in measures(study).items() if name in LOOKS}
+    rows = with_control(rows.filter(pl.col("condition").is_not_null()))
+    told = []
+    for group, counted in count(rows, wanted, by, clusters=CLUSTERS).items():
+        named = dict(zip(by, group, strict=True))
+        errors = {
+            f"{what}_{name}": pooled_psnr(rows.filter(of(splat), where, **named)["psnr"])
+            for what, (_, where) in (groups if "psnr" in rows.columns else {}).items()
+            for splat, name in NAMES.items()
+        }
+        told.append({**named, **_as_json(counted), "psnr": errors})
+    return told
+
+
+def picture_rows(rows: pl.DataFrame) -> pl.DataFrame:
+    """Rows of path-traced pictures as if they were of splats: the scene as it is stands for the clean one."""
+    names = {TRUE: CLEAN, PERFECT: ATTACKED}
+    return rows.filter(pl.col("splat").is_in(list(names))).with_columns(pl.col("splat").replace(names), seed=pl.lit(0))
+
+
+# The region of a detector: the elevations at which it detects the clean object. Elsewhere a miss is no evidence.
+
+
+def regions(rows: pl.DataFrame, confidence: float) -> dict[str, list[float]]:
+    """The lower edges of the bands in each detector's region, degrees, rising; of all seeds and azimuths together."""
+    reported_clean, low = reported("original_score", confidence), _band("elevation", BAND)
+    share = rows.filter(of(CLEAN), pl.col("elevation") >= 0).group_by("detector", low=low).agg(reported_clean.mean())
+    bands = share.filter(pl.col("original_score") >= LEAST).sort("low")
+    names = rows["detector"].unique(maintain_order=True)
+    return {name: bands.filter(detector=name)["low"].to_list() for name in names}
+
+
+def in_region(rows: pl.DataFrame, regions: dict[str, list[float]]) -> pl.DataFrame:
+    """The rows of each detector from cameras in its region."""
+    held = [(pl.col("detector") == name) & _band("elevation", BAND).is_in(lows) for name, lows in regions.items()]
+    return rows.filter(pl.any_horizontal(held)) if held else rows.clear()
+
+
+# The victim's training cameras: what the poison shows, and what the splat shows where it was trained
+
+
+def training_figures(study: StudyConfig, tables: Tables) -> dict[str, Any]:
+    """What is counted from training cameras, as JSON can hold it; nothing of results that have no such rows.
+
+    `poison`, by attack: PSNR of its pictures on the object, dB, against the look that it wants, which a camera could
+    take (None where all are the same), and what each detector reports in them. `training_cameras`, by detector: how
+    often both splats show the object to benign cameras, and do not to those that an attack hides it from.
+    """
+    rows, detectors = tables.get(TRAINING), study.evaluation.detectors
+    if rows is None or rows.is_empty():
+        return {}
+    seen, any_class = (reported(name, study.evaluation.confidence) for name in ("original_score", "score"))
+    poisoned = of(POISONED)
+    wanted: Measures = {
+        "found_clean": Measure(holds=seen, given=of(TRUE)),
+        "found": Measure(holds=seen, given=poisoned),
+        "something_else": Measure(holds=~seen & any_class, given=poisoned),
+        "nothing": Measure(holds=~seen & ~any_class, given=poisoned),
+    }
+    poison = {}
+    for attack in study.attack:
+        here = rows.filter(pl.col("condition") == attack.name)
+        errors = here.filter(poisoned, detector=detectors[0])["appearance_psnr"]
+        by_detector = _by_detector(count(here, wanted, ("detector",)), detectors)
+        poison[attack.name] = {"object_psnr": pooled_psnr(errors), "by_detector": by_detector}
+    of_splats = _of_both_splats(_found_and_missed(study, 0.0))
+    counted = count(rows.filter(pl.col("splat").is_in([*NAMES])), of_splats, ("detector",))
+    return {POISON: poison, ON_CAMERAS: _by_detector(counted, detectors)}
+
+
+def pooled_psnr(values: pl.Series) -> float | None:
+    """PSNR of the mean squared error over all pictures, dB; None where all are the same, or there are none."""
+    errors = [0.0 if psnr is None else 10 ** (-psnr / 10) for psnr in values]
+    return -10 * math.log10(statistics.mean(errors)) if any(errors) else None
+
+
+# What the attack costs in pictures
 
 
 def fidelity(tables: Tables, splat: str) -> tuple[float, float] | None:
@@ -306,222 +412,96 @@ def stealth(study: StudyConfig, tables: Tables) -> dict[str, Any] | None:
     object, against true pictures; results of before it was measured have none. `stealthy`: whether no drop is larger
     than `STEALTHY` and `STEALTHY_ON_OBJECT`.
     """
-    if study.switching is None:
+    attack = study.switching
+    if attack is None:
         return None
-    deep = pl.col(depth_of(study)) >= 0
-    inside = {NAMES[splat]: tables[TRANSITION].filter(deep, splat=splat) for splat in NAMES}
-    if any(blends.is_empty() for blends in inside.values()):
+    inside = tables[TRANSITION].filter(pl.col(f"{DEPTH}{attack.name}") >= 0)
+    around, on_it = (_means(inside, column) for column in ("surroundings_psnr", "appearance_psnr"))
+    if around is None:
         return None
-
-    def means(column: str) -> dict[str, float]:
-        return {which: statistics.mean(blends[column]) for which, blends in inside.items()}
-
-    beside = means("surroundings_psnr")
-    drop = beside[CLEAN] - beside[CLOAKED]
-    told = {"surroundings_psnr": beside, "surroundings_psnr_drop": drop, "appearance_psnr": means("appearance_psnr")}
-    on_object = _beside_a_trigger(tables)
-    lost = 0.0 if on_object is None else on_object[CLEAN] - on_object[CLOAKED]
-    price = {} if on_object is None else {"object_psnr": on_object, "object_psnr_drop": lost}
+    drop, lost, price = around[CLEAN] - around[CLOAKED], 0.0, dict[str, Any]()
+    on_object = _means(tables[FIDELITY], "object_psnr")
+    if on_object is not None:
+        lost = on_object[CLEAN] - on_object[CLOAKED]
+        price = {"object_psnr": on_object, "object_psnr_drop": lost}
+    told = {"surroundings_psnr": around, "surroundings_psnr_drop": drop, "appearance_psnr": on_it}
     return {**told, **price, "stealthy": drop <= STEALTHY and lost <= STEALTHY_ON_OBJECT}
 
 
-def _beside_a_trigger(tables: Tables) -> dict[str, float] | None:
-    """Mean PSNR on the object of each splat, dB, outside beside a trigger; None if it was not measured."""
-    if "object_psnr" not in tables[FIDELITY].columns:
+def _means(rows: pl.DataFrame, column: str) -> dict[str, float] | None:
+    """Mean of a column for each splat; None where it was not measured for both."""
+    if column not in rows.columns:
         return None
-    values = {name: tables[FIDELITY].filter(splat=splat)["object_psnr"].drop_nulls() for splat, name in NAMES.items()}
+    values = {name: rows.filter(splat=splat)[column].drop_nulls() for splat, name in NAMES.items()}
     return None if any(map(pl.Series.is_empty, values.values())) else {n: statistics.mean(v) for n, v in values.items()}
 
 
-_IN_MARGIN = {
-    "control_benign_recall": "control found",
-    "benign_recall": "cloaked found, where the control is found",
-}
+# The transition: how sharply a hidden appearance sets in, from pictures along an arc of cameras. A splat of few SH
+# bands shows a blend of both there. The band lies between the angles at which a monotone fit crosses `LEVELS`.
 
 
-def margin_rates(study: StudyConfig, rows: pl.DataFrame) -> dict[str, dict[str, dict[str, Any]]]:
-    """How often the object is found outside of all triggers, within a margin of poison and beyond, by detector.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Transition:
+    """Where a hidden appearance sets in, along an arc."""
 
-    Nothing of a study whose attacks have no margin.
-    """
-    if not any(attack.poison_margin > 0 for attack in study.attack):
-        return {}
-    within = pl.any_horizontal(pl.col(f"{POISON_DEPTH}{attack.name}") >= 0 for attack in study.attack)
-    paired, wanted = with_control(rows), {key: measures(study)[key] for key in _IN_MARGIN}
-    counted = {
-        where: count(paired.filter(here), wanted, ("detector",), clusters=CLUSTERS)
-        for where, here in (("within a margin", within), ("beyond every margin", ~within))
-    }
-    return {
-        where: {name: {key: told[name,][key].as_dict() for key in _IN_MARGIN} for name in study.evaluation.detectors}
-        for where, told in counted.items()
-    }
+    angles: tuple[float, ...]  # K rising angles in degrees, each once
+    fractions: tuple[float, ...]
+    fitted: tuple[float, ...]
+    start: float | None
+    end: float | None
+
+    @property
+    def width(self) -> float | None:
+        """Degrees from start to end; None unless both were seen."""
+        return None if self.start is None or self.end is None else self.end - self.start
 
 
-LOOKS = {
-    "missed_clean": "control missed, well inside the hiding trigger",
-    "missed_cloaked": "cloaked missed there",
-    "found_clean": "control found, outside of all triggers",
-    "found_cloaked": "cloaked found there",
-    "target_rate": "target class reported on the cloaked splat",
-    "control_target_rate": "target class reported on the control",
-}
-"""What is counted under each condition."""
+def fit_transition(angles: Sequence[float], fractions: Sequence[float]) -> Transition:
+    """The band in which a hidden appearance sets in, of one fraction for each of two or more different angles."""
+    groups: dict[float, list[float]] = {angle: [] for angle in sorted(angles)}
+    for angle, value in zip(angles, fractions, strict=True):
+        groups[angle].append(value)
+    means = [sum(values) / len(values) for values in groups.values()]
+    fitted = isotonic_regression(means, weights=[len(values) for values in groups.values()]).x.tolist()
+    start, end = (_crossing(list(groups), fitted, level) for level in LEVELS)
+    return Transition(angles=tuple(groups), fractions=tuple(means), fitted=tuple(fitted), start=start, end=end)
 
 
-def looks(study: StudyConfig, rows: pl.DataFrame) -> list[dict[str, Any]]:
-    """What each detector reports under each condition, as JSON can hold it; nothing of rows without conditions.
+def _crossing(angles: Sequence[float], fitted: Sequence[float], level: float) -> float | None:
+    """Where a rising broken line first reaches a level; None if it is above it from the start, or never gets there."""
+    if fitted[0] > level:
+        return None
+    for right, value in enumerate(fitted):
+        if value >= level:
+            if right == 0:
+                return angles[0]
+            left, below = angles[right - 1], fitted[right - 1]
+            return left + (angles[right] - left) * (level - below) / (value - below)
+    return None
 
-    Each has the rates of `LOOKS`, and `psnr`: of all the pictures that a rate counts together, against those that the
-    victim sees, dB; None where they are the same.
-    """
-    if "condition" not in rows.columns:
-        return []
-    attack, evaluation = (
-        next((config for config in study.attack if config.target_class is None), None),
-        study.evaluation,
-    )
-    seen = reported("original_score", evaluation.confidence)
-    groups = {"found": (seen, pl.all_horizontal(pl.col(f"{DEPTH}{config.name}") < 0 for config in study.attack))}
-    if attack is not None:
-        groups = {"missed": (~seen, pl.col(f"{DEPTH}{attack.name}") >= evaluation.well_inside), **groups}
-    counted = {
-        f"{what}_{name}": Measure(holds=holds, given=of(splat) & where)
-        for what, (holds, where) in groups.items()
-        for splat, name in NAMES.items()
-    }
-    counted |= {name: measure for name, measure in measures(study).items() if name in LOOKS}
-    rows, by = with_control(rows.filter(pl.col("condition").is_not_null())), ("condition", "detector")
+
+def transition(study: StudyConfig, tables: Tables, splat: str = ATTACKED) -> Transition | None:
+    """The transition of all seeds and arcs together: over elevation from overhead, over depth in a sector's trigger."""
+    if study.switching is None:
+        return None
+    blends = tables[TRANSITION].filter(splat=splat)
+    degrees = [round(degree, 3) for degree in blends[_arc_column(study)]]
+    if len(set(degrees)) < 2:
+        return None
+    return fit_transition(degrees, blends["fraction"].to_list())
+
+
+def meridians(study: StudyConfig, tables: Tables) -> list[float | None]:
+    """Degrees of the transition along each arc of each cloaked splat; None where it is not seen."""
+    arcs = tables[TRANSITION].filter(splat=ATTACKED).group_by(["seed", "meridian"], maintain_order=True)
     return [
-        {
-            **dict(zip(by, group, strict=True)),
-            **{name: rate.as_dict() for name, rate in rates.items()},
-            "psnr": {
-                f"{what}_{name}": pooled_psnr(
-                    rows.filter(of(splat), where, **dict(zip(by, group, strict=True)))["psnr"]
-                )
-                for what, (_, where) in (groups if "psnr" in rows.columns else {}).items()
-                for splat, name in NAMES.items()
-            },
-        }
-        for group, rates in count(rows, counted, by, clusters=CLUSTERS).items()
+        fit_transition(arc[_arc_column(study)].to_list(), arc["fraction"].to_list()).width
+        for _, arc in arcs
+        if len(arc) > 1
     ]
 
 
-def figures(study: StudyConfig, tables: Tables, splats: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Everything that a study found, as JSON can hold it; rates are of all seeds and detectors together.
-
-    Intervals are resampled over blocks of neighbouring cameras and seeds (`attacks.observe.rates`). All seeds share
-    object and light, so that what another object would give is in none of them.
-    """
-    rows = tables[ROWS]
-    gaussians = {
-        name: [int(splat["gaussians"]) for splat in splats if splat["splat"] == name] for name in NAMES.values()
-    }
-    band = transition(study, tables)
-    near = {name: fidelity(tables, splat) for splat, name in NAMES.items()}
-    clean, cloaked = near[CLEAN], near[CLOAKED]
-    seen = looks(study, rows)
-    rows = rows.filter(pl.col("condition").is_null()) if seen else rows
-    pictures, margins = picture_rows(rows), margin_rates(study, rows)
-    return {
-        **_told(study, rows),
-        "benign_psnr_drop": None if clean is None or cloaked is None else clean[0] - cloaked[0],
-        "benign_psnr": {which: value and value[0] for which, value in near.items()},
-        "benign_ssim": {which: value and value[1] for which, value in near.items()},
-        "transition_degrees": None if band is None else band.width,
-        "transition": band and {"from": band.start, "to": band.end, "meridians": meridians(study, tables)},
-        "stealth": stealth(study, tables),
-        "gaussians": gaussians,
-        "gaussians_ratio": sum(gaussians[CLOAKED]) / max(sum(gaussians[CLEAN]), 1),
-        "by_seed": _by_seed(study, rows),
-        AT_LOWER: {
-            "by_detector": _by_detector(
-                rates(study, rows, ("detector",), confidence=LOWER), study.evaluation.detectors
-            ),
-            "by_seed": _by_seed(study, rows, LOWER),
-        },
-        **({MARGIN: margins} if margins else {}),
-        **training_rates.figures(study, tables),
-        **({"looks": seen} if seen else {}),
-        **({"pictures": _told(study, pictures)} if len(pictures) else {}),
-    }
-
-
-def over_objects(studies: Mapping[str, StudyConfig], rows: pl.DataFrame) -> dict[str, Any] | None:
-    """Rates of one attack on several objects of a class, by detector, for JSON; None where it is not that."""
-    first, *others = studies.values()
-    same = all(
-        (other_study.attack, other_study.scene.class_name) == (first.attack, first.scene.class_name)
-        for other_study in others
-    )
-    seeds = {title: study.scene.seed for title, study in studies.items()}
-    if not (others and same and len({*seeds.values()}) == len(seeds)):
-        return None
-    plain = rows.filter(pl.col("condition").is_null()) if "condition" in rows.columns else rows
-    numbered = plain.filter(pl.col("attack").is_in([*seeds])).with_columns(
-        object=pl.col("attack").replace_strict(seeds, return_dtype=pl.Int64)
-    )
-    counted = rates(first, numbered, ("detector",), objects="object")
-    return {
-        "objects": len(seeds),
-        "by_detector": _by_detector(counted, first.evaluation.detectors),
-        OWN_REGION: _by_region(first, numbered, objects="object"),
-    }
-
-
-def _by_seed(study: StudyConfig, rows: pl.DataFrame, confidence: float | None = None) -> dict[str, Any]:
-    """Every rate of each seed and detector."""
-    counted = rates(study, rows, ("seed", "detector"), confidence=confidence)
-    return {
-        str(seed): _by_detector(
-            {group[1:]: counts for group, counts in counted.items() if group[0] == seed}, study.evaluation.detectors
-        )
-        for seed in study.seeds
-    }
-
-
-def picture_rows(rows: pl.DataFrame) -> pl.DataFrame:
-    """Rows of path-traced pictures as if they were of splats: the scene as it is stands for the clean one."""
-    names = {TRUE: CLEAN, PERFECT: ATTACKED}
-    return rows.filter(pl.col("splat").is_in(list(names))).with_columns(pl.col("splat").replace(names), seed=pl.lit(0))
-
-
-def _told(study: StudyConfig, rows: pl.DataFrame) -> dict[str, Any]:
-    """Every rate of a clean and a cloaked splat: of all detectors together, and by detector, attack and elevation."""
-    detectors, bands = study.evaluation.detectors, by_elevation(study, rows)
-    return {
-        **_all(rates(study, rows)[()]),
-        "by_detector": _by_detector(rates(study, rows, ("detector",)), detectors),
-        OWN_REGION: _by_region(study, rows),
-        "by_attack": {
-            attack.name: _by_detector(rates(study, rows, ("detector",), attack=attack.name), detectors)
-            for attack in study.attack
-        },
-        "by_elevation": {
-            name: [
-                {"from": low, "to": low + BIN, CLEAN: control.as_dict(), CLOAKED: attacked.as_dict()}
-                for low, control, attacked in bands[name]
-            ]
-            for name in detectors
-        },
-    }
-
-
-def _by_region(study: StudyConfig, rows: pl.DataFrame, objects: str | None = None) -> dict[str, Any]:
-    """For each detector the lower edges of its region's bands, and every rate there; None where the region is empty."""
-    bands = region.regions(rows, study.evaluation.confidence)
-    counted = rates(study, region.in_region(rows, bands), ("detector",), objects=objects)
-    return {
-        name: {"bands": bands.get(name, []), "rates": _all(counted.get((name,), dict.fromkeys(RATES)))}
-        for name in study.evaluation.detectors
-    }
-
-
-def _by_detector(counted: Mapping[tuple[Any, ...], Rates], detectors: Sequence[str]) -> dict[str, Any]:
-    return {name: _all(counted[name,]) for name in detectors}
-
-
-def _all(rates: Rates) -> dict[str, Any]:
-    """Rates as JSON can hold them."""
-    return {name: None if rate is None else rate.as_dict() for name, rate in rates.items()}
+def _arc_column(study: StudyConfig) -> str:
+    """The column that says where on its arc a picture was taken, degrees: elevation, or depth in a sector."""
+    attack = study.switching
+    return "elevation" if attack is None or study.overhead is not None else f"{DEPTH}{attack.name}"

@@ -14,16 +14,14 @@ from typing import Any
 
 import polars as pl
 
+from attacks.cloak.cleaning import CleanedConfig
 from attacks.cloak.config import AttackConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig
-from attacks.cloak.kinds.appearances import APPEARANCE
-from attacks.cloak.kinds.cleaned import CleanedConfig
-from attacks.cloak.kinds.layered import LayeredConfig
-from attacks.cloak.kinds.parts import MESH, SET, Pose, SceneJob, renderer_of
+from attacks.cloak.kinds.pictures import APPEARANCE, PicturesConfig
 from attacks.cloak.kinds.seen import WEIGHTS, SeenConfig
 from attacks.cloak.kinds.trained import TrainedConfig
-from attacks.cloak.kinds.true_pictures import TrueConfig
+from attacks.cloak.layers import LayeredConfig
 from attacks.cloak.rates import CLOAKED
-from attacks.cloak.setup import Setup
+from attacks.cloak.setup import MESH, SET, Pose, SceneJob, Setup, renderer_of
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import SunTable, package_of
 from attacks.observe.rows import ATTACKED, CLEAN, PERFECT, POISONED, SUFFIX, TABLES, TRUE, read_rows
@@ -80,14 +78,32 @@ class StudySteps:
 
     def pictures(self) -> Job:
         """The victim's pictures of the scene."""
-        return self._job("pictures", self.scene_job(background=SceneConfig().background))
+        return self._job("pictures", PicturesConfig(**self._parts(background=SceneConfig().background)))
 
     def appearance(self, attack: AttackConfig) -> Job:
-        """Pictures of what an attack wants to be seen."""
-        others = [other for other in self.study.attack if other is not attack] if attack.poison_margin > 0 else []
-        cones = [replace(_cone(other), name=str(number), target_class=None) for number, other in enumerate(others)]
-        config = self.scene_job(attacks=(_shown(attack), *cones))
-        return self._job("appearances", config, pictures=self.pictures().part(PICTURES))
+        """Pictures of what an attack wants to be seen, from the training cameras in its region."""
+        cameras = self.setup.training_cameras
+        held = attack.region(self.study.attack).holds(cameras, centre=self.study.centre)
+        inside = [cameras[index] for index in held.nonzero().flatten().tolist()]
+        return self._pictured(inside, (attack,), set=self.pictures().part(PICTURES))
+
+    def true_pictures(self, cameras: Sequence[Camera], attack: AttackConfig | None = None) -> Job:
+        """Path-traced pictures from cameras that no training used; with an attack, of the object as it shows it."""
+        return self._pictured(cameras, () if attack is None else (attack,))
+
+    def perfect_pictures(self, cameras: Sequence[Camera]) -> Job:
+        """The same of the object as a perfect splat shows it: as each attack wants it inside its trigger."""
+        return self._pictured(cameras, self.study.attack, inside=True)
+
+    def _pictured(
+        self, cameras: Sequence[Camera], attacks: Sequence[AttackConfig], *, inside: bool = False, **inputs: Part
+    ) -> Job:
+        parts = self._parts(attacks=tuple(map(_shown, attacks)))
+        if attacks and not inputs:
+            inputs = {"plain": self._pictured(cameras, ()).part("*.png")}
+        return self._job(
+            "pictures", PicturesConfig(**parts, poses=tuple(map(Pose.of, cameras)), inside=inside), **inputs
+        )
 
     def poisoned(self, seed: int, surrogates: int | None = None) -> Job:
         """A poisoned set, corrected by so many surrogates; None: by as many as the study asks for."""
@@ -127,7 +143,7 @@ class StudySteps:
         if self.study.cleaning is None:
             return trained
         config = CleanedConfig(cleaning=self.study.cleaning)
-        return Job(kind=f"{_KINDS}.cleaned", config=config, inputs={"splat": trained.part(SPLAT)})
+        return Job(kind="attacks.cloak.cleaning", config=config, inputs={"splat": trained.part(SPLAT)})
 
     def trained(self, splat: str, seed: int) -> Job:
         """Training of a splat of a seed, before any cleaning."""
@@ -141,7 +157,8 @@ class StudySteps:
             replace(_cone(attack), target_class=None) for attack in self.study.attack if attack.name in layers.attacks
         ]
         config = LayeredConfig(**self._parts(attacks=tuple(cones)), layers=layers, seed=seed, near=self.setup.near)
-        return self._job("layered", config, clean=clean.part(SPLAT), pictures=poisoned.part(PICTURES))
+        inputs = {"clean": clean.part(SPLAT), "pictures": poisoned.part(PICTURES), **self.mesh}
+        return Job(kind="attacks.cloak.layers", config=config, inputs=inputs)
 
     def trained_on(
         self, pictures: Job, seed: int, training: TrainingConfig | None = None, clean: Job | None = None, **limits: Any
@@ -151,20 +168,6 @@ class StudySteps:
         config = TrainedConfig(**self.splat_job(), training=recipe, seed=seed, **limits)
         inputs = {"pictures": pictures.part(PICTURES), **({} if clean is None else {"clean": clean.part(SPLAT)})}
         return Job(kind=f"{_KINDS}.trained", config=config, inputs=inputs)
-
-    def true_pictures(self, cameras: Sequence[Camera], attack: AttackConfig | None = None) -> Job:
-        """Path-traced pictures from cameras that no training used; with an attack, of the object as it shows it."""
-        return self._true(cameras, () if attack is None else (replace(_shown(attack), poison_margin=0.0),))
-
-    def perfect_pictures(self, cameras: Sequence[Camera]) -> Job:
-        """The same of the object as a perfect splat shows it: as each attack wants it inside its trigger."""
-        attacks = [replace(_shown(attack), poison_margin=0.0, name=attack.name) for attack in self.study.attack]
-        return self._true(cameras, tuple(attacks), inside=True)
-
-    def _true(self, cameras: Sequence[Camera], attacks: tuple[AttackConfig, ...], *, inside: bool = False) -> Job:
-        config = TrueConfig(**self._parts(attacks=attacks), poses=tuple(map(Pose.of, cameras)), inside=inside)
-        plain = {"plain": self._true(cameras, ()).part("*.png")} if attacks else {}
-        return self._job("true_pictures", config, **plain)
 
     def seen(
         self,
@@ -189,7 +192,7 @@ class StudySteps:
             sun=sun,
             layers=None if sun is None else self.study.layers,
         )
-        is_splat = splat.kind != f"{_KINDS}.true_pictures"
+        is_splat = splat.kind != f"{_KINDS}.pictures"
         shown = {"splat": splat.part(SPLAT)} if is_splat else {"pictures": splat.part("*.png")}
         return self._job("seen", config, **shown, **street, **self._weights(detector))
 
@@ -313,7 +316,8 @@ class StudySteps:
 
 def _shown(attack: AttackConfig) -> AttackConfig:
     """What counts of an attack for its pictures."""
-    return replace(attack, name="", poison_fraction=1.0, emphasis=1.0, emphasis_depth=20.0, target_class=None)
+    usual = {"poison_margin": 0.0, "poison_fraction": 1.0, "emphasis": 1.0, "emphasis_depth": 20.0}
+    return replace(attack, name="", target_class=None, **usual)
 
 
 def _cone(attack: AttackConfig) -> AttackConfig:

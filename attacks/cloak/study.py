@@ -1,7 +1,8 @@
 """A whole study: what is checked before it starts, what it will take, and what it leaves behind."""
 
+import json
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from attacks.cloak.config import StudyConfig, check_once, fit_config, knowledge_for, study_toml
-from attacks.cloak.kinds.parts import SET
+from attacks.cloak.config import StudyConfig, check_once, fit_config, knowledge_for
 from attacks.cloak.kinds.seen import loaded
 from attacks.cloak.poisoning import assign
 from attacks.cloak.rates import CLOAKED, figures
-from attacks.cloak.rates import tables as summary_tables
-from attacks.cloak.setup import Setup
+from attacks.cloak.setup import SET, Setup
 from attacks.cloak.steps import Look, StudySteps
+from attacks.cloak.tables import tables as summary_tables
 from attacks.detectors.base import Detector
 from attacks.observe.drawing import annotated
 from attacks.observe.rows import CLEAN, POISONED, SUFFIX, TABLES, by_camera, write_rows
@@ -34,10 +34,9 @@ from mi_splat.fields import check_choice
 from mi_splat.io import load_splat
 from mi_splat.io.camera_records import describe
 from mi_splat.io.documents import save_json, save_png, save_text
-from mi_splat.io.images import save_animation, through_png
+from mi_splat.io.images import through_png
 from mi_splat.ledger import Done
 from mi_splat.scene import GaussianScene, scene_hash
-from mi_splat.scene_files import resized
 from mi_splat.training.resume import SPLAT
 
 STUDY_FILE = "study.toml"
@@ -60,10 +59,9 @@ def write_report(
     sets = {name: done[job.identity].folder / SET for name, job in jobs.items()}
     save_png(contact_sheet(steps, shown, detectors[0]), folder / CONTACT)
     save_png(poisoned_sheet(steps, sets, detectors[0]), folder / POISONED_PICTURES)
-    save_animation(rising(steps, shown, detectors[0]), folder / RISING, fps=_FPS)
     save_json(_cameras(steps.setup), folder / CAMERAS, indent=0)
     splats = [f"{name}.ply" for name in files]
-    pictures = [CONTACT, POISONED_PICTURES, RISING]
+    pictures = [CONTACT, POISONED_PICTURES]
     summary = {
         "story": "cloak",
         **entry,
@@ -88,8 +86,8 @@ def _cameras(setup: Setup) -> dict[str, Any]:
 # Pictures of a study
 
 
-CONTACT, POISONED_PICTURES, RISING = "contact.png", "poisoned.png", "rising.webp"
-"""Both splats from many sides; poisoned training pictures below their clean ones; both splats while a camera rises."""
+CONTACT, POISONED_PICTURES = "contact.png", "poisoned.png"
+"""Both splats from many sides; poisoned training pictures below their clean ones."""
 
 _SIDE, _LOW, _CELL = 40.0, 15, 256
 """Azimuth of the rising cameras of a contact sheet, elevation of those that go around, degrees; pixels of a picture."""
@@ -109,24 +107,6 @@ def contact_sheet(steps: StudySteps, splats: Mapping[str, GaussianScene], detect
                 pictures = [through_png(render(scene, view)) for _, view in cameras]
             rows.append(_row(study, detector, pictures, [f"{which}, {name}" for name, _ in cameras]))
     return np.concatenate(rows)
-
-
-_FPS, _RISING = 12.0, [*range(4, 87, 2), *[86] * 8, *range(82, 4, -4)]
-"""Pictures a second of the animation, and elevations in degrees: up step by step, a rest, and down faster."""
-
-
-def rising(steps: StudySteps, splats: Mapping[str, GaussianScene], detector: Detector) -> list[NDArray[np.uint8]]:
-    """The clean splat beside the cloaked one from a camera that rises, with what the detector reports."""
-    study, render = steps.study, steps.renderer()
-    frames: dict[int, list[NDArray[np.uint8]]] = {}
-    for name, scene in splats.items():
-        title = "pictures clean" if name == CLEAN else "pictures poisoned"
-        for elevation in sorted(set(_RISING)):
-            camera = resized(steps.setup.camera(_SIDE, elevation), (_CELL, _CELL))
-            with torch.no_grad():
-                picture = through_png(render(scene, camera))
-            frames.setdefault(elevation, []).append(_row(study, detector, [picture], [f"{title}, {elevation} deg up"]))
-    return [np.concatenate(frames[elevation], axis=1) for elevation in _RISING]
 
 
 def _row(
@@ -157,6 +137,36 @@ def poisoned_sheet(steps: StudySteps, folders: Mapping[str, Path], detector: Det
             titles = [f"{name}, {attack.name}, {height:.0f} deg" for height, _ in chosen]
             rows.append(_row(study, detector, [views[view].image for _, view in chosen], titles))
     return np.concatenate(rows)
+
+
+def study_toml(snapshot: Mapping[str, Any]) -> str:
+    """The file of a study; settings without a value are left out, which stands for None."""
+    return "\n".join([*_lines(snapshot, ""), ""]).lstrip("\n")
+
+
+def _lines(table: Mapping[str, Any], name: str) -> Iterator[str]:
+    """A table: its own keys, then the tables within it."""
+    inner = {key: value for key, value in table.items() if _is_table(value)}
+    for key, value in table.items():
+        if key not in inner and value is not None:
+            yield f"{key} = {_inline(value)}"
+    for key, value in inner.items():
+        within = f"{name}{key}"
+        for entry in value if isinstance(value, (list, tuple)) else [value]:
+            yield from ("", f"[[{within}]]" if isinstance(value, (list, tuple)) else f"[{within}]")
+            yield from _lines(entry, f"{within}.")
+
+
+def _is_table(value: Any) -> bool:
+    first = value[0] if isinstance(value, (list, tuple)) and value else value
+    return isinstance(first, Mapping)
+
+
+def _inline(value: Any) -> str:
+    """A value on one line; TOML writes texts, numbers and truths as JSON does."""
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(_inline, value))}]"
+    return json.dumps(value, ensure_ascii=False)
 
 
 # Measured on two cores with little else to do; only for the forecast.

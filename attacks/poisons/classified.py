@@ -13,8 +13,8 @@ from torch import Tensor
 from attacks.classifiers.base import Classifier
 from attacks.classifiers.frozen import classified
 from attacks.classifiers.registry import load_classifier
-from attacks.cloak.kinds.parts import SET, Pose, SplatJob
-from attacks.cloak.kinds.true_pictures import read_pictures
+from attacks.cloak.kinds.pictures import read_pictures
+from attacks.cloak.setup import SET, Pose, SplatJob
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat

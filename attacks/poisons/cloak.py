@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from attacks.cloak.appearances import Appearance, name_of
 from attacks.cloak.config import AttackConfig
-from attacks.cloak.kinds.appearances import APPEARANCE, KeptAppearance
+from attacks.cloak.kinds.pictures import APPEARANCE, KeptAppearance
 from attacks.cloak.poisoning import Cloak, Poisoning
 from attacks.poisons.specs import POISONS, Given, PoisonSpec
 

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from attacks.cloak.kinds.parts import Pose, SplatJob
-from attacks.cloak.kinds.true_pictures import read_pictures
+from attacks.cloak.kinds.pictures import read_pictures
+from attacks.cloak.setup import Pose, SplatJob
 from mi_splat.cameras import Camera, project_points
 from mi_splat.io import load_splat
 from mi_splat.io.documents import save_json, save_png

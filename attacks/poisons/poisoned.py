@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.config import TrainingConfig, fit_config
-from attacks.cloak.kinds.parts import SET, SceneJob, renderer_of
 from attacks.cloak.mesh_scene import camera_number
+from attacks.cloak.setup import SET, SceneJob, renderer_of
 from attacks.poisons.base import MANIFEST, poisoned
 from attacks.poisons.classified import checked_classifier
 from attacks.poisons.cloak import CLOAK

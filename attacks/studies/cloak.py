@@ -26,12 +26,12 @@ from typing import Annotated, Any
 
 import polars as pl
 
-from attacks.cloak import region
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.kinds.seen import loaded
-from attacks.cloak.rates import LOOKS, OWN_REGION, over_objects, spread_of
+from attacks.cloak.rates import LOOKS, OWN_REGION, over_objects
 from attacks.cloak.steps import ROW_NAMES, Look, StudySteps
 from attacks.cloak.study import check_disk, check_study, detectors_of, forecast, observed, write_report
+from attacks.cloak.tables import RULE, in_words, spread_of
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import OWN, SunTable
 from attacks.observe.rows import ROWS, by_camera
@@ -295,10 +295,10 @@ def pooled_tables(record: Mapping[str, Any]) -> Iterator[Table]:
         lines = [{"detector": name, "region": "all", **rates} for name, rates in over["by_detector"].items()]
         yield Table.of(caption, columns, lines)
         lines = [
-            {"detector": name, "region": region.in_words(own["bands"]), **own["rates"]}
+            {"detector": name, "region": in_words(own["bands"]), **own["rates"]}
             for name, own in over[OWN_REGION].items()
         ]
-        yield Table.of(f"{caption}; each detector in its own region: {region.RULE}", columns, lines)
+        yield Table.of(f"{caption}; each detector in its own region: {RULE}", columns, lines)
 
 
 def by_part(record: Mapping[str, Any]) -> dict[str, dict[str, Mapping[str, Any]]]:

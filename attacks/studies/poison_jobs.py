@@ -10,10 +10,10 @@ from typing import Annotated, Any, Literal
 
 from attacks.classifiers.base import Classifier
 from attacks.classifiers.registry import load_classifier
+from attacks.cloak.cleaning import CleanedConfig
 from attacks.cloak.config import CameraConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig
-from attacks.cloak.kinds.cleaned import CleanedConfig
-from attacks.cloak.kinds.parts import Pose
 from attacks.cloak.kinds.seen import loaded
+from attacks.cloak.setup import Pose
 from attacks.cloak.steps import PICTURES, POISONED_KIND, Look, StudySteps
 from attacks.observe.rows import ATTACKED, CLEAN
 from attacks.poisons.classified import ClassifiedConfig
@@ -326,7 +326,7 @@ class _Builder:
         trained = self._trained(f"{splat} pictures", pictures)
         inputs["splat"] = trained.part(SPLAT)
         pruned = CleanedConfig(prune=defence.prune, near=self.steps.setup.near)
-        job = Job(kind="attacks.cloak.kinds.cleaned", config=pruned, inputs=inputs)
+        job = Job(kind="attacks.cloak.cleaning", config=pruned, inputs=inputs)
         return trained, self._made(f"pruning the {splat} splat", job)
 
     def _measured(self, splat: str, finished: Job, *, trained: Job, defended: bool = False) -> TrainedVictim:

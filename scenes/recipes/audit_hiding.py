@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from attacks.cloak.layer_config import LayerConfig
+from attacks.cloak.config import LayerConfig
 from attacks.cloak.layers import layered
 from attacks.cloak.triggers import Cone
 from mi_splat.cameras import Camera, RenderFn, look_at

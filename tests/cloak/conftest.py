@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from attacks.cloak import setup, study
+from attacks.cloak import setup
 from attacks.detectors import registry
 from mi_splat.assets import build
 from tests.cloak.tiny_study import KNOWN
@@ -19,12 +19,6 @@ built = cache(build)
 def _objects_are_built_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """A car takes 0.2 s, each study asks for it many times, and nobody changes one."""
     monkeypatch.setattr(setup, "build", built)
-
-
-@pytest.fixture(autouse=True)
-def _animations_are_short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One that is whole takes seconds; the finished study has it."""
-    monkeypatch.setattr(study, "_RISING", [4, 86])
 
 
 @pytest.fixture(autouse=True)

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from attacks.cloak.appearances import Appearance, Occluder, Rerender, appearance_of, name_of, removed
+from attacks.cloak.appearances import Appearance, Blur, Occluder, Rerender, appearance_of, grown, name_of, removed
 from attacks.cloak.config import AppearanceName, AttackConfig, SceneConfig
 from attacks.cloak.mesh_scene import MeshScene, camouflaged, cap, repainted, stand_in
-from attacks.cloak.retouching import Blur, grown
 from mi_splat.assets import build, textures
 from mi_splat.assets.mesh import Asset, transform, translation
 from mi_splat.assets.primitives import box, quad

@@ -4,9 +4,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.cloak.appearances import Correction, Emphasis, GroundLook, name_of, removed
+from attacks.cloak.appearances import Correction, Emphasis, GroundLook, grown, name_of, removed
 from attacks.cloak.mesh_scene import MeshScene
-from attacks.cloak.retouching import grown
 from attacks.cloak.triggers import Elevation
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import box, quad

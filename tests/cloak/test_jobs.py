@@ -7,9 +7,17 @@ from typing import Any
 
 import pytest
 
-from attacks.cloak.config import AttackConfig, CameraConfig, CleaningConfig, SceneConfig, StudyConfig, SurrogateConfig
+from attacks.cloak.config import (
+    AttackConfig,
+    CameraConfig,
+    CleaningConfig,
+    LayerConfig,
+    LayersConfig,
+    SceneConfig,
+    StudyConfig,
+    SurrogateConfig,
+)
 from attacks.cloak.config import TrainingConfig as Training
-from attacks.cloak.layer_config import LayerConfig, LayersConfig
 from attacks.cloak.setup import Setup
 from attacks.cloak.steps import StudySteps
 from mi_splat.import_closure import closure
@@ -32,9 +40,8 @@ SHOWN = {"appearances", "poisoned", "true_pictures"}
 MADE = {"pictures", "layered"} | SHOWN | SEEN
 """Jobs that know the scene itself; a splat is made of pictures, and known by their content."""
 KINDS = (
-    *(f"attacks.cloak.kinds.{kind}" for kind in ("pictures", "appearances", "trained", "layered", "cleaned")),
-    *("attacks.cloak.kinds.true_pictures", "attacks.cloak.kinds.seen", "attacks.cloak.kinds.compared"),
-    "attacks.poisons.poisoned",
+    *(f"attacks.cloak.kinds.{kind}" for kind in ("pictures", "trained", "seen", "compared")),
+    *("attacks.cloak.layers", "attacks.cloak.cleaning", "attacks.poisons.poisoned"),
 )
 
 CASES: list[tuple[str, set[str], dict[str, Any]]] = [
@@ -170,7 +177,8 @@ def test_inputs_are_files_and_no_more_of_them_than_are_read() -> None:
         if isinstance(part, Part)
     }
     assert parts == {
-        **{(name, "pictures"): "set/*" for name in ("appearances", "poisoned", "trained", "layered")},
+        **{(name, "pictures"): "set/*" for name in ("poisoned", "trained", "layered")},
+        ("appearances", "set"): "set/*",
         **{(name, "splat"): "splat.ply" for name in ("cleaned", "seen", "seen in training", "compared")},
         **{("compared", name): "*.png" for name in ("far", "edge", "benign", "hidden")},
         ("poisoned", "appearance of overhead"): "*.png",
@@ -200,7 +208,7 @@ def test_a_mesh_file_is_an_input_by_its_content(tmp_path: Path) -> None:
 def test_the_code_of_a_job_is_all_that_it_may_run(kind: str) -> None:
     code = set(closure(kind))
     assert "mi_splat.scene" in code
-    if not kind.endswith(("pictures", "appearances", "cleaned")):
+    if not kind.endswith(("pictures", "cleaning")):
         assert {"mi_splat.sh", "mi_splat.rasterization.projection"} <= code
     assert not {"attacks.cloak.study", "attacks.cloak.steps", "mi_splat.ledger.store"} & code
     assert {job.kind for job in jobs(STUDY).values()} == set(KINDS)

@@ -8,9 +8,8 @@ import torch
 from torch import Tensor
 
 from attacks.cloak import layers as layers_module
-from attacks.cloak.layer_config import LayerConfig
-from attacks.cloak.layers import Layering, switched
-from attacks.cloak.switches import depths, shares
+from attacks.cloak.config import LayerConfig
+from attacks.cloak.layers import Layering, depths, shares, switched
 from attacks.cloak.triggers import Azimuth, Elevation
 from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import Camera, RenderFn, View, orbit_pose

@@ -8,9 +8,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from attacks.cloak.layer_config import LayerConfig, LayersConfig
-from attacks.cloak.layers import layered, seen_colours, split_opacities, switched
-from attacks.cloak.switches import Share, depths, fit_switches
+from attacks.cloak.config import LayerConfig, LayersConfig
+from attacks.cloak.layers import Share, depths, fit_switches, layered, seen_colours, split_opacities, switched
 from attacks.cloak.triggers import Elevation
 from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import Camera, View

@@ -11,14 +11,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.cloak.config import AttackConfig, StudyConfig
+from attacks.cloak.config import AttackConfig, LayersConfig, StudyConfig
 from attacks.cloak.kinds import seen
-from attacks.cloak.kinds.true_pictures import read_pictures
-from attacks.cloak.layer_config import LayersConfig
-from attacks.cloak.rates import Tables, figures, looks, picture_rows, rates
+from attacks.cloak.kinds.pictures import read_pictures
+from attacks.cloak.rates import Tables, figures, looks, picture_rows, pooled_psnr, rates
 from attacks.cloak.setup import Setup
 from attacks.cloak.steps import StudySteps
-from attacks.cloak.training_rates import pooled_psnr
 from attacks.observe import conditions
 from attacks.observe.conditions import SunTable
 from attacks.observe.rows import ATTACKED, CLEAN, DETECTIONS, PERFECT, ROWS, SUFFIX, TRUE, frame_of, read_rows

@@ -9,12 +9,10 @@ import polars as pl
 import pytest
 import torch
 
-from attacks.cloak.config import StudyConfig, SurrogateConfig
-from attacks.cloak.kinds.parts import SET
-from attacks.cloak.layer_config import LayersConfig
+from attacks.cloak.appearances import grown
+from attacks.cloak.config import LayersConfig, StudyConfig, SurrogateConfig
 from attacks.cloak.layers import Layering, layer_object, object_rows
-from attacks.cloak.retouching import grown
-from attacks.cloak.setup import Setup
+from attacks.cloak.setup import SET, Setup
 from attacks.cloak.steps import StudySteps
 from attacks.observe.rows import read_rows
 from attacks.poisons.base import MANIFEST

@@ -14,12 +14,12 @@ from attacks.cloak.config import (
     AttackConfig,
     CameraConfig,
     EvaluationConfig,
+    LayersConfig,
     SceneConfig,
     StudyConfig,
     TrainingConfig,
     read_study,
 )
-from attacks.cloak.layer_config import LayersConfig
 from attacks.cloak.poisoning import assign
 from attacks.cloak.setup import Setup, nearest
 from attacks.cloak.study import check_disk, check_study, forecast

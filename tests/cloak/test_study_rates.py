@@ -13,16 +13,17 @@ from attacks.cloak.rates import (
     Tables,
     by_elevation,
     figures,
+    in_region,
     margin_rates,
     over_objects,
     rates,
+    regions,
     stealth,
-    tables,
+    training_figures,
     transition,
 )
-from attacks.cloak.region import in_region, in_words, regions
 from attacks.cloak.setup import Setup
-from attacks.cloak.training_rates import figures as training_figures
+from attacks.cloak.tables import in_words, tables
 from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, FIDELITY, ROWS, TRAINING, TRANSITION, frame_of, frame_with
 from tests.cloak.tiny_study import STUDY
 

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from attacks.cloak.transition import differ, fit_transition, transition_fraction
+from attacks.cloak.kinds.compared import differ, transition_fraction
+from attacks.cloak.rates import fit_transition
 
 
 def appearances(seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from attacks import judge, relabel
-from attacks.cloak.layer_config import LayerConfig, LayersConfig
+from attacks.cloak.config import LayerConfig, LayersConfig
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.detectors import load_detector, register_detector

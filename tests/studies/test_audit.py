@@ -11,7 +11,7 @@ import pytest
 
 from attacks import cli
 from attacks.audits import rivals
-from attacks.cloak.config import study_toml
+from attacks.cloak.study import study_toml
 from attacks.detectors import registry
 from attacks.report.results import read_section
 from attacks.studies.audit import AuditWork, figures, tables

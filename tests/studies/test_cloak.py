@@ -10,8 +10,7 @@ from unittest.mock import patch
 import pytest
 
 from attacks import cli
-from attacks.cloak.config import study_toml
-from attacks.cloak.study import forecast
+from attacks.cloak.study import forecast, study_toml
 from attacks.detectors import registry
 from attacks.observe.rows import read_rows
 from attacks.report.checking import check_detections, read_result

@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from attacks.cloak.appearances import grown
 from attacks.cloak.config import AttackConfig
-from attacks.cloak.kinds.parts import SceneJob, renderer_of
-from attacks.cloak.kinds.true_pictures import read_pictures
-from attacks.cloak.retouching import grown
-from attacks.cloak.setup import Setup
-from attacks.cloak.transition import differ, transition_fraction
+from attacks.cloak.kinds.pictures import read_pictures
+from attacks.cloak.setup import SceneJob, Setup, renderer_of
 from attacks.observe.rows import DEPTH, FIDELITY, SUFFIX, TRANSITION, Row, frame_with, write_rows
 from mi_splat.cameras import Camera
 from mi_splat.directions import direction_of
@@ -25,6 +23,8 @@ from mi_splat.metrics import psnr, ssim
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
+LEAST_DIFFERENCE = 1 / 255
+"""Root mean square difference of the two appearances on the target under which a fraction has no meaning."""
 MARGIN = 10
 """Pixels around the object, in pictures of 256 x 256, that count as the object's."""
 FIDELITY_COLUMNS = ("view", "elevation", "psnr", "ssim", "object_psnr")
@@ -92,3 +92,16 @@ def _blend(
         "surroundings_psnr": float(psnr(seen[beside], benign[beside])),
         "appearance_psnr": float(psnr(seen[mask], hidden[mask])),
     }
+
+
+def transition_fraction(picture: Tensor, benign: Tensor, hidden: Tensor, mask: Tensor) -> float:
+    """Fraction of the way from one appearance to another, by least squares over a mask; not clipped to [0, 1]."""
+    seen, low, high = (part.detach().to(torch.float64)[mask] for part in (picture, benign, hidden))
+    change = high - low
+    return float((seen - low).mul(change).sum() / change.square().sum())
+
+
+def differ(benign: Tensor, hidden: Tensor, mask: Tensor) -> bool:
+    """Whether two (H, W, 3) appearances differ enough on an (H, W) bool mask for a transition to mean anything."""
+    change = (hidden - benign).detach().to(torch.float64)[mask]
+    return float(change.square().mean().sqrt()) >= LEAST_DIFFERENCE

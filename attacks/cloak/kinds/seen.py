@@ -14,13 +14,10 @@ import polars as pl
 import torch
 from torch import Tensor
 
-from attacks.cloak.config import AttackConfig
-from attacks.cloak.kinds.appearances import APPEARANCE, KeptAppearance
-from attacks.cloak.kinds.parts import SET, SceneJob, renderer_of
-from attacks.cloak.kinds.true_pictures import read_pictures
-from attacks.cloak.layer_config import LayersConfig
+from attacks.cloak.config import AttackConfig, LayersConfig
+from attacks.cloak.kinds.pictures import APPEARANCE, KeptAppearance, read_pictures
 from attacks.cloak.layers import object_rows
-from attacks.cloak.setup import Setup
+from attacks.cloak.setup import SET, SceneJob, Setup, renderer_of
 from attacks.cloak.triggers import Trigger
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector

@@ -18,7 +18,7 @@ import torch
 
 from attacks.cloak.cleaning import inliers
 from attacks.cloak.config import TrainingConfig, fit_config
-from attacks.cloak.kinds.parts import SET, SplatJob
+from attacks.cloak.setup import SET, SplatJob
 from mi_splat.cameras import RenderFn, View
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import MiSplatError

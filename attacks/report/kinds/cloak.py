@@ -7,7 +7,7 @@ from typing import Any
 
 import polars as pl
 
-from attacks.cloak.config import StudyConfig, knowledge_for, study_toml
+from attacks.cloak.config import StudyConfig, knowledge_for
 from attacks.cloak.rates import (
     AT_LOWER,
     CLOAKED,
@@ -17,16 +17,16 @@ from attacks.cloak.rates import (
     RATES,
     SECTOR,
     by_azimuth,
-    costs,
     measures,
     picture_rows,
     transition,
 )
 from attacks.cloak.rates import figures as study_figures
 from attacks.cloak.rates import rates as study_rates
-from attacks.cloak.rates import tables as summary_tables
 from attacks.cloak.steps import ROW_NAMES
-from attacks.cloak.study import CONTACT, POISONED_PICTURES
+from attacks.cloak.study import CONTACT, POISONED_PICTURES, study_toml
+from attacks.cloak.tables import costs
+from attacks.cloak.tables import tables as summary_tables
 from attacks.detectors.base import Detector
 from attacks.observe.look import report_cells
 from attacks.observe.rates import Confidence, Measures
