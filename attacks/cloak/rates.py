@@ -300,7 +300,7 @@ def _found_and_missed(study: StudyConfig, well_inside: float) -> dict[str, tuple
     return {**missed, "found": (found, outside)}
 
 
-def _of_both_splats(groups: Mapping[str, tuple[pl.Expr, pl.Expr]]) -> Measures:
+def _of_both_splats(groups: Mapping[str, tuple[pl.Expr, pl.Expr]]) -> dict[str, Measure]:
     return {
         f"{what}_{name}": Measure(holds=holds, given=of(splat) & where)
         for what, (holds, where) in groups.items()

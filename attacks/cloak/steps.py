@@ -157,7 +157,7 @@ class StudySteps:
             replace(_cone(attack), target_class=None) for attack in self.study.attack if attack.name in layers.attacks
         ]
         config = LayeredConfig(**self._parts(attacks=tuple(cones)), layers=layers, seed=seed, near=self.setup.near)
-        inputs = {"clean": clean.part(SPLAT), "pictures": poisoned.part(PICTURES), **self.mesh}
+        inputs: dict[str, Part | Path] = {"clean": clean.part(SPLAT), "pictures": poisoned.part(PICTURES), **self.mesh}
         return Job(kind="attacks.cloak.layers", config=config, inputs=inputs)
 
     def trained_on(
@@ -316,8 +316,8 @@ class StudySteps:
 
 def _shown(attack: AttackConfig) -> AttackConfig:
     """What counts of an attack for its pictures."""
-    usual = {"poison_margin": 0.0, "poison_fraction": 1.0, "emphasis": 1.0, "emphasis_depth": 20.0}
-    return replace(attack, name="", target_class=None, **usual)
+    plain = replace(attack, poison_margin=0.0, poison_fraction=1.0, emphasis=1.0, emphasis_depth=20.0)
+    return replace(plain, name="", target_class=None)
 
 
 def _cone(attack: AttackConfig) -> AttackConfig:

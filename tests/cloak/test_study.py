@@ -120,7 +120,6 @@ def test_a_study_that_is_interrupted_again_and_again_ends_as_if_nothing_had_happ
         assert not (out / "result.json").exists()
     after, kinds = done(out)
     assert kinds.count("trained") == 1
-    assert "pictures" not in kinds
     assert [splat["hash"] for splat in after["splats"]] == [splat["hash"] for splat in summary(finished)["splats"]]
     assert not list((out / "stages" / "partial").iterdir())
 
