@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from attacks.rate import Rate
+from attacks.rate import Rate, number
 
 Line = TypeVar("Line")
 Column = str | Callable[[Line], object]
@@ -24,6 +25,16 @@ def cell(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def number_at(*path: str, form: str = ".2f") -> Column[Any]:
+    """A column of numbers in one format, at the end of a path of keys; a dash where there is none."""
+    return lambda line: number(functools.reduce(lambda value, key: value and value.get(key), path, line), form)
+
+
+def short_rate(key: str, *, interval: bool = False) -> Column[Any]:
+    """A column of rates as short as `Rate.short` writes them."""
+    return lambda line: Rate.of(line[key]).short(interval=interval)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""What `mi_splat.audit` says of a splat, and how near that is to what is known of its attack."""
+"""What `mi_splat.audit` and its baselines say of a splat, and how near that is to what is known of its attack."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from attacks.audits.baselines import attributes, measured
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.setup import Setup
 from mi_splat.audit.auditing import audit
-from mi_splat.audit.files import PAIR, document, pair_picture
+from mi_splat.audit.files import PAIR, pair_picture
 from mi_splat.audit.results import ObjectAudit
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera
@@ -27,7 +28,7 @@ from mi_splat.selection.select import box_mask
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
-AUDIT, COST = "audit.json", "cost.json"
+BASELINES, COST = "baselines.json", "cost.json"
 VARIES = (COST,)
 _MARGIN, _OCCLUDER = 0.05, 0.8
 """Metres around the object's box, and share of an occluder's radius from which Gaussians are its own."""
@@ -37,9 +38,8 @@ _MARGIN, _OCCLUDER = 0.05, 0.8
 class AuditedConfig:
     """Whose splat is audited.
 
-    Attributes:
-        truth: The study with its one attack, if the splat is one that it cloaked: then directions and Gaussians are
-            compared with it. A mesh file is not known here: the object has to be an asset.
+    If it is one that a study cloaked with its one attack, directions and Gaussians are compared with this `truth`. A
+    mesh file is not known here: the object has to be an asset.
     """
 
     truth: StudyConfig | None = None
@@ -51,8 +51,10 @@ def run(config: AuditedConfig, inputs: Mapping[str, Path], out: Out) -> list[dic
     begun = time.process_time()
     judged = audit(scene)
     seconds = time.process_time() - begun
-    save_json(document(judged), out / AUDIT)
-    save_json({"seconds": seconds, "gaussians": len(scene)}, out / COST)
+    others = measured(scene)
+    scores = {name: score for name, (score, _) in others.items()}
+    save_json({"scores": scores, "attributes": attributes(scene).tolist()}, out / BASELINES)
+    save_json({"the audit": seconds, **{name: spent for name, (_, spent) in others.items()}}, out / COST)
     item = judged.strongest
     if item.evidence >= LIMITS.suspicion and item.look.pair is not None:
         save_picture(pair_picture(scene, item.look.pair), out / PAIR)
@@ -88,16 +90,11 @@ def carriers(study: StudyConfig, scene: GaussianScene) -> Tensor:
 
 def direction_overlap(study: StudyConfig, item: ObjectAudit) -> float:
     """Intersection over union of the cameras that are said to see a look with those in the attack's region."""
-    positions = [(*vector, 1.0) for vector in item.directions.tolist()]
-    cameras = [Camera(to_world=_at(position), focal=1.0, width=1, height=1) for position in positions]
+    poses = torch.eye(4, dtype=torch.float64).repeat(len(item.directions), 1, 1)
+    poses[:, :3, 3] = item.directions
+    cameras = [Camera(to_world=pose, focal=1.0, width=1, height=1) for pose in poses]
     truth = study.attack[0].cone.holds(cameras, centre=(0.0, 0.0, 0.0))
     return float((item.look.shown & truth).sum() / (item.look.shown | truth).sum())
-
-
-def _at(position: tuple[float, ...]) -> Tensor:
-    pose = torch.eye(4, dtype=torch.float64)
-    pose[:, 3] = torch.tensor(position)
-    return pose
 
 
 def rank_of(heat: Tensor, rows: Tensor) -> float:

@@ -18,7 +18,7 @@ from attacks import tables
 from attacks.bench.suite import ALL_VIEWS, COLUMNS, HIDDEN, ONE_VIEW, TRANSFER, Suite, suite_digest
 from attacks.observe.rates import REPORTED, Measure, blocks_of, count
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS, SUFFIX, frame_of, write_rows
-from attacks.rate import Rate
+from attacks.rate import Rate, pooled
 from attacks.tables import Table
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError
@@ -186,7 +186,9 @@ def markdown(rows: Sequence[Record]) -> str:
     heads["score"] = lambda line: _score_words(line[1]["score"])
     for column, head in HEADS.items():
         heads[head] = lambda line, column=column: _cell(line[1], column)
-    heads["clean object named"] = lambda line: _named(line[1])
+    heads["clean object named"] = lambda line: pooled(
+        line[1]["columns"][name]["named_clean"] for name in COLUMNS
+    ).short()
     heads["warnings"] = lambda line: " ".join(line[1]["warnings"]) or "-"
     heads["CPU minutes"] = lambda line: f"{line[1]['cpu_seconds']['all'] / 60:.1f}"
     table = Table.of("", heads, lines)
@@ -264,20 +266,12 @@ def _score_words(score: Record | None) -> str:
 
 
 def _rate(rate: Record | None) -> str:
-    """A rate in few letters, since a row has many: per cent, of how many views, and the interval."""
-    if rate is None:
-        return "-"
-    low, high = (100 * end for end in rate["interval"])
-    return f"{100 * rate['rate']:.0f} % of {rate['total']} ({low:.0f} to {high:.0f})"
+    """A rate in few letters, since a row has many."""
+    return "-" if rate is None else Rate.of(rate).short(interval=True)
 
 
 def _cell(row: Record, column: str) -> str:
-    told = row["columns"][column]
-    if told["robust"] is not None:
-        return _rate(told["robust"])
-    return "not filled" if column in row["missing"] else f"cannot judge ({told['judged']} views)"
-
-
-def _named(row: Record) -> str:
-    rates = [Rate.of(row["columns"][column]["named_clean"]) for column in COLUMNS]
-    return f"{sum(rate.successes for rate in rates)}/{sum(rate.total for rate in rates)}"
+    counted = row["columns"][column]
+    if counted["robust"] is not None:
+        return _rate(counted["robust"])
+    return "not filled" if column in row["missing"] else f"cannot judge ({counted['judged']} views)"

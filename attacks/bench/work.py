@@ -1,9 +1,9 @@
-"""The jobs of a suite for one detector: attacks, splats that hide the object, and the looks that judge them."""
+"""A suite as a study with an open detector: attacks, splats that hide the object, and looks that judge them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +11,14 @@ import polars as pl
 
 from attacks.bench.row import DEFENDED, KNOWS, Asked, write
 from attacks.bench.suite import ALL_VIEWS, CLOAK, COLUMNS, ONE_VIEW, TRANSFER, Suite
-from attacks.cloak.steps import ROW_NAMES, StudySteps
+from attacks.cloak.steps import Look, StudySteps
 from attacks.detectors.registry import detector_spec, load_detector, use_weights
 from attacks.observe.conditions import OWN, check_condition
-from attacks.observe.rows import DEPTH, ROWS, SUFFIX, read_rows
-from attacks.studies.cloak import config_of
+from attacks.observe.rows import DEPTH, ROWS
+from attacks.studies.cloak import CloakJudge, config_of
 from attacks.studies.dagger import DaggerWork
-from attacks.studies.plan import Attempt, Work
-from attacks.studies.study_file import Point, Settings, Study, merged, study_of
+from attacks.studies.running import Attempt, Work
+from attacks.studies.study_file import Settings, Study, merged, study_of
 from mi_splat.errors import MiSplatError
 from mi_splat.fields import check_choice
 from mi_splat.io.documents import sha256
@@ -31,79 +31,65 @@ CELLS = ("view", "azimuth", "elevation", "original", "score", "original_score")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Entry(Attempt):
-    """One attack of a suite, or one splat that hides the object beside its clean one."""
+    """One attack of a suite, or the splats of one that hide the object beside their clean ones."""
 
     column: str  # that it counts for
-    labels: Mapping[str, Any]  # what varies
-    seed: int  # of the attack, or of the training
     made: Mapping[str, Job]  # the jobs that make the splats, by their labels
-    looks: Sequence[tuple[Job, Mapping[str, Any]]]  # the jobs that judge them, each with what its rows are of besides
+    looks: Sequence[Look]  # that judge them
     knows: bool = False  # whether the attacker knows the defence
+
+    @classmethod
+    def of(cls, made: Mapping[str, Job], looks: Sequence[Look], **more: Any) -> Entry:
+        """An entry of some jobs."""
+        return cls(made=made, looks=looks, jobs={**made, **{look.label: look.job for look in looks}}, **more)
 
     def rows(self, done: Mapping[str, Done]) -> Iterator[dict[str, Any]]:
         """The rows of its looks, by the identity of their jobs."""
-        for job, ids in self.looks:
-            for row in _rows_of(job, done[job.identity]):
-                cells = {name: row[name] for name in CELLS}
-                yield {"attack": self.title, "seed": self.seed, "splat": row.get("splat"), **cells, **ids}
+        for look in self.looks:
+            named = {"attack": self.title, "seed": look.seed, "detector": look.job.config.detector}
+            named["condition"] = OWN if look.condition == OWN else DEFENDED
+            for row in _rows_of(look, done[look.job.identity]):
+                yield {**named, "splat": row["splat"], **{name: row[name] for name in CELLS}}
 
 
-def _labelled(name: str, made: Mapping[str, Job], looks: Sequence[tuple[Job, Mapping[str, Any]]]) -> dict[str, Job]:
-    """Every job of an entry by its label."""
-    return {**made, **{f"{name} / look {number + 1}": job for number, (job, _) in enumerate(looks)}}
-
-
-def _rows_of(job: Job, done: Done) -> Iterable[Mapping[str, Any]]:
+def _rows_of(look: Look, done: Done) -> Iterable[Mapping[str, Any]]:
     """The rows of a look; of a splat that hides the object those from well inside its trigger."""
     if done.rows:
         return done.rows
-    config = job.config
+    config = look.job.config
     inside = pl.col(f"{DEPTH}{config.attacks[0].name}") >= config.evaluation.well_inside
-    return read_rows(done.folder / f"{ROWS}{SUFFIX}").filter(inside).iter_rows(named=True)
+    return look.tables(done)[ROWS].filter(inside).iter_rows(named=True)
 
 
-@dataclass(eq=False)
-class BenchWork(Work):
-    """The jobs of a suite.
+class BenchWork(Work[Entry]):
+    """The jobs of a suite for a detector, with its usual weights or those of a file.
 
-    Attributes:
-        suite: The suite.
-        detector: Name of the one that is asked.
-        weights: File of its weights; None for the usual ones.
-        defence: Name of the condition that a defender puts before the detector; empty for none.
-        columns: Those that are done.
+    A defender may put a `defence`, which is a condition, before the detector. Columns are all if none is named.
 
     Raises:
         MiSplatError: There is no such detector or defence, or a setting cannot be; before any job is done.
     """
 
-    suite: Suite
-    detector: str
-    weights: Path | None = None
-    defence: str = ""
-    columns: Sequence[str] = ()
-    attempts: list[Entry] = field(default_factory=list)
-    missing: dict[str, str] = field(default_factory=dict)
-    study: Study = field(init=False)
-
-    def __post_init__(self) -> None:
-        detector_spec(self.detector)
-        if self.weights is not None:
-            use_weights(self.detector, self.weights)
-        check_condition(self.defence, None)
-        for column in self.columns:
+    def __init__(
+        self, suite: Suite, detector: str, weights: Path | None = None, defence: str = "", columns: Sequence[str] = ()
+    ) -> None:
+        detector_spec(detector)
+        if weights is not None:
+            use_weights(detector, weights)
+        check_condition(defence, None)
+        for column in columns:
             check_choice("column", column, COLUMNS)
-        self.study = Study(
-            name=f"bench-{self.suite.name}-{self.detector}", kind="dagger", question="", parts={}, judges=(), text=""
-        )
-        self.loaded = load_detector(self.detector)
+        super().__init__(Study(name=f"bench-{suite.name}-{detector}", kind="dagger", parts={}))
+        self.suite, self.detector, self.weights, self.defence = suite, load_detector(detector), weights, defence
+        self.conditions = ["", defence] if defence else [""]
+        self.missing: dict[str, str] = {}
         for column in COLUMNS:
-            if column not in self.suite.studies:
+            if column not in suite.studies:
                 self.missing[column] = "not in the suite"
-            elif self.columns and column not in self.columns:
+            elif columns and column not in columns:
                 self.missing[column] = "not done"
             else:
-                self._add(column, self.suite.studies[column])
+                self._add(column, suite.studies[column])
 
     def _add(self, column: str, table: Settings) -> None:
         """Add the entries of a column; without the surrogates there are none of transfer."""
@@ -116,71 +102,39 @@ class BenchWork(Work):
 
     def _attacked(self, column: str, table: Settings) -> Iterator[Entry]:
         """The attacks of a column; where the attacker can know the defence, these, too."""
-        surrogates = [name for name in self.suite.surrogates if name != self.detector]
-        asked = {**table, "detectors": surrogates if column == TRANSFER else [self.detector]}
-        conditions = ["", self.defence] if self.defence else [""]
-        yield from self._studied(column, asked, conditions)
-        if (known := KNOWS.get(self.defence)) is not None and column in _ATTACKED:
-            yield from self._studied(column, merged(asked, known), conditions, knows=True)
-
-    def _studied(
-        self, column: str, table: Settings, conditions: Sequence[str], *, knows: bool = False
-    ) -> Iterator[Entry]:
-        judge = {**table.get("judge", {}), "detector": self.detector, "matrix": {"condition": list(conditions)}}
-        work = DaggerWork(study_of({**table, "judge": judge}, column))
-        for attempt in work.attempts:
-            name = f"{column}: {attempt.title}{', who knows the defence' if knows else ''}"
-            looks = [(look, self._ids(look.config.condition)) for look in attempt.looks.values()]
-            yield Entry(
-                point=attempt.point,
-                title=name,
-                jobs=_labelled(name, {name: attempt.job}, looks),
-                column=column,
-                labels={axis: label for axis, label in attempt.point.labels.items() if axis != "seed"},
-                seed=attempt.job.config.attack.seed,
-                made={name: attempt.job},
-                looks=looks,
-                knows=knows,
-            )
+        name = self.detector.name
+        surrogates = [other for other in self.suite.surrogates if other != name]
+        judge = {**table.get("judge", {}), "detector": name, "matrix": {"condition": self.conditions}}
+        settings = {"": {**table, "detectors": surrogates if column == TRANSFER else [name], "judge": judge}}
+        if (known := KNOWS.get(self.defence)) is not None and column in (ONE_VIEW, ALL_VIEWS):
+            settings[", who knows the defence"] = merged(settings[""], known)
+        for who, whole in settings.items():
+            for attempt in DaggerWork(study_of(whole, column)).attempts:
+                title, seed = f"{column}: {attempt.title}{who}", attempt.job.config.attack.seed
+                looks = [
+                    Look(
+                        label=f"{title} / {label}", job=job, splat="", seed=seed, condition=job.config.condition or OWN
+                    )
+                    for label, job in attempt.looks.items()
+                ]
+                more = {"point": attempt.point, "column": column, "knows": bool(who)}
+                yield Entry.of({title: attempt.job}, looks, title=title, **more)
 
     def _hidden(self, table: Settings) -> Iterator[Entry]:
         """The splats of the column of CLOAK, which no detector has a part in."""
-        settings = merged(table, {"evaluation": {"detectors": [self.detector]}})
-        for point in study_of(settings, CLOAK).points:
-            yield from self._of_point(point)
-
-    def _of_point(self, point: Point) -> Iterator[Entry]:
-        weights = {} if self.weights is None else {self.detector: self.weights}
-        steps = StudySteps(study=config_of(point.settings, CLOAK), weights=weights)
-        value = ", ".join(map(str, point.labels.values()))
-        for seed in steps.study.seeds:
-            mine = [name for name in steps.names() if name[1] == seed]
-            looks = [
-                (
-                    steps.seen(steps.splat(splat, seed), self.loaded, condition=condition),
-                    {**self._ids(condition), "splat": ROW_NAMES[splat]},
-                )
-                for condition in dict.fromkeys(("", self.defence))
-                for splat, _ in mine
-            ]
-            name = f"{CLOAK}: {value}, seed {seed}"
-            made = {f"{CLOAK}: {value} / {label}": job for label, job in steps.made()}
-            yield Entry(
-                point=point,
-                title=name,
-                jobs=_labelled(name, made, looks),
-                column=CLOAK,
-                labels=dict(point.labels),
-                seed=seed,
-                made=made,
-                looks=looks,
-            )
-
-    def _ids(self, condition: str) -> dict[str, Any]:
-        return {"detector": self.detector, "condition": DEFENDED if condition else OWN}
+        weights = {} if self.weights is None else {self.detector.name: self.weights}
+        judges = [CloakJudge(condition=condition, every=1) for condition in self.conditions]
+        for point in study_of(merged(table, {"evaluation": {"detectors": [self.detector.name]}}), CLOAK).points:
+            steps = StudySteps(study=config_of(point.settings, CLOAK), weights=weights)
+            title = f"{CLOAK}: {', '.join(map(str, point.labels.values()))}"
+            seen = [look for judge in judges for look in judge.looks(steps, [self.detector])]
+            looks = [replace(look, label=f"{title} / {look.label}") for look in seen]
+            looks.sort(key=lambda look: look.seed or 0)
+            made = {f"{title} / {label}": job for label, job in steps.made()}
+            yield Entry.of(made, looks, title=title, point=point, column=CLOAK)
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
-        """As in `Work`; attacks of which a job has failed are left out, and the column with them is told so."""
+        """Write the row; attacks of which a job has failed are left out, and the column with them is told so."""
         jobs = self.jobs()
         done = {jobs[label].identity: result for label, result in results.items() if isinstance(result, Done)}
         rows, attacks = list[dict[str, Any]](), dict[str, Any]()
@@ -189,17 +143,16 @@ class BenchWork(Work):
                 self.missing[entry.column] = "a job has failed"
                 continue
             rows += entry.rows(done)
-            attacks[entry.title] = {"column": entry.column, "labels": dict(entry.labels), "knows": entry.knows}
-        asked = Asked(suite=self.suite, detector=self.loaded, weights=self._digest_of_weights(), defence=self.defence)
+            labels = {axis: label for axis, label in entry.point.labels.items() if axis != "seed"}
+            attacks[entry.title] = {"column": entry.column, "labels": labels, "knows": entry.knows}
+        spec = detector_spec(self.detector.name)
+        weights = "" if spec.weights is None else sha256(spec.weights())
+        asked = Asked(suite=self.suite, detector=self.detector, weights=weights, defence=self.defence)
         return write(asked, attacks, rows, self._seconds(done), self.missing, out)
-
-    def _digest_of_weights(self) -> str:
-        spec = detector_spec(self.detector)
-        return "" if spec.weights is None else sha256(spec.weights())
 
     def _seconds(self, done: Mapping[str, Done]) -> dict[str, float]:
         """CPU seconds of the jobs of each column, and of those that every detector shares."""
-        told = dict.fromkeys((*self.suite.studies, "shared"), 0.0)
+        seconds = dict.fromkeys((*self.suite.studies, "shared"), 0.0)
         counted = set[str]()
         for entry in self.attempts:
             shared = {job.identity for job in entry.made.values()} if entry.column in (CLOAK, TRANSFER) else set()
@@ -207,8 +160,5 @@ class BenchWork(Work):
                 if job.identity in done and job.identity not in counted:
                     counted.add(job.identity)
                     key = "shared" if job.identity in shared else entry.column
-                    told[key] += done[job.identity].record.get("cpu_seconds", 0.0)
-        return {name: round(seconds, 1) for name, seconds in told.items() if seconds}
-
-
-_ATTACKED = (ONE_VIEW, ALL_VIEWS)
+                    seconds[key] += done[job.identity].record.get("cpu_seconds", 0.0)
+        return {name: round(spent, 1) for name, spent in seconds.items() if spent}

@@ -61,8 +61,8 @@ class BenchOptions(JsonOptions):
 
 def run(options: BenchOptions) -> int:
     """Do what is asked for; the exit status is 1 if a job has failed."""
-    from attacks.bench.audits import audit_rows, audit_table
     from attacks.bench.row import check_row, markdown
+    from attacks.studies.audit import audit_rows, audit_table
 
     if options.audit:
         audits = audit_rows(options.audit)

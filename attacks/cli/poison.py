@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from attacks.poisons.base import OnStep, Poisoned
-    from attacks.poisons.decoy import Decoy
+    from attacks.poisons.poison_splat import Decoy
     from mi_splat.cameras import Camera
     from mi_splat.datasets import Dataset
     from mi_splat.scene import GaussianScene
@@ -304,7 +304,7 @@ def kind_of(name: str) -> Kind:
 
 def _decoy(splat: GaussianScene, views: Dataset, device: str) -> Decoy:
     """A decoy that starts as the splat, on a device; the victim is taken to train as usual."""
-    from attacks.poisons.decoy import Decoy
+    from attacks.poisons.poison_splat import Decoy
     from mi_splat.bounds import near_plane
 
     near = near_plane(splat, views.cameras)

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from attacks.cli.options import Workers, chosen_workers
 from attacks.studies.study_file import Study
@@ -16,8 +16,7 @@ from mi_splat.cli.options import JsonOptions
 from mi_splat.fields import Folder, Metavar, at_least
 
 if TYPE_CHECKING:
-    from attacks.studies.plan import Work
-    from attacks.studies.running import Run
+    from attacks.studies.running import Run, Work
     from mi_splat.ledger import Event
     from mi_splat.ledger.engines import Engine
     from mi_splat.ledger.plans import Entry
@@ -76,7 +75,7 @@ def run(options: StudyOptions) -> int | None:
     return _ACTIONS[options.action](options, read_study(options.study).of(options.parts))
 
 
-def _work(study: Study) -> Work:
+def _work(study: Study) -> Work[Any]:
     from attacks.studies.running import work_of
 
     limit_threads(1)
@@ -119,10 +118,11 @@ def _run(options: StudyOptions, study: Study) -> int:
     return 1 if done.failed else 0
 
 
-def run_work(options: StudyOptions, work: Work, *, begin: Callable[[], object] = lambda: None, again: str = "") -> Run:
+def run_work(
+    options: StudyOptions, work: Work[Any], *, begin: Callable[[], object] = lambda: None, again: str = ""
+) -> Run:
     """Do the jobs of a study, write the result, and say which have failed; `begin` comes first."""
-    from attacks.studies.plan import STUDY_FILE
-    from attacks.studies.running import run_with
+    from attacks.studies.running import STUDY_FILE, run_with
     from mi_splat.io.folders import check_own_folder, check_unlocked, own_folder
 
     out = options.folder(work.study)

@@ -25,8 +25,7 @@ from attacks.cloak.setup import MESH, SET, Pose, SceneJob, Setup, renderer_of
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import SunTable, package_of
 from attacks.observe.rows import ATTACKED, CLEAN, PERFECT, POISONED, SUFFIX, TABLES, TRUE, read_rows
-from attacks.poisons.cloak import CLOAK
-from attacks.poisons.poisoned import SURROGATE, PoisonedConfig
+from attacks.poisons.poisoned import CLOAK, SURROGATE, PoisonedConfig
 from attacks.poisons.specs import ChosenPoison
 from mi_splat.assets import ASSETS
 from mi_splat.cameras import Camera

@@ -30,8 +30,8 @@ from attacks.poisons.base import (
     within_ball,
 )
 from attacks.poisons.config import MIFGSMConfig
-from attacks.poisons.decoy import Decoy
 from attacks.poisons.defences import filtered
+from attacks.poisons.poison_splat import Decoy
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
 from mi_splat.scene import GaussianScene

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,16 +12,18 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from attacks.cloak.config import TrainingConfig, fit_config
+from attacks.cloak.appearances import Appearance, name_of
+from attacks.cloak.config import AttackConfig, TrainingConfig, fit_config
+from attacks.cloak.kinds.pictures import APPEARANCE, KeptAppearance
 from attacks.cloak.mesh_scene import camera_number
+from attacks.cloak.poisoning import Cloak, Poisoning
 from attacks.cloak.setup import SET, SceneJob, renderer_of
 from attacks.poisons.base import MANIFEST, poisoned
 from attacks.poisons.classified import checked_classifier
-from attacks.poisons.cloak import CLOAK
 from attacks.poisons.config import FilterConfig
-from attacks.poisons.decoy import Decoy
 from attacks.poisons.defences import filtered
-from attacks.poisons.specs import ChosenPoison, Given
+from attacks.poisons.poison_splat import Decoy
+from attacks.poisons.specs import POISONS, ChosenPoison, Given, PoisonSpec
 from attacks.poisons.writing import difference_sheet, write_poisoned
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.capture.path_tracer import tracing_variant
@@ -32,6 +34,34 @@ from mi_splat.scene import GaussianScene
 
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
+
+CLOAK = "cloak"
+"""Name of the kind."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CloakConfig:
+    """CLOAK of a study's own scene."""
+
+    attack: tuple[AttackConfig, ...]
+
+
+def _cloak(config: CloakConfig, given: Given) -> Cloak:
+    """CLOAK of appearances whose pictures are files."""
+    assert given.setup is not None
+    setup = replace(given.setup, attacks=config.attack)
+
+    def kept(appearance: Appearance, attack: AttackConfig) -> Appearance:
+        return KeptAppearance(name=name_of(appearance), folder=given.appearances[f"{APPEARANCE}{attack.name}"])
+
+    def poisonings(seed: int) -> Sequence[Poisoning]:
+        return setup.poisonings(seed=seed, cached=kept, surrogates=given.surrogates, gain=given.gain)
+
+    return Cloak(poisonings=poisonings, centre=setup.centre, masks=setup.mesh_scene.mask)
+
+
+POISONS.add(CLOAK, PoisonSpec(name=CLOAK, config=CloakConfig, make=_cloak, needs=("scene",)))
+
 
 SHEET = "poisoned.png"
 SURROGATE = "surrogate "

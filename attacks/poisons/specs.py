@@ -1,6 +1,6 @@
 """Kinds of poison by their names: those of this project, and those of other packages; light, for flags.
 
-CLOAK, whose settings are not light, joins them with `attacks.poisons.cloak`.
+CLOAK, whose settings are not light, joins them with `attacks.poisons.poisoned`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from attacks.classifiers.base import Classifier
     from attacks.cloak.setup import Setup
     from attacks.poisons.base import Masks, PicturePoison
-    from attacks.poisons.decoy import Decoy
+    from attacks.poisons.poison_splat import Decoy
     from mi_splat.cameras import Camera
 
 Need = Literal["splat", "classifier", "scene"]

@@ -24,78 +24,83 @@ import re
 import shutil
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import torch
-from torch import Tensor
 
-from attacks.audits.audited import AuditedConfig, rank_of
-from attacks.audits.learnt import fit_attributes
+from attacks.audits.audited import BASELINES, COST, AuditedConfig, rank_of
+from attacks.audits.baselines import fit_attributes
 from attacks.audits.photographed import PhotographedConfig
-from attacks.audits.rivals import COST, RIVALS, RivalsConfig
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.rates import CLOAKED
 from attacks.cloak.steps import StudySteps
 from attacks.cloak.study import check_study, detectors_of
 from attacks.observe.rows import CLEAN, DEPTH, ROWS, SUFFIX, read_rows
-from attacks.rate import Rate
+from attacks.rate import Rate, number
 from attacks.studies.cloak import config_of
-from attacks.studies.plan import Work, write_study
-from attacks.studies.study_file import Point, Study
-from attacks.tables import Column, Table, cell, sections
-from mi_splat import provenance
+from attacks.studies.running import Attempt, Observed, Work
+from attacks.studies.study_file import Point
+from attacks.tables import Column, Table, cell, markdown, number_at, sections
 from mi_splat.audit.files import PAIR
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.parsing import read_json
-from mi_splat.ledger import Done, Job
+from mi_splat.io.folders import RECORD
+from mi_splat.io.parsing import DocumentReader, read_json
+from mi_splat.ledger import Done, Job, Part
 from mi_splat.ledger.plans import Result
 from mi_splat.training.resume import SPLAT
 
-STORY, PAIRS = "audit-study", "pairs"
-HIDES = 0.5
-"""Share of the trigger's cameras from which every detector has to miss the object of a splat that hides something."""
-_KINDS = "attacks.audits"
-_DRAWS = 2000
+STORY, PAIRS, AUDIT = "audit-study", "pairs", "the audit"
+HIDES, FALSE_ALARMS = 0.5, 0.1
+"""Share of the trigger's cameras from which every detector has to miss the object of a splat that hides something, and
+share of honest splats that may be called hidden, where audits are compared by what they find."""
+_KINDS, _DRAWS = "attacks.audits", 2000
+_READER = DocumentReader(expected="a result of a study of the audit", do="run the study scenes/studies/audit.toml")
+
+Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Audited:
-    """A splat and what is done with it."""
+    """A splat that is audited, and what is known of it before; `seen` are looks at the clean and at this splat."""
 
     part: str
     value: str
     content: str
     splat: str
-    audit: Job
-    rivals: Job
     derived: bool
-    seen: Mapping[str, tuple[Job, Job]]
+    job: Job
+    seen: Mapping[str, tuple[Job, Job]] = field(default_factory=dict)
 
-    def row(self, results: Mapping[str, Done]) -> dict[str, Any] | None:
+    def row(self, done: Mapping[str, Done]) -> dict[str, Any] | None:
         """What was found; None if a job has failed."""
-        audit, rivals = results.get(self.audit.identity), results.get(self.rivals.identity)
-        looks = {name: [results.get(job.identity) for job in pair] for name, pair in self.seen.items()}
-        if audit is None or rivals is None or any(done is None for pair in looks.values() for done in pair):
+        if any(job.identity not in done for job in (self.job, *(job for pair in self.seen.values() for job in pair))):
             return None
-        missed = {name: missed_of(pair[0], pair[1]) for name, pair in looks.items()}  # type: ignore[arg-type]
-        hides = bool(missed) and all(rate.total and rate.successes >= HIDES * rate.total for rate in missed.values())
-        told: dict[str, Any] = {"part": self.part, "value": self.value, "content": self.content, "splat": self.splat}
-        told |= {"derived": self.derived, "hides": hides}
-        told["missed"] = {name: rate.as_dict() for name, rate in missed.items()}
-        seconds = {"the audit": read_json(audit.folder / COST)["seconds"], **read_json(rivals.folder / COST)["seconds"]}
-        return {**told, **audit.rows[0], **read_json(rivals.folder / RIVALS), "seconds": seconds}
+        audit = done[self.job.identity]
+        missed = {name: missed_of(*(done[job.identity] for job in pair)) for name, pair in self.seen.items()}
+        return {
+            "part": self.part,
+            "value": self.value,
+            "content": self.content,
+            "splat": self.splat,
+            "derived": self.derived,
+            "hides": bool(missed) and all(rate.total and rate.fraction >= HIDES for rate in missed.values()),
+            "missed": {name: rate.as_dict() for name, rate in missed.items()},
+            **audit.rows[0],
+            **read_json(audit.folder / BASELINES),
+            "seconds": read_json(audit.folder / COST),
+        }
 
-    def copy_pair(self, results: Mapping[str, Done], folder: Path) -> Path | None:
+    def copy_pair(self, done: Mapping[str, Done], folder: Path) -> Iterator[Path]:
         """Copy the two pictures that speak against the splat, if there are any, under its name."""
-        done = results.get(self.audit.identity)
-        if done is None or not (done.folder / PAIR).is_file():
-            return None
-        name = re.sub(r"[^0-9A-Za-z.]+", "-", f"{self.part} {self.value} {self.splat}")
-        folder.mkdir(exist_ok=True)
-        return Path(shutil.copyfile(done.folder / PAIR, folder / f"{name}.png"))
+        audit = done.get(self.job.identity)
+        if audit is not None and (audit.folder / PAIR).is_file():
+            name = re.sub(r"[^0-9A-Za-z.]+", "-", f"{self.part} {self.value} {self.splat}")
+            folder.mkdir(exist_ok=True)
+            yield Path(shutil.copyfile(audit.folder / PAIR, folder / f"{name}.png"))
 
 
 def missed_of(clean: Done, cloaked: Done) -> Rate:
@@ -103,120 +108,116 @@ def missed_of(clean: Done, cloaked: Done) -> Rate:
     looks = [read_rows(done.folder / f"{ROWS}{SUFFIX}").sort("view") for done in (clean, cloaked)]
     depth = next(name for name in looks[0].columns if name.startswith(DEPTH))
     reported = [(look["original_score"].fill_null(0.0) >= 0.5).to_numpy() for look in looks]
-    asked = (looks[0][depth] >= 0).to_numpy() & reported[0]
-    return Rate(successes=int((asked & ~reported[1]).sum()), total=int(asked.sum()))
+    inside = (looks[0][depth] >= 0).to_numpy() & reported[0]
+    return Rate(successes=int((inside & ~reported[1]).sum()), total=int(inside.sum()))
 
 
-class AuditWork(Work):
-    """The jobs of a study of the audit.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AuditAttempt(Attempt):
+    """The splats of a point, and their audits."""
 
-    Raises:
-        MiSplatError: A setting cannot be, or a detector cannot be loaded; before any job is done.
-    """
+    part: str
+    value: str
+    derived: bool
+    jobs: dict[str, Job] = field(default_factory=dict)
+    audited: list[Audited] = field(default_factory=list)
 
-    def __init__(self, study: Study) -> None:
-        self.study = study
-        self.chosen_on: tuple[str, ...] = ()
-        self.audited: list[Audited] = []
-        self._derived = False
-        self.labels: dict[str, Job] = {}
-        for point in study.points:
-            self._add(point)
-
-    def jobs(self) -> dict[str, Job]:
-        """As in `Work`."""
-        return self.labels
-
-    def _add(self, point: Point) -> None:
-        settings = dict(point.settings)
-        chosen_on = settings.pop("chosen_on", [])
-        if not isinstance(chosen_on, list):
-            do = 'write it as ["car"]'
-            raise InvalidValueError.of(f"chosen_on of {self.study.name}", "a list of names", repr(chosen_on), do)
-        self.chosen_on = tuple(chosen_on)
-        self._derived = bool(settings.pop("derived", False))
-        capture, file, exposure = (settings.pop(key, None) for key in ("capture", "file", "exposure"))
-        labels = {axis: str(label) for axis, label in point.labels.items()}
-        part, value = labels.pop("kind", point.part), ", ".join(labels.values())
-        title = f"{part}: {value}"
-        for path in (capture, file):
-            if path is not None and not Path(str(path)).is_file():
-                raise InvalidValueError.of(title, "a file", f"no file {path}", "check the path")
-        if file is not None:
-            self._splat(part, value, Path(str(file)).stem, "honest", Path(str(file)))
-            return
-        config = config_of(settings, self.study.name)
-        steps = StudySteps(study=config)
-        if capture is not None:
-            photographed = PhotographedConfig(cameras=config.cameras, exposure=float(exposure or 0.0))
-            pictures = Job(kind=f"{_KINDS}.photographed", config=photographed, inputs={"scene": Path(str(capture))})
-            trained = steps.trained_on(pictures, config.seeds[0])
-            self.labels |= {f"{title} / photographing": pictures, f"{title} / training": trained}
-            self._splat(part, value, Path(str(capture)).stem, "honest", trained.part(SPLAT))
-            return
-        if len(config.attack) != 1:
-            raise InvalidValueError.of(title, "one attack", f"{len(config.attack)}", "give it one [[attack]]")
-        self._cloak(part, value, steps)
-
-    def _cloak(self, part: str, value: str, steps: StudySteps) -> None:
-        """The clean and the cloaked splat of a study, for its first seed."""
-        config = steps.study
-        detectors, seed = detectors_of(config, {}), config.seeds[0]
-        check_study(config, detectors)
-        self.labels |= {f"{part}: {value} / {label}": job for label, job in steps.made()}
-        seen = {}
-        for detector in detectors:
-            pair = tuple(steps.seen(steps.splat(splat, seed), detector) for splat in (CLEAN, CLOAKED))
-            seen[detector.name] = (pair[0], pair[1])
-            for splat, job in zip((CLEAN, CLOAKED), pair, strict=True):
-                self.labels[f"{part}: {value} / {detector.name} looks at the {splat} splat"] = job
-        truth = StudyConfig(
-            name="truth", scene=replace(config.scene, label=None), cameras=config.cameras, attack=config.attack
-        )
-        content = config.scene.object
-        self._splat(part, value, content, CLEAN, steps.splat(CLEAN, seed).part(SPLAT))
-        self._splat(part, value, content, CLOAKED, steps.splat(CLOAKED, seed).part(SPLAT), truth=truth, seen=seen)
-
-    def _splat(
+    def add(
         self,
-        part: str,
-        value: str,
         content: str,
         splat: str,
-        source: Any,
-        *,
+        source: Part | Path,
         truth: StudyConfig | None = None,
         seen: Mapping[str, tuple[Job, Job]] | None = None,
     ) -> None:
+        """Audit a splat."""
         job = Job(kind=f"{_KINDS}.audited", config=AuditedConfig(truth=truth), inputs={"splat": source})
-        rivals = Job(kind=f"{_KINDS}.rivals", config=RivalsConfig(), inputs={"splat": source})
-        if splat != CLOAKED and any(audited.audit.identity == job.identity for audited in self.audited):
-            return  # a control that several attacks share counts once
-        self.labels[f"{part}: {value} / auditing the {splat} splat"] = job
-        self.labels[f"{part}: {value} / asking rivals of the audit about the {splat} splat"] = rivals
-        named = {"part": part, "value": value, "content": content, "splat": splat}
-        self.audited.append(Audited(**named, audit=job, rivals=rivals, derived=self._derived, seen=seen or {}))
+        self.jobs[f"{self.title} / auditing the {splat} splat"] = job
+        of = {"part": self.part, "value": self.value, "content": content, "splat": splat}
+        self.audited.append(Audited(**of, derived=self.derived, job=job, seen=seen or {}))
 
-    def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
-        """As in `Work`."""
-        done = {
-            job.identity: result for label, job in self.labels.items() if isinstance(result := results.get(label), Done)
-        }
-        rows = [row for audited in self.audited if (row := audited.row(done)) is not None]
-        pairs = [path for audited in self.audited if (path := audited.copy_pair(done, out / PAIRS)) is not None]
-        files = [{key: value for key, value in row.items() if key != "attributes"} for row in rows]
-        record = {
-            "story": STORY,
-            **self.study.named,
-            "chosen_on": list(self.chosen_on),
-            "files": files,
-            **provenance.origin(),
-        }
-        record["figures"] = figures(rows, self.chosen_on)
-        return [*pairs, *write_study(self.study, record, sections(tables(record)), {}, out)]
+    def add_photographed(self, scene: Path, steps: StudySteps, exposure: float) -> None:
+        """Photograph a scene, train a splat on it, and audit that."""
+        config = PhotographedConfig(cameras=steps.study.cameras, exposure=exposure)
+        pictures = Job(kind=f"{_KINDS}.photographed", config=config, inputs={"scene": scene})
+        trained = steps.trained_on(pictures, steps.study.seeds[0])
+        self.jobs.update({f"{self.title} / photographing": pictures, f"{self.title} / training": trained})
+        self.add(scene.stem, "honest", trained.part(SPLAT))
+
+    def add_cloak(self, steps: StudySteps) -> None:
+        """Audit the clean and the cloaked splat of a study of CLOAK, for its first seed."""
+        config, seed = steps.study, steps.study.seeds[0]
+        if len(config.attack) != 1:
+            raise InvalidValueError.of(self.title, "one attack", f"{len(config.attack)}", "give it one [[attack]]")
+        detectors = detectors_of(config, {})
+        check_study(config, detectors)
+        self.jobs.update({f"{self.title} / {label}": job for label, job in steps.made()})
+        seen = {}
+        for detector in detectors:
+            clean, cloaked = (steps.seen(steps.splat(splat, seed), detector) for splat in (CLEAN, CLOAKED))
+            seen[detector.name] = clean, cloaked
+            self.jobs[f"{self.title} / {detector.name} looks at the {CLEAN} splat"] = clean
+            self.jobs[f"{self.title} / {detector.name} looks at the {CLOAKED} splat"] = cloaked
+        scene, content = replace(config.scene, label=None), config.scene.object
+        truth = StudyConfig(name="truth", scene=scene, cameras=config.cameras, attack=config.attack)
+        self.add(content, CLEAN, steps.splat(CLEAN, seed).part(SPLAT))
+        self.add(content, CLOAKED, steps.splat(CLOAKED, seed).part(SPLAT), truth, seen=seen)
 
 
-Row = Mapping[str, Any]
+class AuditWork(Work[AuditAttempt]):
+    """Studies of the audit."""
+
+    story, has_judges = STORY, False
+
+    @property
+    def audited(self) -> list[Audited]:
+        """Every splat; a control that several attacks share counts once."""
+        splats: dict[str, Audited] = {}
+        for attempt in self.attempts:
+            for one in attempt.audited:
+                splats.setdefault(f"{attempt.title} {CLOAKED}" if one.splat == CLOAKED else one.job.identity, one)
+        return list(splats.values())
+
+    def attempt(self, point: Point) -> AuditAttempt:
+        """A splat that is there, that of a scene, or the two of a study of CLOAK."""
+        settings = dict(point.settings)
+        chosen_on, derived = settings.pop("chosen_on", []), bool(settings.pop("derived", False))
+        if not isinstance(chosen_on, list):
+            do = 'write it as ["car"]'
+            raise InvalidValueError.of(f"chosen_on of {self.study.name}", "a list of names", repr(chosen_on), do)
+        capture, file, exposure = (settings.pop(key, None) for key in ("capture", "file", "exposure"))
+        labels = {axis: str(label) for axis, label in point.labels.items()}
+        part, value = labels.pop("kind", point.part), ", ".join(labels.values())
+        attempt = AuditAttempt(point=point, title=f"{part}: {value}", part=part, value=value, derived=derived)
+        for path in (capture, file):
+            if path is not None and not Path(str(path)).is_file():
+                raise InvalidValueError.of(attempt.title, "a file", f"no file {path}", "check the path")
+        if file is not None:
+            attempt.add(Path(str(file)).stem, "honest", Path(str(file)))
+            return attempt
+        steps = StudySteps(study=config_of(settings, self.study.name))
+        if capture is not None:
+            attempt.add_photographed(Path(str(capture)), steps, float(exposure or 0.0))
+        else:
+            attempt.add_cloak(steps)
+        return attempt
+
+    def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
+        """A line for each splat."""
+        done = {key: left for attempt in self.attempts for key, left in attempt.done(results).items()}
+        rows = [row for one in self.audited if (row := one.row(done)) is not None]
+        chosen_on = [str(name) for point in self.study.points[-1:] for name in point.settings.get("chosen_on", ())]
+        pairs = [path for one in self.audited for path in one.copy_pair(done, out / PAIRS)]
+        return {"chosen_on": chosen_on, "files": rows}, {}, pairs
+
+    def with_figures(self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+        """A record with how well splats are told apart, and without attributes, which are many numbers."""
+        files = [{key: value for key, value in row.items() if key != "attributes"} for row in record["files"]]
+        return {**record, "files": files, "figures": figures(record["files"], record["chosen_on"])}
+
+    def page(self, record: Mapping[str, Any]) -> str:
+        """The tables of a result."""
+        return sections(tables(record))
 
 
 def positives(rows: Sequence[Row]) -> list[Row]:
@@ -277,14 +278,14 @@ def rivals_of(rows: Sequence[Row], chosen_on: Sequence[str]) -> dict[str, float]
     hiding, honest = positives(known), negatives(known)
     hiding = [row for row in hiding if row["part"] == hiding[0]["part"]]
     if names and hiding and honest:
-        labels = [True] * len(hiding) + [False] * len(honest)
-        classifier = fit_attributes(_attributes([*hiding, *honest]), labels)
-        ranked = (classifier.odds(_attributes(kind(held))).tolist() for kind in (positives, negatives))
-        told["classifier of attributes"] = ranked_above(*ranked)
+        odds = fit_attributes(_attributes([*hiding, *honest]), [True] * len(hiding) + [False] * len(honest))
+        told["classifier of attributes"] = ranked_above(
+            *(odds(_attributes(kind(held))).tolist() for kind in (positives, negatives))
+        )
     return told
 
 
-def _attributes(rows: Sequence[Row]) -> Tensor:
+def _attributes(rows: Sequence[Row]) -> torch.Tensor:
     """(N, F) attributes of splats."""
     return torch.tensor([row["attributes"] for row in rows], dtype=torch.float64)
 
@@ -310,14 +311,14 @@ def tables(record: Mapping[str, Any]) -> Iterator[Table]:
     heads: dict[str, Column[Any]] = {
         "hides": lambda line: line[0],
         "found": lambda line: cell(line[1]["found"]),
-        "AUROC": lambda line: f"{line[1]['auroc']:.3f} ({line[1]['interval'][0]:.3f} to {line[1]['interval'][1]:.3f})",
-        "directions, median IoU": lambda line: _number(line[1]["directions"]),
-        "Gaussians, median AUROC": lambda line: _number(line[1]["heat"]),
-        "Gaussians, median IoU": lambda line: _number(line[1]["mask"]),
+        "AUROC": lambda line: _area(line[1]),
+        "directions, median IoU": lambda line: number(line[1]["directions"], ".2f"),
+        "Gaussians, median AUROC": lambda line: number(line[1]["heat"], ".2f"),
+        "Gaussians, median IoU": lambda line: number(line[1]["mask"], ".2f"),
     }
     caption = f"Told from {told['honest']} honest files; without {chosen}" if chosen else "Told from honest files"
     yield Table.of(f"{caption}; false alarms {cell(told['false_alarms'])}", heads, told["parts"].items())
-    rivals = {"the audit": told["parts"]["all"]["auroc"], **told["rivals"]} if told["parts"] else {}
+    rivals = {AUDIT: told["parts"]["all"]["auroc"], **told["rivals"]} if told["parts"] else {}
     heads = {"what ranks them": lambda line: line[0], "AUROC": lambda line: f"{line[1]:.3f}"}
     yield Table.of("Other ways to find a hidden look", heads, rivals.items())
     for title, chosen_rows in (("hide something", positives), ("are honest", negatives), ("failed attacks", _failed)):
@@ -326,12 +327,9 @@ def tables(record: Mapping[str, Any]) -> Iterator[Table]:
             "file": lambda row: f"{row['part']}: {row['value']}, {row['splat']}",
             "missed by detectors": lambda row: "; ".join(Rate.of(rate).counts for rate in row["missed"].values()),
             "verdict": "verdict",
-            "evidence": lambda row: f"{row['evidence']:.2f}",
-            "excess": lambda row: f"{row['excess']:.4f}",
-            "occluder": lambda row: f"{row['occluder']:.2f}",
-            "directions": lambda row: _number(row.get("directions")),
-            "heat": lambda row: _number(row.get("heat")),
-            "mask": lambda row: _number(row.get("mask")),
+            "evidence": number_at("evidence"),
+            "excess": number_at("excess", form=".4f"),
+            **{name: number_at(name) for name in ("occluder", "directions", "heat", "mask")},
         }
         yield Table.of(f"Files that {title}" if title != "failed attacks" else "Failed attacks", columns, rows)
 
@@ -340,5 +338,61 @@ def _failed(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if row["splat"] == CLOAKED and not row["hides"]]
 
 
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
+def _area(row: Row) -> str:
+    """An area under the ROC curve with its interval."""
+    return "{:.3f} ({:.3f} to {:.3f})".format(row["auroc"], *row["interval"])
+
+
+# Audits that are compared with each other (`mi-splat bench --audit`)
+
+
+def audit_rows(path: Path) -> list[dict[str, Any]]:
+    """The row of the audit and of each other way to find a hidden look, the best one first.
+
+    Contents on which the audit was chosen are left out, and so are splats that were changed afterwards.
+    """
+    record = _READER.read_json(path / RECORD if path.is_dir() else path)
+    if record.get("story") != STORY:
+        raise InvalidValueError.of(str(path), "a study of the audit", str(record.get("story")), "pass another result")
+    held = [row for row in record["files"] if row["content"] not in record["chosen_on"] and not row["derived"]]
+    hiding, honest = positives(held), negatives(held)
+    if not hiding or not honest:
+        got = f"{len(hiding)} that hide something, {len(honest)} honest ones"
+        raise InvalidValueError.of(str(path), "splats of both kinds", got, "run all parts of the study")
+    rows = [_audit_row(name, hiding, honest) for name in (AUDIT, *held[0].get("scores", ()))]
+    return sorted(rows, key=lambda row: -row["auroc"])
+
+
+def _audit_row(name: str, hiding: Sequence[Row], honest: Sequence[Row]) -> dict[str, Any]:
+    high, low = (
+        [float(row["evidence"] if name == AUDIT else row["scores"][name]) for row in rows] for rows in (hiding, honest)
+    )
+    allowed = int(FALSE_ALARMS * len(low))
+    threshold = sorted(low, reverse=True)[allowed] if allowed < len(low) else min(low)
+    seconds = [row["seconds"][name] for row in (*hiding, *honest) if "seconds" in row]
+    return {
+        "audit": name,
+        "auroc": ranked_above(high, low),
+        "interval": list(interval(high, low)),
+        "finds": _above(high, threshold).as_dict(),
+        "false_alarms": _above(low, threshold).as_dict(),
+        "seconds": sum(seconds) / len(seconds) if seconds else None,
+    }
+
+
+def _above(values: Sequence[float], threshold: float) -> Rate:
+    return Rate(successes=sum(value > threshold for value in values), total=len(values))
+
+
+def audit_table(rows: Sequence[Row]) -> str:
+    """Rows of audits as a table."""
+    heads: dict[str, Column[Any]] = {
+        "rank": "rank",
+        "what looks at the file": "audit",
+        "AUROC": _area,
+        "finds": "finds",
+        "false alarms": "false_alarms",
+        "CPU seconds a file": number_at("seconds", form=".1f"),
+    }
+    table = Table.of("", heads, [{"rank": rank, **row} for rank, row in enumerate(rows, 1)])
+    return markdown(table.head, table.rows) + "\n"

@@ -35,11 +35,10 @@ from attacks.cloak.tables import RULE, in_words, spread_of
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import OWN, SunTable
 from attacks.observe.rows import ROWS, by_camera
-from attacks.studies.plan import Attempt, Work, check_apart, names_of, write_study
+from attacks.studies.running import Attempt, Observed, Work, check_apart, names_of
 from attacks.studies.scenes import street_of
 from attacks.studies.study_file import Point, Settings, Study, merged, with_none
-from attacks.tables import Column, Table, cell, sections
-from mi_splat import provenance
+from attacks.tables import Column, Table, cell, number_at, sections
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import at_least, check, decode
 from mi_splat.io.folders import RECORD
@@ -87,23 +86,11 @@ def tables(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Ta
             heads: dict[str, Column[Any]] = {title: "value", "condition": "condition", "detector": "detector"}
             heads |= {head: name for name, head in LOOKS.items() if any(name in look for look in under)}
             heads |= {
-                f"PSNR, dB: {head}": _of("psnr", name, digits=1)
+                f"PSNR, dB: {head}": number_at("psnr", name, form=".1f")
                 for name, head in _PICTURES.items()
                 if any(look["psnr"].get(name) is not None for look in under)
             }
             yield Table.of(f"By {title}: under other conditions", heads, under)
-
-
-def _of(*path: str, digits: int) -> Column[Any]:
-    """A number with so many digits, at the end of a path of keys."""
-
-    def text(line: Mapping[str, Any]) -> str:
-        value: Any = line
-        for key in path:
-            value = None if value is None else value.get(key)
-        return "-" if value is None else f"{value:,.{digits}f}"
-
-    return text
 
 
 def _gaussians(which: str) -> Column[Any]:
@@ -112,11 +99,11 @@ def _gaussians(which: str) -> Column[Any]:
 
 _COSTS: dict[str, Column[Any]] = {
     "seeds": lambda line: len(line["seeds"]),
-    "transition, degrees": _of("transition_degrees", digits=1),
-    "clean far from the triggers, dB": _of("benign_psnr", "clean", digits=2),
-    "dB lost there": _of("benign_psnr_drop", digits=2),
-    "dB lost beside the object": _of("stealth", "surroundings_psnr_drop", digits=2),
-    "dB lost on the object beside a trigger": _of("stealth", "object_psnr_drop", digits=2),
+    "transition, degrees": number_at("transition_degrees", form=".1f"),
+    "clean far from the triggers, dB": number_at("benign_psnr", "clean"),
+    "dB lost there": number_at("benign_psnr_drop"),
+    "dB lost beside the object": number_at("stealth", "surroundings_psnr_drop"),
+    "dB lost on the object beside a trigger": number_at("stealth", "object_psnr_drop"),
     "stealthy": lambda line: line["stealth"] and line["stealth"]["stealthy"],
     "Gaussians, clean": _gaussians("clean"),
     "Gaussians, cloaked": _gaussians("cloaked"),
@@ -175,27 +162,30 @@ class CloakAttempt(Attempt):
     looks: Sequence[Look] = ()
 
 
-class CloakWork(Work):
-    """The jobs of a study of CLOAK, which has no single objective to bisect for."""
+class CloakWork(Work[CloakAttempt]):
+    """Studies of CLOAK, which have no single objective to bisect for."""
+
+    story = STORY
 
     def __init__(self, study: Study, weights: Mapping[str, Path] | None = None) -> None:
-        self.study = study
-        self.attempts: list[CloakAttempt] = [self._attempt(point, weights or {}) for point in study.points]
+        self.weights = weights or {}
         if any(point.bisected for point in study.points):
             raise InvalidValueError.of(study.name, "no bisect, for want of a single aim", "one", "leave it out")
+        super().__init__(study)
 
-    def _attempt(self, point: Point, weights: Mapping[str, Path]) -> CloakAttempt:
+    def attempt(self, point: Point) -> CloakAttempt:
+        """A study of CLOAK, and further looks at its splats."""
         config = config_of(point.settings, self.study.name)
-        detectors = detectors_of(config, weights)
+        detectors = detectors_of(config, self.weights)
         check_study(config, detectors)
-        steps = StudySteps(study=config, weights=weights)
+        steps = StudySteps(study=config, weights=self.weights)
         where = f"{self.study.name}, judge"
         judges = [decode(CloakJudge, with_none(judge.settings), where) for judge in self.study.judges]
         looks = [look for judge in judges for look in judge.looks(steps, detectors)]
         check_apart(where, (look.label for look in looks))
         part, value = names_of(point, self.study.name)
-        title, every = f"{part}: {value}", (*steps.looked(detectors), *looks)
-        jobs = {**dict(steps.made()), **{look.label: look.job for look in every}}
+        title = f"{part}: {value}"
+        jobs = {**dict(steps.made()), **{look.label: look.job for look in (*steps.looked(detectors), *looks)}}
         return CloakAttempt(
             point=point,
             title=title,
@@ -208,7 +198,7 @@ class CloakWork(Work):
         )
 
     def check_room(self, store: Path) -> None:
-        """As in `Work`, for all points whose splats are not there; a cleaning needs no more of it."""
+        """Refuse a disk without room for all points whose splats are not there; a cleaning needs no more of it."""
         missing = {
             replace(attempt.steps.study, cleaning=None): None
             for attempt in self.attempts
@@ -216,8 +206,8 @@ class CloakWork(Work):
         }
         check_disk(sum(forecast(study).megabytes for study in missing), store)
 
-    def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
-        """As in `Work`."""
+    def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
+        """What is seen at each point."""
         points, frames = dict[str, dict[str, Any]](), dict[str, list[pl.DataFrame]]()
         for attempt in self.attempts:
             done = attempt.done(results)
@@ -226,19 +216,23 @@ class CloakWork(Work):
                 for name, table in tables_of.items():
                     titled = by_camera(table).with_columns(attack=pl.lit(attempt.title))
                     frames.setdefault(name, []).append(titled)
-        tables_of = {name: pl.concat(parts, how="diagonal") for name, parts in frames.items()}
+        return {"points": points}, {name: pl.concat(parts, how="diagonal") for name, parts in frames.items()}, []
+
+    def with_figures(self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+        """A record with the rates of its parts; its points have theirs."""
         studies = {attempt.title: attempt.steps.study for attempt in self.attempts}
-        over = pooled(points, studies, tables_of[ROWS]) if points else {}
-        record = {"story": STORY, **self.study.named, "points": points, **over, **provenance.origin()}
-        page = sections([*tables(by_part(record)), *pooled_tables(record)])
-        return write_study(self.study, record, page, tables_of, out)
+        return {**record, **(pooled(record["points"], studies, rows[ROWS]) if record["points"] else {})}
+
+    def page(self, record: Mapping[str, Any]) -> str:
+        """The tables of each part."""
+        return sections([*tables(by_part(record)), *pooled_tables(record)])
 
 
 class CloakReport(CloakWork):
     """One study of CLOAK whose result has its splats and pictures, too: what `mi-splat cloak` does."""
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
-        """As in `Work`."""
+        """Write the report of the study."""
         (attempt,) = self.attempts
         done = attempt.done(results)
         if not attempt.is_done(done):

@@ -12,26 +12,31 @@ pictures that judge are others. [judge] has the fields of `Judge`.
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import polars as pl
 
 from attacks.aims import OBJECTIVES, PluggedObjective
 from attacks.detectors.registry import detector_spec, load_detector
 from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.observe.conditions import OWN, SunTable, package_of
+from attacks.observe.rows import ROWS, column_of, frame_of
 from attacks.optimisers.registry import OPTIMISERS
 from attacks.studies.attack import SPLAT, WHOLE_SPLAT, DrawnAttack, FixedAttack
 from attacks.studies.look import Look
-from attacks.studies.plan import Work, bisection, check_apart
-from attacks.studies.result import DaggerAttempt, record_of, write_result
+from attacks.studies.result import figures, markdown, shared_apart
+from attacks.studies.running import Attempt, Observed, Work, check_apart
 from attacks.studies.scenes import check_scene, scene_files, street_of
 from attacks.studies.study_file import Point, Settings, Study, label_of, with_none
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import FieldError, check_choice, decode
+from mi_splat.io.folders import RECORD
+from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Done, Job, Part
-from mi_splat.ledger.plans import Plan, Result, grid
+from mi_splat.ledger.plans import Result
 
 ATTACK, LOOK = "attacks.studies.attack", "attacks.studies.look"
 AS_ATTACKED = "as attacked"
@@ -42,6 +47,13 @@ _ELSEWHERE = ("fingerprints", "packages", "transformations", "judged")
 """Fields of attacks that are no settings."""
 _UNBOUND = 1e9
 """A radius that binds nothing."""
+STORY, _NAME_DIGITS = "study", 12
+_STATED = (
+    *("steps", "image_psnr", "image", "noise_psnr", "used", "used_in_file", "changed_gaussians", "object_gaussians"),
+    *("clamped_fraction", "redraws", "warnings", "seconds", "versions", "variant", "commit"),
+    *("evaluations", "cpu_seconds", "loss"),
+)
+"""What an attack says of itself that does not follow from rows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,26 +167,32 @@ def fingerprints(detectors: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(load_detector(name).fingerprint for name in detectors if detector_spec(name).weights is None)
 
 
-class DaggerWork(Work):
-    """The jobs of a study of DAGGER.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DaggerAttempt(Attempt):
+    """An attack as jobs."""
 
-    Raises:
-        MiSplatError: A setting cannot be, a detector cannot be loaded, or a file is missing; before any job is done.
-    """
+    job: Job
+    looks: Mapping[str, Job]
+
+
+class DaggerWork(Work[DaggerAttempt]):
+    """Attacks, and the looks at each."""
+
+    story = STORY
 
     def __init__(self, study: Study) -> None:
-        self.study = study
-        self.attempts: list[DaggerAttempt] = [self._attempt(point) for point in study.points]
+        super().__init__(study)
         searches: dict[Any, list[DaggerAttempt]] = {}
         for attempt in self.attempts:
             if bisected := attempt.point.bisected:
                 alike = [label for label in attempt.point.labels.items() if label[0] != bisected]
                 searches.setdefault((attempt.point.part, *alike), []).append(attempt)
-        self.searches: list[list[DaggerAttempt]] = list(searches.values())
+        self.searches = list(searches.values())
         if not self.attempts:
             raise InvalidValueError.of(study.name, "something to do", "nothing", "add settings")
 
-    def _attempt(self, point: Point) -> DaggerAttempt:
+    def attempt(self, point: Point) -> DaggerAttempt:
+        """An attack, and the looks at it."""
         name, kind = self.study.name, DrawnAttack if self.study.kind == "dagger-eot" else FixedAttack
         scene, job = attack_of(kind, point.settings, f"{name}, {point.part}" if point.part else name)
         label, looks = ": ".join(filter(None, (point.part, _named(point.labels)))) or name, dict[str, Job]()
@@ -184,29 +202,70 @@ class DaggerWork(Work):
                 looks[f"{label} / {_named({**judge.labels, 'detector': look.config.detector})}"] = look
         configs = [look.config for look in looks.values()]
         check_apart(where, (f"{look.detector}, {look.condition or OWN}" for look in configs))
-        return DaggerAttempt(title=label, point=point, jobs={label: job, **looks}, scene=scene, job=job, looks=looks)
+        return DaggerAttempt(title=label, point=point, jobs={label: job, **looks}, job=job, looks=looks)
 
-    def plans(self) -> list[Plan]:
-        """One of all points that are known, and one for each search."""
-        known = [attempt.jobs for attempt in self.attempts if not attempt.point.bisected]
-        fixed = [grid({label: job for jobs in known for label, job in jobs.items()})] if known else []
-        return [*fixed, *(bisection(attempts, _suffices) for attempts in self.searches)]
+    def suffices(self, attempt: DaggerAttempt, results: Mapping[str, Result]) -> bool | None:
+        """Whether an attack has its aim."""
+        result = results.get(attempt.title)
+        return bool(_record_of(result)["success"]) if isinstance(result, Done) else None
 
-    def done(self, results: Mapping[str, Result]) -> Iterator[tuple[DaggerAttempt, Done]]:
-        """The attacks that are done."""
+    def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
+        """What each attack says of itself, and one table of all rows."""
+        rows, attacks, marks = list[dict[str, Any]](), dict[str, dict[str, Any]](), dict[str, str]()
         for attempt in self.attempts:
-            result = results.get(attempt.title)
-            if isinstance(result, Done):
-                yield attempt, result
+            if not isinstance(result := results.get(attempt.title), Done):
+                continue
+            record, config = _record_of(result), attempt.job.config
+            marks |= {told["detector"]: told["detector_fingerprint"] for told in record["detectors"]}
+            name = result.key[:_NAME_DIGITS]
+            if count := sum(key.startswith(name) for key in attacks):  # an attack that several parts have
+                name = f"{name}-{count + 1}"
+            attacks[name] = _stated(attempt, result, record)
+            ids = {"attack": name, "sources": "+".join(config.detectors), "seed": config.attack.seed}
+            done = (result, *filter(None, map(results.get, attempt.looks)))
+            rows += [{**ids, **row} for part in done if isinstance(part, Done) for row in part.rows]
+        facts = {**shared_apart(attacks), "seeds": sorted({attack["seed"] for attack in attacks.values()})}
+        return {**facts, "detectors": marks}, {ROWS: frame_of(_whole(rows))}, []
 
-    def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
-        """As in `Work`."""
-        return write_result(self.study, list(self.done(results)), results, out)
+    def with_figures(self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+        """A record with figures at their places."""
+        derived = figures(record, rows)
+        attacks = {name: {**attack, **derived["attacks"].get(name, {})} for name, attack in record["attacks"].items()}
+        return {**record, **derived, "attacks": attacks}
+
+    def page(self, record: Mapping[str, Any]) -> str:
+        """All tables under what was asked."""
+        return markdown(record)
 
 
-def _suffices(attempt: DaggerAttempt, results: Mapping[str, Result]) -> bool | None:
-    result = results.get(attempt.title)
-    return bool(record_of(result)["success"]) if isinstance(result, Done) else None
+def _stated(attempt: DaggerAttempt, result: Done, record: Mapping[str, Any]) -> dict[str, Any]:
+    """What is known of an attack besides its rows."""
+    config = attempt.job.config
+    return {
+        "part": attempt.point.part,
+        "labels": dict(attempt.point.labels),
+        "bisected": attempt.point.bisected,
+        "sources": list(config.detectors),
+        "aim": config.objective.name,
+        "target": config.objective.label,
+        "confidence": config.objective.confidence,
+        "seed": config.attack.seed,
+        "settings": {"scene": str(attempt.job.inputs["scene"]), **dataclasses.asdict(config)},
+        "key": result.key,
+        **{name: record[name] for name in _STATED if name in record},
+    }
+
+
+def _whole(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows without the columns that some of them lack and none may."""
+    names = dict.fromkeys(name for row in rows for name in row)
+    kept = [name for name in names if column_of(name).optional or all(row.get(name) is not None for row in rows)]
+    return [{name: row.get(name) for name in kept} for row in rows]
+
+
+def _record_of(done: Done) -> dict[str, Any]:
+    """What an attack says of itself."""
+    return read_json(done.folder / RECORD)
 
 
 def _named(labels: Mapping[str, Any]) -> str:

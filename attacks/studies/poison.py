@@ -17,7 +17,7 @@ With a defence both are trained once more: what a defence costs on clean picture
     name = "blur"
     defence = { filter = { name = "blur" } }
 
-Every key is an attribute of `attacks.studies.poison_jobs.PoisonPoint`.
+Every key is an attribute of `attacks.studies.poison.PoisonPoint`.
 """
 
 from __future__ import annotations
@@ -25,79 +25,373 @@ from __future__ import annotations
 import math
 import re
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from attacks.cloak.kinds.seen import SeenConfig
+import polars as pl
+
+from attacks.classifiers.base import Classifier
+from attacks.classifiers.registry import load_classifier
+from attacks.cloak.cleaning import CleanedConfig
+from attacks.cloak.config import CameraConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig
+from attacks.cloak.kinds.seen import SeenConfig, loaded
 from attacks.cloak.kinds.trained import COST
-from attacks.cloak.steps import Look
+from attacks.cloak.setup import Pose
+from attacks.cloak.steps import PICTURES as SET_FILES
+from attacks.cloak.steps import POISONED_KIND, Look, StudySteps
 from attacks.observe.look import camera_cells
 from attacks.observe.rates import reported
-from attacks.observe.rows import DETECTIONS, FIDELITY, ROWS, by_camera, frame_of
-from attacks.poisons.measured import CENTRES, COUNT, SPEED
-from attacks.poisons.poisoned import SHEET
-from attacks.studies.plan import Work, write_study
+from attacks.observe.rows import ATTACKED, CLEAN, DETECTIONS, FIDELITY, ROWS, by_camera, frame_of
+from attacks.poisons.classified import ClassifiedConfig
+from attacks.poisons.config import FilterConfig, FrequencyPruningConfig
+from attacks.poisons.measured import CENTRES, COUNT, SPEED, MeasuredConfig
+from attacks.poisons.poisoned import CLOAK, SHEET, PoisonedConfig
+from attacks.poisons.specs import ChosenPoison
 from attacks.studies.poison_figures import figures, summary_tables
-from attacks.studies.poison_jobs import CLASSIFIED, DEFENDED, PoisonAttempt, TrainedVictim, attempt_of
-from attacks.studies.study_file import Study
+from attacks.studies.running import OWN_NAME, Attempt, Observed, Work, names_of
+from attacks.studies.study_file import Point, Settings, with_none
 from attacks.tables import sections
-from mi_splat import provenance
 from mi_splat.cameras import Camera
-from mi_splat.directions import Point, direction_of
+from mi_splat.directions import Point as Position
+from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
+from mi_splat.fields import Checked, Seed, above, check, check_choice, decode
 from mi_splat.io.parsing import read_json
-from mi_splat.ledger import Done
+from mi_splat.ledger import Done, Job, Part
 from mi_splat.ledger.plans import Result
+from mi_splat.training.resume import SPLAT
+
+CLASSIFIED = "attacks.poisons.classified"
+"""Kind of the jobs in which a classifier looks."""
+DEFENDED = "defended"
+"""Condition of rows of a splat whose victim defends itself."""
+TRAINING, HELD_OUT, PHOTOGRAPH = "training cameras", "held-out cameras", "photograph"
+"""Conditions of what is seen of a splat, or of pictures, from the cameras of the training or others."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Victim(Checked):
+    """What the victim trains on, and can afford; see `attacks.cloak.kinds.trained.TrainedConfig`."""
+
+    device: Literal["cpu", "cuda"] = "cpu"
+    seconds: Annotated[float, above(0, "seconds")] | None = None
+    megabytes: Annotated[float, above(0, "MB")] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Defence(Checked):
+    """What a victim does who fears poison; one of these.
+
+    Attributes:
+        filter: All pictures are filtered before the training, and those that it is compared with are not.
+        limit: No more Gaussians than so many times those of the clean splat.
+        prune: Gaussians that are too fine for the cameras are taken out of the finished splat.
+    """
+
+    filter: FilterConfig | None = None
+    limit: Annotated[float, above(0, "times the clean splat's Gaussians")] | None = None
+    prune: FrequencyPruningConfig | None = None
+
+    def __post_init__(self) -> None:
+        check(self)
+        given = [name for name in ("filter", "limit", "prune") if getattr(self, name) is not None]
+        if len(given) != 1:
+            do = "make each a case of its own"
+            raise InvalidValueError.of("defence", "one of filter, limit and prune", given or "none", do)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoisonPoint:
+    """What a point asks for.
+
+    Attributes:
+        seed: Of the poison, and of both trainings.
+        scene: What is photographed.
+        cameras: Where from.
+        training: How the victim trains.
+        attacker: How the splat is trained that the attacker starts from; None is as the victim does.
+        victim: What it trains on, and can afford.
+        evaluation: Its `cameras` are those that no training used; of its `confidence` on, a detection counts.
+        poison: The attack; None leaves the set as it is.
+        defence: What the victim does against it; None is nothing.
+        deceive: Classifier that M-IFGSM deceives.
+        classifiers: Who says what the object is, in pictures and on splats.
+        detectors: Who looks for it there.
+    """
+
+    seed: Seed = 0
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    cameras: CameraConfig = field(default_factory=CameraConfig)
+    training: TrainingConfig = field(default_factory=TrainingConfig)
+    attacker: TrainingConfig | None = None
+    victim: Victim = field(default_factory=Victim)
+    evaluation: EvaluationConfig = field(default_factory=lambda: EvaluationConfig(cameras=60))
+    poison: ChosenPoison | None = None
+    defence: Defence | None = None
+    deceive: str = ""
+    classifiers: tuple[str, ...] = ()
+    detectors: tuple[str, ...] = ()
+
+    @property
+    def study(self) -> StudyConfig:
+        """Scene, cameras and training, in which no appearance is hidden."""
+        return StudyConfig(
+            name="poison",
+            seeds=(self.seed,),
+            scene=self.scene,
+            cameras=self.cameras,
+            training=self.training,
+            evaluation=self.evaluation,
+        )
+
+
+def point_of(settings: Settings, name: str) -> PoisonPoint:
+    """What a point asks for."""
+    values = with_none(settings)
+    table = values.pop("poison", None)
+    poison = None if table is None else ChosenPoison.of(table, f"{name}, poison")
+    return replace(decode(PoisonPoint, values, name), poison=poison)
+
+
+@cache
+def classifier_of(name: str) -> Classifier:
+    """A classifier with its usual weights, loaded once."""
+    return load_classifier(name)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrainedVictim:
+    """A splat of a point, and who measures it."""
+
+    splat: str
+    defended: bool
+    trained: Job
+    measured: Job
+    looks: Sequence[Look]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoisonAttempt(Attempt):
+    """A point as jobs, which are put together by asking for its victims."""
+
+    part: str
+    value: str
+    options: PoisonPoint
+    jobs: dict[str, Job]
+
+    @classmethod
+    def of(cls, point: Point, study: str) -> PoisonAttempt:
+        """The jobs of a point."""
+        part, value = names_of(point, study, without=("seed",))
+        value = point.part if value == OWN_NAME and point.part else value
+        options = point_of(point.settings, study)
+        attempt = cls(point=point, title=f"{part}: {value}", jobs={}, part=part, value=value, options=options)
+        _ = attempt.victims
+        return attempt
+
+    @cached_property
+    def steps(self) -> StudySteps:
+        """The steps of CLOAK's studies, of which those without an attack serve here, too."""
+        return StudySteps(study=self.options.study)
+
+    @cached_property
+    def pictures(self) -> Job:
+        """The clean set."""
+        return self._made("taking pictures", self.steps.pictures())
+
+    @cached_property
+    def clean(self) -> Job:
+        """The training on it."""
+        return self._trained(f"{CLEAN} pictures", self.pictures)
+
+    @cached_property
+    def poisoned(self) -> Job | None:
+        """The poisoned set; None without a poison."""
+        poison = self.options.poison
+        return None if poison is None else self._made("poisoning", self._poisoned(poison))
+
+    @cached_property
+    def victims(self) -> Sequence[TrainedVictim]:
+        """The splats of clean and of poisoned pictures, and those of a victim that defends itself."""
+        sets = {CLEAN: self.pictures} | ({} if self.poisoned is None else {ATTACKED: self.poisoned})
+        victims = []
+        for splat, pictures in sets.items():
+            trained = self._trained(f"{splat} pictures", pictures)
+            victims.append(self._victim(splat, trained, trained))
+        if self.options.defence is not None:
+            for splat, pictures in sets.items():
+                trained, finished = self._defended(self.options.defence, splat, pictures)
+                victims.append(self._victim(splat, trained, finished, defended=True))
+        return victims
+
+    def cameras(self, condition: str) -> Sequence[Camera]:
+        """Cameras of a condition, as its rows number them."""
+        setup = self.steps.setup
+        return setup.training_cameras if TRAINING in condition else setup.held_out_cameras
+
+    def _made(self, label: str, job: Job) -> Job:
+        return self.jobs.setdefault(f"{self.title}, seed {self.options.seed} / {label}", job)
+
+    def _poisoned(self, poison: ChosenPoison) -> Job:
+        """The poisoned set; an attacker who trains otherwise than the victim starts from a splat of their own."""
+        options, config, needs = self.options, poison.config, poison.spec.needs
+        if poison.kind == CLOAK:
+            return replace(self.steps, study=replace(options.study, attack=config.attack)).poisoned(options.seed)
+        values: dict[str, Any] = {"device": options.victim.device}
+        inputs: dict[str, Part | Path] = {"pictures": self.pictures.part(SET_FILES)}
+        if "classifier" in needs:
+            values |= {**self._deceived(config.target), "scene": self.steps.scene_job()}
+            inputs |= self.steps.mesh
+        if "splat" in needs or getattr(config, "decoy_steps", 0) > 0:
+            recipe, start = options.attacker or options.training, self.clean
+            if options.attacker is not None:
+                start = self._trained("clean pictures, by the attacker", self.pictures, options.attacker)
+            values |= {"training": replace(recipe, near=None), "near": self.steps.setup.near}
+            inputs["splat"] = start.part(SPLAT)
+        background = options.scene.background
+        poisoning = PoisonedConfig(poison=poison, background=background, seed=options.seed, **values)
+        return Job(kind=POISONED_KIND, config=poisoning, inputs=inputs)
+
+    def _deceived(self, target: str | None) -> dict[str, Any]:
+        """The classifier that is to be deceived."""
+        name = self.options.deceive
+        if not name:
+            do = 'write deceive = "prototypes"'
+            raise InvalidValueError.of(self.title, "a classifier that M-IFGSM deceives", "none", do)
+        classifier = self._classifier_cells(name)
+        if target is not None:
+            others = [known for known in classifier_of(name).classes if known != classifier["label"]]
+            check_choice(f"target for {name}", target, others)
+        return classifier
+
+    def _classifier_cells(self, name: str) -> dict[str, Any]:
+        """A classifier, which has to know the object's class."""
+        label, classifier = self.options.scene.class_name, classifier_of(name)
+        check_choice(f"class for {name}", label, classifier.classes)
+        device = self.options.victim.device
+        return {"classifier": name, "fingerprint": classifier.fingerprint, "label": label, "device": device}
+
+    def _looks(self, splat: str, finished: Job, *, defended: bool) -> Iterator[Look]:
+        """Everybody's looks: at a splat from training and held-out cameras, and at undefended pictures of the same."""
+        shown: dict[str, tuple[str, Job]] = {TRAINING: ("splat", finished), HELD_OUT: ("splat", finished)}
+        pictures = self.pictures if splat == CLEAN else self.poisoned
+        if pictures is not None and not defended:
+            shown[f"{PHOTOGRAPH}, {TRAINING}"] = ("set", pictures)
+        if splat == CLEAN and not defended:
+            shown[f"{PHOTOGRAPH}, {HELD_OUT}"] = ("pictures", self.steps.true_pictures(self.cameras(HELD_OUT)))
+        also = f", {DEFENDED}" * defended
+        for condition, (what, job) in shown.items():
+            looking = {name: self._classified(name, what, job, condition) for name in self.options.classifiers}
+            looking |= {name: self._detected(name, job, condition) for name in self.options.detectors}
+            for name, look in looking.items():
+                label = f"{name} looks at the {splat} splat{also}, {condition}"
+                job, seed = self._made(label, look), self.options.seed
+                yield Look(label=label, job=job, splat=splat, seed=seed, condition=f"{condition}{also}")
+
+    def _classified(self, name: str, what: str, shown: Job, condition: str) -> Job:
+        """What a classifier takes the object for, on a splat from cameras, in a set, or in pictures."""
+        part = {"splat": SPLAT, "set": SET_FILES, "pictures": "*.png"}[what]
+        cells = {**self.steps.splat_job(), **self._classifier_cells(name)}
+        cameras = self.cameras(condition) if what == "splat" else ()
+        config = ClassifiedConfig(**cells, poses=tuple(map(Pose.of, cameras)))
+        return Job(kind=CLASSIFIED, config=config, inputs={what: shown.part(part)})
+
+    def _detected(self, name: str, shown: Job, condition: str) -> Job:
+        """What a detector reports, which has to know the object's class."""
+        detector = loaded(name)
+        check_choice(f"class for {name}", self.options.scene.class_name, detector.classes)
+        if HELD_OUT in condition:
+            return self.steps.seen(shown, detector)
+        return self.steps.seen_in_training(shown, detector, self.options.seed)
+
+    def _trained(
+        self, on: str, pictures: Job, training: TrainingConfig | None = None, *, limit: float | None = None
+    ) -> Job:
+        limits = {**asdict(self.options.victim), "limit": limit}
+        clean = None if limit is None else self.clean
+        return self._made(
+            f"training on {on}", self.steps.trained_on(pictures, self.options.seed, training, clean, **limits)
+        )
+
+    def _defended(self, defence: Defence, splat: str, pictures: Job) -> tuple[Job, Job]:
+        """The training of a victim that defends itself, and the job that has what is left in the end."""
+        inputs = {"pictures": pictures.part(SET_FILES)}
+        if defence.filter is not None:
+            config = PoisonedConfig(poison=defence.filter, background=self.options.scene.background)
+            filtering = Job(kind=POISONED_KIND, config=config, inputs=inputs)
+            trained = self._trained(f"filtered {splat} pictures", self._made(f"filtering {splat} pictures", filtering))
+            return trained, trained
+        if defence.limit is not None:
+            trained = self._trained(f"{splat} pictures, limited", pictures, limit=defence.limit)
+            return trained, trained
+        trained = self._trained(f"{splat} pictures", pictures)
+        inputs["splat"] = trained.part(SPLAT)
+        pruned = CleanedConfig(prune=defence.prune, near=self.steps.setup.near)
+        job = Job(kind="attacks.cloak.cleaning", config=pruned, inputs=inputs)
+        return trained, self._made(f"pruning the {splat} splat", job)
+
+    def _victim(self, splat: str, trained: Job, finished: Job, *, defended: bool = False) -> TrainedVictim:
+        cameras = self.cameras(HELD_OUT)
+        true = self._made("taking pictures to compare with", self.steps.true_pictures(cameras))
+        device, poses = self.options.victim.device, tuple(map(Pose.of, cameras))
+        config = MeasuredConfig(**self.steps.splat_job(), poses=poses, device=device)
+        inputs = {"splat": finished.part(SPLAT), "pictures": true.part("*.png")}
+        label = f"measuring the {splat} splat{', defended' * defended}"
+        job = self._made(label, Job(kind="attacks.poisons.measured", config=config, inputs=inputs))
+        looks = list(self._looks(splat, finished, defended=defended))
+        return TrainedVictim(splat=splat, defended=defended, trained=trained, measured=job, looks=looks)
+
 
 STORY, PICTURES = "poison-study", "pictures"
 
 
-class PoisonWork(Work):
-    """The jobs of a study of attacks on training pictures.
+class PoisonWork(Work[PoisonAttempt]):
+    """Studies of attacks on training pictures."""
 
-    Raises:
-        MiSplatError: A setting cannot be; before any job is done.
-    """
+    story, has_judges = STORY, False
 
-    def __init__(self, study: Study) -> None:
-        self.study = study
-        if study.judges or any(point.bisected for point in study.points):
-            raise InvalidValueError.of(study.name, "no judge and no bisect", "one", "leave it out")
-        self.attempts: list[PoisonAttempt] = [attempt_of(point, study.name) for point in study.points]
+    def attempt(self, point: Point) -> PoisonAttempt:
+        """The victims of a point."""
+        if point.bisected:
+            raise InvalidValueError.of(self.study.name, "no bisect", "one", "leave it out")
+        return PoisonAttempt.of(point, self.study.name)
 
-    def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
-        """As in `Work`."""
+    def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
+        """What each victim has paid, its rows, and pictures of what was done."""
         done = {key: left for attempt in self.attempts for key, left in attempt.done(results).items()}
-        victims, paths = list[dict[str, Any]](), list[Path]()
+        victims, paths, judges = list[dict[str, Any]](), list[Path](), dict[str, str]()
         rows: dict[str, list[dict[str, Any]]] = {FIDELITY: [], ROWS: []}
         for attempt in self.attempts:
             for victim in attempt.victims:
+                looks = [look.job.config for look in victim.looks]
+                judges |= {seen.detector: seen.fingerprint for seen in looks if isinstance(seen, SeenConfig)}
                 if {victim.trained.identity, victim.measured.identity} <= done.keys():
-                    victims.append(_told(attempt, victim, done))
+                    victims.append(_cost(attempt, victim, done))
                     for name, of_victim in _rows(attempt, victim, done):
                         rows[name] += of_victim
             paths += _pictures(attempt, done, out / PICTURES)
+        seeds = sorted({victim["seed"] for victim in victims})
         tables = {name: by_camera(frame_of(of_table)) for name, of_table in rows.items() if of_table}
-        looks = [look.job.config for attempt in self.attempts for victim in attempt.victims for look in victim.looks]
-        record: dict[str, Any] = {
-            "story": STORY,
-            **self.study.named,
-            "seeds": sorted({victim["seed"] for victim in victims}),
-            "detectors": {seen.detector: seen.fingerprint for seen in looks if isinstance(seen, SeenConfig)},
-            "victims": victims,
-            **provenance.origin(),
-        }
-        record |= figures(record, tables)
-        return [*paths, *write_study(self.study, record, sections(summary_tables(record)), tables, out)]
+        return {"seeds": seeds, "detectors": judges, "victims": victims}, tables, paths
+
+    def with_figures(self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+        """A record with what victims pay, see and lose."""
+        return record | figures(record, rows)
+
+    def page(self, record: Mapping[str, Any]) -> str:
+        """The tables of costs, and of what is seen."""
+        return sections(summary_tables(record))
 
 
-def _told(attempt: PoisonAttempt, victim: TrainedVictim, done: Mapping[str, Done]) -> dict[str, Any]:
+def _cost(attempt: PoisonAttempt, victim: TrainedVictim, done: Mapping[str, Done]) -> dict[str, Any]:
     """What is known of a victim, its rows apart."""
     trained, measured = done[victim.trained.identity], done[victim.measured.identity]
     named = {"part": attempt.part, "value": attempt.value, "seed": attempt.options.seed, "splat": victim.splat}
-    told = {**named, "defended": victim.defended, **read_json(measured.folder / COUNT)}
-    return {**told, **read_json(trained.folder / COST), **read_json(measured.folder / SPEED)}
+    counted = {**named, "defended": victim.defended, **read_json(measured.folder / COUNT)}
+    return {**counted, **read_json(trained.folder / COST), **read_json(measured.folder / SPEED)}
 
 
 def _rows(
@@ -116,14 +410,14 @@ def _rows(
 def _seen(attempt: PoisonAttempt, look: Look, done: Done) -> Iterable[Mapping[str, Any]]:
     """What was seen, picture by picture; a success is an object that is misread, or reported with less confidence."""
     if look.job.kind == CLASSIFIED:
-        cells = [_camera_cells(camera, attempt.centre) for camera in attempt.cameras(look.condition)]
+        cells = [_camera_cells(camera, attempt.steps.setup.centre) for camera in attempt.cameras(look.condition)]
         return [{**row, **cells[row["view"]]} for row in done.rows]
     missed = ~reported("original_score", attempt.options.evaluation.confidence)
     (table,) = (table for name, table in look.tables(done).items() if name != DETECTIONS)
     return table.with_columns(success=missed).iter_rows(named=True)
 
 
-def _camera_cells(camera: Camera, centre: Point) -> dict[str, Any]:
+def _camera_cells(camera: Camera, centre: Position) -> dict[str, Any]:
     """Where a camera is, as rows of detectors say it."""
     distance = math.dist(camera.position.tolist(), centre)
     return {**camera_cells(camera, None, direction_of(camera, centre)), "distance": distance}

@@ -1,11 +1,8 @@
-"""The result of a study: one table of rows for all of it, what each attack says of itself, and the figures."""
+"""What a study of DAGGER found: every figure, counted from rows and from what its attacks say, and its tables."""
 
-import dataclasses
 import functools
 import statistics
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import polars as pl
@@ -22,30 +19,20 @@ from attacks.observe.rates import (
     transfer_measures,
     with_control,
 )
-from attacks.observe.rows import ATTACKED, ROWS, column_of, frame_of
-from attacks.rate import Rate
-from attacks.studies.plan import Attempt, write_study
-from attacks.studies.study_file import Study
-from attacks.studies.table import SHARED, attacks_of, markdown
-from attacks.studies.zoo import AXIS
-from mi_splat import provenance
-from mi_splat.io.folders import RECORD
-from mi_splat.io.parsing import read_json
-from mi_splat.ledger import Done, Job
-from mi_splat.ledger.plans import Result
+from attacks.observe.rows import ATTACKED, ROWS
+from attacks.optimisers.registry import OPTIMISERS
+from attacks.rate import Rate, number, pooled
+from attacks.studies.study_file import merged
+from attacks.tables import Column, Table, cell, number_at, sections, short_rate
 
-STORY = "study"
+AXIS = "attack.optimiser"
+"""The axis over which attacks are compared."""
+SHARED = "of_all_attacks"
+"""Key of result.json under which stands what all attacks share."""
 POOLED = ("seed", "pair")
 """Axes over which looks are pooled; the attacks over the first alone."""
-_STATED = (
-    *("steps", "image_psnr", "image", "noise_psnr", "used", "used_in_file", "changed_gaussians", "object_gaussians"),
-    *("clamped_fraction", "redraws", "warnings", "seconds", "versions", "variant", "commit"),
-    *("evaluations", "cpu_seconds", "loss"),
-)
-"""What an attack says of itself that does not follow from rows."""
 _SHARED = ("settings", "versions", "variant", "commit", "aim", "target", "confidence", "bisected", "redraws")
 """Of what an attack states, that which may stand there."""
-_NAME_DIGITS = 12
 
 KINDS_OF = {"relabel": ("targeted", "untargeted"), "untargeted": ("untargeted",)}
 """What is counted of looks at attacks with an objective; of others whether that is reached."""
@@ -60,79 +47,9 @@ RATES = {
 """Rates over the views of a region, and the measures that they are."""
 
 Record = Mapping[str, Any]
-Tables = Mapping[str, pl.DataFrame]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DaggerAttempt(Attempt):
-    """An attack as jobs."""
-
-    scene: Path
-    job: Job
-    looks: Mapping[str, Job]
-
-
-def write_result(
-    study: Study, done: Sequence[tuple[DaggerAttempt, Done]], results: Mapping[str, Result], out: Path
-) -> list[Path]:
-    """Write result.json, rows.csv.xz, study.toml and table.md into a folder that is there."""
-    named = list(zip(_names(done), done, strict=True))
-    rows = frame_of(_whole([row for name, (attempt, result) in named for row in _rows(name, attempt, result, results)]))
-    record = {
-        "story": STORY,
-        **study.named,
-        **_apart({name: _attack(attempt, result) for name, (attempt, result) in named}),
-        "seeds": sorted({attempt.job.config.attack.seed for attempt, _ in done}),
-        "detectors": _detectors(done),
-        **provenance.origin(),
-    }
-    record = merged_figures(record, figures(record, {ROWS: rows}))
-    return write_study(study, record, markdown(record), {ROWS: rows}, out, indent=None)
-
-
-def _names(done: Sequence[tuple[DaggerAttempt, Done]]) -> list[str]:
-    """What rows call each attack: the first digits of its key, with a number from the second part on that has it."""
-    keys = [result.key[:_NAME_DIGITS] for _, result in done]
-    earlier = [keys[:number].count(key) for number, key in enumerate(keys)]
-    return [f"{key}-{count + 1}" if count else key for key, count in zip(keys, earlier, strict=True)]
-
-
-def _rows(name: str, attempt: DaggerAttempt, result: Done, results: Mapping[str, Result]) -> Iterable[dict[str, Any]]:
-    """Every row of an attack and of the looks at it."""
-    config = attempt.job.config
-    ids = {"attack": name, "sources": "+".join(config.detectors), "seed": config.attack.seed}
-    yield from ({**ids, **row} for row in result.rows)
-    for look in attempt.looks:
-        looked = results.get(look)
-        yield from ({**ids, **row} for row in (looked.rows if isinstance(looked, Done) else ()))
-
-
-def _whole(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Rows without the columns that some of them lack and none may."""
-    names = dict.fromkeys(name for row in rows for name in row)
-    kept = [name for name in names if column_of(name).optional or all(row.get(name) is not None for row in rows)]
-    return [{name: row.get(name) for name in kept} for row in rows]
-
-
-def _attack(attempt: DaggerAttempt, result: Done) -> dict[str, Any]:
-    """What is known of an attack besides its rows."""
-    record, config = record_of(result), attempt.job.config
-    return {
-        "part": attempt.point.part,
-        "labels": dict(attempt.point.labels),
-        "bisected": attempt.point.bisected,
-        "sources": list(config.detectors),
-        "aim": config.objective.name,
-        "target": config.objective.label,
-        "confidence": config.objective.confidence,
-        "seed": config.attack.seed,
-        "settings": {"scene": str(attempt.scene), **dataclasses.asdict(config)},
-        "key": result.key,
-        **{name: record[name] for name in _STATED if name in record},
-    }
-
-
-def _apart(attacks: Mapping[str, Record]) -> dict[str, Any]:
+def shared_apart(attacks: Mapping[str, Record]) -> dict[str, Any]:
     """Attacks, and what all of them share of their settings and of what made them, once for all."""
     values = [{key: attack[key] for key in _SHARED if key in attack} for attack in attacks.values()]
     common = functools.reduce(_common, values) if values else {}
@@ -159,26 +76,7 @@ def _rest(table: Record, common: Record) -> dict[str, Any]:
     return {key: value for key, value in rest.items() if key not in common or (value != common[key] and value != {})}
 
 
-def _detectors(done: Sequence[tuple[DaggerAttempt, Done]]) -> dict[str, str]:
-    """Fingerprints of the weights of every detector attacked, by its name."""
-    marks: dict[str, str] = {}
-    for _, result in done:
-        marks |= {detector["detector"]: detector["detector_fingerprint"] for detector in record_of(result)["detectors"]}
-    return marks
-
-
-def record_of(done: Done) -> dict[str, Any]:
-    """What an attack says of itself."""
-    return read_json(done.folder / RECORD)
-
-
-def merged_figures(record: Record, derived: Record) -> dict[str, Any]:
-    """A record with figures at their places."""
-    attacks = {name: {**attack, **derived["attacks"].get(name, {})} for name, attack in record["attacks"].items()}
-    return {**record, **derived, "attacks": attacks}
-
-
-def figures(record: Record, tables: Tables) -> dict[str, Any]:
+def figures(record: Record, tables: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
     """Every figure of a study, of its rows, and of what its attacks say of themselves."""
     rows, attacks = tables[ROWS], attacks_of(record)
     looked = pl.col("condition").is_not_null() if "condition" in rows.columns else pl.lit(value=False)
@@ -319,3 +217,248 @@ def _looks(attacks: Record, looks: pl.DataFrame) -> list[dict[str, Any]]:
                 }
             )
     return lines
+
+
+def markdown(record: Record) -> str:
+    """All tables of a study as a page."""
+    head = [f"# {record.get('question') or record['name']}", "", *_introduction(record), ""]
+    return "\n".join(head) + f"\n{sections(tables(record))}"
+
+
+def tables(record: Record) -> Iterator[Table]:
+    """All tables of a study: what its attacks have reached, the smallest that suffices, and what others see."""
+    for title, groups in by_part(record["groups"]).items():
+        compared = list(comparison(title, groups))
+        columns = {**_axes(groups), **(_OF_VIEWS if "rate" in groups[0] else _OF_ATTACKS)}
+        yield from compared or [Table.of(title or "The attacks", columns, groups)]
+    for title, searched in by_part(record["smallest"]).items():
+        caption = f"The smallest that suffices{f': {title}' if title else ''}"
+        yield Table.of(caption, {**_axes(searched), **_OF_SEARCHES}, searched)
+    for title, looks in by_part(record["looks"]).items():
+        for kind, meaning in KINDS.items():
+            if kind in looks[0]:
+                yield _matrix(f"{meaning}{f': {title}' if title else ''}", looks, kind)
+
+
+_OF_ATTACKS: dict[str, Column[Any]] = {
+    "success": short_rate("success"),
+    "strictly": short_rate("strict"),
+    "confidence (least)": lambda line: f"{number(line['score'], '.2f')} ({number(line['score_least'], '.2f')})",
+    "original after": number_at("original_after"),
+    "steps": "steps",
+    "PSNR, dB": number_at("image_psnr", form=".1f"),
+    "on the object": number_at("psnr_object", form=".1f"),
+    "noise success": lambda line: f"{line['noise_successes']}/{line['noise_draws']}",
+    "noise best": number_at("noise_best"),
+}
+_OF_VIEWS: dict[str, Column[Any]] = {
+    "views": short_rate("rate", interval=True),
+    "strictly": short_rate("strict_rate"),
+    "noise": short_rate("noise_rate"),
+    "clean": short_rate("clean_rate"),
+    "PSNR, dB": number_at("image_psnr", form=".1f"),
+    "on the object": number_at("psnr_object", form=".1f"),
+    "steps": "steps",
+    "seconds": number_at("seconds", form=".0f"),
+}
+_OF_SEARCHES: dict[str, Column[Any]] = {"smallest": "smallest", "largest that does not": "not_enough"}
+KINDS = {
+    "targeted": "The wanted class is reported",
+    "untargeted": "The object's class is no longer reported",
+    "reached": "The objective of the attack is reached",
+}
+
+
+def _introduction(record: Record) -> list[str]:
+    attacks = list(attacks_of(record).values())
+    seeds = ", ".join(str(seed) for seed in sorted({attack["seed"] for attack in attacks}))
+    weights = "; ".join(f"{name} {mark}" for name, mark in record["detectors"].items())
+    versions = ", ".join(f"{name} {version}" for name, version in record["versions"].items())
+    variants = ", ".join(dict.fromkeys(str(attack.get("variant")) for attack in attacks))
+    return [
+        f"{len(attacks)} attacks, seeds {seeds}. Every attack is judged on the saved file, in pictures of 8 bits. "
+        "Strictly: the object's own class is gone, too (below 0.5). Medians are over seeds; noise is random noise of "
+        "the size of the attack in the same norm; intervals are of 95 %.",
+        "",
+        f"Weights: {weights}. Versions: {versions}; variant {variants}; commit {record['commit']}.",
+    ]
+
+
+def attacks_of(record: Record) -> dict[str, Any]:
+    """Every attack of a study with all that is stated of it, by its name."""
+    return {name: merged(record.get(SHARED, {}), attack) for name, attack in record["attacks"].items()}
+
+
+def by_part(lines: Sequence[Record]) -> dict[str, list[Record]]:
+    """Lines by the part of the study that they are of."""
+    parts: dict[str, list[Record]] = {}
+    for line in lines:
+        parts.setdefault(line["part"], []).append(line)
+    return parts
+
+
+def _axes(lines: Sequence[Record]) -> dict[str, Column[Any]]:
+    """A column for each axis."""
+    names = dict.fromkeys(name for line in lines for name in line["labels"])
+    return {title_of(name): lambda line, name=name: line["labels"].get(name) for name in names}  # type: ignore[misc]
+
+
+def title_of(axis: str) -> str:
+    """What an axis is called at the head of a column."""
+    return axis.removeprefix("attack.").replace("_", " ")
+
+
+def _matrix(caption: str, looks: Sequence[Record], kind: str) -> Table:
+    """Who judges, and how, against what was attacked; the longer of the two downwards, and the noise of all of it."""
+    judges = _names(looks, ("condition", "detector"))
+    attacks = _names(looks, ("labels",))
+    cells = {(attacks[id(look)], judges[id(look)]): look for look in looks}
+    across, down = (dict.fromkeys(names.values()) for names in (attacks, judges))
+    turned = len(across) > len(down)
+    if turned:
+        across, down = down, across
+
+    def rate(row: str, column: str) -> str:
+        look = cells.get((row, column) if turned else (column, row))
+        star = " *" if look is not None and look["white_box"] and marked else ""
+        return "-" if look is None else Rate.of(look[kind]).short(interval=True) + star
+
+    def noise(row: str) -> str:
+        members = [look for look in looks if row == (attacks if turned else judges)[id(look)]]
+        return pooled(look[f"noise_{kind}"] for look in members).short()
+
+    marked = len({look["detector"] for look in looks}) > 1
+    columns: dict[str, Column[str]] = {"attacked, judged by" if turned else "judged by": lambda row: row or "all"}
+    columns |= {name or "all": lambda row, name=name: rate(row, name) for name in across}  # type: ignore[misc]
+    columns["random noise"] = noise
+    note = " (a star: the detector that judges was attacked)" if marked else ""
+    return Table.of(f"{caption}{note}", columns, down)
+
+
+def _names(looks: Sequence[Record], keys: Sequence[str]) -> dict[int, str]:
+    """What each look is called by some of its keys, those apart that are the same in all looks."""
+    values: dict[int, dict[str, Any]] = {}
+    for look in looks:
+        parts = values.setdefault(id(look), {})
+        for key in keys:
+            parts |= look[key] if isinstance(look[key], Mapping) else {key: look[key]}
+    several = [key for key in next(iter(values.values())) if len({parts.get(key) for parts in values.values()}) > 1]
+    return {
+        name: ", ".join(_named(key, parts[key]) for key in several if parts.get(key) is not None)
+        for name, parts in values.items()
+    }
+
+
+def _named(key: str, value: Any) -> str:
+    return value if isinstance(value, str) else f"{title_of(key)} {cell(value)}"
+
+
+# Several optimisers in one study: a table of all of them, and what raises a doubt about those that follow gradients.
+#
+# The doubts are those of AutoAttack (Croce and Hein, ICML 2020) and of Carlini et al. (2019): a search that knows the
+# loss alone, or that takes one step, must not do better than every search that follows gradients.
+
+
+def comparison(title: str, groups: Sequence[Record]) -> Iterator[Table]:
+    """Every optimiser against all else that varies, and the signs of doubt; nothing for groups of one optimiser alone.
+
+    A cell has the successes, and in brackets the median over seeds of the lowest loss.
+    """
+    members = by_attack(groups)
+    after = f": {title}" if title else ""
+    if not members:
+        return
+    cells = {(group["labels"][AXIS], _elsewhere(group)): group for group in groups}
+    columns: dict[str, Column[str]] = {"attack": str}
+    for other in dict.fromkeys(elsewhere for _, elsewhere in cells):
+        columns[other or "all"] = lambda name, other=other: _reached(cells.get((name, other)))  # type: ignore[misc]
+    columns["together"] = lambda name: Rate.of(together(members[name])["success"]).short(interval=True)
+    columns["random noise"] = lambda name: "{noise_successes}/{noise_draws}".format_map(together(members[name]))
+    columns["looks"] = lambda name: _spread(members[name], "evaluations")
+    columns["CPU seconds"] = lambda name: _spread(members[name], "cpu_seconds")
+    yield Table.of(f"Attacks side by side{after} (successes; in brackets the lowest loss)", columns, members)
+    of_case: dict[str, Column[Any]] = {
+        "case": lambda case: case[0] or "all",
+        "best with gradients": lambda case: _best(case[1]),
+        "best of the others": lambda case: _best(case[2]),
+        "doubt": lambda case: "; ".join(_doubts(*case[1:])) or "none",
+    }
+    if compared := [case for case in _cases(groups) if case[1] and case[2]]:
+        yield Table.of(f"Signs of doubt{after}", of_case, compared)
+
+
+def by_attack(groups: Sequence[Record]) -> dict[str, list[Record]]:
+    """The groups of each optimiser; none where all have the same, or where the study is no comparison."""
+    members: dict[str, list[Record]] = {}
+    for group in groups if all(map(_is_comparable, groups)) else ():
+        members.setdefault(str(group["labels"].get(AXIS)), []).append(group)
+    return members if len(members) > 1 else {}
+
+
+def together(groups: Sequence[Record]) -> Record:
+    """The successes of several groups, and those of their noise."""
+    noise = {key: sum(group[key] for group in groups) for key in ("noise_successes", "noise_draws")}
+    return {"success": pooled(group["success"] for group in groups).as_dict(), **noise}
+
+
+def _cases(groups: Sequence[Record]) -> list[tuple[str, list[Record], list[Record]]]:
+    """Attacks by what they have in common: its name, those that follow gradients in several steps, and the others."""
+    alike: dict[str, tuple[list[Record], list[Record]]] = {}
+    for group in groups:
+        if _is_comparable(group) and AXIS in group["labels"]:
+            name, spec = ", ".join(filter(None, (group["part"], _elsewhere(group)))), OPTIMISERS.get(group["optimiser"])
+            follows = group["optimiser"] != "fgsm" and (spec is None or spec.gradient)
+            alike.setdefault(name, ([], []))[0 if follows else 1].append(group)
+    return [(name, *both) for name, both in alike.items()]
+
+
+def doubts(groups: Sequence[Record]) -> Iterator[str]:
+    """What speaks against attacks of a study that differ in the optimiser alone."""
+    for name, many, others in _cases(groups):
+        yield from (f"{doubt} ({name})" for doubt in _doubts(many, others))
+
+
+def _doubts(many: Sequence[Record], others: Sequence[Record]) -> Iterator[str]:
+    """What speaks against attacks that follow gradients."""
+    for group in others if many else ():
+        if all(_beats(group, other) for other in many):
+            name = group["labels"][AXIS]
+            what = "one step does" if group["optimiser"] == "fgsm" else f"{name}, which knows no gradient, does"
+            yield f"{what} better than every attack that follows gradients"
+    if any(group["noise_successes"] and group["success"]["successes"] for group in many):
+        yield "random noise of the size of an attack succeeds, too"
+
+
+def _is_comparable(group: Record) -> bool:
+    """Whether a group says whether its attacks succeed, and how low their loss is."""
+    return "loss" in group and "success" in group
+
+
+def _beats(group: Record, other: Record) -> bool:
+    """Whether a group has more successes than another; where neither has any, whether its loss is lower."""
+    mine, theirs = group["success"]["successes"], other["success"]["successes"]
+    return bool(mine > theirs or (mine == theirs == 0 and group["loss"] < other["loss"]))
+
+
+def _elsewhere(group: Record) -> str:
+    """What a group is besides its optimiser."""
+    return ", ".join(str(label) for axis, label in group["labels"].items() if axis != AXIS)
+
+
+def _best(groups: Sequence[Record]) -> str:
+    """The attack with the most successes, of equals that with the lowest loss."""
+    best = max(groups, key=lambda group: (group["success"]["successes"], -group["loss"]))
+    return f"{best['labels'][AXIS]}, {_reached(best)}"
+
+
+def _reached(group: Record | None) -> str:
+    return "-" if group is None else f"{Rate.of(group['success']).short()} ({group['loss']:.2f})"
+
+
+def _spread(groups: Sequence[Record], key: str) -> str:
+    """The mean of an optimiser's groups, with the smallest and the largest value where these differ."""
+    values = [group[key] for group in groups if group.get(key) is not None]
+    if not values:
+        return "-"
+    low, mean, high = (f"{value:.3g}" for value in (min(values), sum(values) / len(values), max(values)))
+    return low if low == high else f"{mean} ({low} to {high})"

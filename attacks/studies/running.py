@@ -1,22 +1,151 @@
-"""The run of a study: the work of its kind, the jobs that an engine does, and the result that is written."""
+"""How a study becomes jobs, and is run: plans whose later jobs may depend on earlier ones, and the result."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import importlib
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
-from attacks.studies.study_file import Study, read_study
+import polars as pl
+
+from attacks.observe.rows import SUFFIX, write_rows
+from attacks.studies.study_file import KINDS, Point, Study, read_study
+from mi_splat import provenance
 from mi_splat.errors import InvalidValueError
+from mi_splat.io.documents import save_json, save_text
+from mi_splat.io.folders import RECORD, check_own_folder, own_folder, write_manifest
+from mi_splat.ledger import Done, Job
+from mi_splat.ledger.engines import InProcess, Processes
+from mi_splat.ledger.job import nobody
+from mi_splat.ledger.plans import Driver, Plan, Result, grid
 
 if TYPE_CHECKING:
-    from attacks.studies.plan import Work
     from mi_splat.ledger.engines import Engine
     from mi_splat.ledger.job import OnEvent
 
-STORE = Path("out/store")
-"""Folder of finished jobs where none is named."""
+STUDY_FILE, TABLE, STORE = "study.toml", "table.md", Path("out/store")
+"""Names of files of a result, and the folder of finished jobs where none is named."""
+OWN_NAME = "the study"
+"""What a value is called in a study in which nothing varies."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Attempt:
+    """A point of a study as jobs."""
+
+    point: Point
+    title: str
+    jobs: Mapping[str, Job]
+
+    def done(self, results: Mapping[str, Result]) -> dict[str, Done]:
+        """What its jobs left, by their identity, as far as they are done."""
+        ended = {job.identity: results.get(label) for label, job in self.jobs.items()}
+        return {identity: result for identity, result in ended.items() if isinstance(result, Done)}
+
+    def is_done(self, done: Mapping[str, Done]) -> bool:
+        """Whether all of its jobs are done."""
+        return all(job.identity in done for job in self.jobs.values())
+
+
+_Attempt = TypeVar("_Attempt", bound=Attempt)
+Observed = tuple[dict[str, Any], Mapping[str, pl.DataFrame], list[Path]]
+"""What a result says of finished jobs, its tables of rows, and the pictures that were copied beside it."""
+
+
+class Work(Generic[_Attempt]):
+    """A kind of study: the jobs of each point, and what its result says of them.
+
+    Raises:
+        MiSplatError: A setting cannot be, a detector cannot be loaded, or a file is missing; before any job is done.
+    """
+
+    story: ClassVar[str]
+    has_judges: ClassVar[bool] = True
+    searches: Sequence[Sequence[_Attempt]] = ()
+
+    def __init__(self, study: Study) -> None:
+        self.study = study
+        if study.judges and not self.has_judges:
+            raise InvalidValueError.of(study.name, "no judge", "one", "leave it out")
+        self.attempts: list[_Attempt] = [self.attempt(point) for point in study.points]
+
+    def attempt(self, point: Point) -> _Attempt:
+        """A point as jobs."""
+        raise NotImplementedError
+
+    def suffices(self, attempt: _Attempt, results: Mapping[str, Result]) -> bool | None:
+        """Whether a value that is bisected suffices; None if a job has failed."""
+        raise NotImplementedError
+
+    def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
+        """What is seen in the results."""
+        raise NotImplementedError
+
+    def with_figures(self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+        """A record with every figure that follows from it and from its rows."""
+        raise NotImplementedError
+
+    def page(self, record: Mapping[str, Any]) -> str:
+        """The tables of a result in Markdown."""
+        raise NotImplementedError
+
+    def jobs(self) -> dict[str, Job]:
+        """Every job that may be asked for, by its label."""
+        return {label: job for attempt in self.attempts for label, job in attempt.jobs.items()}
+
+    @property
+    def size(self) -> int:
+        """Number of different jobs."""
+        return len({job.identity for job in self.jobs().values()})
+
+    def plans(self) -> list[Plan]:
+        """One plan of all points that are known, and one for each search."""
+        searched = {id(attempt) for search in self.searches for attempt in search}
+        known = [attempt.jobs for attempt in self.attempts if id(attempt) not in searched]
+        fixed = [grid({label: job for jobs in known for label, job in jobs.items()})] if known else []
+        return [*fixed, *(bisection(search, self.suffices) for search in self.searches)]
+
+    def check_room(self, store: Path) -> None:
+        """Refuse a disk that has no room for what the jobs leave."""
+
+    def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
+        """Write result.json, tables of rows, study.toml and table.md into a folder that exists."""
+        facts, frames, paths = self.observed(results, out)
+        record = {"story": self.story, **self.study.named, **facts, **provenance.origin()}
+        record = self.with_figures(record, frames)
+        paths += [write_rows(table, out / f"{name}{SUFFIX}") for name, table in frames.items()]
+        save_text(self.page(record), out / TABLE)
+        save_text(self.study.text, out / STUDY_FILE)
+        save_json(record, out / RECORD, indent=None)
+        return [*paths, *(out / name for name in (TABLE, STUDY_FILE, RECORD))]
+
+
+def names_of(point: Point, study: str, *, without: Sequence[str] = ()) -> tuple[str, str]:
+    """What tables call the part of a study that a point belongs to, and what varies in it but for some axes."""
+    labels = {axis: str(label) for axis, label in point.labels.items() if axis not in without}
+    return point.part or " and ".join(labels) or study, ", ".join(labels.values()) or OWN_NAME
+
+
+def bisection(attempts: Sequence[_Attempt], suffices: Callable[[_Attempt, Mapping[str, Result]], bool | None]) -> Plan:
+    """A plan that looks for the first attempt that suffices."""
+    low, high = -1, len(attempts)  # fails, suffices
+    while high - low > 1:
+        middle = (low + high) // 2
+        enough = suffices(attempts[middle], (yield attempts[middle].jobs) or {})
+        if enough is None:
+            return
+        low, high = (low, middle) if enough else (middle, high)
+
+
+def check_apart(where: str, looks: Iterable[str]) -> None:
+    """Raise if two looks at one splat are called the same: their rows would be counted as if they were one look's."""
+    for name, number in Counter(looks).items():
+        if number > 1:
+            do = "tell judges apart by detector and condition"
+            raise InvalidValueError.of(where, "one look of each name", f"{number}: {name}", do)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,30 +157,15 @@ class Run:
     files: tuple[Path, ...]  # of the result; none where all jobs have failed
 
 
-def work_of(study: Study) -> Work:
+def work_of(study: Study) -> Work[Any]:
     """The jobs of a study, by its kind."""
-    if study.kind == "cloak":
-        from attacks.studies.cloak import CloakWork
-
-        return CloakWork(study)
-    if study.kind == "audit":
-        from attacks.studies.audit import AuditWork
-
-        return AuditWork(study)
-    if study.kind == "poison":
-        from attacks.studies.poison import PoisonWork
-
-        return PoisonWork(study)
-    from attacks.studies.dagger import DaggerWork
-
-    return DaggerWork(study)
+    module, name = KINDS[study.kind]
+    work: Work[Any] = getattr(importlib.import_module(module), name)(study)
+    return work
 
 
-def run_with(engine: Engine, study: Study, work: Work, *, store: Path, out: Path, on_event: OnEvent) -> Run:
+def run_with(engine: Engine, study: Study, work: Work[Any], *, store: Path, out: Path, on_event: OnEvent) -> Run:
     """Do what of a study is not done yet, and write its result into a folder that is its own."""
-    from mi_splat.io.folders import write_manifest
-    from mi_splat.ledger.plans import Driver
-
     results = Driver(store, engine, name=study.name, on_event=on_event).run(work.plans())
     failed = {label: result for label, result in results.items() if isinstance(result, str)}
     files = [] if len(failed) == len(results) else work.write(results, out)
@@ -86,11 +200,6 @@ def run_study(
         InvalidValueError: The file is no study, a setting cannot be, or a job of another process has failed; what a job
             of this process raises comes as it is.
     """
-    from attacks.studies.plan import STUDY_FILE
-    from mi_splat.io.folders import check_own_folder, own_folder
-    from mi_splat.ledger.engines import InProcess, Processes
-    from mi_splat.ledger.job import nobody
-
     asked, kept = read_study(Path(study)).of(tuple(parts)), Path(store)
     folder = Path("out/studies") / asked.name if out is None else Path(out)
     check_own_folder(folder, STUDY_FILE)

@@ -40,14 +40,14 @@ from typing import Any
 from mi_splat.errors import InvalidValueError, nearest
 from mi_splat.io.parsing import DocumentReader
 
-KINDS: dict[str, str] = {
-    "dagger": "attacks.studies.dagger",
-    "dagger-eot": "attacks.studies.dagger",
-    "cloak": "attacks.studies.cloak",
-    "audit": "attacks.studies.audit",
-    "poison": "attacks.studies.poison",
+KINDS: dict[str, tuple[str, str]] = {
+    "dagger": ("attacks.studies.dagger", "DaggerWork"),
+    "dagger-eot": ("attacks.studies.dagger", "DaggerWork"),
+    "cloak": ("attacks.studies.cloak", "CloakWork"),
+    "audit": ("attacks.studies.audit", "AuditWork"),
+    "poison": ("attacks.studies.poison", "PoisonWork"),
 }
-"""Kinds of studies, and the modules that know their settings and jobs."""
+"""Kinds of studies, and the `Work` that knows the settings and jobs of each."""
 
 PARTS = ("study", "question", "matrix", "case", "ablation", "bisect", "judge")
 """Keys of a file that are no settings."""
@@ -92,10 +92,10 @@ class Study:
 
     name: str
     kind: str
-    question: str
+    question: str = ""
     parts: Mapping[str, Sequence[Point]]
-    judges: Sequence[Point]
-    text: str
+    judges: Sequence[Point] = ()
+    text: str = ""
 
     def of(self, names: Sequence[str]) -> Study:
         """The study with some of its parts alone; all if none is named."""

@@ -100,8 +100,8 @@ def write_pages(app: Sphinx) -> None:
     import study_tables
     from detector_figures import compared_page, table_page
 
-    from attacks.bench.audits import audit_rows, audit_table
     from attacks.bench.row import defences, markdown
+    from attacks.studies.audit import audit_rows, audit_table
     from mi_splat.io.parsing import read_json
 
     docs = Path(app.srcdir)

@@ -11,9 +11,9 @@ from torch import Tensor
 from attacks.classifiers.frozen import classified
 from attacks.poisons.base import PicturePoison
 from attacks.poisons.config import FilterConfig, MIFGSMConfig
-from attacks.poisons.decoy import Decoy
 from attacks.poisons.defences import filtered
 from attacks.poisons.mifgsm import MIFGSM
+from attacks.poisons.poison_splat import Decoy
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, View
 from mi_splat.errors import InvalidValueError

@@ -17,9 +17,9 @@ from attacks.poisons.config import (
     RaisedVariationConfig,
     UniformNoiseConfig,
 )
-from attacks.poisons.decoy import Decoy
 from attacks.poisons.defences import filtered, finest_samples, frequency_pruned
 from attacks.poisons.poison_splat import (
+    Decoy,
     PoisonSplat,
     RaisedVariation,
     UniformNoise,

@@ -6,9 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from attacks.audits.baselines import BASELINES, attributes, fit_attributes, measured
 from attacks.audits.disagreement import AROUND, OVER, Seen, seen_along_paths
-from attacks.audits.learnt import attributes, fit_attributes
-from attacks.audits.rivals import BASELINES, measured
 from attacks.detectors.base import Candidates, Detections
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.rendering import Renderer
@@ -52,7 +51,7 @@ def test_a_classifier_finds_the_kind_of_attack_that_it_was_trained_on() -> None:
 
     known = torch.stack([attributes(scene) for scene in (*kinds("suitcase"), *kinds("bird"))])
     trained = fit_attributes(known, [False, False, True] * 2)
-    plain, shiny, look = trained.odds(torch.stack([attributes(scene) for scene in kinds("tv")])).tolist()
+    plain, shiny, look = trained(torch.stack([attributes(scene) for scene in kinds("tv")])).tolist()
     assert look > max(plain, shiny)
     assert look > 0
 

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from attacks import cli
-from attacks.bench.audits import FALSE_ALARMS, audit_rows
 from attacks.bench.row import check_row, warnings
 from attacks.bench.suite import SUITES, read_suite
 from attacks.bench.work import BenchWork
@@ -19,6 +18,7 @@ from attacks.detectors.catalogue import SMALL_WEIGHTS
 from attacks.detectors.registry import CHOSEN_WEIGHTS
 from attacks.observe.rows import read_rows
 from attacks.studies import attack as attack_kind
+from attacks.studies.audit import FALSE_ALARMS, audit_rows
 from mi_splat.errors import InvalidValueError
 from mi_splat.interrupts import INTERRUPTED
 from mi_splat.io.folders import write_manifest
@@ -161,7 +161,7 @@ def test_weights_of_a_file_are_asked(suite: Path, tmp_path: Path, monkeypatch: p
     work = BenchWork(read_suite(str(suite)), "fasterrcnn_small", weights=file, columns=["one_view"])
     first = work.attempts[0]
     assert file in first.made[first.title].inputs.values()
-    assert work.loaded.name == "fasterrcnn_small"
+    assert work.detector.name == "fasterrcnn_small"
     code = "from attacks.detectors.registry import detector_spec; print(detector_spec('fasterrcnn_small').weights())"
     worker = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
     assert worker.stdout.strip() == str(file), "processes that do jobs know the file"
@@ -198,7 +198,7 @@ def test_a_row_is_counted_again_without_attacks(
 ) -> None:
     monkeypatch.setattr(engines, "run_job", None)
     assert cli.main(["bench", "--rescore", str(out)]) == 0
-    assert "50 % of 12" in capsys.readouterr().out
+    assert "6/12 (" in capsys.readouterr().out
     assert cli.main(["artifact-check", str(out)]) == 0
 
 

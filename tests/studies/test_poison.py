@@ -14,8 +14,7 @@ from attacks.cloak.config import SceneConfig
 from attacks.detectors import registry
 from attacks.detectors.weights import FrozenModel
 from attacks.observe.rows import rows
-from attacks.studies.poison import PoisonWork
-from attacks.studies.poison_jobs import classifier_of
+from attacks.studies.poison import PoisonWork, classifier_of
 from attacks.studies.study_file import read_study, study_of
 from mi_splat.assets import ASSETS
 from mi_splat.datasets import load_dataset

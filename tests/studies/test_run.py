@@ -10,8 +10,7 @@ from attacks import cli, rows, run_study
 from attacks.observe.rows import read_rows
 from attacks.studies import attack as attack_kind
 from attacks.studies import running as running_study
-from attacks.studies.result import figures
-from attacks.studies.table import markdown
+from attacks.studies.result import figures, markdown
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.ledger import Store

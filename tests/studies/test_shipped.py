@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from attacks.studies import dagger
-from attacks.studies.dagger import DaggerWork
-from attacks.studies.result import DaggerAttempt
+from attacks.studies.dagger import DaggerAttempt, DaggerWork
 from attacks.studies.study_file import read_study
 from tests.project.layers import ROOT
 
@@ -58,7 +57,7 @@ def test_a_shipped_study_is_so_many_jobs(path: Path) -> None:
     assert len({one.title for one in done}) == len(done)
     assert read_study(path).question.endswith("?")
     for one in done:
-        sensors = (ROOT / one.scene).read_text()
+        sensors = (ROOT / str(one.job.inputs["scene"])).read_text()
         assert f'<shape type="gaussians" id="{one.job.config.object}">' in sensors
         assert getattr(one.job.config, "camera", 0) < sensors.count("<sensor ")
 

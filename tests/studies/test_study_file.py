@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from attacks.studies.plan import Attempt, bisection
+from attacks.studies.running import Attempt, bisection
 from attacks.studies.study_file import Point, merged, read_study, study_of
 from mi_splat.errors import InvalidValueError
 

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from attacks import cli
-from attacks.studies.table import tables
-from attacks.studies.zoo import AXIS, comparison, doubts
+from attacks.studies.result import AXIS, comparison, doubts, tables
 from tests.studies.toy import write_toy
 
 STUDY = """

@@ -9,7 +9,7 @@ import pytest
 
 from attacks.detectors.base import Detector
 from attacks.studies.dagger import DaggerWork
-from attacks.studies.plan import Work
+from attacks.studies.running import Work
 from attacks.studies.study_file import study_of
 from mi_splat.ledger import Event, Job, Store
 from mi_splat.ledger.engines import InProcess
@@ -59,7 +59,7 @@ def key_of(job: Job, store: Path) -> str:
     return task_for(job, Store(store), {}).key
 
 
-def done(work: Work, store: Path, events: list[Event] | None = None) -> dict[str, Result]:
+def done(work: Work[Any], store: Path, events: list[Event] | None = None) -> dict[str, Result]:
     """Results of all jobs, done in this process."""
     heard = [] if events is None else events
     engine = InProcess(store, on_event=heard.append)

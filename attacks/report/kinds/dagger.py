@@ -18,8 +18,7 @@ from attacks.observe.views import CAMERAS, ViewDetections
 from attacks.rate import Rate, number, percent, pooled
 from attacks.report.checking import Rescoring
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, capital, listed, settings, shared
-from attacks.studies.table import KINDS, attacks_of, by_part, tables, title_of
-from attacks.studies.zoo import by_attack, doubts, together
+from attacks.studies.result import KINDS, attacks_of, by_attack, by_part, doubts, tables, title_of, together
 from attacks.tables import Column, Table
 from mi_splat.errors import InvalidValueError, counted
 

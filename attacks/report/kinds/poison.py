@@ -8,9 +8,8 @@ from attacks.cloak.own_pictures import BEFORE_AND_AFTER
 from attacks.observe.rows import ATTACKED, CLEAN
 from attacks.rate import Rate, percent, pooled
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, listed, settings
-from attacks.studies.poison import PICTURES
+from attacks.studies.poison import HELD_OUT, PICTURES
 from attacks.studies.poison_figures import summary_tables
-from attacks.studies.poison_jobs import HELD_OUT
 from attacks.tables import Column, Table
 from mi_splat.datasets.writing import picture_name
 from mi_splat.errors import counted
