@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from attacks.search import Parameters
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.parameters import activate, to_raw_parameters
-from mi_splat.scene import ATTRIBUTES, GaussianScene
+from mi_splat.scene import GaussianScene
 
 Mask: TypeAlias = Tensor | slice | Sequence[bool] | Sequence[int] | NDArray[np.bool_] | NDArray[np.integer[Any]]
 """What selects the Gaussians of an object: (N,) bool, row numbers, or a slice; a tensor, an array or a list."""

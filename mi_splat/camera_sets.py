@@ -14,6 +14,7 @@ from mi_splat.camera_forms import MOST, parse_form
 from mi_splat.cameras import Camera, focal_of, orbit_pose, sizes_of
 from mi_splat.datasets.transforms import read_cameras
 from mi_splat.errors import InvalidValueError
+from mi_splat.fields import above, checked_number
 
 MARGIN = 1.05
 """How much farther away cameras are than would just show the whole of what they look at."""
@@ -179,7 +180,8 @@ def camera_set(
         return read_cameras(Path(spec), size)
     kind, numbers = parse_form(spec)
     count, angle = int(numbers["count"]), float(numbers.get("angle", 0.0))
-    distance, focal = _positive("distance", distance), _positive("focal", focal)
+    for name, value in (("distance", distance), ("focal", focal)):
+        checked_number(name, value, above(0))
     if kind == "orbit":
         return orbit(centre, count=count, elevation=angle, distance=distance, focal=focal, size=size)
     if kind == "grid":
@@ -201,7 +203,8 @@ def held_out_set(
         raise InvalidValueError.of("test cameras", f"a set by name beside {spec}", "a file", do)
     kind, numbers = parse_form(spec)
     angle = float(numbers.get("angle", 0.0))
-    distance, focal = _positive("distance", distance), _positive("focal", focal)
+    for name, value in (("distance", distance), ("focal", focal)):
+        checked_number(name, value, above(0))
     if kind == "orbit":
         return [
             orbit(centre, count=1, elevation=angle, distance=distance, focal=focal, size=size, start=azimuth)[0]
@@ -216,10 +219,3 @@ def _between(others: int, count: int) -> list[float]:
     if count <= others:
         return [360 * (0.5 + i * others // count) / others for i in range(count)]
     return [180 / math.lcm(others, count) + 360 * i / count for i in range(count)]
-
-
-def _positive(name: str, value: float) -> float:
-    """The value, if it is positive and finite."""
-    if not (math.isfinite(value) and value > 0):
-        raise InvalidValueError.of(name, "a positive number", value, "change it")
-    return value

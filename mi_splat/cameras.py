@@ -7,20 +7,26 @@ Pixel centres lie at half integers, so the image spans [0, width] x [0, height].
 from __future__ import annotations
 
 import math
-import operator
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from mi_splat._lazy import Previewed
+from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import several_of
-from mi_splat.scene import LARGEST, GaussianScene
+from mi_splat.fields import Range, above, between, check, checked_number, several_of, taken
+from mi_splat.rotation import is_rotation
+from mi_splat.scene import GaussianScene
+
+_Focal = Annotated[float, between(1 / LARGEST, LARGEST, "pixels", "check the intrinsics")]
+_Coordinate = Annotated[float, between(-LARGEST, LARGEST, do="check the intrinsics")]
+_Pixels = Annotated[int, between(1, 1 << 15, "pixels", "check the image size")]
+_Point = tuple[Annotated[float, Range()], Annotated[float, Range()], Annotated[float, Range()]]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
@@ -40,10 +46,10 @@ class Camera(Previewed):
     """
 
     to_world: Tensor
-    focal: float | tuple[float, float]
-    width: int
-    height: int
-    principal: tuple[float, float] | None = None
+    focal: _Focal | tuple[_Focal, _Focal]
+    width: _Pixels
+    height: _Pixels
+    principal: tuple[_Coordinate, _Coordinate] | None = None
 
     def __repr__(self) -> str:
         at = ", ".join(f"{value + 0.0:.3g}" for value in self.position.tolist())
@@ -53,52 +59,35 @@ class Camera(Previewed):
         pose = pose_tensor(self.to_world)
         if pose.shape != (4, 4):
             raise InvalidValueError.of("to_world", "shape (4, 4)", tuple(pose.shape), "pass a camera-to-world matrix")
-        rotation, last = pose[:3, :3], torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=torch.float64)
-        rigid = torch.isfinite(pose).all() and torch.allclose(pose[3], last)
-        if not (rigid and torch.allclose(rotation @ rotation.T, torch.eye(3, dtype=torch.float64), atol=1e-4)):
-            raise InvalidValueError.of(
-                "to_world", "a finite rotation and translation", pose.tolist(), "remove scale and shear from it"
-            )
-        if torch.linalg.det(rotation) < 0:
-            raise InvalidValueError.of(
-                "to_world", "a right-handed rotation", "a reflection", "flip two axes, not one or three"
-            )
-        object.__setattr__(self, "to_world", pose)
-        object.__setattr__(self, "focal", focal_lengths(self.focal))
-        if self.principal is not None:
-            object.__setattr__(self, "principal", two_numbers("principal", self.principal))
+        last = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=torch.float64)
+        if not (torch.allclose(pose[3], last) and is_rotation(pose[:3, :3]) and torch.isfinite(pose).all()):
+            do = "remove scale, shear and reflections from it"
+            raise InvalidValueError.of("to_world", "a finite rotation and translation", pose.tolist(), do)
         if not bool((pose[:3, 3].abs() <= LARGEST).all()):
             expected, do = f"coordinates up to {LARGEST:g}", "move the scene and its cameras to the origin"
             raise InvalidValueError.of("camera position", expected, pose[:3, 3].tolist(), do)
-        for name, value in (("focal x", self.fx), ("focal y", self.fy)):
-            if not 1 / LARGEST <= value <= LARGEST:
-                expected = f"a positive number of pixels up to {LARGEST:g}"
-                raise InvalidValueError.of(name, expected, value, "check the intrinsics")
-        for name, size in (("width", self.width), ("height", self.height)):
-            object.__setattr__(self, name, pixel_count(name, size))
-        if not all(abs(value) <= LARGEST for value in (self.cx, self.cy)):
-            expected = f"two finite numbers up to {LARGEST:g}"
-            raise InvalidValueError.of("principal", expected, self.principal, "check the intrinsics")
+        object.__setattr__(self, "to_world", pose)
+        check(self)
 
     @property
     def fx(self) -> float:
         """Horizontal focal length in pixels."""
-        return float(self.focal[0]) if isinstance(self.focal, tuple) else float(self.focal)
+        return self.focal[0] if isinstance(self.focal, tuple) else self.focal
 
     @property
     def fy(self) -> float:
         """Vertical focal length in pixels."""
-        return float(self.focal[1]) if isinstance(self.focal, tuple) else float(self.focal)
+        return self.focal[1] if isinstance(self.focal, tuple) else self.focal
 
     @property
     def cx(self) -> float:
         """Horizontal principal point in pixels."""
-        return self.width / 2 if self.principal is None else float(self.principal[0])
+        return self.width / 2 if self.principal is None else self.principal[0]
 
     @property
     def cy(self) -> float:
         """Vertical principal point in pixels."""
-        return self.height / 2 if self.principal is None else float(self.principal[1])
+        return self.height / 2 if self.principal is None else self.principal[1]
 
     @property
     def position(self) -> Tensor:
@@ -150,9 +139,8 @@ class View(Previewed):
     def __post_init__(self) -> None:
         expected = (self.camera.height, self.camera.width, 3)
         if tuple(self.image.shape) != expected:
-            raise InvalidValueError.of(
-                "image", f"shape {expected}", tuple(self.image.shape), "resize it or fix the camera's size"
-            )
+            do = "resize it or fix the camera's size"
+            raise InvalidValueError.of("image", f"shape {expected}", tuple(self.image.shape), do)
 
 
 class ViewSet(Previewed, Sequence[View]):
@@ -207,12 +195,7 @@ class RenderFn(Protocol):
         ...
 
 
-def look_at(
-    origin: Sequence[float],
-    target: Sequence[float],
-    *,
-    up: Sequence[float] = (0.0, 0.0, 1.0),
-) -> Tensor:
+def look_at(origin: Sequence[float], target: Sequence[float], *, up: Sequence[float] = (0.0, 0.0, 1.0)) -> Tensor:
     """(4, 4) float64 camera-to-world pose (OpenCV axes) at `origin` facing `target`.
 
     When the view direction is parallel to `up`, the image's top points along world +y instead.
@@ -228,13 +211,13 @@ def look_at(
     Raises:
         InvalidValueError: origin and target coincide, or one is not three finite numbers.
     """
-    check_points(origin=origin, target=target, up=up)
-    eye = torch.tensor(list(origin), dtype=torch.float64)
-    forward = torch.tensor(list(target), dtype=torch.float64) - eye
+    given = {"origin": origin, "target": target, "up": up}
+    eye, middle, top = (torch.tensor(taken(_Point, value, name), dtype=torch.float64) for name, value in given.items())
+    forward = middle - eye
     if not torch.linalg.norm(forward) > 0:
         raise InvalidValueError.of("target", "a point other than origin", tuple(target), "move one of the two")
     forward = forward / torch.linalg.norm(forward)
-    right = torch.linalg.cross(forward, torch.tensor(list(up), dtype=torch.float64))
+    right = torch.linalg.cross(forward, top)
     if torch.linalg.norm(right) < 1e-9:
         right = torch.linalg.cross(forward, torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64))
     right = right / torch.linalg.norm(right)
@@ -244,18 +227,13 @@ def look_at(
 
 
 def orbit_pose(
-    target: Sequence[float],
-    *,
-    azimuth: float,
-    elevation: float,
-    distance: float,
-    roll: float = 0.0,
+    target: Sequence[float], *, azimuth: float, elevation: float, distance: float, roll: float = 0.0
 ) -> Tensor:
     """Camera-to-world pose on a sphere around `target`, looking at it."""
-    check_points(target=target)
-    check_finite(azimuth=(azimuth,), elevation=(elevation,), distance=(distance,), roll=(roll,))
-    if distance <= 0:
-        raise InvalidValueError.of("distance", "a positive number of world units", distance, "change it")
+    target = taken(_Point, target, "target")
+    for name, angle in (("azimuth", azimuth), ("elevation", elevation), ("roll", roll)):
+        checked_number(name, angle)
+    checked_number("distance", distance, above(0, "world units"))
     a, e = math.radians(azimuth), math.radians(elevation)
     offset = (math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e))
     origin = [t + distance * o for t, o in zip(target, offset, strict=True)]
@@ -305,55 +283,3 @@ def pose_tensor(value: object) -> Tensor:
     except (TypeError, ValueError, RuntimeError):
         got = f"{type(value).__name__} {value!r:.80}"
         raise InvalidValueError.of("to_world", "a (4, 4) matrix of numbers", got, "pass a tensor") from None
-
-
-def focal_lengths(value: object) -> float | tuple[float, float]:
-    """A focal length, or those of x and y; numbers and tuples of them stay as they are."""
-    if isinstance(value, int | float):
-        return value
-    if isinstance(value, Sequence) or getattr(value, "ndim", 0) > 0:
-        return two_numbers("focal", value)
-    try:
-        return float(value)  # type: ignore[arg-type]  # NumPy's and torch's numbers; the rest is refused
-    except (TypeError, ValueError):
-        raise InvalidValueError.of("focal", "one number or two", repr(value), "pass (fx, fy) in pixels") from None
-
-
-def two_numbers(name: str, value: Any) -> tuple[float, float]:
-    """Two numbers from any sequence of them."""
-    try:
-        x, y = value
-        return (x, y) if isinstance(x, float) and isinstance(y, float) else (float(x), float(y))
-    except (TypeError, ValueError):
-        raise InvalidValueError.of(name, "two numbers", repr(value), "pass (x, y) in pixels") from None
-
-
-def pixel_count(name: str, value: object) -> int:
-    """A picture's width or height, from any kind of integer."""
-    try:
-        size = operator.index(value)  # type: ignore[arg-type]  # what is no integer is refused
-    except TypeError:
-        size = 0
-    if not 0 < size <= 1 << 15:
-        raise InvalidValueError.of(name, "an integer in 1..32768", value, "check the image size")
-    return size
-
-
-def check_points(**values: Sequence[float]) -> None:
-    """Raise unless each value is three finite numbers."""
-    for name, numbers in values.items():
-        try:
-            point = [float(number) for number in numbers]
-        except (TypeError, ValueError):
-            point = []
-        if len(point) != 3:
-            raise InvalidValueError.of(name, "three numbers", repr(numbers), "pass (x, y, z) in world units")
-    check_finite(**values)
-
-
-def check_finite(**values: Sequence[float]) -> None:
-    """Raise unless all numbers are finite."""
-    for name, numbers in values.items():
-        if not all(math.isfinite(number) for number in numbers):
-            shown = numbers[0] if len(numbers) == 1 else tuple(numbers)
-            raise InvalidValueError.of(name, "finite numbers", shown, "pass world units and degrees")

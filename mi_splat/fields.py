@@ -291,7 +291,7 @@ def _tuple(parts: tuple[Any, ...], value: Any, name: str, marks: tuple[Any, ...]
 def _member(parts: tuple[Any, ...], value: Any) -> Any:
     """The one of several types of a field that a value is checked by; None for a value that is left alone."""
     kinds = [part for part in parts if part is not types.NoneType]
-    is_list = isinstance(value, (list, tuple))
+    is_list = isinstance(value, (list, tuple)) or getattr(value, "ndim", 0) > 0
     listed = [kind for kind in kinds if typing.get_origin(unwrapped(kind)[0]) is tuple]
     if is_list and listed:
         return listed[0]

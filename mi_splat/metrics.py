@@ -59,6 +59,5 @@ def load_lpips() -> Perceptual:
 
 def _check_shapes(image: Tensor, reference: Tensor) -> None:
     if image.shape != reference.shape:
-        raise InvalidValueError.of(
-            "image", f"shape {tuple(reference.shape)}", tuple(image.shape), "compare pictures of one size"
-        )
+        expected, do = f"shape {tuple(reference.shape)}", "compare pictures of one size"
+        raise InvalidValueError.of("image", expected, tuple(image.shape), do)

@@ -15,48 +15,26 @@ from mi_splat.attributes import ATTRIBUTES, LARGEST, values_hash
 from mi_splat.errors import InvalidValueError
 from mi_splat.sh import coefficient_count, degree_of, rotate_sh
 
-__all__ = [
-    "ATTRIBUTES",
-    "LARGEST",
-    "UNIT_TOLERANCE",
-    "GaussianScene",
-    "Similarity",
-    "check_scene",
-    "merge",
-    "scene_hash",
-]
-
 UNIT_TOLERANCE = 1e-3
 """How far from one the norm of a scene's quaternions may be."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Similarity:
-    """World transform x -> scale * rotation @ x + translation.
+    """World transform x -> scale * rotation @ x + translation."""
 
-    Attributes:
-        rotation: (3, 3) rotation matrix.
-        translation: (3,) world units.
-        scale: Factor > 0.
-
-    Raises:
-        InvalidValueError: rotation is no rotation, translation not three finite numbers, or scale not positive.
-    """
-
-    rotation: Tensor
-    translation: Tensor
-    scale: float = 1.0
+    rotation: Tensor  # (3, 3) rotation matrix
+    translation: Tensor  # (3,) world units
+    scale: float = 1.0  # factor > 0
 
     def __post_init__(self) -> None:
         if not quaternion.is_rotation(self.rotation):
-            raise InvalidValueError.of(
-                "rotation", "a (3, 3) rotation matrix", self.rotation.tolist(), "put any scale into `scale`"
-            )
+            do = "put any scale into `scale`"
+            raise InvalidValueError.of("rotation", "a (3, 3) rotation matrix", self.rotation.tolist(), do)
         if self.translation.shape != (3,) or not bool(torch.isfinite(self.translation).all()):
-            raise InvalidValueError.of(
-                "translation", "three finite numbers", self.translation.tolist(), "pass a tensor of shape (3,)"
-            )
-        if not 0 < self.scale < float("inf"):
+            do = "pass a tensor of shape (3,)"
+            raise InvalidValueError.of("translation", "three finite numbers", self.translation.tolist(), do)
+        if not 0 < self.scale < math.inf:
             raise InvalidValueError.of("scale", "a positive finite number", self.scale, "pass a size factor")
 
     @classmethod
@@ -196,10 +174,9 @@ class GaussianScene(Previewed):
         Raises:
             InvalidValueError: rows is neither, or points outside the scene.
         """
-        if isinstance(rows, slice):
-            return self.unchecked(*(value[rows] for value in self.tensors()))
-        check_rows(rows, len(self))
-        rows = rows.to(self.means.device)
+        if not isinstance(rows, slice):
+            check_rows(rows, len(self))
+            rows = rows.to(self.means.device)
         return self.unchecked(*(value[rows] for value in self.tensors()))
 
     def transform(self, similarity: Similarity) -> GaussianScene:
@@ -274,16 +251,14 @@ def _check_form(scene: GaussianScene) -> None:
     for name, value, shape in zip(ATTRIBUTES, scene.tensors(), shapes, strict=True):
         if tuple(value.shape) != shape:
             wanted = str(shape) if name != "sh" else f"({count}, K, 3)"
-            raise InvalidValueError.of(
-                name, f"shape {wanted}", tuple(value.shape), "give every tensor one row per Gaussian"
-            )
+            do = "give every tensor one row per Gaussian"
+            raise InvalidValueError.of(name, f"shape {wanted}", tuple(value.shape), do)
         if value.dtype not in (torch.float32, torch.float64) or value.dtype != scene.means.dtype:
             kind = "float32 or float64" if name == "means" else f"{scene.means.dtype} like the means"
             raise InvalidValueError.of(name, kind, value.dtype, "convert it with .to(dtype)")
         if value.device != scene.means.device:
-            raise InvalidValueError.of(
-                name, f"device {scene.means.device} like the means", value.device, "move it with .to(device)"
-            )
+            expected = f"device {scene.means.device} like the means"
+            raise InvalidValueError.of(name, expected, value.device, "move it with .to(device)")
     degree_of(bands)
 
 

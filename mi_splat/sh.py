@@ -62,13 +62,8 @@ def band(directions: tuple[_Values, _Values, _Values], degree: int) -> list[_Val
     if degree == 1:
         return [-_C1 * y, _C1 * z, -_C1 * x]
     if degree == 2:
-        return [
-            _C2_XY * x * y,
-            -_C2_XY * y * z,
-            _C2_ZZ * (2 * zz - xx - yy),
-            -_C2_XY * x * z,
-            0.5 * _C2_XY * (xx - yy),
-        ]
+        zonal = _C2_ZZ * (2 * zz - xx - yy)
+        return [_C2_XY * x * y, -_C2_XY * y * z, zonal, -_C2_XY * x * z, 0.5 * _C2_XY * (xx - yy)]
     return [
         -_C3_XXX * y * (3 * xx - yy),
         _C3_XYZ * x * y * z,
@@ -84,9 +79,8 @@ def sh_basis(directions: Tensor, degree: int) -> Tensor:
     """All basis functions up to `degree`."""
     coefficient_count(degree)
     if directions.ndim == 0 or directions.shape[-1] != 3:
-        raise InvalidValueError.of(
-            "directions", "shape (..., 3)", tuple(directions.shape), "pass unit vectors in the last dimension"
-        )
+        do = "pass unit vectors in the last dimension"
+        raise InvalidValueError.of("directions", "shape (..., 3)", tuple(directions.shape), do)
     import torch  # not for those who only count coefficients
 
     x, y, z = directions.unbind(-1)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from mi_splat.cli.console import PROGRAM, UsageError, import_at_once, warn
 from mi_splat.errors import MiSplatError, message, nearest, printable
-from mi_splat.interrupts import INTERRUPTED, TERMINATED, sigterm_as_interrupt
+from mi_splat.processes import INTERRUPTED, TERMINATED, sigterm_as_interrupt
 
 if TYPE_CHECKING:
     import argparse

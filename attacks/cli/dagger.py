@@ -15,7 +15,7 @@ from mi_splat.cli.flags import Unprefixed
 from mi_splat.cli.options import CameraOptions, check_no_input_in
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Folder
-from mi_splat.interrupts import deferred_interrupt
+from mi_splat.processes import deferred_interrupt
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

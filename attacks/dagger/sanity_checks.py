@@ -21,9 +21,10 @@ from attacks.gaussian_subset import GaussianSubset
 from attacks.search import Step, rank
 from attacks.tables import markdown
 from mi_splat import provenance
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.folders import RECORD
-from mi_splat.scene import ATTRIBUTES, scene_hash
+from mi_splat.scene import scene_hash
 
 SCALES = (0.0, 1 / 16, 1 / 4, 1.0, 4.0)
 """Radii of the curve, as multiples of the case's."""

@@ -21,11 +21,12 @@ from attacks.observe.rows import ATTACKED, CLEAN, Cell
 from attacks.observe.views import ViewDetections, evaluate
 from attacks.rate import Rate
 from mi_splat._lazy import Previewed
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, listed
 from mi_splat.fields import between, checked_number
 from mi_splat.metrics import psnr
-from mi_splat.scene import ATTRIBUTES, GaussianScene
+from mi_splat.scene import GaussianScene
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)

@@ -10,12 +10,13 @@ from torch import Tensor
 
 from attacks.observe.conditions import Condition, Viewing
 from attacks.testing.promises import Contract, cloud, expect, expect_repeatable, expect_text, expect_uphill
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera, look_at, project_points
 from mi_splat.comparison.methods import RendererSpec
 from mi_splat.errors import MiSplatError
 from mi_splat.rendering import RenderSettings
 from mi_splat.rotation import normalise
-from mi_splat.scene import ATTRIBUTES, GaussianScene
+from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc
 
 _SIZE = (40, 28)

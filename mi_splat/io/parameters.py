@@ -11,9 +11,10 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import normalise
-from mi_splat.scene import ATTRIBUTES, GaussianScene
+from mi_splat.scene import GaussianScene
 
 # Finite logits of the opacities 0 and 1: the sigmoid of them rounds to exactly 0 and 1 in that dtype.
 _LOGIT_LIMITS = {torch.float32: (-104.0, 17.5), torch.float64: (-746.0, 38.0)}

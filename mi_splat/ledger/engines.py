@@ -23,13 +23,12 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Protocol
 
-from mi_splat.interrupts import TERMINATED, sigterm_as_interrupt
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.folders import locked_folder
 from mi_splat.ledger.job import DiskFullError, EngineError, Event, HeldError, OnEvent, Outcome, Task, nobody
 from mi_splat.ledger.running import run_job
 from mi_splat.ledger.store import Store
-from mi_splat.processes import python_command
+from mi_splat.processes import TERMINATED, python_command, sigterm_as_interrupt
 
 _OTHERS = 0.02  # seconds in which a task that is alone waits for others, before it takes all cores
 _LOOK = 0.25  # seconds between two looks at the time and the memory

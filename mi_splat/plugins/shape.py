@@ -24,10 +24,11 @@ import mitsuba as mi
 import numpy as np
 import torch
 
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.rasterization.frozen import aligned
-from mi_splat.scene import ATTRIBUTES, GaussianScene, Similarity
+from mi_splat.scene import GaussianScene, Similarity
 
 _PASSED_ON = ("extent", "extent_adaptive_clamping")
 

@@ -16,13 +16,13 @@ from torch import Tensor
 from mi_splat import provenance
 from mi_splat.cameras import Camera, RenderFn, View, cameras_of, fingerprint_of
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.interrupts import deferred_interrupt
 from mi_splat.io import save_splat
 from mi_splat.io.documents import save_bytes, save_json, sweep_temporary
 from mi_splat.io.folders import own_folder
 from mi_splat.io.noted_tensors import NOTES, check_like, described, read_line, read_noted_tensors
 from mi_splat.io.parsing import DocumentReader, Fields
 from mi_splat.metrics import Perceptual
+from mi_splat.processes import deferred_interrupt
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.config import FitConfig
 from mi_splat.training.loop import Fit, OnStep, advance, scene_extent

@@ -20,9 +20,9 @@ from attacks.observe.rows import read_rows
 from attacks.studies import attack as attack_kind
 from attacks.studies.audit import FALSE_ALARMS, audit_rows
 from mi_splat.errors import InvalidValueError
-from mi_splat.interrupts import INTERRUPTED
 from mi_splat.io.folders import write_manifest
 from mi_splat.ledger import engines
+from mi_splat.processes import INTERRUPTED
 from tests.project.layers import ROOT
 from tests.studies.toy import toys, write_toy
 

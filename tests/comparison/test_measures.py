@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera, look_at
 from mi_splat.comparison.compare import (
     CompareConfig,
@@ -23,7 +24,7 @@ from mi_splat.comparison.methods import Method
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import normalise
-from mi_splat.scene import ATTRIBUTES, GaussianScene
+from mi_splat.scene import GaussianScene
 from mi_splat.volprim import Volprim
 from tests.fakes import blobs, camera, toy_scene
 

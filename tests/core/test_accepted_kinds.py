@@ -117,10 +117,10 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "a class for an objective": (lambda: attacked(objective="person"), r"expected an Objective, got str; .*relabel\('"),
     "no renderer": (lambda: attacked(render=None), r"render: expected a function.*Renderer\(\)"),
     "a path to attack": (lambda: attacked(scene="a.ply"), "scene: expected a GaussianScene, got str"),
-    "an origin of two numbers": (lambda: look_at((0, 0), (0, 0, 1)), "origin: expected three numbers"),
-    "a target in words": (lambda: look_at((0, 0, 0), "abc"), "target: expected three numbers"),  # type: ignore[arg-type]
-    "an origin that is none": (lambda: look_at((float("nan"), 0, 0), (0, 0, 0)), "origin: expected finite"),
-    "three focal lengths": (lambda: lens(focal=[1.0, 2.0, 3.0]), "focal: expected two numbers"),
+    "an origin of two numbers": (lambda: look_at((0, 0), (0, 0, 1)), "origin: expected 3 values"),
+    "a target in words": (lambda: look_at((0, 0, 0), "abc"), "target: expected 3 values"),  # type: ignore[arg-type]
+    "an origin that is none": (lambda: look_at((float("nan"), 0, 0), (0, 0, 0)), "origin: expected a finite number"),
+    "three focal lengths": (lambda: lens(focal=[1.0, 2.0, 3.0]), "focal: expected 2 values"),
     "a pose in words": (lambda: lens(to_world="front"), "to_world: expected"),
     "cameras for one image": (lambda: Renderer()(toy_scene()[0], [camera()]), r"call batch\(scene, cameras\)"),  # type: ignore[arg-type]
     "a path for a scene": (lambda: Renderer()("a.ply", camera()), "expected a GaussianScene"),  # type: ignore[arg-type]

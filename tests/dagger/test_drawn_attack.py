@@ -23,10 +23,9 @@ from attacks.report.results import kind_of, read_section
 from attacks.report.viewer_content import open_content
 from attacks.search import Parameters
 from attacks.transformations.config import PictureChanges, Transformations
-from mi_splat.attributes import Attribute
+from mi_splat.attributes import ATTRIBUTES, Attribute
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.images import through_png
-from mi_splat.scene import ATTRIBUTES
 from tests.dagger.toy import QUICK, REGION, quick, toy_views
 from tests.fakes import CoarseDetector, ColourDetector, blobs, toy_scene
 

@@ -8,6 +8,7 @@ from typing import Literal
 import pytest
 import torch
 
+from mi_splat.attributes import LARGEST
 from mi_splat.cameras import Camera, look_at
 from mi_splat.io import SplatFileError, SplatFileWarning, SplatLossWarning, load_splat, save_splat
 from mi_splat.io.formats import axes
@@ -17,7 +18,7 @@ from mi_splat.io.splat_files import TAGGED, load_stored, write_splat_file
 from mi_splat.provenance import rendered_with
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import to_matrix
-from mi_splat.scene import LARGEST, GaussianScene, Similarity, scene_hash
+from mi_splat.scene import GaussianScene, Similarity, scene_hash
 from mi_splat.scene_files import open_scene
 from mi_splat.sh import colour_to_dc, sh_to_colour
 from tests.gaussians import ply_bytes, random_scene, splat_rows

@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from torch import Tensor
 
+from mi_splat.attributes import ATTRIBUTES, LARGEST
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import from_raw_parameters, load_splat, save_splat, to_raw_parameters
 from mi_splat.io.parameters import activate
 from mi_splat.rotation import normalise
-from mi_splat.scene import ATTRIBUTES, LARGEST, GaussianScene, scene_hash
+from mi_splat.scene import GaussianScene, scene_hash
 from tests.gaussians import columns, ply_bytes, random_scene, splat_rows
 
 MOST = float(np.float32(0.9 * LARGEST))  # a little inside, since formats round

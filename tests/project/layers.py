@@ -28,10 +28,8 @@ LAYERS: dict[str, tuple[str, ...]] = {
             "rotation",
             "metrics",
             "labels",
-            "sun",
             "scene",
             "placement",
-            "interrupts",
             "processes",
         )
     ),

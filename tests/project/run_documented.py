@@ -23,7 +23,7 @@ import torch
 
 from attacks import cli
 from mi_splat import GaussianScene, load_splat, save_splat
-from mi_splat.interrupts import INTERRUPTED
+from mi_splat.processes import INTERRUPTED
 from mi_splat.rotation import to_matrix
 from mi_splat.scene import Similarity, merge
 from mi_splat.sh import colour_to_dc

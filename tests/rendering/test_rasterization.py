@@ -8,9 +8,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene import ATTRIBUTES, GaussianScene
+from mi_splat.scene import GaussianScene
 from mi_splat.variant import device_of, has_cuda
 from tests import oracle
 

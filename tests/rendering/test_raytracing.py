@@ -11,10 +11,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene import ATTRIBUTES, GaussianScene
+from mi_splat.scene import GaussianScene
 from tests import oracle, ray_scenes
 from tests.ray_scenes import GREEN, constant, gaussian, linear, pixel, scene_of, wall
 

@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 import torch
 
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import SplatFileError, SplatFileWarning, save_splat
 from mi_splat.rendering import Method, Renderer, RenderSettings, ScreenGradients
-from mi_splat.scene import ATTRIBUTES, GaussianScene, merge
+from mi_splat.scene import GaussianScene, merge
 from mi_splat.scene_files import read_scene
 from tests import oracle
 

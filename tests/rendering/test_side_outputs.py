@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from mi_splat import variant
-from mi_splat.attributes import Attribute
+from mi_splat.attributes import ATTRIBUTES, Attribute
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.scene import ATTRIBUTES, GaussianScene
+from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import SplatScene, read_scene, write_scene
 from tests import oracle
 from tests.rendering.test_plugins import dict_scene

@@ -12,7 +12,7 @@ import torch
 
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
-from mi_splat.interrupts import sigterm_as_interrupt
+from mi_splat.processes import sigterm_as_interrupt
 from mi_splat.rendering import Renderer
 from mi_splat.scene import scene_hash
 from mi_splat.training.initialization import from_points
