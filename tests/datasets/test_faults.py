@@ -60,7 +60,6 @@ COMMON: dict[str, tuple[Harm, str]] = {
     ),
     "16 bits": (lambda f: Image.fromarray(np.zeros((13, 18), np.uint16)).save(f / PICTURE), r"00001\.png.*8 bits"),
     "no picture inside": (rewrite(PICTURE, lambda data: b"hello"), r"train_00001\.png: expected a picture"),
-    "empty picture": (rewrite(PICTURE, lambda data: b""), r"train_00001\.png: expected a picture"),
 }
 
 TRANSFORMS: dict[str, tuple[Harm, str]] = {
@@ -69,36 +68,26 @@ TRANSFORMS: dict[str, tuple[Harm, str]] = {
         rewrite("transforms_train.json", lambda data: data[:-30]),
         r"transforms_train\.json: expected JSON",
     ),
-    "no UTF-8": (rewrite("transforms_train.json", lambda data: b"\xff" + data), r"train\.json: expected JSON"),
     "nested JSON": (
         rewrite("transforms_train.json", lambda data: b"[" * 100_000),
         r"train\.json: expected at most 64 levels",
     ),
-    "a list": (rewrite("transforms_train.json", lambda data: b"[]"), r"train\.json: expected JSON"),
     "no frames": (entry(frames=None), "list of frames"),
     "an empty set": (entry(frames=[]), "at least one frame"),
     "a frame that is none": (edit(lambda d: d["frames"].append(3)), "frame 6: expected an object"),
-    "a frame without a file": (edit(lambda d: d["frames"][0].pop("file_path")), "frame 0"),
     "doubled": (edit(lambda d: d["frames"].append(d["frames"][0])), r"train_00000\.png twice"),
     "singular pose": (pose(SINGULAR), r"frame 1 .*train_00001.*to_world"),
     "NaN pose": (pose(np.full((4, 4), np.nan).tolist()), r"frames/1/transform_matrix/0/0: expected a finite number"),
     "scaled pose": (pose((2 * np.eye(4)).tolist()), r"frame 1 .*remove scale"),
-    "mirrored pose": (pose(np.diag([1.0, 1.0, -1.0, 1.0]).tolist()), r"frame 1 .*right-handed"),
-    "small pose": (pose([[1.0, 0.0], [0.0, 1.0]]), r"frame 1 .*shape \(4, 4\)"),
     "no pose": (pose(None), r"frame 1 .*matrix of numbers"),
-    "words for a pose": (pose("identity"), r"frame 1 .*matrix of numbers"),
-    "ragged pose": (pose([[1.0], [2.0, 3.0]]), r"frame 1 .*matrix of numbers"),
     "no focal length": (edit(lambda d: [d.pop(k) for k in [*d] if k[:3] in ("fl_", "cam")]), "fl_x or camera_angle_x"),
     "angle in degrees": (edit(lambda d: (d.pop("fl_x"), d.update(camera_angle_x=45.0))), "between 0 and pi"),
     "a focal length in words": (entry(fl_x="wide"), "fl_x: expected a finite number"),
-    "a huge focal length": (entry(fl_x=10**400), "whole number of 401 characters"),
-    "a negative focal length": (entry(fl_x=-3.0), "focal x"),
     "half a pixel": (entry(w=18.5), "integers"),
     "another size in the file": (entry(w=36, h=26), r"00000\.png: expected 36 x 26 pixels, got 18 x 13"),
     "distortion that is not undone": (entry(k1=0.1, k4=0.1), "k1, k2, k3, p1, p2.*got k4; .*colmap image_undistorter"),
     "distortion that is none": (entry(k1=1e9), r"train_00000.*coefficients up to 1e\+06"),
     "distortion that folds": (entry(k1=-9.0), r"train_00000.*folds the picture before its border.*calibrate"),
-    "another camera": (entry(camera_model="EQUIRECTANGULAR"), "got EQUIRECTANGULAR; .*colmap image_undistorter"),
     "a picture from elsewhere": (edit(lambda d: d["frames"][0].update(file_path="../../x")), "a file in the set"),
     "a picture of the system": (edit(lambda d: d["frames"][0].update(file_path="/etc/passwd")), "a file in the set"),
     "a mask from elsewhere": (edit(lambda d: d["frames"][0].update(mask_path="a/../../../m.png")), "a file in the set"),
@@ -127,7 +116,6 @@ def replace(name: str, old: str, new: str) -> Harm:
 
 TEXT: dict[str, tuple[Harm, str]] = {
     **COMMON,
-    "distortion": (replace("cameras.txt", "1 PINHOLE", "1 FOV"), "camera 1: .*got FOV; .*colmap image_undistorter"),
     "a lens of NaN": (rewrite(MODEL + "cameras.txt", lambda data: b"1 RADIAL 18 13 20 9 6 nan 0\n"), "coefficients"),
     "a lens without focal length": (
         rewrite(MODEL + "cameras.txt", lambda data: b"1 RADIAL 18 13 0 9 6 0.1 0\n"),
@@ -135,11 +123,8 @@ TEXT: dict[str, tuple[Harm, str]] = {
     ),
     "a picture from elsewhere": (replace("images.txt", "train_00001", "../x"), "a file in the set"),
     "unknown model": (replace("cameras.txt", "PINHOLE", "CAMERA"), "camera 1: expected a camera model.*; undistort"),
-    "panoramas": (replace("cameras.txt", "1 PINHOLE", "1 EQUIRECTANGULAR"), "got EQUIRECTANGULAR; undistort"),
     "too few parameters": (replace("cameras.txt", " 7.75", ""), "4 parameters of PINHOLE"),
     "words": (replace("cameras.txt", "18 13", "wide 13"), r"cameras\.txt, line 2: .*'1 PINHOLE wide"),
-    "doubled camera": (rewrite(MODEL + "cameras.txt", lambda data: data * 2), "every id once"),
-    "no such camera": (replace("cameras.txt", "1 PINHOLE", "2 PINHOLE"), "a camera 1"),
     "no images": (lambda folder: (folder / MODEL / "images.txt").unlink(), r"images\.txt.*no such file"),
     "an empty set": (rewrite(MODEL + "images.txt", lambda data: b"# nothing\n"), "at least one picture, got none"),
     "doubled name": (replace("images.txt", "train_00002", "train_00001"), r"train_00001\.png twice"),
@@ -151,15 +136,12 @@ TEXT: dict[str, tuple[Harm, str]] = {
         rewrite(MODEL + "images.txt", lambda data: b"1 0 0 0 0 0 0 0 1 train_00001.png\n"),
         "a quaternion",
     ),
-    "NaN": (rewrite(MODEL + "images.txt", lambda data: b"1 nan 0 0 0 0 0 0 1 train_00001.png\n"), "a quaternion"),
-    "far away": (rewrite(MODEL + "images.txt", lambda d: b"1 1 0 0 0 inf 0 0 1 train_00001.png\n"), "png: to_world"),
     "short": (rewrite(MODEL + "images.txt", lambda data: b"1 1 0 0 0 0 0 0 1\n"), "line 1: expected IMAGE_ID"),
     "no UTF-8": (rewrite(MODEL + "images.txt", lambda data: b"\xff" + data), r"images\.txt: expected text"),
     "bad points": (
         rewrite(MODEL + "points3D.txt", lambda data: data + b"7 0 0 0 300 0 0 0\n"),
         r"points3D\.txt: colours",
     ),
-    "short points": (rewrite(MODEL + "points3D.txt", lambda data: data + b"7 0 0 0 30\n"), "expected POINT3D_ID"),
 }
 
 

@@ -11,46 +11,14 @@ from tests.fuzz.documents import Document
 
 RAW = "@raw@"
 """Stands before what is to be in the JSON as it is."""
+_PLAIN = '[null,true,0,-1,1,3,0.5,1e300,2147483648,4611686018427387904,"","x","\\u0000","../../x","1"'
+_PLAIN += ',[],{},[[]],[0],{"a":1}]'
 VALUES: tuple[Any, ...] = (
-    *(
-        None,
-        True,
-        0,
-        -1,
-        1,
-        3,
-        0.5,
-        1e300,
-        1 << 31,
-        1 << 62,
-        "",
-        "x",
-        "\0",
-        "../../x",
-        "1",
-        [],
-        {},
-        [[]],
-        [0],
-        {"a": 1},
-    ),
+    *json.loads(_PLAIN),
     *(f"{RAW}NaN", f"{RAW}-Infinity", f"{RAW}1e999", f"{RAW}{'9' * 10_000}", f'{RAW}"\\ud800"'),
     *(f"{RAW}{1 << 64}", f"{RAW}{'[' * 70}{']' * 70}", f"{RAW}{'[' * 5000}{']' * 5000}", f'{RAW}{{"a":1,"a":2}}'),
 )
-WORDS = (
-    b"NaN",
-    b"inf",
-    b"-1",
-    b"0",
-    b"1e999",
-    b"1e-320",
-    b"99999999999999999999",
-    b"[]",
-    b"{}",
-    b'""',
-    b"\xff",
-    b"true",
-)
+WORDS = b'NaN inf -1 0 1e999 1e-320 99999999999999999999 [] {} "" \xff true'.split()
 _WORD = re.compile(rb'-?\d[\d.eE+-]*|"[^"\n]*"|[A-Za-z_]+')
 _RAW = re.compile(rf'"{RAW}((?:[^"\\]|\\.)*)"')
 

@@ -19,23 +19,15 @@ from tests.project.layers import PACKAGES, ROOT
 READER = DocumentReader(expected="a record", do="write it again", most=100_000)
 
 BROKEN_JSON = {
-    "empty": (b"", "a record, got Expecting value"),
-    "cut": (b'{"a": [1, 2', "a record, got Expecting"),
     "a list": (b"[1]", "a record, got a list"),
-    "null": (b"null", "a record, got null"),
     "NaN": (b'{"a": [0, NaN]}', "a/1: expected a finite number, got nan"),
-    "infinity": (b'{"a": {"b": -Infinity}}', "a/b: expected a finite number, got -inf"),
-    "overflow": (b'{"a": 1e999}', "a: expected a finite number, got inf"),
     "65 bits": (b'{"a": 9223372036854775808}', "a: expected a whole number of 64 bits, got a larger one"),
     "many digits": (b'{"a": ' + b"9" * 10_000 + b"}", "a whole number of 10,000 characters"),
     "twice": (b'{"a": {"b": 1, "c": 2, "b": 1}}', "the key 'b' twice"),
     "deep": (b'{"a": ' + b"[" * 100 + b"]" * 100 + b"}", "expected at most 64 levels, got more"),
-    "deeper": (b"[" * 40_000 + b"]" * 40_000, "expected at most 64 levels, got more"),
     "Latin-1": (b'{"a": "\xe9"}', "a record, got 'utf-8' codec"),
-    "UTF-16": ('{"a": 1}'.encode("utf-16"), "a record, got 'utf-8' codec"),
     "a NUL": (b'{"a": "x\\u0000y"}', "a: expected Unicode without NUL"),
     "half a pair": (b'{"a": ["\\ud800"]}', "a/0: expected Unicode without NUL"),
-    "half a key": (b'{"\\ud800": 1}', "expected keys of Unicode without NUL"),
     "long": (b'{"a": "' + b"x" * 100_000 + b'"}', "a record of at most 100,000 bytes"),
 }
 
@@ -154,10 +146,8 @@ REFUSED: dict[str, tuple[Callable[[], bytes], str]] = {
     "negative": (lambda: header("{'descr': '|b1', 'fortran_order': False, 'shape': (-1, -5), }\n") + bytes(5), "bytes"),
     "deep": (lambda: header("(" * 5000), "npy"),
     "words": (lambda: header("__import__('os').system('touch ran')"), "npy"),
-    "a kind that is none": (lambda: header("{'descr': 'x9', 'fortran_order': False, 'shape': (1,), }\n"), "npy"),
     "a shape that is none": (lambda: header("{'descr': '|b1', 'fortran_order': False, 'shape': 'a', }\n"), "shape"),
     "a long header": (lambda: b"\x93NUMPY\2\0" + b"\xff" * 4 + b" " * 20_000, "npy"),
-    "another version": (lambda: header("{}", b"\3\0"), r"version 3\.0"),
     "objects": (lambda: saved(np.array([{}, None])), "pickled objects"),
     "an archive": (packed, "npy"),
     "cut off": (lambda: saved(np.arange(100))[:-1], "927 bytes where the header asks for 928"),

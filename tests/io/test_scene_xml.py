@@ -30,24 +30,18 @@ ENTITIES = '<!DOCTYPE scene [<!ENTITY a "aa">' + "".join(f'<!ENTITY b{i} "&a;&a;
 DOUBLED = '<default name="p{}" value="$p{}$p{}"/>'
 REFUSED: dict[str, tuple[Callable[[], bytes], str]] = {
     "8,000 in each other": (lambda: nested(8000), f"more than {DEEPEST} elements in each other"),
-    "a million in each other": (lambda: nested(300_000), "in each other"),
     "many": (lambda: scene('<shape type="sphere"/>' * MOST_ELEMENTS), "more than 100,000 elements"),
     "large": (lambda: scene(" " * MOST_BYTES), "bytes, more than"),
     "entities": (lambda: ENTITIES.encode() + scene("&b8;"), "DOCTYPE"),
     "files as entities": (lambda: b'<!DOCTYPE s [<!ENTITY a SYSTEM "/etc/hostname">]>' + scene("&a;"), "DOCTYPE"),
-    "entities without a type": (lambda: scene("&a;"), "undefined entity"),
     "no UTF-8": (lambda: scene('<shape type="sphere" id="x"/>').replace(b"x", b"\xe4\xff"), "utf-8"),
-    "UTF-16": (lambda: scene().decode().encode("utf-16"), "utf-8"),
     "Latin-1": (lambda: b'<?xml version="1.0" encoding="latin1"?>' + scene(), "encoding latin1"),
-    "zeros": (lambda: scene("\0"), "not well-formed"),
-    "cut off": (lambda: scene()[:-3], "unclosed token"),
     "itself": (lambda: scene('<include filename="a.xml"/>'), r"a\.xml includes a\.xml"),
     "itself by a default": (
         lambda: scene('<default name="f" value="a"/><include filename="$f.xml"/>'),
         r"a\.xml includes a\.xml",
     ),
     "a circle": (lambda: scene('<include filename="b/b.xml"/>'), r"a\.xml includes b\.xml includes a\.xml"),
-    "a broken one": (lambda: scene('<include filename="b/c.xml"/>'), r"c\.xml.*not well-formed"),
     "one in a path": (lambda: scene('<path value="b"/><include filename="c.xml"/>'), r"c\.xml.*not well-formed"),
     "parameters of parameters": (
         lambda: scene('<default name="p0" value="x"/>', *map(DOUBLED.format, range(1, 40), range(39), range(39))),
