@@ -213,16 +213,6 @@ def test_info_counts_invalid_rows(splat: Path, capsys: pytest.CaptureFixture[str
     assert "1 of 200" in facts["notes"]
 
 
-def test_detectors_lists_classes_and_weights(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["detectors", "--json"]) == 0
-    entries = {entry["name"]: entry for entry in json.loads(capsys.readouterr().out)["detectors"]}
-    assert {"car", "person", "stop sign"} <= set(entries["fasterrcnn_small"]["classes"])
-    assert len(entries["fasterrcnn_resnet50_fpn"]["classes"]) == 80
-    assert all(entry["available"] or entry["advice"] for entry in entries.values())
-    assert cli.main(["detectors"]) == 0
-    assert "fasterrcnn_small" in capsys.readouterr().out
-
-
 def test_info_of_a_ply_needs_no_torch(tmp_path: Path) -> None:
     code = "import sys; from attacks.cli import main; assert main(sys.argv[1:]) == 0; print('torch' in sys.modules)"
     path = ROOT / "scenes" / "car_street_car.ply"

@@ -125,23 +125,6 @@ def test_splats_are_merged_and_cropped(splat: Path) -> None:
     assert_close(load_splat(splat.with_name("cut.ply")), load_splat(other).with_degree(2))
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["--crop", "1", "0", "0", "0", "1", "1"], "lower corner"),
-        (["--crop", "900", "900", "900", "901", "901", "901"], "they lie in"),
-        (["--scale", "0"], "--scale"),
-        (["--rotate", "0", "nan", "0"], "--rotate"),
-    ],
-)
-def test_a_place_that_makes_no_sense_is_refused(
-    words: list[str], says: str, splat: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["convert", str(splat), str(splat.with_name("no.ply")), *words]) != 0
-    assert says in capsys.readouterr().err
-    assert not splat.with_name("no.ply").exists()
-
-
 def test_a_folder_stands_for_its_splat_and_is_not_overwritten(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -114,14 +114,3 @@ def test_reasons_for_doubt_are_told(folder: Path, capsys: pytest.CaptureFixture[
     (folder / "result.json").write_text(json.dumps({"views": [], "reference": cameras[0]}))  # drawn about it
     assert cli.main([*words, "--pictures", "0", "--out", "third"]) == 0
     assert "those that were attacked" not in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "command", ["detect clean.ply", "dagger clean.ply --cluster 1", "evaluate clean.ply attacked.ply"]
-)
-def test_a_wrong_camera_is_told_before_a_detector_is_loaded(
-    command: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("attacks.cli.options.load_detectors", lambda *_: pytest.fail("loaded"))
-    assert cli.main([*command.split(), "--cameras", "behind", "--out", "none"]) == 1
-    assert "camera: expected no name" in capsys.readouterr().err

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from attacks import cli
-from attacks.cli import parse, parser_of
+from attacks.cli import parse
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -109,9 +109,3 @@ def test_an_axis_is_a_letter_or_three_numbers() -> None:
         assert options_of("capture", "a.ply", "--up", typed).mesh.up == axis
     for typed, front in (("y", "+y"), ("-x", "-x")):
         assert options_of("capture", "a.ply", "--front", typed).mesh.front == front
-
-
-@pytest.mark.parametrize("command", cli.COMMANDS)
-def test_detectors_are_named_by_one_flag(command: str) -> None:
-    flags = {flag for action in parser_of(command)._actions for flag in action.option_strings}
-    assert "--detector" not in flags

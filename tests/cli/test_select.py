@@ -83,28 +83,6 @@ def test_doubts_are_told_with_numbers(bare: tuple[Path, Tensor], capsys: pytest.
     assert "not seen by orbit" in captured.out
 
 
-@pytest.mark.parametrize(
-    ("words", "status", "says"),
-    [
-        ([], 1, "(--object, --box, --click"),
-        (["--box", "9", "9", "9", "8", "8", "8"], 2, "first number above its second"),
-        (["--box", "90", "90", "90", "91", "91", "91"], 1, "at least one Gaussian, got none of"),
-        (["--click", "5000,3"], 1, "a pixel of 640 x 480, got 5000,3"),
-        (["--click", "0,0"], 1, "a pixel that shows something"),
-        (["--cluster", "0"], 2, "1 is the largest"),
-        (["--cluster", "999999"], 1, "cluster: expected 1 to"),
-        (["--object", "car"], 1, "one of desk, got car"),
-        (["--cluster", "1", "--out", "mask.txt"], 1, ".png, .jpg, .npy or .ply"),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
-)
-def test_select_says_what_is_wrong(
-    words: list[str], status: int, says: str, bare: tuple[Path, Tensor], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["select", str(bare[0]), *words]) == status
-    assert says in " ".join(capsys.readouterr().err.replace("│", " ").split())
-
-
 def test_dagger_attacks_a_selection_and_its_cameras_come_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -127,27 +105,3 @@ def test_dagger_attacks_a_selection_and_its_cameras_come_back(
     assert cli.main(again) == 0
     after = np.concatenate([pixels(tmp_path / "r" / f"orbit-{number}.png") for number in (0, 1)])
     assert np.array_equal(after, pixels(out / "after.png"))
-
-
-def test_dagger_asks_which_object_is_meant(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    save_splat(toy_scene()[0], tmp_path / "toy.ply")
-    assert cli.main(["dagger", str(tmp_path / "toy.ply"), "--out", str(tmp_path / "out")]) == 1
-    assert "selection: expected which Gaussians are meant, got nothing" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_dagger_names_the_cameras_that_do_not_show_the_object(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    save_splat(toy_scene()[0], tmp_path / "toy.ply")
-    words = ["dagger", str(tmp_path / "toy.ply"), "--cluster", "1", "--cameras", "orbit:2@0", "--centre", "0", "9", "0"]
-    assert cli.main([*words, "--distance", "3", "--size", "16", "--out", str(tmp_path / "out")]) == 1
-    assert "cameras: expected views that show the selection, got none from orbit-" in capsys.readouterr().err
-
-
-def test_what_the_near_plane_hides_is_said(bare: tuple[Path, Tensor], capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["select", str(bare[0]), "--box", "-9", "-9", "-9", "9", "9", "9", *VIEW, "--near"]
-    assert cli.main([*words, "0.2"]) == 0
-    assert "not drawn" not in capsys.readouterr().err
-    assert cli.main([*words, "7"]) == 0
-    assert "Gaussians are nearer than 7 and not drawn; --near changes that" in capsys.readouterr().err
