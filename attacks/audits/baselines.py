@@ -17,8 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 import torch
 from torch import Tensor
 
-from mi_splat.audit.frames import Frame, Target, frame_of, targets
-from mi_splat.audit.surfaces import cameras_around, elements, near_of, sight
+from mi_splat.audit.surfaces import Frame, Target, cameras_around, elements, frame_of, near_of, sight, targets
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene

@@ -15,8 +15,7 @@ from torch.nn import functional
 from attacks.detectors.base import Detector
 from attacks.observe.look import report_cells
 from attacks.observe.views import detect_views
-from mi_splat.audit.frames import frame_of, targets
-from mi_splat.audit.surfaces import basis
+from mi_splat.audit.surfaces import basis, frame_of, targets
 from mi_splat.cameras import Camera, focal_of, look_at, project_box
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene

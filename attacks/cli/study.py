@@ -151,7 +151,7 @@ def _engine(options: StudyOptions, on_event: Callable[[Event], None]) -> Engine:
 
     limits = Limits(seconds=options.seconds, megabytes=options.megabytes)
     if options.scheduler is not None:
-        from mi_splat.ledger.cluster import Cluster
+        from mi_splat.ledger.engines import Cluster
 
         return Cluster(options.store, options.scheduler, limits=limits, on_event=on_event)
     if (workers := chosen_workers(options.workers)) == 0:

@@ -13,7 +13,7 @@ from attacks.poisons.base import Poisoned, PoisonedViews
 from attacks.poisons.specs import Given, PoisonSpec
 from attacks.testing.promises import Contract, expect, expect_repeatable, expect_text
 from mi_splat.cameras import Camera, View, look_at
-from mi_splat.ledger.values import encoded, is_frozen
+from mi_splat.ledger.job import encoded, is_frozen
 
 
 def check_poison(poison: Any, *, views: Sequence[View] | None = None) -> None:

@@ -8,8 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from mi_splat.audit.frames import Target, quantile
-from mi_splat.audit.surfaces import SKY, cameras_around, near_of
+from mi_splat.audit.surfaces import SKY, Target, cameras_around, near_of, quantile
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError

@@ -21,17 +21,21 @@ from mi_splat.audit.explanations import (
     reachable,
     region_of,
 )
-from mi_splat.audit.frames import Frame, Target, frame_of, targets, whole
 from mi_splat.audit.results import Audit, Look, ObjectAudit, Pair, Scores, Vector, vector
 from mi_splat.audit.surfaces import (
     Elements,
+    Frame,
     Sight,
+    Target,
     cameras_around,
     cameras_within,
     elements,
+    frame_of,
     free_positions,
     in_sight,
     sight,
+    targets,
+    whole,
 )
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera, as_cameras, project_points

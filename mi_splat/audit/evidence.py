@@ -8,9 +8,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from mi_splat.audit.explanations import Split, angles_between
-from mi_splat.audit.frames import Frame, Target
 from mi_splat.audit.results import Edit, Look, Occluder, vector
-from mi_splat.audit.surfaces import Elements, Sight, basis, lattice, near_of, rays
+from mi_splat.audit.surfaces import Elements, Frame, Sight, Target, basis, lattice, near_of, rays
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera, project_points
 from mi_splat.rendering import Renderer, RenderSettings

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from mi_splat.audit.auditing import given, judged_object, looked_at
-from mi_splat.audit.frames import Target, frame_of, targets
 from mi_splat.audit.results import Audit, ObjectAudit
+from mi_splat.audit.surfaces import Target, frame_of, targets
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.bounds import near_plane
 from mi_splat.cameras import Camera, View, cameras_of

@@ -22,10 +22,11 @@ from mi_splat.ledger.job import (
     Row,
     Task,
     by_depth,
+    decoded,
+    encoded,
     nobody,
 )
 from mi_splat.ledger.store import TRIES, Store, content_of_path, origin
-from mi_splat.ledger.values import decoded, encoded
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 

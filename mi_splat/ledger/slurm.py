@@ -15,9 +15,8 @@ from mi_splat.import_closure import closure
 from mi_splat.io.documents import save_text
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger.engines import Processes
-from mi_splat.ledger.job import Job, Part, by_depth
+from mi_splat.ledger.job import Job, Part, by_depth, decoded
 from mi_splat.ledger.plans import Driver, grid
-from mi_splat.ledger.values import decoded
 from mi_splat.processes import INTERRUPTED, TERMINATED, python_command, sigterm_as_interrupt
 
 JOBS, SUBMIT = "jobs.json", "submit.sh"

@@ -16,8 +16,7 @@ from mi_splat.io.documents import publish, save_json, sha256, sweep_temporary, t
 from mi_splat.io.errors import from_os_error
 from mi_splat.io.folders import is_locked, locked_file
 from mi_splat.io.parsing import DocumentReader
-from mi_splat.ledger.job import Done, Task
-from mi_splat.ledger.values import canonical, digest
+from mi_splat.ledger.job import Done, Task, canonical, digest
 
 RECORD, FILES = "job.json", "files"
 TRIES = 3  # how often a job may fail

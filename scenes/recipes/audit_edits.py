@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from mi_splat.audit.evidence import edit_of
-from mi_splat.audit.frames import frame_of, targets
+from mi_splat.audit.surfaces import frame_of, targets
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import open_scene
 

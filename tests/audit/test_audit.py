@@ -15,9 +15,8 @@ from torch import Tensor
 from attacks import cli
 from mi_splat.audit import Audit, Look, ObjectAudit, Occluder, audit, linting
 from mi_splat.audit.evidence import cover_heat, cover_of
-from mi_splat.audit.frames import Target, frame_of, targets
 from mi_splat.audit.results import headline
-from mi_splat.audit.surfaces import Sight, cameras_around, lattice
+from mi_splat.audit.surfaces import Sight, Target, cameras_around, frame_of, lattice, targets
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.cameras import Camera, look_at
 from mi_splat.errors import InvalidValueError

@@ -6,9 +6,8 @@ import pytest
 import torch
 
 from mi_splat.audit.auditing import audit, looked_at
-from mi_splat.audit.frames import frame_of, targets, whole
 from mi_splat.audit.results import summary
-from mi_splat.audit.surfaces import cameras_around, free_positions, in_sight
+from mi_splat.audit.surfaces import cameras_around, frame_of, free_positions, in_sight, targets, whole
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.scene import merge
 from tests.audit import scenes

@@ -22,7 +22,7 @@ from attacks.cloak.setup import Setup
 from attacks.cloak.steps import StudySteps
 from mi_splat.import_closure import closure
 from mi_splat.ledger import Job, Part
-from mi_splat.ledger.values import canonical
+from mi_splat.ledger.job import canonical
 from tests.capture.trucks import truck, write_ply
 from tests.cloak.tiny_study import Redness
 

@@ -3,8 +3,7 @@
 import sys
 from pathlib import Path
 
-from mi_splat.ledger.cluster import Cluster
-from mi_splat.ledger.engines import Engine, InProcess, Processes
+from mi_splat.ledger.engines import Cluster, Engine, InProcess, Processes
 from mi_splat.ledger.job import Done, Job, OnEvent, nobody
 from mi_splat.ledger.plans import Driver, Plan, grid
 from mi_splat.ledger.store import Store

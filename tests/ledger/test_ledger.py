@@ -16,8 +16,7 @@ import pytest
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.ledger import Event, Job, Part, Store
-from mi_splat.ledger.cluster import Cluster
-from mi_splat.ledger.engines import InProcess, Limits, Processes
+from mi_splat.ledger.engines import Cluster, InProcess, Limits, Processes
 from mi_splat.ledger.job import EngineError
 from mi_splat.ledger.plans import Driver, grid
 from tests.ledger.drive import Ledger, two_levels, walk

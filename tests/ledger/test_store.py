@@ -23,11 +23,10 @@ from mi_splat.io.documents import sha256
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Event, Job, running
-from mi_splat.ledger.job import DiskFullError, Task
+from mi_splat.ledger.job import DiskFullError, Task, canonical, decoded, encoded
 from mi_splat.ledger.plans import plan, status
 from mi_splat.ledger.running import run_job, task_for
 from mi_splat.ledger.store import Store, content_of_path, record_text
-from mi_splat.ledger.values import canonical, decoded, encoded
 from tests.ledger.drive import Ledger, walk
 from tests.ledger.kinds.configs import NumbersConfig, Shift, Sign
 

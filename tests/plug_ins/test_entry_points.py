@@ -34,7 +34,7 @@ from attacks.testing.renderers import _camera
 from mi_splat.audit.linting import lint_scene
 from mi_splat.comparison.methods import RENDERERS, load_method
 from mi_splat.errors import InvalidValueError, MiSplatError
-from mi_splat.ledger.values import decoded, encoded
+from mi_splat.ledger.job import decoded, encoded
 from mi_splat.registry import Registry, brought_by_packages
 from mi_splat.rendering import RenderSettings
 from tests.fakes import ColourDetector, blobs, camera, register, toy_scene
