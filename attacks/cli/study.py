@@ -187,12 +187,12 @@ def _export(options: StudyOptions, study: Study) -> None:
 
 
 def _status(options: StudyOptions, study: Study) -> None:
-    """How far the study is, as of its last planning."""
+    """How far the study is."""
     from mi_splat.ledger import Store
     from mi_splat.ledger.plans import STATES, status
 
     store = Store(options.store)
-    entries = status(store, study.name)
+    entries = status(store, _work(study).jobs())
     counts = Counter(entry.state for entry in entries)
     failed = {_title(entry): store.failures(entry.key)[-1]["error"] for entry in entries if entry.state == "failed"}
     document = {**{state: counts[state] for state in STATES}, "failures": failed}
@@ -210,7 +210,8 @@ def _retry(options: StudyOptions, study: Study) -> None:
     from mi_splat.ledger.plans import status
 
     store = Store(options.store)
-    forgiven = [_title(entry) for entry in status(store, study.name) if entry.key and store.forgive(entry.key)]
+    entries = status(store, _work(study).jobs())
+    forgiven = [_title(entry) for entry in entries if entry.key and store.forgive(entry.key)]
     line = f"{len(forgiven)} jobs will be tried again by: mi-splat study run {options.study}"
     show_result({"forgiven": forgiven}, line, as_json=options.json)
 
@@ -218,12 +219,11 @@ def _retry(options: StudyOptions, study: Study) -> None:
 def _clean(options: StudyOptions, study: Study) -> None:
     """Delete the results that no other study of the store uses."""
     from mi_splat.ledger import Store
-    from mi_splat.ledger.plans import status
+    from mi_splat.ledger.plans import planned
 
     store = Store(options.store)
     others = [path.stem for path in (options.store / "plans").glob("*.json") if path.stem != study.name]
-    used = {entry.key for name in others for entry in status(store, name)}
-    keys = sorted({entry.key for entry in status(store, study.name) if entry.key} - used)
+    keys = sorted(planned(store, study.name).difference(*(planned(store, name) for name in others)))
     for key in keys:
         store.remove(key)
     store.sweep()

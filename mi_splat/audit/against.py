@@ -179,7 +179,8 @@ def _difference(attribute: str, ours: Tensor, clean: Tensor) -> Tensor:
     if attribute == "rotation":
         turn = multiply(ours.double(), (clean * clean.new_tensor([1.0, -1.0, -1.0, -1.0])).double())
         turn = turn / turn.norm(dim=1, keepdim=True).clamp(min=1e-12)
-        return 2 * torch.atan2(turn[:, 1:].norm(dim=1), turn[:, 0].abs()).rad2deg().float()
+        degrees: Tensor = 2 * torch.atan2(turn[:, 1:].norm(dim=1), turn[:, 0].abs()).rad2deg()
+        return degrees.float()
     step = float(colour_to_dc(torch.tensor(1.0)) - colour_to_dc(torch.tensor(0.0)))
     return (ours - clean).abs().amax(1) / (step if attribute == "colour" else 1.0)
 

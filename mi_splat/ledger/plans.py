@@ -2,10 +2,8 @@
 
 import asyncio
 import contextlib
-import functools
 import json
 import statistics
-import time
 from collections import Counter
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass
@@ -13,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.import_closure import code_digest
 from mi_splat.io.documents import save_text
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger.engines import Engine
@@ -23,14 +20,13 @@ from mi_splat.ledger.store import TRIES, Store, checked_key
 
 STATES = ("waiting", "ready", "running", "done", "failed")
 """For others before it; for an engine; for its end; for nothing; for somebody who mends it."""
-_OFTEN = 5.0  # least seconds between two writings of a list of jobs that grows
 _MEASURED = 200  # most finished jobs that tell how long one takes
-_READER = DocumentReader(expected="a list of jobs", do="plan the study again", most=1 << 30)
+_READER = DocumentReader(expected="a list of keys", do="plan the study again", most=1 << 30)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """A job of an index."""
+    """A job of a plan."""
 
     labels: tuple[str, ...]
     kind: str
@@ -38,90 +34,50 @@ class Entry:
     key: str
 
 
-class Index:
-    """The jobs of a plan by name: labels, and the keys as a driver has last known them."""
-
-    def __init__(self, store: Store, name: str) -> None:
-        self._path = store.path("plans") / f"{name}.json"
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._lines: dict[str, list[Any]] = {}
-        self._written = time.monotonic()
-
-    def add(self, job: Job, label: str = "") -> None:
-        """A job of the plan, under one more label."""
-        if (line := self._lines.get(job.identity)) is None:
-            before = [needed.identity for needed in job.before]
-            line = [job.identity, job.kind, before, [], "", ""]
-            self._lines[job.identity] = line
-        if label and label not in line[3]:
-            line[3].append(label)
-        if time.monotonic() - self._written > _OFTEN:
-            self.write()
-
-    def set_key(self, job: Job, task: Task) -> None:
-        """The key of a job whose inputs are done."""
-        self._lines[job.identity][4:] = task.code, task.key
-        self.add(job)
-
-    def write(self) -> None:
-        """Write the list of jobs, and keep the keys that another driver of the plan has written."""
-        known = _keys([self._path])
-        for line in self._lines.values():
-            line[4:] = line[4:] if line[5] else known.get(line[0], ("", ""))
-        save_text(json.dumps(list(self._lines.values())), self._path)
-        self._written = time.monotonic()
-
-
-def _read(path: Path) -> list[list[Any]]:
-    """Identity, kind, identities of those before, labels, code and key of every job of a plan."""
-    lines: list[list[Any]] = _READER.read_json_value(path)
-    if not isinstance(lines, list) or not all(map(_is_line, lines)):
-        raise _READER.broken(str(path), "another document")
-    known = {line[0] for line in lines}
-    for _, _, before, _, _, key in lines:
-        if key:
-            checked_key(key)
-        if not known.issuperset(before):
-            raise _READER.broken(str(path), "a job that reads another, which is missing")
-    return lines
-
-
-def _is_line(line: Any) -> bool:
-    if not (isinstance(line, list) and len(line) == 6):
-        return False
-    identity, kind, before, labels, code, key = line
-    texts = [identity, kind, code, key, *(text for part in (before, labels) if isinstance(part, list) for text in part)]
-    return isinstance(before, list) and isinstance(labels, list) and all(isinstance(text, str) for text in texts)
-
-
-def _code_of(kind: str) -> str:
-    """Digest of the code of a kind; empty if there is no such kind any more."""
-    try:
-        return code_digest(kind)
-    except ModuleNotFoundError:
-        return ""
-
-
-def _keys(plans: Iterable[Path]) -> dict[str, tuple[str, str]]:
-    """Code and key of each job by its identity, where a plan knows them, the last one that does."""
-    keys: dict[str, tuple[str, str]] = {}
-    for path in plans:
-        with contextlib.suppress(InvalidValueError):  # none, or one that planning again replaces
-            keys |= {identity: (code, key) for identity, *_, code, key in _read(path) if key}
-    return keys
+def status(store: Store, jobs: Mapping[str, Job]) -> list[Entry]:
+    """Jobs by their labels, and all before them, each with its state."""
+    labels: dict[str, list[str]] = {}
+    for label, job in jobs.items():
+        labels.setdefault(job.identity, []).append(label)
+    entries, failed = [], store.failed()
+    for job, task, done in looked_up(jobs.values(), store):
+        state = "waiting" if task is None else "ready"
+        if done is not None:
+            state = "done"
+        elif task is not None and store.is_held(task.key):
+            state = "running"
+        elif task is not None and task.key in failed:
+            state = "failed"
+        shown = tuple(labels.get(job.identity, ()))
+        entries.append(Entry(labels=shown, kind=job.kind, state=state, key="" if task is None else task.key))
+    return entries
 
 
 def plan(store: Store, name: str, jobs: Mapping[str, Job]) -> list[Entry]:
-    """Write down the jobs of a plan by their labels, and all before them, and look how far each is."""
-    index = Index(store, name)
-    for job, task, _ in looked_up(jobs.values(), store):
-        index.add(job)
-        if task is not None:
-            index.set_key(job, task)
-    for label, job in jobs.items():
-        index.add(job, label)
-    index.write()
-    return status(store, name)
+    """The states of the jobs of a plan, whose keys are noted."""
+    entries = status(store, jobs)
+    note_keys(store, name, (entry.key for entry in entries if entry.key))
+    return entries
+
+
+def note_keys(store: Store, name: str, keys: Iterable[str]) -> None:
+    """Write down, beside the results, which jobs a plan has used."""
+    path, known = store.path("plans") / f"{name}.json", set[str]()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with contextlib.suppress(InvalidValueError):  # none, or one that is replaced
+        known = planned(store, name)
+    save_text(json.dumps(sorted(known.union(keys))), path)
+
+
+def planned(store: Store, name: str) -> set[str]:
+    """Keys of the jobs that a plan has used."""
+    path = store.folder / "plans" / f"{name}.json"
+    if not path.is_file():
+        raise InvalidValueError.of(str(path), "a plan", "none", "plan or run the study first")
+    keys = _READER.read_json_value(path)
+    if not isinstance(keys, list) or not all(isinstance(key, str) for key in keys):
+        raise _READER.broken(str(path), "another document")
+    return set(map(checked_key, keys))
 
 
 def forecast(store: Store, entries: Iterable[Entry]) -> tuple[float, int]:
@@ -146,39 +102,6 @@ def forecast(store: Store, entries: Iterable[Entry]) -> tuple[float, int]:
     return seconds, unknown
 
 
-def status(store: Store, name: str) -> list[Entry]:
-    """The jobs of a plan and their states, as of its last planning."""
-    path = store.folder / "plans" / f"{name}.json"
-    if not path.is_file():
-        raise InvalidValueError.of(str(path), "a plan", "none", "plan or run the study first")
-    lines = _read(path)
-    finished, failed = store.keys(), store.failed()
-    others = sorted(other for other in path.parent.glob("*.json") if other != path)
-    known = _keys([*others, path])  # what another plan has done, this one knows
-    coded = {identity: known.get(identity, ("", "")) for identity, *_ in lines}
-    keys = {name: coded[name][1] if _code_of(kind) == coded[name][0] else "" for name, kind, *_ in lines}
-    earlier = {identity: before for identity, _, before, *_ in lines}
-
-    @functools.cache
-    def is_done(identity: str) -> bool:
-        """Whether a job is done with all before it: where one of these has changed, the key is of what it was."""
-        return keys[identity] in finished and all(map(is_done, earlier[identity]))
-
-    def state(identity: str) -> str:
-        if is_done(identity):
-            return "done"
-        if keys[identity] and store.is_held(keys[identity]):
-            return "running"
-        if keys[identity] in failed:
-            return "failed"
-        return "ready" if all(map(is_done, earlier[identity])) else "waiting"
-
-    return [
-        Entry(labels=tuple(labels), kind=kind, state=state(identity), key=keys[identity])
-        for identity, kind, _, labels, *_ in lines
-    ]
-
-
 Result = Done | str  # how a job of a plan ended: what it left, or why it has failed
 Plan = Generator[Mapping[str, Job], Mapping[str, Result] | None, None]
 """Yields jobs by their labels, and is sent their results once all of them have ended; ends when it wants no more."""
@@ -198,7 +121,7 @@ class Driver:
 
     def __init__(self, folder: Path, engine: Engine, *, name: str = "", on_event: OnEvent = nobody) -> None:
         self._store, self._engine, self._on_event = Store(folder), engine, on_event
-        self._index = Index(self._store, name) if name else None
+        self._name = name
         self._results: dict[str, Result] = {}
         self._jobs: dict[str, asyncio.Task[Result]] = {}
         self._keys: dict[str, str] = {}
@@ -222,8 +145,8 @@ class Driver:
                 coroutine.cancel()
             loop.run_until_complete(self._ended(waiting))
             loop.close()
-            if self._index is not None:
-                self._index.write()
+            if self._name:
+                note_keys(self._store, self._name, self._keys.values())
         return self._results
 
     async def _all(self, plans: Iterable[Plan]) -> None:
@@ -241,19 +164,15 @@ class Driver:
                 asked = plan.send(results)
             except StopIteration:
                 return
-            jobs = {label: self._job(job, label) for label, job in asked.items()}
+            jobs = {label: self._job(job) for label, job in asked.items()}
             results = dict(zip(jobs, await asyncio.gather(*jobs.values()), strict=True))
             self._results.update(results)
 
-    def _job(self, job: Job, label: str = "") -> asyncio.Task[Result]:
+    def _job(self, job: Job) -> asyncio.Task[Result]:
         """The coroutine of a job, begun with those of all before it if the job is new."""
         if job.identity not in self._jobs:
             before = [(needed, self._job(needed)) for needed in job.before]
-            if self._index is not None:  # after those before it: whenever the index is read, it is whole
-                self._index.add(job)
             self._jobs[job.identity] = asyncio.get_running_loop().create_task(self._done(job, before))
-        if label and self._index is not None:
-            self._index.add(job, label)
         return self._jobs[job.identity]
 
     async def _done(self, job: Job, before: Iterable[tuple[Job, asyncio.Task[Result]]]) -> Result:
@@ -267,8 +186,6 @@ class Driver:
             finished[needed.identity] = result
         task = task_for(job, self._store, finished)
         self._keys[job.identity] = task.key
-        if self._index is not None:
-            self._index.set_key(job, task)
         while (ended := await self._tried(task)) is None:
             await asyncio.sleep(_POLL)
         return ended

@@ -7,9 +7,8 @@ import torch
 
 from mi_splat.audit.auditing import audit, looked_at
 from mi_splat.audit.results import summary
-from mi_splat.audit.surfaces import cameras_around, frame_of, free_positions, in_sight, targets, whole
+from mi_splat.audit.surfaces import cameras_around, frame_of, free_positions, targets, whole
 from mi_splat.audit.thresholds import LIMITS
-from mi_splat.scene import merge
 from tests.audit import scenes
 from tests.audit.scenes import Made, standing
 
@@ -28,20 +27,6 @@ def test_objects_are_those_that_a_few_of_the_gaussians_show(suitcase: Made, monk
     assert both > 0.9 * max(len(every.rows), len(few.rows))
     assert few.radius == pytest.approx(every.radius, rel=0.06)
     assert torch.dist(few.centre, every.centre) < 0.06 * every.radius
-
-
-def test_what_cannot_stand_before_an_object_is_not_rendered(suitcase: Made) -> None:
-    scene = suitcase.scene
-    (target,) = targets(frame_of(scene).scene)
-    far = scene.replace(means=scene.means + torch.tensor([1000.0, 0.0, 0.0]))
-    clear = scene.replace(opacities=torch.full((len(scene),), 1e-3))
-    here = frame_of(scene).scene
-    both = merge(here, far, clear)
-    rows = in_sight(both, target, cameras_around(target))
-    assert bool((rows < len(scene)).all())
-    assert set(target.rows.tolist()) <= set(rows.tolist())
-    huge = merge(here, far.replace(scales=torch.full((len(scene), 3), 400.0)))
-    assert len(in_sight(huge, target, cameras_around(target))) == len(rows) + len(scene)
 
 
 def test_a_room_is_seen_from_within_and_an_object_is_not(suitcase: Made, monkeypatch: pytest.MonkeyPatch) -> None:

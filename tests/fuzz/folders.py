@@ -11,7 +11,7 @@ from mi_splat.io.documents import save_text
 from mi_splat.io.folders import new_folder, own_folder
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger import Job, Store
-from mi_splat.ledger.plans import plan, status
+from mi_splat.ledger.plans import plan, planned
 from tests.ledger.kinds.configs import NumbersConfig
 
 JOBS = {name: Job(kind="tests.ledger.kinds.numbers", config=NumbersConfig(name=name)) for name in ("one", "two")}
@@ -29,10 +29,9 @@ def clean(path: Path) -> None:
     """Do with the keys of a plan what `study retry` and `study clean` do."""
     store, victim = Store(path.parents[1]), _victim(path.parents[2])
     try:
-        for entry in status(store, "numbers"):
-            if entry.key:
-                store.forgive(entry.key)
-                store.remove(entry.key)
+        for key in planned(store, "numbers"):
+            store.forgive(key)
+            store.remove(key)
     finally:
         _check(victim)
 

@@ -15,11 +15,10 @@ import drjit as dr
 import pytest
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.documents import save_text
-from mi_splat.ledger import Done, Event, Job, Store, plans
+from mi_splat.ledger import Done, Event, Job, Store
 from mi_splat.ledger.engines import Child, InProcess, Limits, Processes, keep_to
 from mi_splat.ledger.job import EngineError, OnEvent, Outcome, Task
-from mi_splat.ledger.plans import Driver, Index, Plan, Result, forecast, grid, plan, status
+from mi_splat.ledger.plans import Driver, Entry, Plan, Result, forecast, grid, plan, planned, status
 from mi_splat.ledger.running import task_for
 from tests.ledger.drive import Ledger, two_levels, walk
 from tests.project.layers import ROOT
@@ -33,8 +32,8 @@ def run(
     return Driver(folder, engine, name="plan", on_event=told.append).run([grid(jobs)])
 
 
-def states(folder: Path) -> Counter[str]:
-    return Counter(entry.state for entry in status(Store(folder), "plan"))
+def states(folder: Path, jobs: dict[str, Job]) -> Counter[str]:
+    return Counter(entry.state for entry in status(Store(folder), jobs))
 
 
 def test_one_poisoned_of_20_fails_alone_after_three_tries_with_its_signal_named(tmp_path: Path) -> None:
@@ -49,8 +48,8 @@ def test_one_poisoned_of_20_fails_alone_after_three_tries_with_its_signal_named(
     assert [event.text for event in events if event.state == "failed"] == [
         f"try {number}: ended by SIGSEGV" for number in (1, 2, 3)
     ]
-    assert states(tmp_path) == {"done": 19, "failed": 1, "waiting": 1}
-    (key,) = (entry.key for entry in status(Store(tmp_path), "plan") if entry.state == "failed")
+    assert states(tmp_path, jobs) == {"done": 19, "failed": 1, "waiting": 1}
+    (key,) = (entry.key for entry in status(Store(tmp_path), jobs) if entry.state == "failed")
     events.clear()
     assert run(tmp_path, {"poisoned": jobs["poisoned"]}, events=events) == {"poisoned": "ended by SIGSEGV"}
     assert events == []  # it is not tried again until somebody says so
@@ -96,7 +95,8 @@ def test_a_plan_goes_on_with_results(tmp_path: Path) -> None:
     results = Driver(tmp_path, InProcess(tmp_path), name="plan").run([halved(), grid({}), grid({"one": walk(99)})])
     assert asked == [8, 12, 10, 11]
     assert set(results) == {"one", "at 8", "at 12", "at 10", "at 11"}
-    assert states(tmp_path) == {"done": 5}
+    assert planned(Store(tmp_path), "plan") == Store(tmp_path).keys()
+    assert len(Store(tmp_path).keys()) == 5
 
 
 def test_what_a_job_raises_in_this_process_ends_the_plan(tmp_path: Path) -> None:
@@ -135,17 +135,15 @@ def test_a_child_that_is_stopped_keeps_what_it_has_and_counts_no_try(tmp_path: P
 def test_a_plan_is_looked_at_before_it_is_run(tmp_path: Path) -> None:
     store, first = Store(tmp_path), walk(1)
     jobs = {"second": walk(2, one=first), "third": walk(3)}
-    assert Counter(entry.state for entry in plan(store, "plan", jobs)) == {"ready": 2, "waiting": 1}
-    assert forecast(store, status(store, "plan")) == (0.0, 3)
+    assert states(tmp_path, jobs) == {"ready": 2, "waiting": 1}
+    assert forecast(store, status(store, jobs)) == (0.0, 3)
     Ledger(tmp_path).do(first)
-    assert Counter(entry.state for entry in plan(store, "plan", jobs)) == {"ready": 2, "done": 1}
+    assert states(tmp_path, jobs) == {"ready": 2, "done": 1}
     seconds = store.record(next(iter(store.keys())))["seconds"]
-    assert forecast(store, status(store, "plan")) == (2 * seconds, 0)
-    (entry,) = (entry for entry in status(store, "plan") if entry.labels == ("second",))
+    assert forecast(store, status(store, jobs)) == (2 * seconds, 0)
+    (entry,) = (entry for entry in status(store, jobs) if entry.labels == ("second",))
     with store.held(entry.key):
-        assert states(tmp_path) == {"ready": 1, "done": 1, "running": 1}
-    with pytest.raises(InvalidValueError, match="expected a plan, got none"):
-        status(store, "other")
+        assert states(tmp_path, jobs) == {"ready": 1, "done": 1, "running": 1}
 
 
 def test_two_drivers_run_no_job_twice(tmp_path: Path) -> None:
@@ -254,37 +252,19 @@ def bytes_of(folder: Path) -> dict[str, object]:
     return {job.key: (job.record["files"], job.rows) for job in done}
 
 
-def test_what_one_plan_has_done_another_one_knows(tmp_path: Path) -> None:
+def test_a_plan_knows_the_keys_that_it_has_used(tmp_path: Path) -> None:
     store, jobs = Store(tmp_path), {"second": walk(2, one=walk(1))}
-    plan(store, "earlier", jobs)
+    with pytest.raises(InvalidValueError, match="expected a plan, got none"):
+        planned(store, "plan")
+    assert len(planned_after(plan(store, "plan", jobs), store)) == 1
     run(tmp_path, jobs)
-    assert [entry.state for entry in status(store, "earlier")] == ["done", "done"]
-    (tmp_path / "plans" / "broken.json").write_text("[[]]")
-    assert [entry.state for entry in status(store, "earlier")] == ["done", "done"]
-    with pytest.raises(InvalidValueError, match="expected a list of jobs"):
-        status(store, "broken")
-    assert [entry.state for entry in plan(store, "broken", jobs)] == ["done", "done"]
+    assert planned(store, "plan") == store.keys()
+    (tmp_path / "plans" / "plan.json").write_text("[[]]")
+    with pytest.raises(InvalidValueError, match="expected a list of keys"):
+        planned(store, "plan")
+    assert len(planned_after(plan(store, "plan", jobs), store)) == 2
 
 
-def test_a_driver_that_ends_early_takes_no_keys_from_another_one(tmp_path: Path) -> None:
-    store, jobs = Store(tmp_path), {"second": walk(2, one=walk(1))}
-    early = Index(Store(tmp_path), "plan")
-    early.add(walk(1))
-    early.add(jobs["second"], "second")
-    run(tmp_path, jobs)
-    early.write()
-    assert [entry.state for entry in status(store, "plan")] == ["done", "done"]
-
-
-def test_a_list_of_jobs_is_whole_whenever_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plans, "_OFTEN", -1.0)
-    counts = []
-
-    def written(text: str, path: Path) -> None:
-        save_text(text, path)
-        counts.append(len(status(Store(tmp_path), "plan")))
-
-    monkeypatch.setattr(plans, "save_text", written)
-    run(tmp_path, {"second": walk(2, one=walk(1)), "third": walk(3)})
-    assert counts[:3] == [1, 2, 2]
-    assert counts[-1] == 3
+def planned_after(entries: list[Entry], store: Store) -> set[str]:
+    assert planned(store, "plan") == {entry.key for entry in entries if entry.key}
+    return planned(store, "plan")

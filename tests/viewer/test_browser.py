@@ -4,7 +4,6 @@ Needs Chromium (Debian's package `chromium`) and Playwright (of the extra `dev`)
 """
 
 import io
-import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -26,7 +25,7 @@ from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.runner import JobRunner
 from tests.browser import CHROMIUM
 from tests.fakes import ColourDetector, blobs
-from tests.viewer.contents import ABOVE, START, MeanInspector, painter, runner, save_study
+from tests.viewer.contents import START, MeanInspector, painter, save_study
 from tests.viewer.wire import PATIENCE, serving
 
 pytestmark = [
@@ -133,20 +132,6 @@ def test_it_shows_both_splats_and_the_keyboard_moves_the_camera(chromium: Any) -
         assert opened.colours()[0] > 2000
 
 
-def test_the_mouse_moves_the_camera_and_the_picture_follows(chromium: Any) -> None:
-    with window(chromium, painter(1)) as opened:
-        before, text = opened.pixels, opened.commands()[0]
-        opened.page.wait_for_timeout(1200)
-        mouse = opened.page.mouse
-        mouse.move(300, 300)
-        mouse.down()
-        mouse.move(420, 240, steps=6)
-        mouse.up()
-        opened.until(lambda: opened.commands()[0] != text)
-        assert re.search(r"--azimuth [\d.]+ --elevation -?[\d.]+", opened.commands()[0])
-        opened.until(lambda: bool(np.abs(opened.pixels - before)[:, :650].mean() > 0.5))
-
-
 def test_a_narrow_window_has_pictures_and_controls(chromium: Any) -> None:
     with window(chromium, painter(inspector=MeanInspector()), size=(320, 640)) as opened:
         opened.until(lambda: min(opened.colours(256, None)) > 200)  # above the controls
@@ -159,29 +144,6 @@ def test_a_narrow_window_has_pictures_and_controls(chromium: Any) -> None:
         opened.page.keyboard.press("ArrowRight")
         opened.says(painter(inspector=MeanInspector()).inspect("clean", replace(START, elevation=21.0)).text)
         assert opened.page.evaluate("document.documentElement.scrollWidth") <= 320
-
-
-def test_an_object_is_selected_and_a_job_runs_on_it(chromium: Any, tmp_path: Path) -> None:
-    with window(chromium, runner()) as opened:
-        page = opened.page
-        page.get_by_role("tab", name="Tools").press("Enter")
-        page.mouse.click(340, 320)
-        opened.says("Gaussians of clean")
-        with page.expect_download() as download:
-            page.get_by_role("button", name="Save mask.npy").press("Enter")
-        download.value.save_as(tmp_path / "mask.npy")
-        mask = np.load(tmp_path / "mask.npy")
-        assert f"{mask.sum()} of {len(mask)} Gaussians of clean" in page.inner_text("body")
-        page.get_by_text("Work", exact=True).first.click()
-        page.get_by_label("eps").last.fill("7")  # numbers have names
-        opened.until(lambda: any("--eps=7" in text for text in opened.commands()))
-        page.get_by_role("button", name="Work", exact=True).press("Enter")
-        opened.says("done with --eps=7")
-        opened.until(lambda: min(opened.colours()) > 2000)  # both splats, in their own colours
-        page.get_by_role("tab", name="View").press("Enter")
-        page.get_by_role("combobox", name="From").click()
-        page.get_by_role("option", name="above").click()
-        opened.says(f"{ABOVE.camera((8, 8)).position[2]:.1f} above the ground")
 
 
 def test_names_in_files_are_shown_as_they_are_written(chromium: Any, tmp_path: Path) -> None:
