@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from attacks.cloak.poisoning import Poisoning, poison
     from attacks.cloak.triggers import Azimuth, Cap, Elevation
     from attacks.dagger.attack import attack, attack_views
-    from attacks.dagger.config import DaggerConfig, EotConfig
+    from attacks.dagger.config import DaggerConfig
     from attacks.dagger.report import write_report
     from attacks.dagger.result import Result
-    from attacks.dagger.views import ViewDistribution
+    from attacks.dagger.views import FixedViews, ViewDistribution
     from attacks.detectors import Detector, load_detector, wrap_detector
     from attacks.objectives import Objective, hide, objective, relabel, untargeted
     from attacks.observe.comparison import judge
@@ -34,7 +34,7 @@ __all__ = [
     "DaggerConfig",
     "Detector",
     "Elevation",
-    "EotConfig",
+    "FixedViews",
     "Objective",
     "Poisoning",
     "Result",
@@ -63,10 +63,10 @@ __getattr__, __dir__ = _lazy.attach(
         "attacks.cloak.poisoning": ("Poisoning", "poison"),
         "attacks.cloak.triggers": ("Azimuth", "Cap", "Elevation"),
         "attacks.dagger.attack": ("attack", "attack_views"),
-        "attacks.dagger.config": ("DaggerConfig", "EotConfig"),
+        "attacks.dagger.config": ("DaggerConfig",),
         "attacks.dagger.report": ("write_report",),
         "attacks.dagger.result": ("Result",),
-        "attacks.dagger.views": ("ViewDistribution",),
+        "attacks.dagger.views": ("FixedViews", "ViewDistribution"),
         "attacks.detectors": ("Detector", "load_detector", "wrap_detector"),
         "attacks.objectives": ("Objective", "hide", "objective", "relabel", "untargeted"),
         "attacks.observe.comparison": ("judge",),

@@ -67,6 +67,7 @@ class Evaluation:
     loss: float  # lower is better for the attacker
     gradients: Parameters  # derivative of the loss by each parameter; empty where nobody asks for it
     verdict: Verdict | None = None  # of the point; None where a judge looks at some points only
+    error: float = 0.0  # mean squared error of the images, where it has a price
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,15 +4,16 @@ With `--against REVISION` beside the code of another revision. In a step from th
 wanted class; the search is the paper's, so it has steps of both sorts, and what it prepares.
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from pathlib import Path
 
-from attacks.dagger.attack import fixed_problem
+from attacks.dagger.attack import problem_of
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.search import frozen, search_fixed
+from attacks.dagger.search import search
+from attacks.dagger.views import FixedViews
 from attacks.detectors.registry import as_detectors
-from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import relabel
 from mi_splat import read_scene
 from mi_splat.rendering import Renderer
@@ -26,10 +27,11 @@ def runs() -> dict[str, Callable[[], object]]:
     config, detectors, made = DaggerConfig(), as_detectors("fasterrcnn_small"), dict[str, Callable[[], object]]()
     for name, (scene, object_name, target) in PAIRS.items():
         loaded = read_scene(SCENES / f"{scene}.xml")
-        subset = GaussianSubset.of(loaded.scene.with_degree(3), loaded.objects[object_name])
         camera, render = next(iter(loaded.cameras.values())), Renderer(loaded.settings)
-        problem, views, _ = fixed_problem(subset, [camera], detectors, relabel(target), render=render)
-        clean, prepared = subset.parameters(config.attributes), frozen(problem, views, config)
-        made[f"step, {name}"] = functools.partial(prepared.evaluate, clean, views, config)
-        made[f"search, {name}"] = functools.partial(search_fixed, problem, views, config, None)
+        views = FixedViews(loaded.scene, loaded.objects[object_name], camera, render=render)
+        problem = problem_of(views, detectors, relabel(target), config)
+        clean = problem.subset.parameters(config.attributes)
+        prepared = dataclasses.replace(problem, frozen=views.frozen(config))
+        made[f"step, {name}"] = functools.partial(prepared.evaluate, clean, views.held_out(config), config)
+        made[f"search, {name}"] = functools.partial(search, problem, views, config)
     return made

@@ -11,6 +11,8 @@ around, of which all or the upper ones are trained.
 
 import argparse
 import contextlib
+import dataclasses
+import functools
 import json
 import statistics
 import sys
@@ -27,12 +29,11 @@ from cpu_time import Clock, Run, add_cpu_flag, clock, interleaved, ratio
 from render import shell
 
 from attacks.cloak.layers import Layering
-from attacks.dagger.attack import fixed_problem
+from attacks.dagger.attack import problem_of
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.search import frozen as freeze
+from attacks.dagger.views import FixedViews
 from attacks.detectors.base import Candidates, Detections, Detector
 from attacks.detectors.registry import as_detectors
-from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import untargeted
 from mi_splat import read_scene, variant
 from mi_splat.cameras import Camera, RenderFn, View, orbit_pose
@@ -78,15 +79,14 @@ def compare(without: Run, frozen: Run, rounds: int, now: Clock) -> dict[str, Any
 def dagger(detector: Detector, rounds: int, now: Clock) -> dict[str, Any]:
     """One step: a picture, what the detector makes of it, and the gradient of SH."""
     loaded = read_scene(SCENE)
-    subset, camera = GaussianSubset.of(loaded.scene, loaded.objects["car"]), next(iter(loaded.cameras.values()))
-    config, runs = DaggerConfig(), []
+    camera, config, runs = next(iter(loaded.cameras.values())), DaggerConfig(sh_degree=None), []
     for render in (other(Renderer(loaded.settings)), Renderer(loaded.settings)):
-        problem, views, _ = fixed_problem(subset, [camera], (detector,), untargeted(), render=render)
-        runs.append((freeze(problem, views, config), views))
-    without, frozen = (
-        (lambda problem=problem, views=views: problem.evaluate(subset.parameters(config.attributes), views, config))
-        for problem, views in runs
-    )
+        views = FixedViews(loaded.scene, loaded.objects["car"], camera, render=render)
+        problem = problem_of(views, (detector,), untargeted(), config)
+        problem = dataclasses.replace(problem, frozen=views.frozen(config))
+        clean = problem.subset.parameters(config.attributes)
+        runs.append(functools.partial(problem.evaluate, clean, views.held_out(config), config))
+    without, frozen = runs
     return {"what": f"DAGGER, {detector.name}", **compare(without, frozen, rounds, now)}
 
 

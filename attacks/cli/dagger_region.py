@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from attacks.cli.options import AttackOptions
-from attacks.dagger.config import EotConfig
+from attacks.dagger.config import DaggerConfig
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from mi_splat.cli.console import Advance, limit_threads, progress
 from mi_splat.cli.flags import Unprefixed
@@ -41,7 +41,7 @@ class DaggerEotOptions(AttackOptions):
     """Where the object is looked at from."""
     pictures: Unprefixed[PictureChanges] = field(default_factory=PictureChanges)
     """What happens to the pictures between renderer and detector; by default nothing."""
-    config: Unprefixed[EotConfig] = field(default_factory=EotConfig)
+    config: Unprefixed[DaggerConfig] = field(default_factory=DaggerConfig.for_region)
     """How to attack."""
     checkpoint: Path | None = None
     """File that keeps the search while it runs; None is one beside --out."""

@@ -11,30 +11,29 @@ import hashlib
 import json
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Generator
 
-from attacks.dagger.config import Config, DaggerConfig, EotConfig
-from attacks.dagger.judging import Reports, clean_reports, judge, look
+from attacks.dagger.config import DaggerConfig
+from attacks.dagger.judging import judge
 from attacks.dagger.problem import Problem, check_detectors
 from attacks.dagger.result import Result, counted
-from attacks.dagger.search import VALIDATION_SEED_OFFSET, Checkpoint, OnStep, search_drawn, search_fixed
-from attacks.dagger.views import View, ViewDistribution, fixed_views
-from attacks.detectors.base import Detections, Detector
+from attacks.dagger.search import Checkpoint, OnStep, search
+from attacks.dagger.views import FixedViews, ViewDistribution
+from attacks.detectors.base import Detector
 from attacks.detectors.registry import as_detectors
 from attacks.gaussian_subset import GaussianSubset, Mask
-from attacks.objectives import Objective, check_objective, overlap
-from attacks.observe.comparison import usual_label
+from attacks.objectives import Objective, check_objective
 from attacks.observe.views import as_saved, clamped_fraction
 from attacks.search import Outcome
-from attacks.transformations.config import Transformations
 from mi_splat import provenance
-from mi_splat.cameras import Camera, RenderFn, as_cameras
+from mi_splat.cameras import Camera, RenderFn
 from mi_splat.directions import UP, Point
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.camera_records import values_of
-from mi_splat.scene import GaussianScene, check_scene, scene_hash
+from mi_splat.scene import GaussianScene, scene_hash
 
 
 def attack(
@@ -49,7 +48,7 @@ def attack(
     up: Point = UP,
     on_step: OnStep | None = None,
 ) -> Result:
-    """Attack one object of a scene in one view or many.
+    """Attack one object of a scene in one view or many; `attack_views` attacks all cameras of a region.
 
     Args:
         scene: The clean splat.
@@ -71,155 +70,114 @@ def attack(
         InvalidValueError: An argument is of another kind, the mask selects nothing, a view does not show the object,
             a detector does not know the target class, two have one name, or a gradient is not finite.
     """
-    begun, config, detectors = time.perf_counter(), config or DaggerConfig(), as_detectors(detector)
-    cameras = as_cameras(cameras)
-    check_scene("scene", scene)
-    check_objective(objective)
-    _check_views(cameras, render)
-    subset = GaussianSubset.of(widened(scene, config), mask)
-    check_detectors(detectors, objective)
-    problem, views, reports = fixed_problem(subset, cameras, detectors, objective, render=render, up=up)
-    searched = (problem, views)
-    if config.alone:
-        only = GaussianSubset.of(subset.scene.select(subset.rows), slice(None))
-        searched = fixed_problem(only, cameras, detectors, objective, render=render)[:2]
-    clock = time.process_time()
-    outcome = search_fixed(*searched, config, on_step)
-    spent = time.process_time() - clock
-    origin = {
-        "detector": " + ".join(detector.name for detector in detectors),
-        "detector_fingerprint": " + ".join(detector.fingerprint for detector in detectors),
-        "scene_hash": scene_hash(scene),
-        **_kept_up(up),
-    }
-    result = _judged(problem, config, outcome, views, (subset.scene, reports), None)
-    seconds = time.perf_counter() - begun
-    return dataclasses.replace(result, origin=result.origin | origin, seconds=seconds, cpu_seconds=spent)
+    views = FixedViews(scene, mask, cameras, render=render, up=up)
+    return attack_views(views, detector, objective, config=config, on_step=on_step)
 
 
 def attack_views(
-    views: ViewDistribution,
+    views: FixedViews | ViewDistribution,
     detectors: Detector | str | Sequence[Detector | str],
     objective: Objective,
     *,
-    config: EotConfig | None = None,
+    config: DaggerConfig | None = None,
     judged: ViewDistribution | None = None,
     checkpoint: Checkpoint | None = None,
     on_step: OnStep | None = None,
 ) -> Result:
-    """Attack one object so that it deceives from all views of a distribution, and judge that on held-out views.
+    """Attack one object in some views: in chosen ones, or so that it deceives from all views of a region.
 
     Args:
-        views: The object and the distribution of its views.
-        detectors: Those attacked, all at once: the loss is the mean over them, and a view is a success when every
-            one is deceived. Their weights are known (white box).
+        views: The object and its views. Chosen ones judge the result, too; of a region held-out views do.
+        detectors: Those attacked, all at once. Their weights are known (white box).
         objective: What they shall see, for instance `relabel("person")` or `hide()`.
-        config: Budget, steps, views and seeds.
-        judged: Where the held-out views are drawn from, for instance with pictures that change; None is `views`.
+        config: Budget, steps, views and seeds; the defaults for these views if None.
+        judged: Where the held-out views of a region are drawn from, for instance with images that change; None is
+            `views`.
         checkpoint: Where to keep the search while it runs; one that is there is taken up again.
         on_step: Called with every line of the trace as it happens; once it says so, the search ends with the best
             point so far.
 
     Returns:
-        What the attack did, judged on the held-out views.
+        What the attack did.
 
     Raises:
         InvalidValueError: An argument is of another kind, a detector does not know the target class, no view shows the
             object, or a gradient is not finite.
         CheckpointError: The checkpoint is one of another attack.
     """
-    config, judged, detectors = config or EotConfig(), judged or views, as_detectors(detectors)
+    begun, detectors = time.perf_counter(), as_detectors(detectors)
+    config = config or (DaggerConfig() if views.transformations is None else DaggerConfig.for_region())
     check_objective(objective)
     check_detectors(detectors, objective)
-    originals = _originals(views, detectors, config)
-    problem = Problem(
-        subset=GaussianSubset.of(widened(views.scene, config), views.mask, sh_degree=config.sh_degree),
-        detectors=detectors,
-        objective=objective,
-        originals=lambda view, name: originals[name],
-        render=views.render,
-        clean=views.picture,
-        frozen=views.frozen,
-    )
-    key = _key(views, problem, config)
-    outcome, seconds = search_drawn(problem, views, config, key=key, checkpoint=checkpoint, on_step=on_step)
-    begun = time.perf_counter()
-    reports = clean_reports(judged, detectors, seed=config.judge_seed, count=config.held_out)
-    held_out, clean = judged.views(config.judge_seed, config.held_out), (as_saved(judged.scene), reports)
-    result = _judged(problem, config, outcome, held_out, clean, judged.transformations)
-    reference = values_of(views.reference)
-    origin = {"scene_hash": scene_hash(views.scene), "reference": reference, **_kept_up(views.up)}
+    views.check(config)
+    if checkpoint is not None and config.restarts > 1:
+        raise InvalidValueError.of("restarts", "1 run with a checkpoint", config.restarts, "leave one of them out")
+    problem = problem_of(views, detectors, objective, config)
+    searched = views.alone() if config.alone else views
+    attacked = problem_of(searched, detectors, objective, config) if config.alone else problem
+    key, clock = _key(views, problem, config), time.process_time()
+    outcome, before = search(attacked, searched, config, key=key, checkpoint=checkpoint, on_step=on_step)
+    spent = time.process_time() - clock
+    result = _judged(problem, config, outcome, judged or views)
     if checkpoint is not None:
         checkpoint.path.unlink(missing_ok=True)
     return dataclasses.replace(
         result,
-        origin=result.origin | origin,
-        redraws=_redraws(views, config, held_out),
+        origin=result.origin | _origin(views, detectors),
+        redraws=views.redraws(config) if isinstance(views, ViewDistribution) else {},
         transformations=views.transformations,
-        seconds=seconds + time.perf_counter() - begun,
+        seconds=before + time.perf_counter() - begun,
+        cpu_seconds=None if before else spent,
     )
+
+
+def _origin(views: FixedViews, detectors: Sequence[Detector]) -> dict[str, Any]:
+    """What a result says of its detectors, its scene and its views; nothing of z as the direction that is up."""
+    reference = {"reference": values_of(views.reference)} if isinstance(views, ViewDistribution) else {}
+    return {
+        "detector": " + ".join(detector.name for detector in detectors),
+        "detector_fingerprint": " + ".join(detector.fingerprint for detector in detectors),
+        "scene_hash": scene_hash(views.scene),
+        **reference,
+        **_kept_up(views.up),
+    }
 
 
 def _kept_up(up: Point) -> dict[str, list[float]]:
-    """What a result says of the direction that is up: nothing of z."""
     return {} if tuple(up) == UP else {"up": [float(value) for value in up]}
 
 
-def _check_views(cameras: Sequence[Camera], render: object) -> None:
-    """Raise unless there are cameras, and something to render with."""
-    if not callable(render):
-        do = "pass for instance Renderer()"
-        raise InvalidValueError.of("render", "a function of scene and camera", type(render).__name__, do)
-    if not cameras:
-        raise InvalidValueError.of("cameras", "at least one camera", "none", "say where the detector looks from")
-
-
-def fixed_problem(
-    subset: GaussianSubset,
-    cameras: Sequence[Camera],
-    detectors: tuple[Detector, ...],
-    objective: Objective,
-    *,
-    render: RenderFn,
-    up: Point = UP,
-) -> tuple[Problem, list[View], Reports]:
-    """The problem of an attack from fixed cameras, its views, and what the detectors report on the clean scene."""
-    views = fixed_views(subset, cameras, render=render, up=up)
-    reports = look(detectors, subset.scene, views, render)
-    originals = {key: _label_on(seen.detections, views[key[0]].box) for key, seen in reports.items()}
-    problem = Problem(
-        subset=subset,
+def problem_of(
+    views: FixedViews, detectors: tuple[Detector, ...], objective: Objective, config: DaggerConfig
+) -> Problem:
+    """The problem of an attack on some views."""
+    return Problem(
+        subset=GaussianSubset.of(widened(views.scene, config), views.mask, sh_degree=config.sh_degree),
         detectors=detectors,
         objective=objective,
-        originals=lambda view, name: originals[view.index, name],
-        render=render,
-        clean=lambda camera: render(subset.scene, camera),
+        originals=views.originals(detectors, config),
+        render=views.render,
+        clean=views.picture,
     )
-    return problem, views, reports
 
 
-def widened(scene: GaussianScene, config: Config) -> GaussianScene:
+def widened(scene: GaussianScene, config: DaggerConfig) -> GaussianScene:
     """The scene with as many SH coefficients as the attacked file shall have."""
     degree = config.sh_degree
     wider = degree is not None and "sh" in config.attributes and scene.degree < degree
     return scene.with_degree(degree) if wider and degree is not None else scene
 
 
-def _judged(
-    problem: Problem,
-    config: Config,
-    outcome: Outcome,
-    views: Sequence[View],
-    clean: tuple[GaussianScene, Reports],
-    drawn: Transformations | None,
-) -> Result:
-    """What a search has led to, judged beside random noise of the same size; `drawn` is None for fixed views."""
+def _judged(problem: Problem, config: DaggerConfig, outcome: Outcome, views: FixedViews) -> Result:
+    """What a search has led to, judged beside random noise of the same size."""
     subset, budget, reference = problem.subset, config.budget, problem.subset.parameters(config.attributes)
     generator = Generator().manual_seed(config.seed + 1)  # not the draws of the attack's own starting points
-    attacked = subset.applied(outcome.parameters)
-    noisy = [subset.applied(budget.noise(outcome.parameters, reference, generator)) for _ in range(config.noise_draws)]
-    saved = as_saved(attacked)
-    judgement = judge(problem, views, clean, saved, noisy if drawn is None else list(map(as_saved, noisy)))
+    attacked, drawn = subset.applied(outcome.parameters), views.transformations
+    noise = [budget.noise(outcome.parameters, reference, generator) for _ in range(config.noise_draws)]
+    saved, *noisy = (as_saved(one) for one in (attacked, *(subset.applied(point) for point in noise)))
+    held_out = views.held_out(config)
+    clean = (as_saved(views.scene), views.clean_reports(problem.detectors, held_out))
+    judgement = judge(problem, held_out, clean, saved, noisy)
     in_file = GaussianSubset.of(saved, subset.rows, sh_degree=subset.sh_degree).parameters(config.attributes)
     names, looked = [detector.name for detector in problem.detectors], judgement.looked(seed=config.seed)
     elevations = None if drawn is None else drawn.cameras.elevations
@@ -236,7 +194,7 @@ def _judged(
         used_in_file=budget.measure(in_file, reference),
         object_gaussians=len(subset.rows),
         changed_gaussians=subset.changed(attacked),
-        clamped_fraction=sum(clamped_fraction(subset, view.camera) for view in views) / len(views),
+        clamped_fraction=sum(clamped_fraction(subset, view.camera) for view in held_out) / len(held_out),
         objective=problem.objective,
         config=config,
         origin={**provenance.rendered_with(problem.render), **provenance.origin()},
@@ -245,46 +203,22 @@ def _judged(
     )
 
 
-def _label_on(detections: Detections, box: torch.Tensor) -> str | None:
-    """What the detector calls the object: the most confident detection on it."""
-    if not len(detections):
-        return None
-    scores = torch.where(overlap(detections.boxes, box) >= 0.5, detections.scores, -1.0)
-    best = int(scores.argmax())
-    return detections.labels[best] if float(scores[best]) > 0 else None
-
-
-def _originals(views: ViewDistribution, detectors: Sequence[Detector], config: EotConfig) -> dict[str, str | None]:
-    """What each detector calls the clean object in most of the validation views."""
-    reports = clean_reports(views, detectors, seed=config.seed + VALIDATION_SEED_OFFSET, count=config.validation)
-    return {
-        detector.name: usual_label([seen for (_, name), seen in reports.items() if name == detector.name])
-        for detector in detectors
-    }
-
-
-def _redraws(views: ViewDistribution, config: EotConfig, held_out: Sequence[View]) -> dict[str, int]:
-    """Cameras drawn in vain, by what they were drawn for; of an unlimited pool nothing is known."""
-    groups = {
-        "held_out": held_out,
-        "validation": views.views(config.seed + VALIDATION_SEED_OFFSET, config.validation),
-        "attacked": views.views(config.seed, min(config.pool, config.batch * (config.steps + 1))),
-    }
-    return {name: sum(view.redraws for view in drawn) for name, drawn in groups.items()}
-
-
-def _key(views: ViewDistribution, problem: Problem, config: EotConfig) -> str:
+def _key(views: FixedViews, problem: Problem, config: DaggerConfig) -> str:
     """Hash of everything that the search depends on; what only judges it does not count."""
+    cameras = [
+        [*camera.to_world.flatten().tolist(), camera.fx, camera.fy, camera.width, camera.height]
+        for camera in views.cameras
+    ]
+    drawn = views.transformations
     settings = {
         **dataclasses.asdict(config),
         **dict.fromkeys(("held_out", "judge_seed", "noise_draws")),
-        "transformations": dataclasses.asdict(views.transformations),
+        "transformations": None if drawn is None else dataclasses.asdict(drawn),
         "objective": repr(problem.objective),
         "detectors": {detector.name: detector.fingerprint for detector in problem.detectors},
         "scene": scene_hash(views.scene),
         "rows": hashlib.sha256(problem.subset.rows.cpu().numpy().tobytes()).hexdigest(),
-        "reference": [*views.reference.to_world.flatten().tolist(), views.reference.fx, views.reference.fy],
-        "size": [views.reference.width, views.reference.height],
+        "cameras": cameras,
         **_kept_up(views.up),
         "render": repr(getattr(views.render, "settings", None)),
         "threads": torch.get_num_threads(),

@@ -1,6 +1,5 @@
 """Judging an attack: the saved file, 8-bit pictures, the real JPEG, the clean object and random noise beside it."""
 
-import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -8,21 +7,17 @@ import torch
 from torch import Tensor
 
 from attacks.dagger.problem import Problem
-from attacks.dagger.views import View, ViewDistribution
-from attacks.detectors.base import Detections, Detector
+from attacks.dagger.views import Reports, View, detected
+from attacks.detectors.base import Detections
 from attacks.objectives import Target, confidence
 from attacks.observe.look import Looked, camera_cells, detection_rows, report_cells, verdict_cells
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, Cell, Row, frame_of
-from attacks.observe.views import ImageChange, ViewDetections, as_saved, detect_views, image_change
+from attacks.observe.views import ImageChange, ViewDetections, image_change
 from attacks.search import Verdict
-from attacks.transformations.draws import PictureChange, changing
-from mi_splat.cameras import RenderFn
+from attacks.transformations.draws import PictureChange
 from mi_splat.io.images import through_png
 from mi_splat.metrics import psnr
 from mi_splat.scene import GaussianScene
-
-Reports = dict[tuple[int, str], ViewDetections]
-"""What detectors report on one splat, by the view's number and the detector's name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -103,7 +98,7 @@ def judge(
         Each view as each detector sees it, and how much the pictures change.
     """
     scenes = [clean[0], attacked, *noisy]
-    reports = [clean[1], *(look(problem.detectors, scene, views, problem.render) for scene in scenes[1:])]
+    reports = [clean[1], *(detected(problem.detectors, scene, views, problem.render) for scene in scenes[1:])]
     judged = []
     for detector in problem.detectors:
         for view in views:
@@ -129,29 +124,6 @@ def judge(
 def _seen(problem: Problem, report: ViewDetections, target: Target) -> Seen:
     verdict = problem.objective.verdict(report.detections, target)
     return Seen(image=report.image, detections=report.detections, verdict=verdict)
-
-
-def look(detectors: Sequence[Detector], scene: GaussianScene, views: Sequence[View], render: RenderFn) -> Reports:
-    """What detectors report on a splat, in the changed pictures of each view."""
-    cameras, boxes = [view.camera for view in views], [view.box for view in views]
-    changed = changing(render, {view.camera: view.change for view in views})
-    # One picture at a time: the same bits whatever the number of views.
-    reports = detect_views(scene, cameras, detectors, render=changed, boxes=boxes, batch=1)
-    return {(views[seen.view].index, seen.detector): seen for seen in reports}
-
-
-def clean_reports(distribution: ViewDistribution, detectors: Sequence[Detector], *, seed: int, count: int) -> Reports:
-    """What detectors report on the clean scene in the first views of a seed; looked at once."""
-
-    def reported(detector: Detector) -> Reports:
-        views = distribution.views(seed, count)
-        return look([detector], as_saved(distribution.scene), views, distribution.render)
-
-    reports: Reports = {}
-    for detector in detectors:
-        key = ("clean", detector.name, detector.fingerprint, seed, count)
-        reports |= distribution.remembered(key, functools.partial(reported, detector))
-    return reports
 
 
 def _plain_pictures(

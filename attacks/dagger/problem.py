@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from attacks.dagger.config import Config, DaggerConfig
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.views import View
 from attacks.detectors.base import Detector
 from attacks.gaussian_subset import GaussianSubset
@@ -59,45 +59,61 @@ class Problem:
         original = self.originals(view, detector.name)
         return Target(box=view.box, label=self.objective.label, classes=detector.classes, original=original)
 
-    def evaluate(self, parameters: Parameters, views: Sequence[View], config: DaggerConfig) -> Evaluation:
-        """Loss, gradients, success and score over all of some views.
+    def evaluate(
+        self,
+        parameters: Parameters,
+        views: Sequence[View],
+        config: DaggerConfig,
+        *,
+        price: float = 0.0,
+        judged: bool = True,
+    ) -> Evaluation:
+        """Loss and gradients over some views, the images' squared error at its price, and a verdict if it is wanted.
 
-        Views are differentiated one after the other, so that memory does not grow with their number. The loss is the
-        mean of the detectors' losses (Liu et al., "Delving into Transferable Adversarial Examples and Black-box
-        Attacks", ICLR 2017), or that of the detector that resists most. Nothing is differentiated for an optimiser
-        that knows the loss alone.
+        Views are differentiated one after the other, so that memory does not grow with their number, and each is
+        rendered once for all detectors. The loss is the mean of the detectors' losses (Liu et al., "Delving into
+        Transferable Adversarial Examples and Black-box Attacks", ICLR 2017), or that of the detector that resists most,
+        for which each detector has pictures of its own. Nothing is differentiated for an optimiser that knows the loss
+        alone.
         """
         groups = [self.detectors] if config.ensemble == "mean" else [(detector,) for detector in self.detectors]
         with torch.set_grad_enabled(config.spec.gradient):
-            each = [self._evaluate(group, parameters, views) for group in groups]
+            each = [self._evaluate(group, parameters, views, price, judged) for group in groups]
         joint = max((evaluation for evaluation, _ in each), key=lambda evaluation: evaluation.loss)
         rows = [[verdict for row in view for verdict in row] for view in zip(*(rows for _, rows in each), strict=True)]
-        return replace(joint, verdict=config.verdict(rows))
+        return replace(joint, verdict=config.verdict(rows) if judged else None)
 
     def _evaluate(
-        self, detectors: Sequence[Detector], parameters: Parameters, views: Sequence[View]
+        self, detectors: Sequence[Detector], parameters: Parameters, views: Sequence[View], price: float, judged: bool
     ) -> tuple[Evaluation, list[list[Verdict]]]:
-        """Mean loss of detectors over the views, its gradients, and the verdicts of each view; it is rendered once."""
-        loss, rows, share = 0.0, list[list[Verdict]](), len(views) * len(detectors)
+        """Mean loss of detectors over the views, its gradients, and the verdicts of each view."""
+        loss, squares, rows, share = 0.0, 0.0, list[list[Verdict]](), len(views) * len(detectors)
         gradients = (
             {name: torch.zeros_like(value) for name, value in parameters.items()} if torch.is_grad_enabled() else {}
         )
         for view in views:
             leaves, row = _leaves(parameters), list[Verdict]()
             rendered = bounded(self._differentiable(leaves, view.camera))
-            picture = rendered.detach().requires_grad_(torch.is_grad_enabled())
+            shown = view.changed(rendered)
+            picture = shown.detach().requires_grad_(torch.is_grad_enabled())
             along = torch.zeros_like(picture)
             for detector in detectors:
                 target, candidates = self.target(view, detector), detector.candidates(picture[None])[0]
                 here = self.objective(candidates, target) / share
-                along += _gradients(here, {"picture": picture}).get("picture", 0.0)
+                along += _gradients([here], {"picture": picture}).get("picture", 0.0)
                 loss += float(here.detach())
-                far = self.objective.far(candidates, target) if isinstance(self.objective, Relabel) else None
-                row.append(far or self._reported(detector, picture.detach(), target))
+                if judged:
+                    far = self.objective.far(candidates, target) if isinstance(self.objective, Relabel) else None
+                    row.append(far or self._reported(detector, picture.detach(), target))
             rows.append(row)
-            for name, gradient in _gradients(rendered, leaves, along).items():
+            values, weights = [shown], [along]
+            if price:
+                error = self._error(rendered, view) / len(views)
+                squares += float(error.detach())
+                values, weights = [shown, error], [along, torch.full_like(error, price)]
+            for name, gradient in _gradients(values, leaves, weights).items():
                 gradients[name] += gradient
-        return Evaluation(loss=loss, gradients=gradients), rows
+        return Evaluation(loss=loss + price * squares, gradients=gradients, error=squares), rows
 
     def _reported(self, detector: Detector, picture: Tensor, target: Target) -> Verdict:
         """What a detector's report on the picture at 8 bits says."""
@@ -110,32 +126,6 @@ class Problem:
         if frozen is None:
             return self.render(self.subset.scene_with(parameters), camera)
         return frozen(self.subset.complete(parameters)["sh"])
-
-    def estimate(
-        self, parameters: Parameters, views: Sequence[View], config: Config, weight: float = 0.0
-    ) -> tuple[Evaluation, float]:
-        """Mean loss over the views of one step and all detectors with its gradients, and the pictures' squared error.
-
-        Every picture is rendered once for all detectors, and a detector gets all pictures together.
-        """
-        with torch.set_grad_enabled(config.spec.gradient):
-            return self._estimate(parameters, views, weight)
-
-    def _estimate(self, parameters: Parameters, views: Sequence[View], weight: float) -> tuple[Evaluation, float]:
-        leaves = _leaves(parameters)
-        rendered = [bounded(self._differentiable(leaves, view.camera)) for view in views]
-        pictures = torch.stack([view.changed(picture) for picture, view in zip(rendered, views, strict=True)])
-        total = pictures.new_zeros(())
-        for detector in self.detectors:
-            for view, candidates in zip(views, detector.candidates(pictures), strict=True):
-                total = total + self.objective(candidates, self.target(view, detector))
-        total = total / (len(views) * len(self.detectors))
-        error = 0.0
-        if weight:
-            errors = [self._error(picture, view) for picture, view in zip(rendered, views, strict=True)]
-            squares = torch.stack(errors).mean()
-            total, error = total + weight * squares, float(squares.detach())
-        return Evaluation(loss=float(total.detach()), gradients=_gradients(total, leaves)), error
 
     def error(self, parameters: Parameters, views: Sequence[View]) -> float:
         """Mean squared error of the views' pictures, values in [0, 1], before anything random happens to them."""
@@ -171,11 +161,11 @@ def _leaves(parameters: Parameters) -> Parameters:
     return {name: value.detach().requires_grad_(torch.is_grad_enabled()) for name, value in parameters.items()}
 
 
-def _gradients(value: Tensor, leaves: Parameters, along: Tensor | None = None) -> Parameters:
-    """Derivative of a value by each parameter, of a tensor `along` a gradient; none where nobody asks."""
+def _gradients(values: Sequence[Tensor], leaves: Parameters, weights: Sequence[Tensor] | None = None) -> Parameters:
+    """Derivative of the weighted sum of some values by each parameter; none where nobody asks."""
     if not torch.is_grad_enabled():
         return {}
-    parts = torch.autograd.grad(value, list(leaves.values()), along, materialize_grads=True)
+    parts = torch.autograd.grad(values, list(leaves.values()), weights, materialize_grads=True)
     return dict(zip(leaves, parts, strict=True))
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from attacks.dagger.config import EotConfig
 from attacks.dagger.judging import JudgedView, Seen
 from attacks.dagger.result import DRAWN, FIXED, Result
 from attacks.observe.drawing import annotated, difference, listed, stacked
@@ -57,8 +56,7 @@ def write_report(result: Result, folder: str | Path, *, force: bool = False) -> 
 
 def write_files(result: Result, folder: Path) -> list[Path]:
     """Write the files of `write_report` into a folder that exists."""
-    drawn = isinstance(result.config, EotConfig)
-    images = {CONTACT: contact_sheet(result)} if drawn else _pictures(result)
+    images = {CONTACT: contact_sheet(result)} if result.drawn else _pictures(result)
     for name, pixels in images.items():
         save_png(pixels, folder / name)
     save_splat(result.scene, folder / ATTACKED, antialiased=bool(result.origin.get("antialiased")))
@@ -88,7 +86,7 @@ def summary(result: Result) -> dict[str, Any]:
     """
     config, image = result.config, result.image
     stated = {
-        "story": DRAWN if isinstance(config, EotConfig) else FIXED,
+        "story": DRAWN if result.drawn else FIXED,
         "objective": result.objective.name,
         "target": result.objective.label,
         "steps": result.best.index,

@@ -6,7 +6,7 @@ from typing import Any
 
 import polars as pl
 
-from attacks.dagger.config import Config, DaggerConfig, EotConfig
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.judging import JudgedView, Judgement
 from attacks.objectives import Objective, reached_by
 from attacks.observe.look import Looked
@@ -29,20 +29,16 @@ def figures(record: Mapping[str, Any], tables: Mapping[str, pl.DataFrame]) -> di
     """Every figure of a result that follows from its rows."""
     settings, drawn = record["config"], record["story"] == DRAWN
     judged = settings["judged"]["cameras"]["elevations"] if drawn else None
-    config: Config = (
-        EotConfig(required_views=settings["required_views"])
-        if drawn
-        else DaggerConfig(**{name: settings[name] for name in ("required_views", "required_detectors")})
-    )
+    needed = {name: settings[name] for name in ("required_views", "required_detectors") if name in settings}
     detectors = [str(judged["detector"]) for judged in record["detectors"]]
-    return counted(tables[ROWS], detectors, record["target"], config, judged)
+    return counted(tables[ROWS], detectors, record["target"], DaggerConfig(**needed), judged)
 
 
 def counted(
     rows: pl.DataFrame,
     detectors: Sequence[str],
     target: str | None,
-    config: Config,
+    config: DaggerConfig,
     elevations: tuple[float, float] | None,
 ) -> dict[str, Any]:
     """Every figure that follows from the rows of an attack."""
@@ -50,10 +46,11 @@ def counted(
     for name in detectors:
         scores = rows.filter(splat=ATTACKED, detector=name)["target_score"].to_list()
         confidence = None if target is None else reached_by(scores, config.required_views)
-        each.append({**_verdict(rows.filter(splat=ATTACKED), [name], config), "target_confidence": confidence})
+        verdict = _verdict(rows.filter(splat=ATTACKED), [name], config, drawn=elevations is not None)
+        each.append({**verdict, "target_confidence": confidence})
     confidences = [judged["target_confidence"] for judged in each if target is not None]
     return {
-        **verdict_figures(rows, detectors, config),
+        **verdict_figures(rows, detectors, config, drawn=elevations is not None),
         "target_confidence": reached_by(confidences, config.required_detectors) if confidences else None,
         **aim_figures(rows, detectors, elevations),
         "detectors": each,
@@ -61,15 +58,17 @@ def counted(
     }
 
 
-def verdict_figures(rows: pl.DataFrame, detectors: Sequence[str], config: Config) -> dict[str, Any]:
+def verdict_figures(
+    rows: pl.DataFrame, detectors: Sequence[str], config: DaggerConfig, *, drawn: bool = False
+) -> dict[str, Any]:
     """Whether an attack succeeded, also with the own class gone, and the draws of noise that did."""
     attacked = rows.filter(splat=ATTACKED)
-    noise = [
-        _verdict(draw, detectors, config) for draw in rows.filter(splat=NOISE).partition_by("draw", maintain_order=True)
-    ]
+    draws = rows.filter(splat=NOISE).partition_by("draw", maintain_order=True)
+    noise = [_verdict(draw, detectors, config, drawn=drawn) for draw in draws]
+    strict = attacked.with_columns(success=STRICT)
     return {
-        **_verdict(attacked, detectors, config),
-        "strict": _verdict(attacked.with_columns(success=STRICT), detectors, config)["success"],
+        **_verdict(attacked, detectors, config, drawn=drawn),
+        "strict": _verdict(strict, detectors, config, drawn=drawn)["success"],
         "noise": {
             "scores": [verdict["score"] for verdict in noise],
             "successes": sum(verdict["success"] for verdict in noise),
@@ -78,12 +77,12 @@ def verdict_figures(rows: pl.DataFrame, detectors: Sequence[str], config: Config
     }
 
 
-def _verdict(rows: pl.DataFrame, detectors: Sequence[str], config: Config) -> dict[str, Any]:
+def _verdict(rows: pl.DataFrame, detectors: Sequence[str], config: DaggerConfig, *, drawn: bool) -> dict[str, Any]:
     """The verdict of one splat, as JSON can hold it."""
     unambiguous = pl.col("unambiguous").fill_null(pl.col("success"))
     columns = rows.select("detector", "success", unambiguous, score="aim")
     each = [columns.filter(detector=name).drop("detector").to_dicts() for name in detectors]
-    verdict = config.verdict([[Verdict(**cells) for cells in view] for view in zip(*each, strict=True)])
+    verdict = config.verdict([[Verdict(**cells) for cells in view] for view in zip(*each, strict=True)], drawn=drawn)
     return {"success": verdict.success, "unambiguous": verdict.unambiguous, "score": verdict.score}
 
 
@@ -160,7 +159,7 @@ class Result(Previewed):
     changed_gaussians: int
     clamped_fraction: float
     objective: Objective
-    config: Config
+    config: DaggerConfig
     origin: dict[str, Any]
     seconds: float
     cpu_seconds: float | None = None
@@ -182,6 +181,11 @@ class Result(Previewed):
     def views(self) -> tuple[JudgedView, ...]:
         """Every view before and after, detector by detector."""
         return self.judgement.views
+
+    @property
+    def drawn(self) -> bool:
+        """Whether views were drawn from a region."""
+        return self.judged is not None
 
     @property
     def image(self) -> ImageChange:
@@ -208,7 +212,7 @@ class Result(Previewed):
     def success(self) -> bool:
         """Whether the aim was reached in enough views, with enough detectors.
 
-        See `DaggerConfig.verdict` and `EotConfig.verdict`, also for the score.
+        See `DaggerConfig.verdict`, also for the score.
         """
         return bool(self.figures["success"])
 
@@ -250,10 +254,9 @@ class Result(Previewed):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Flags in the spirit of AutoAttack: signs that success or failure is not what it looks like."""
-        drawn = isinstance(self.config, EotConfig)
         steps = f"step {self.trace[-1].index} of {self.config.steps}"
         ended = (f"the search was stopped after {steps}, before its end",) if self.stopped else ()
-        return (*self.doubts, *ended, *(_warnings_of_drawn(self) if drawn else _warnings_of_fixed(self)))
+        return (*self.doubts, *ended, *(_warnings_of_drawn(self) if self.drawn else _warnings_of_fixed(self)))
 
 
 def _warnings_of_fixed(result: Result) -> list[str]:
@@ -303,7 +306,7 @@ def _warnings_of_drawn(result: Result) -> list[str]:
     if result.success and rate.fraction < config.required_views:
         few = f"{rate.successes} of {rate.total} views only"
         warnings.append(f"without another class of more confidence on the object: {few}")
-    wanted, psnr = config.image_psnr if isinstance(config, EotConfig) else None, result.image.psnr
+    wanted, psnr = config.image_psnr, result.image.psnr
     if wanted is not None and psnr is not None and psnr < wanted - PSNR_SLACK:
         warnings.append(
             f"the held-out pictures have {psnr:.1f} dB: less than the {wanted:g} dB of the validation views"

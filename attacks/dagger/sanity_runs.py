@@ -13,14 +13,13 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
-from attacks.dagger.attack import attack, fixed_problem, widened
+from attacks.dagger.attack import attack, problem_of
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.judging import look
 from attacks.dagger.problem import Problem
 from attacks.dagger.result import Result
-from attacks.dagger.views import View
+from attacks.dagger.views import FixedViews, View, detected
 from attacks.detectors.base import Detector
-from attacks.gaussian_subset import GaussianSubset, Mask
+from attacks.gaussian_subset import Mask
 from attacks.objectives import Relabel
 from attacks.observe.views import as_saved
 from attacks.search import Parameters, Verdict
@@ -102,17 +101,17 @@ class Runs:
 
     def problem(self, seed: int, *, render: RenderFn | None = None) -> tuple[Problem, View]:
         """The detector of the case as an attack differentiates it, and the view of a seed."""
-        case, render = self.case, render or self.case.render
-        subset, cameras = GaussianSubset.of(widened(case.scene, case.config), case.mask), [case.cameras[seed]]
-        problem, (view,), _ = fixed_problem(subset, cameras, (case.detector,), case.objective, render=render)
-        return problem, view
+        case = self.case
+        views = FixedViews(case.scene, case.mask, case.cameras[seed], render=render or case.render)
+        problem = problem_of(views, (case.detector,), case.objective, case.config)
+        return problem, views.held_out(case.config)[0]
 
     def judged(self, results: Sequence[Result]) -> list[Verdict]:
         """What the detector of the case makes of the splats of one attack for each seed."""
         verdicts = []
         for seed, result in enumerate(results):
             problem, view = self.problem(seed)
-            (seen,) = look([self.case.detector], as_saved(result.scene), [view], problem.render).values()
+            (seen,) = detected([self.case.detector], as_saved(result.scene), [view], problem.render).values()
             verdicts.append(problem.objective.verdict(seen.detections, problem.target(view, self.case.detector)))
         return verdicts
 

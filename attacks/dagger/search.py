@@ -1,16 +1,17 @@
-"""The two searches of DAGGER, one loop: over fixed views all at once, and over a few drawn views at each step.
+"""The search of DAGGER: over all chosen cameras at each step, or over a few views of a region.
 
-The second is resumable to the bit; some views, no others, judge every few of its steps (Athalye et al., "Synthesizing
-Robust Adversarial Examples", ICML 2018).
+It is resumable to the bit. Of a region other views decide which step was best (expectation over transformation, Athalye
+et al., "Synthesizing Robust Adversarial Examples", ICML 2018).
 """
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,9 +19,9 @@ import torch
 from safetensors.torch import save
 from torch import Generator
 
-from attacks.dagger.config import Config, DaggerConfig, EotConfig
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.problem import Problem
-from attacks.dagger.views import View, ViewDistribution, batch_indices
+from attacks.dagger.views import FixedViews
 from attacks.optimisers.settings import SearchSettings
 from attacks.search import (
     Ball,
@@ -39,7 +40,6 @@ from mi_splat.errors import MiSplatError
 from mi_splat.io.documents import save_bytes
 from mi_splat.io.noted_tensors import NOTES, check_like, read_line, read_noted_tensors
 from mi_splat.io.parsing import DocumentReader
-from mi_splat.view_freezing import freeze_views
 
 FORMAT = 3
 _POINT, _BEST, _MEMORY = "point", "best", "memory "
@@ -139,7 +139,7 @@ def check_point(state: SearchState, reference: Parameters, steps: int) -> None:
         raise _READER.broken("checkpoint, index", state.optimiser.index, f"at most {steps} steps")
 
 
-# A budget in pictures: the attack on a distribution of views keeps their PSNR above a limit.
+# A budget in pictures: an attack may keep their PSNR above a limit.
 #
 # A ball in the units of a file says little about what one sees: the same radius costs few decibels on a hidden Gaussian
 # and many on the bonnet. With a limit on the images the attacker pays for their squared error. The price is a Lagrange
@@ -223,110 +223,97 @@ def stretched(
     return ball.project(fitted(farther, reference, limit, inside), reference)
 
 
-VALIDATION_SEED_OFFSET = 500_000_000
-"""Added to the attack's seed for its validation views."""
-
 OnStep = Callable[[Step], bool | None]
 """Called with every line of the trace as it happens; once it says so, the search ends with the best point so far."""
 
 
-def search_fixed(problem: Problem, views: Sequence[View], config: DaggerConfig, on_step: OnStep | None) -> Outcome:
-    """Search over the pictures of fixed views, jointly or one after the other, which judge every step."""
-    budget, generator = config.budget, Generator().manual_seed(config.seed)
-    problem, reference = frozen(problem, views, config), problem.subset.parameters(config.attributes)
-
-    def starts() -> Iterator[Parameters]:
-        for restart in range(config.restarts):
-            yield budget.uniform(reference, generator) if restart or config.random_start else reference
-
-    def search(views: Sequence[View], starts: Iterable[Parameters]) -> Outcome:
-        return pgd(
-            lambda point: problem.evaluate(point, views, config),
-            reference,
-            budget,
-            steps=config.steps,
-            optimiser=_optimiser(config, problem),
-            starts=starts,
-            early_stop=config.early_stop,
-            smallest=config.spec.smallest,
-            hooks=Hooks(on_step=on_step),
-        )
-
-    first, *others = [[view] for view in views] if config.in_turn else [views]
-    outcome = search(first, starts())
-    for view in others:
-        after = search(view, [outcome.parameters])
-        outcome = dataclasses.replace(after, trace=(*outcome.trace, *after.trace))
-    return outcome
-
-
-def frozen(problem: Problem, views: Sequence[View], config: DaggerConfig) -> Problem:
-    """The problem with frozen views for a search with this configuration, if it changes SH alone."""
-    if config.attributes != ("sh",):
-        return problem
-    made = freeze_views(
-        problem.subset.scene,
-        [view.camera for view in views],
-        render=problem.render,
-        pictures=config.restarts * (config.steps + 1),
-        rows=problem.subset.rows,
-    )
-    return dataclasses.replace(problem, frozen=made)
-
-
-def search_drawn(
+def search(
     problem: Problem,
-    views: ViewDistribution,
-    config: EotConfig,
+    views: FixedViews,
+    config: DaggerConfig,
     *,
     key: str = "",
     checkpoint: Checkpoint | None = None,
     on_step: OnStep | None = None,
 ) -> tuple[Outcome, float]:
-    """Search until the last step, or until enough validation views are deceived.
+    """The best point, and how long a search that was taken up again had taken before, in seconds.
 
-    A search whose checkpoint is there goes on from it, to the bits that it would have found without the break, on the
+    Where each step takes all views, these decide about it; otherwise the validation views decide about some steps. A
+    search whose checkpoint is there goes on from it, to the bits that it would have found without the break, on the
     same number of torch threads.
     """
+    if config.attributes == ("sh",):
+        problem = dataclasses.replace(problem, frozen=views.frozen(config))
+    if not config.in_turn:
+        return _searched(problem, views, config, None, key, checkpoint, on_step)
+    outcome: Outcome | None = None
+    for view in views.one_by_one(config):
+        start = None if outcome is None else outcome.parameters
+        after, _ = _searched(problem, view, config, start, key, None, on_step)
+        outcome = after if outcome is None else dataclasses.replace(after, trace=(*outcome.trace, *after.trace))
+    assert outcome is not None  # as `FixedViews` has seen to
+    return outcome, 0.0
+
+
+def _searched(
+    problem: Problem,
+    views: FixedViews,
+    config: DaggerConfig,
+    start: Parameters | None,
+    key: str,
+    checkpoint: Checkpoint | None,
+    on_step: OnStep | None,
+) -> tuple[Outcome, float]:
     clock, reference = time.perf_counter(), problem.subset.parameters(config.attributes)
+    starts: SearchState | Iterator[Parameters] = _starts(config, reference, start)
+    first, seconds = 0, 0.0
+    price = None if config.image_psnr is None else ImagePrice.of(config.image_psnr, steps=config.steps)
     device = problem.subset.scene.means.device
     kept = None if checkpoint is None else load_state(checkpoint.path, key=key, device=device)
-    if kept is None:
-        price = None if config.image_psnr is None else ImagePrice.of(config.image_psnr, steps=config.steps)
-        kept = KeptSearch(search=SearchState.at(reference), price=price, seconds=0.0)
-    check_point(kept.search, reference, config.steps)
-    index, price, seconds = kept.search.optimiser.index, kept.price, kept.seconds
+    if kept is not None:
+        check_point(kept.search, reference, config.steps)
+        starts, first, price, seconds = kept.search, kept.search.optimiser.index, kept.price, kept.seconds
+    steps = itertools.count(first)
 
     def evaluate(point: Parameters) -> Evaluation:
         """Loss and gradients over the views of the next step; the price of their pictures' error follows it."""
-        nonlocal index, price
-        numbers = batch_indices(index, seed=config.seed, batch=config.batch, pool=config.pool)
-        batch = [views.view(config.seed, number, keep=config.pool > 0) for number in numbers]
-        evaluation, error = problem.estimate(point, batch, config, 0.0 if price is None else price.now)
-        index, price = index + 1, price and price.after(error)
-        return evaluation
+        nonlocal price
+        batch, costs = views.attacked(next(steps), config), 0.0 if price is None else price.now
+        here = problem.evaluate(point, batch, config, price=costs, judged=judge is None)
+        price = price and price.after(here.error)
+        return here
 
     def keep(search: SearchState) -> None:
         if checkpoint is not None and search.optimiser.index % checkpoint.every == 0:
             spent = seconds + time.perf_counter() - clock
             save_state(KeptSearch(search=search, price=price, seconds=spent), checkpoint.path, key=key)
 
-    judge = _judge(problem, views, config, reference)
+    judge = _judge(problem, views, config, reference) if config.batch or config.image_psnr is not None else None
     outcome = pgd(
         evaluate,
         reference,
         config.budget,
         steps=config.steps,
         optimiser=_optimiser(config, problem),
-        starts=kept.search,
-        early_stop=config.stop_at is not None,
+        starts=starts,
+        early_stop=config.early_stop if views.transformations is None else config.stop_at is not None,
         smallest=config.spec.smallest,
         hooks=Hooks(judge=judge, every=config.validate_every, on_step=on_step, on_state=keep),
     )
-    return outcome, seconds + time.perf_counter() - clock
+    return outcome, seconds
 
 
-def _optimiser(config: Config, problem: Problem) -> Optimiser:
+def _starts(config: DaggerConfig, reference: Parameters, start: Parameters | None) -> Iterator[Parameters]:
+    """The points at which runs begin."""
+    generator = Generator().manual_seed(config.seed)
+    if start is not None:
+        yield start
+        return
+    for restart in range(config.restarts):
+        yield config.budget.uniform(reference, generator) if restart or config.random_start else reference
+
+
+def _optimiser(config: DaggerConfig, problem: Problem) -> Optimiser:
     """The optimiser of a configuration, made for the object."""
     subset, spec = problem.subset, config.spec
     return spec.make(
@@ -345,10 +332,10 @@ def _optimiser(config: Config, problem: Problem) -> Optimiser:
 
 
 def _judge(
-    problem: Problem, views: ViewDistribution, config: EotConfig, reference: Parameters
+    problem: Problem, views: FixedViews, config: DaggerConfig, reference: Parameters
 ) -> Callable[[Parameters], tuple[Parameters, Verdict]]:
     """The judge of a search: validation views, which look at what the image budget makes of a point."""
-    validation = views.views(config.seed + VALIDATION_SEED_OFFSET, config.validation)
+    validation, drawn = views.validation(config), views.transformations is not None
     limit = None if config.image_psnr is None else ImagePrice.of(config.image_psnr, steps=config.steps).limit
     stop_at = 2.0 if config.stop_at is None else config.stop_at
 
@@ -358,8 +345,12 @@ def _judge(
     def verdict_on(point: Parameters) -> tuple[float, Verdict]:
         """The share of views in which every detector is deceived, and what it says of the point."""
         rows = problem.verdicts(point, validation)
-        whole, share = config.verdict(rows), sum(all(verdict.success for verdict in row) for row in rows) / len(rows)
-        return share, dataclasses.replace(whole, unambiguous=whole.success and share >= stop_at - 1e-9)
+        whole, share = (
+            config.verdict(rows, drawn=drawn),
+            sum(all(one.success for one in row) for row in rows) / len(rows),
+        )
+        enough = whole.success and share >= stop_at - 1e-9
+        return share, dataclasses.replace(whole, unambiguous=enough) if drawn else whole
 
     def judge(point: Parameters) -> tuple[Parameters, Verdict]:
         if limit is None:

@@ -1,27 +1,38 @@
 """The views of an attack: those of fixed cameras, or drawn by seed and number from a distribution."""
 
+from __future__ import annotations
+
+import copy
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from attacks.dagger.config import DaggerConfig
+from attacks.detectors.base import Detections, Detector
 from attacks.gaussian_subset import GaussianSubset, Mask
-from attacks.observe.views import visible_box, visible_weight
+from attacks.objectives import overlap
+from attacks.observe.comparison import usual_label
+from attacks.observe.views import ViewDetections, as_saved, detect_views, visible_box, visible_weight
 from attacks.transformations.config import Transformations
-from attacks.transformations.draws import PictureChange, change_picture, draw_camera, draw_change
+from attacks.transformations.draws import PictureChange, change_picture, changing, draw_camera, draw_change
 from mi_splat.bounds import bounds
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras import Camera, RenderFn, as_cameras
 from mi_splat.directions import UP, Direction, Point, direction_of
 from mi_splat.errors import InvalidValueError
 from mi_splat.rotation import from_z
 from mi_splat.scene import GaussianScene, check_scene
 from mi_splat.sh import colour_to_dc
-from mi_splat.view_freezing import RecentViews
+from mi_splat.view_freezing import RecentViews, freeze_views
 
-T = TypeVar("T")
+if TYPE_CHECKING:
+    from mi_splat.frozen_view import FrozenView
+
+_VALIDATION = 500_000_000
+"""Added to the attack's seed for its validation views."""
 
 _ATTEMPTS = 200
 """Cameras drawn for one view before we say that the region does not show the object."""
@@ -73,23 +84,156 @@ def fixed_views(subset: GaussianSubset, cameras: Sequence[Camera], *, render: Re
     return views
 
 
-class ViewDistribution:
-    """The views that an attack is made for: an object, its renderer, and what is random about them.
+Reports = dict[tuple[int, str], ViewDetections]
+"""What detectors report on one splat, by the view's number and the detector's name."""
+
+
+def detected(detectors: Sequence[Detector], scene: GaussianScene, views: Sequence[View], render: RenderFn) -> Reports:
+    """What detectors report on a splat, in the changed images of each view."""
+    cameras, boxes = [view.camera for view in views], [view.box for view in views]
+    changed = changing(render, {view.camera: view.change for view in views})
+    # One image at a time: the same bits whatever the number of views.
+    reports = detect_views(scene, cameras, detectors, render=changed, boxes=boxes, batch=1)
+    return {(views[seen.view].index, seen.detector): seen for seen in reports}
+
+
+class FixedViews:
+    """An object seen from chosen cameras, which are attacked and which judge the result.
+
+    Args:
+        scene: The clean splat.
+        mask: The object's Gaussians: (N,) bool, row numbers, or a slice.
+        cameras: The cameras, or one.
+        render: Any differentiable renderer.
+        up: (3,) direction of the world that is up, for the azimuth and the elevation of each view.
+    """
+
+    transformations: Transformations | None = None
+
+    def __init__(
+        self,
+        scene: GaussianScene,
+        mask: Mask,
+        cameras: Camera | Sequence[Camera],
+        *,
+        render: RenderFn,
+        up: Point = UP,
+    ) -> None:
+        check_scene("scene", scene)
+        if not callable(render):
+            do = "pass for instance Renderer()"
+            raise InvalidValueError.of("render", "a function of scene and camera", type(render).__name__, do)
+        self.cameras = as_cameras(cameras)
+        if not self.cameras:
+            raise InvalidValueError.of("cameras", "at least one camera", "none", "say where the detector looks from")
+        self.scene, self.mask, self.render, self.up = scene, mask, render, up
+        self.subset = GaussianSubset.of(scene, mask)
+        self._views: list[View] = []
+        self._reports: dict[Hashable, Reports] = {}
+        self._pictures: dict[Camera, Tensor] = {}
+
+    def check(self, config: DaggerConfig) -> None:
+        """Raise unless the views can be attacked with a configuration; all can."""
+
+    def attacked(self, step: int, config: DaggerConfig) -> list[View]:
+        """The views of one step of a search."""
+        views = self.held_out(config)
+        if not config.batch:
+            return views
+        numbers = batch_indices(step, seed=config.seed, batch=min(config.batch, len(views)), pool=len(views))
+        return [views[number] for number in numbers]
+
+    def validation(self, config: DaggerConfig) -> list[View]:
+        """The views that decide which step was best."""
+        return self.held_out(config)
+
+    def held_out(self, config: DaggerConfig) -> list[View]:
+        """The views that judge the result."""
+        self._views = self._views or fixed_views(self.subset, self.cameras, render=self.render, up=self.up)
+        return self._views
+
+    def one_by_one(self, config: DaggerConfig) -> list[FixedViews]:
+        """Each view by itself."""
+        alone = []
+        for view in self.held_out(config):
+            alone.append(copy.copy(self))
+            alone[-1]._views = [view]
+        return alone
+
+    def alone(self) -> FixedViews:
+        """The object without its scene, from the same cameras."""
+        rows = self.subset.rows
+        return FixedViews(self.scene.select(rows), slice(None), self.cameras, render=self.render, up=self.up)
+
+    def frozen(self, config: DaggerConfig) -> dict[Camera, FrozenView] | RecentViews:
+        """Images of a search in which only colours change."""
+        return freeze_views(
+            self.scene,
+            [view.camera for view in self.held_out(config)],
+            render=self.render,
+            pictures=config.restarts * (config.steps + 1),
+            rows=self.subset.rows,
+        )
+
+    def clean_reports(self, detectors: Sequence[Detector], views: Sequence[View]) -> Reports:
+        """What detectors report on the clean file in some views; kept, as several attacks may share them."""
+        reports: Reports = {}
+        for detector in detectors:
+            key = (detector.name, detector.fingerprint, tuple(views))
+            if key not in self._reports:
+                self._reports[key] = detected([detector], as_saved(self.scene), views, self.render)
+            reports |= self._reports[key]
+        return reports
+
+    def originals(self, detectors: Sequence[Detector], config: DaggerConfig) -> Callable[[View, str], str | None]:
+        """What a detector calls the clean object in a view: the class that it is surest of there."""
+        views = self.held_out(config)
+        boxes = {view.index: view.box for view in views}
+        reports = self.clean_reports(detectors, views)
+        labels = {key: _label_on(seen.detections, boxes[key[0]]) for key, seen in reports.items()}
+        return lambda view, name: labels[view.index, name]
+
+    def picture(self, camera: Camera) -> Tensor:
+        """The (H, W, 3) picture of the clean scene, values in [0, 1]; the last ones are kept in memory."""
+        if camera not in self._pictures:
+            while len(self._pictures) >= _PICTURES:
+                del self._pictures[next(iter(self._pictures))]
+            with torch.no_grad():
+                self._pictures[camera] = self._clean(camera).clamp(0, 1)
+        return self._pictures[camera]
+
+    def _clean(self, camera: Camera) -> Tensor:
+        return self.render(self.scene, camera)
+
+
+def _label_on(detections: Detections, box: Tensor) -> str | None:
+    """What the detector calls the object: the most confident detection on it."""
+    if not len(detections):
+        return None
+    scores = torch.where(overlap(detections.boxes, box) >= 0.5, detections.scores, -1.0)
+    best = int(scores.argmax())
+    return detections.labels[best] if float(scores[best]) > 0 else None
+
+
+class ViewDistribution(FixedViews):
+    """An object seen from all cameras of a region: which views are attacked is drawn, and others judge the result.
 
     A view depends on the seed and the number alone, so the views of one seed are the same whoever asks, and in whatever
-    order. Views that were asked for are kept, unless told otherwise.
+    order. Views of a pool are kept.
 
-    Attributes:
+    Args:
         scene: The clean splat.
         mask: The object's Gaussians.
-        reference: Camera that gives the size of the pictures, the field of view and the unit of distances.
+        reference: Camera that gives the size of the images, the field of view and the unit of distances.
         transformations: What is random.
-        render: The renderer.
-        up: (3,) direction of the world that is up in the regions of cameras.
-        centre: (3,) middle of the object, world units.
-        radius: Of the object, world units.
-        frozen: Views in which only the object's colours change, see `RecentViews`.
+        render: Any differentiable renderer.
+        up: (3,) direction of the world that is up in the region of cameras.
+
+    Raises:
+        InvalidValueError: An argument is of another kind, or the mask selects nothing.
     """
+
+    transformations: Transformations
 
     def __init__(
         self,
@@ -101,19 +245,59 @@ class ViewDistribution:
         render: RenderFn,
         up: Point = UP,
     ) -> None:
-        """The distribution; see the attributes."""
-        check_scene("scene", scene)
-        self.scene, self.mask, self.reference, self.render, self.up = scene, mask, reference, render, up
-        self.transformations = transformations or Transformations()
-        self._subset = GaussianSubset.of(scene, mask)
-        self.centre, self.radius = bounds(scene.select(self._subset.rows))
-        self.frozen = RecentViews(scene, render=render, rows=self._subset.rows)
+        super().__init__(scene, mask, reference, render=render, up=up)
+        self.reference, self.transformations = reference, transformations or Transformations()
+        self.centre, self.radius = bounds(scene.select(self.subset.rows))
+        self._frozen = RecentViews(scene, render=render, rows=self.subset.rows)
         self._kept: dict[tuple[int, int], View] = {}
-        self._memory: dict[Hashable, Any] = {}
-        self._pictures: dict[Camera, Tensor] = {}
+
+    def check(self, config: DaggerConfig) -> None:
+        """Raise unless the views can be attacked with a configuration."""
+        if not config.batch:
+            raise InvalidValueError.of("batch", "1 or more views of a region", 0, "start with DaggerConfig.for_region")
+        if config.judge_seed == config.seed:
+            raise InvalidValueError.of("judge_seed", "another seed than the attack's", config.seed, "change one")
+        for name in ("alone", "in_turn"):
+            if getattr(config, name):
+                raise InvalidValueError.of(name, "chosen cameras", "a region", "leave it out")
+
+    def attacked(self, step: int, config: DaggerConfig) -> list[View]:
+        """The views of one step of a search."""
+        numbers = batch_indices(step, seed=config.seed, batch=config.batch, pool=config.pool)
+        return [self.view(config.seed, number, keep=config.pool > 0) for number in numbers]
+
+    def validation(self, config: DaggerConfig) -> list[View]:
+        """The views that decide which step was best."""
+        return self.views(config.seed + _VALIDATION, config.validation)
+
+    def held_out(self, config: DaggerConfig) -> list[View]:
+        """The views that judge the result."""
+        return self.views(config.judge_seed, config.held_out)
+
+    def frozen(self, config: DaggerConfig) -> RecentViews:
+        """Images of a search in which only colours change."""
+        return self._frozen
+
+    def originals(self, detectors: Sequence[Detector], config: DaggerConfig) -> Callable[[View, str], str | None]:
+        """What a detector calls the clean object in most of the validation views."""
+        reports = self.clean_reports(detectors, self.validation(config))
+        labels = {
+            detector.name: usual_label([seen for (_, name), seen in reports.items() if name == detector.name])
+            for detector in detectors
+        }
+        return lambda view, name: labels[name]
+
+    def redraws(self, config: DaggerConfig) -> dict[str, int]:
+        """Cameras drawn in vain, by what they were drawn for; of an unlimited pool nothing is known."""
+        groups = {
+            "held_out": self.held_out(config),
+            "validation": self.validation(config),
+            "attacked": self.views(config.seed, min(config.pool, config.batch * (config.steps + 1))),
+        }
+        return {name: sum(view.redraws for view in drawn) for name, drawn in groups.items()}
 
     def view(self, seed: int, index: int, *, keep: bool = True) -> View:
-        """One view.
+        """One view: its camera, what happens to its picture, and where the object is in it.
 
         Args:
             seed: Of all views that belong together.
@@ -121,7 +305,7 @@ class ViewDistribution:
             keep: Whether to keep it for the next time.
 
         Returns:
-            Its camera, what happens to its picture, and where the object is in it.
+            The view.
 
         Raises:
             InvalidValueError: No camera of the region shows the object.
@@ -132,48 +316,6 @@ class ViewDistribution:
         if keep:
             self._kept[seed, index] = view
         return view
-
-    def remembered(self, key: Hashable, make: Callable[[], T]) -> T:
-        """What `make` returns, made once for each key, so that several attacks on the same views share it.
-
-        Args:
-            key: What the value depends on.
-            make: Called if there is no value for this key yet.
-
-        Returns:
-            What was made.
-        """
-        if key not in self._memory:
-            self._memory[key] = make()
-        value: T = self._memory[key]
-        return value
-
-    def picture(self, camera: Camera) -> Tensor:
-        """The picture of the clean scene, values in [0, 1]; the last ones are kept in memory.
-
-        Args:
-            camera: From where, and how large.
-
-        Returns:
-            (H, W, 3) sRGB.
-        """
-        if camera not in self._pictures:
-            while len(self._pictures) >= _PICTURES:
-                del self._pictures[next(iter(self._pictures))]
-            frozen = self.frozen.get(camera)
-            with torch.no_grad():
-                clean = self.render(self.scene, camera) if frozen is None else frozen(self.scene.sh[frozen.rows])
-            self._pictures[camera] = clean.clamp(0, 1)
-        return self._pictures[camera]
-
-    def _weight(self, camera: Camera) -> Tensor:
-        """`visible_weight` of the object."""
-        frozen = self.frozen.get(camera)
-        if frozen is None or frozen.settings.linear:  # pictures of light do not add up in sRGB
-            return visible_weight(self._subset, camera, self.render)
-        zeros = torch.zeros(len(frozen.rows), 1, 3, device=self.scene.sh.device)
-        black, white = (frozen(colour_to_dc(zeros + value)) for value in (0.0, 1.0))
-        return (white - black)[..., :3].mean(-1).clamp(0, 1)
 
     def views(self, seed: int, count: int) -> list[View]:
         """The first `count` views of a seed.
@@ -186,6 +328,19 @@ class ViewDistribution:
             As many views, in the order of their numbers.
         """
         return [self.view(seed, index) for index in range(count)]
+
+    def _clean(self, camera: Camera) -> Tensor:
+        frozen = self._frozen.get(camera)
+        return super()._clean(camera) if frozen is None else frozen(self.scene.sh[frozen.rows])
+
+    def _weight(self, camera: Camera) -> Tensor:
+        """`visible_weight` of the object."""
+        frozen = self._frozen.get(camera)
+        if frozen is None or frozen.settings.linear:  # pictures of light do not add up in sRGB
+            return visible_weight(self.subset, camera, self.render)
+        zeros = torch.zeros(len(frozen.rows), 1, 3, device=self.scene.sh.device)
+        black, white = (frozen(colour_to_dc(zeros + value)) for value in (0.0, 1.0))
+        return (white - black)[..., :3].mean(-1).clamp(0, 1)
 
     def _draw(self, seed: int, index: int) -> View:
         least = self.transformations.cameras.least_visible

@@ -17,7 +17,7 @@ import torch
 
 from attacks.aims import PluggedObjective
 from attacks.dagger.attack import attack, attack_views
-from attacks.dagger.config import DaggerConfig, EotConfig
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import before_and_after, summary, write_files
 from attacks.dagger.search import Checkpoint
 from attacks.dagger.views import ViewDistribution
@@ -84,7 +84,7 @@ class FixedAttack(Attack):
 class DrawnAttack(Attack):
     """An attack from all cameras of a region."""
 
-    attack: EotConfig = field(default_factory=EotConfig)  # how to attack
+    attack: DaggerConfig = field(default_factory=DaggerConfig.for_region)  # how to attack
     transformations: Transformations = field(default_factory=Transformations)  # the views that it is made for
     judged: Transformations | None = None  # the views that judge it, where these are others
 

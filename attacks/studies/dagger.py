@@ -20,6 +20,7 @@ from typing import Any
 import polars as pl
 
 from attacks.aims import OBJECTIVES, PluggedObjective
+from attacks.dagger.config import REGION
 from attacks.detectors.registry import detector_spec, load_detector
 from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.observe.conditions import OWN, SunTable, package_of
@@ -116,7 +117,7 @@ def attack_of(kind: type[FixedAttack | DrawnAttack], settings: Settings, where: 
     if region:
         views = {name: values.pop(name) for name in region if name in values}
         judged = views.pop("judged_pictures", None)
-        values["transformations"] = views
+        values["transformations"], attack = views, {**REGION, **attack}
         values["judged"] = None if judged is None else {**views, "pictures": judged}
     values |= {"attack": attack, "objective": _objective(values, where)}
     config = decode(kind, values, where)

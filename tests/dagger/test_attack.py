@@ -206,9 +206,9 @@ def recorded(**settings: Any) -> tuple[Result, list[Tensor], list[Tensor]]:
     scene, mask = toy_scene()
     record, config = Recorder(), DaggerConfig(**settings)
     result = attack(scene, mask, [camera()], DETECTOR, relabel("person"), render=record, config=config)
-    # Before the search the clean picture, after it the judge's; the object's weight takes pictures of degree 0.
-    points = record.deltas[1 : 1 + len(result.trace)]
-    noise = record.deltas[1 + len(result.trace) + 1 :]
+    # After the search come the judge's; the clean scene has pictures of degree 1, the object's weight of degree 0.
+    points = record.deltas[: len(result.trace)]
+    noise = record.deltas[len(result.trace) + 1 :]
     assert len(noise) == config.noise_draws
     return result, points, noise
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from attacks.dagger.attack import attack, attack_views
-from attacks.dagger.config import DaggerConfig, EotConfig
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.views import ViewDistribution
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
@@ -104,7 +104,7 @@ def test_the_shipped_car_becomes_a_person_from_cameras_that_were_not_attacked() 
         Transformations(cameras=region),
         render=Renderer(loaded.settings),
     )
-    config = EotConfig(
+    config = DaggerConfig.for_region(
         steps=14, step_factor=4.0, image_psnr=None, batch=2, pool=14, validation=2, validate_every=7, held_out=6
     )
     result = attack_views(views, load_detector("fasterrcnn_small"), relabel("person"), config=config)

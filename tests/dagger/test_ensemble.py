@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from attacks import cli
-from attacks.dagger.attack import attack, fixed_problem
+from attacks.dagger.attack import attack, problem_of
 from attacks.dagger.config import DaggerConfig, EnsembleLoss
 from attacks.dagger.result import Result
+from attacks.dagger.views import FixedViews
 from attacks.detectors.base import Candidates, Detector
-from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import relabel
 from attacks.optimisers.settings import SearchSettings
 from attacks.search import Evaluation, pgd
@@ -45,21 +45,20 @@ def run(detectors: Any, **settings: Any) -> Result:
 
 def evaluated(*detectors: Detector, loss: EnsembleLoss = "mean") -> Evaluation:
     """The clean object as an attack on these detectors begins."""
-    scene, mask = toy_scene()
-    subset = GaussianSubset.of(scene, mask)
-    problem, views, _ = fixed_problem(subset, [camera()], detectors, relabel("person"), render=blobs)
-    return problem.evaluate(problem.subset.parameters(("sh",)), views, DaggerConfig(ensemble=loss))
+    config, views = DaggerConfig(ensemble=loss), FixedViews(*toy_scene(), camera(), render=blobs)
+    problem = problem_of(views, detectors, relabel("person"), config)
+    return problem.evaluate(problem.subset.parameters(("sh",)), views.held_out(config), config)
 
 
 def test_one_detector_is_attacked_as_without_an_ensemble() -> None:
     """Bit for bit the search over its problem alone."""
     scene, mask = toy_scene()
     config = DaggerConfig(eps=(4.0,), early_stop=False, noise_draws=0)
-    subset = GaussianSubset.of(scene.with_degree(3), mask)
-    problem, views, _ = fixed_problem(subset, [camera()], (FINE,), relabel("person"), render=blobs)
-    reference = subset.parameters(("sh",))
+    views = FixedViews(scene, mask, camera(), render=blobs)
+    problem = problem_of(views, (FINE,), relabel("person"), config)
+    subset, reference = problem.subset, problem.subset.parameters(("sh",))
     plain = pgd(
-        lambda parameters: problem.evaluate(parameters, views, config),
+        lambda parameters: problem.evaluate(parameters, views.held_out(config), config),
         reference,
         config.budget,
         steps=config.steps,

@@ -7,9 +7,9 @@ import drjit as dr
 import pytest
 import torch
 
-from attacks.dagger import search
+from attacks.dagger import views as dagger_views
 from attacks.dagger.attack import attack, attack_views
-from attacks.dagger.config import DaggerConfig, EotConfig
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
 from attacks.dagger.views import ViewDistribution
 from attacks.objectives import relabel
@@ -72,11 +72,13 @@ def test_other_attributes_take_the_renderer(frozen: list[Camera]) -> None:
 
 def test_what_does_not_fit_is_rendered(frozen: list[Camera], monkeypatch: pytest.MonkeyPatch) -> None:
     expected = run(unknown())
-    monkeypatch.setattr(search, "freeze_views", functools.partial(freeze_views, max_bytes=0))
+    monkeypatch.setattr(dagger_views, "freeze_views", functools.partial(freeze_views, max_bytes=0))
     assert run(Renderer()).trace == expected.trace
     assert not frozen
     views = list(freeze_views(toy_scene()[0].with_degree(3), CAMERAS, render=Renderer(), pictures=9).values())
-    monkeypatch.setattr(search, "freeze_views", functools.partial(freeze_views, max_bytes=views[0].nbytes + 10_000))
+    monkeypatch.setattr(
+        dagger_views, "freeze_views", functools.partial(freeze_views, max_bytes=views[0].nbytes + 10_000)
+    )
     result = run(Renderer())
     assert {id(one) for one in frozen} == {id(CAMERAS[0])}
     assert [line.loss for line in result.trace] == pytest.approx([line.loss for line in expected.trace], rel=1e-3)
@@ -98,7 +100,9 @@ def test_a_search_over_drawn_views_makes_few_pictures_of_whole_scenes(monkeypatc
     for render in (unknown(), Renderer()):
         made.clear()
         views = ViewDistribution(scene, mask, camera(), Transformations(cameras=REGION), render=render)
-        results.append(attack_views(views, ColourDetector(), relabel("person"), config=EotConfig(**settings)))
+        results.append(
+            attack_views(views, ColourDetector(), relabel("person"), config=DaggerConfig.for_region(**settings))
+        )
         counts.append(len(made))
     expected, frozen = results
     assert counts[1] < counts[0] / 2

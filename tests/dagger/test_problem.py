@@ -5,12 +5,11 @@ from typing import Any
 import pytest
 import torch
 
-from attacks.dagger.attack import fixed_problem
+from attacks.dagger.attack import problem_of
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.problem import Problem, bounded
-from attacks.dagger.views import View
+from attacks.dagger.views import FixedViews, View
 from attacks.detectors.base import Detections, Detector
-from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Objective, hide, joint_verdict, reached_by, relabel
 from attacks.search import Verdict
 from mi_splat.cameras import Camera
@@ -52,7 +51,7 @@ def test_verdicts_of_several_views_are_joined(required_views: float, expected: V
     assert joint_verdict(verdicts, required_views) == expected
 
 
-CONFIG = DaggerConfig()
+CONFIG = DaggerConfig(sh_degree=None)
 
 
 def problem(
@@ -60,11 +59,9 @@ def problem(
 ) -> tuple[Problem, list[View]]:
     scene, mask = toy_scene()
     scene = GaussianScene(*(value.double() for value in scene.tensors())) if wide else scene
-    subset, detectors = GaussianSubset.of(scene, mask), (detector or ColourDetector(),)
-    made, views, _ = fixed_problem(
-        subset, cameras or [camera()], detectors, objective or relabel("person"), render=blobs
-    )
-    return made, views
+    views = FixedViews(scene, mask, cameras or camera(), render=blobs)
+    made = problem_of(views, (detector or ColourDetector(),), objective or relabel("person"), CONFIG)
+    return made, views.held_out(CONFIG)
 
 
 def test_loss_and_gradient_are_means_over_the_views() -> None:

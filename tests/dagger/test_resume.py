@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from attacks.dagger.attack import attack_views
-from attacks.dagger.config import EotConfig
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
 from attacks.dagger.search import Checkpoint, CheckpointError
 from attacks.objectives import relabel
@@ -30,7 +30,7 @@ def run(path: Path | None, *, killed_at: int | None = None, **settings: Any) -> 
         toy_views(),
         ColourDetector(),
         relabel("person"),
-        config=EotConfig(**{**QUICK, **settings}),
+        config=DaggerConfig.for_region(**{**QUICK, **settings}),
         checkpoint=None if path is None else Checkpoint(path=path, every=2),
         on_step=kill,
     )

@@ -3,7 +3,7 @@
 from typing import Any
 
 from attacks.dagger.attack import attack_views
-from attacks.dagger.config import EotConfig
+from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
 from attacks.dagger.views import ViewDistribution
 from attacks.objectives import Objective, relabel
@@ -36,5 +36,5 @@ def quick(objective: Objective | None = None, *, views: ViewDistribution | None 
         views or toy_views(),
         ColourDetector(),
         objective or relabel("person"),
-        config=EotConfig(**{**QUICK, **settings}),
+        config=DaggerConfig.for_region(**{**QUICK, **settings}),
     )
