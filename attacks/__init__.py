@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from attacks.budgets import Budget
     from attacks.cloak.poisoning import Poisoning, poison
     from attacks.cloak.triggers import Azimuth, Cap, Elevation
-    from attacks.dagger.attack import attack, attack_views
+    from attacks.dagger.attack import attack
     from attacks.dagger.config import DaggerConfig
     from attacks.dagger.report import write_report
     from attacks.dagger.result import Result
-    from attacks.dagger.views import FixedViews, ViewDistribution
+    from attacks.dagger.views import ViewDistribution
     from attacks.detectors import Detector, load_detector, wrap_detector
     from attacks.objectives import Objective, hide, objective, relabel, untargeted
     from attacks.observe.comparison import judge
@@ -34,14 +34,12 @@ __all__ = [
     "DaggerConfig",
     "Detector",
     "Elevation",
-    "FixedViews",
     "Objective",
     "Poisoning",
     "Result",
     "Transformations",
     "ViewDistribution",
     "attack",
-    "attack_views",
     "hide",
     "judge",
     "load_detector",
@@ -62,11 +60,11 @@ __getattr__, __dir__ = _lazy.attach(
         "attacks.budgets": ("Budget",),
         "attacks.cloak.poisoning": ("Poisoning", "poison"),
         "attacks.cloak.triggers": ("Azimuth", "Cap", "Elevation"),
-        "attacks.dagger.attack": ("attack", "attack_views"),
+        "attacks.dagger.attack": ("attack",),
         "attacks.dagger.config": ("DaggerConfig",),
         "attacks.dagger.report": ("write_report",),
         "attacks.dagger.result": ("Result",),
-        "attacks.dagger.views": ("FixedViews", "ViewDistribution"),
+        "attacks.dagger.views": ("ViewDistribution",),
         "attacks.detectors": ("Detector", "load_detector", "wrap_detector"),
         "attacks.objectives": ("Objective", "hide", "objective", "relabel", "untargeted"),
         "attacks.observe.comparison": ("judge",),

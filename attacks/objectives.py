@@ -418,7 +418,7 @@ def objective(
         label: Class that the object should become, which `Target.label` then is; None if no particular one.
 
     Returns:
-        The aim, as `attack` and `attack_views` take it.
+        The aim, as `attack` takes it.
 
     Raises:
         InvalidValueError: One of them is no function.

@@ -55,7 +55,7 @@ def run(options: DaggerEotOptions) -> None:
     from attacks.cli.summary import show_summary
     from attacks.dagger.attack import attack_views
     from attacks.dagger.search import Checkpoint
-    from attacks.dagger.views import ViewDistribution
+    from attacks.dagger.views import DrawnViews
     from mi_splat.cli.cameras import choose
     from mi_splat.io.camera_records import describe
     from mi_splat.io.folders import check_new_folder
@@ -73,7 +73,7 @@ def run(options: DaggerEotOptions) -> None:
         name, camera = next(iter(chosen.cameras.items()))
         detectors = load_detectors(options.detectors, options.weights, options.device)
         drawn = Transformations(cameras=options.region, pictures=options.pictures)
-        views = ViewDistribution(loaded.scene, chosen.mask, camera, drawn, render=chosen.render, up=options.view.up)
+        views = DrawnViews(loaded.scene, chosen.mask, camera, drawn, render=chosen.render, up=options.view.up)
         advance("looking at the object", 0)
         checkpoint.path.parent.mkdir(parents=True, exist_ok=True)
         objective = aim(options.objective, options.target, options.confidence)

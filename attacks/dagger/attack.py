@@ -2,8 +2,8 @@
 
 After "3D Gaussian Splat Vulnerabilities": the attacker holds the splat and the detector (white box) and edits only the
 Gaussians of one object. The paper's text takes eleven steps of length 2 eps / steps in one l2 ball of radius 5 over the
-SH coefficients. The search is PGD (Madry et al. 2018, see `attacks.search`), over fixed views (`attack`) or over a
-distribution of them (`attack_views`: expectation over transformation, Athalye et al. 2018).
+SH coefficients. The search is PGD (Madry et al. 2018, see `attacks.search`), over fixed views or over a distribution of
+them (expectation over transformation, Athalye et al. 2018).
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ from attacks.dagger.judging import judge
 from attacks.dagger.problem import Problem, check_detectors
 from attacks.dagger.result import Result, counted
 from attacks.dagger.search import Checkpoint, OnStep, search
-from attacks.dagger.views import FixedViews, ViewDistribution
+from attacks.dagger.views import DrawnViews, FixedViews, ViewDistribution
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import as_detectors
 from attacks.gaussian_subset import GaussianSubset, Mask
@@ -39,7 +39,7 @@ from mi_splat.scene import GaussianScene, scene_hash
 def attack(
     scene: GaussianScene,
     mask: Mask,
-    cameras: Camera | Sequence[Camera],
+    cameras: Camera | Sequence[Camera] | ViewDistribution,
     detector: Detector | str | Sequence[Detector | str],
     objective: Objective,
     *,
@@ -48,18 +48,19 @@ def attack(
     up: Point = UP,
     on_step: OnStep | None = None,
 ) -> Result:
-    """Attack one object of a scene in one view or many; `attack_views` attacks all cameras of a region.
+    """Attack one object of a scene in one view or many, or from all cameras of a region.
 
     Args:
         scene: The clean splat.
         mask: The object's Gaussians: (N,) bool, row numbers, or a slice.
-        cameras: Views that are attacked together, or one.
+        cameras: Views that are attacked together, or one, and which judge the result; or a `ViewDistribution`, of which
+            held-out views judge it.
         detector: The one attacked, or several to be deceived at once, or their names; their weights are known (white
             box).
         objective: What the detector shall see, for instance `relabel("person")` or `hide()`.
         render: Any differentiable renderer.
-        config: Budget, steps and seed; the paper's if None.
-        up: (3,) direction that is up in the scene, for the azimuth and the elevation of each view.
+        config: Budget, steps and seeds; if None the paper's, or `DaggerConfig.for_region()` for a distribution.
+        up: (3,) direction that is up in the scene, for azimuths and elevations.
         on_step: Called with every line of the trace as it happens; once it says so, the search ends with the best
             point so far.
 
@@ -70,40 +71,27 @@ def attack(
         InvalidValueError: An argument is of another kind, the mask selects nothing, a view does not show the object,
             a detector does not know the target class, two have one name, or a gradient is not finite.
     """
-    views = FixedViews(scene, mask, cameras, render=render, up=up)
+    if isinstance(cameras, ViewDistribution):
+        views: FixedViews = DrawnViews(scene, mask, cameras.reference, cameras.transformations, render=render, up=up)
+    else:
+        views = FixedViews(scene, mask, cameras, render=render, up=up)
     return attack_views(views, detector, objective, config=config, on_step=on_step)
 
 
 def attack_views(
-    views: FixedViews | ViewDistribution,
+    views: FixedViews,
     detectors: Detector | str | Sequence[Detector | str],
     objective: Objective,
     *,
     config: DaggerConfig | None = None,
-    judged: ViewDistribution | None = None,
+    judged: FixedViews | None = None,
     checkpoint: Checkpoint | None = None,
     on_step: OnStep | None = None,
 ) -> Result:
-    """Attack one object in some views: in chosen ones, or so that it deceives from all views of a region.
+    """The same for views that are there, which several attacks may share.
 
-    Args:
-        views: The object and its views. Chosen ones judge the result, too; of a region held-out views do.
-        detectors: Those attacked, all at once. Their weights are known (white box).
-        objective: What they shall see, for instance `relabel("person")` or `hide()`.
-        config: Budget, steps, views and seeds; the defaults for these views if None.
-        judged: Where the held-out views of a region are drawn from, for instance with images that change; None is
-            `views`.
-        checkpoint: Where to keep the search while it runs; one that is there is taken up again.
-        on_step: Called with every line of the trace as it happens; once it says so, the search ends with the best
-            point so far.
-
-    Returns:
-        What the attack did.
-
-    Raises:
-        InvalidValueError: An argument is of another kind, a detector does not know the target class, no view shows the
-            object, or a gradient is not finite.
-        CheckpointError: The checkpoint is one of another attack.
+    A search whose `checkpoint` is there goes on from it; `judged` is where the held-out views of a region are drawn
+    from, if they are others.
     """
     begun, detectors = time.perf_counter(), as_detectors(detectors)
     config = config or (DaggerConfig() if views.transformations is None else DaggerConfig.for_region())
@@ -124,7 +112,7 @@ def attack_views(
     return dataclasses.replace(
         result,
         origin=result.origin | _origin(views, detectors),
-        redraws=views.redraws(config) if isinstance(views, ViewDistribution) else {},
+        redraws=views.redraws(config) if isinstance(views, DrawnViews) else {},
         transformations=views.transformations,
         seconds=before + time.perf_counter() - begun,
         cpu_seconds=None if before else spent,
@@ -133,7 +121,7 @@ def attack_views(
 
 def _origin(views: FixedViews, detectors: Sequence[Detector]) -> dict[str, Any]:
     """What a result says of its detectors, its scene and its views; nothing of z as the direction that is up."""
-    reference = {"reference": values_of(views.reference)} if isinstance(views, ViewDistribution) else {}
+    reference = {"reference": values_of(views.reference)} if isinstance(views, DrawnViews) else {}
     return {
         "detector": " + ".join(detector.name for detector in detectors),
         "detector_fingerprint": " + ".join(detector.fingerprint for detector in detectors),

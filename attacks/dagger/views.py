@@ -97,16 +97,21 @@ def detected(detectors: Sequence[Detector], scene: GaussianScene, views: Sequenc
     return {(views[seen.view].index, seen.detector): seen for seen in reports}
 
 
-class FixedViews:
-    """An object seen from chosen cameras, which are attacked and which judge the result.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ViewDistribution:
+    """All cameras of a region, in the place of chosen ones: an attack draws views from it, and others judge the result.
 
-    Args:
-        scene: The clean splat.
-        mask: The object's Gaussians: (N,) bool, row numbers, or a slice.
-        cameras: The cameras, or one.
-        render: Any differentiable renderer.
-        up: (3,) direction of the world that is up, for the azimuth and the elevation of each view.
+    Attributes:
+        reference: Camera that gives the size of the images, the field of view and the unit of distances.
+        transformations: Where cameras are, and what happens to their images.
     """
+
+    reference: Camera
+    transformations: Transformations = field(default_factory=Transformations)
+
+
+class FixedViews:
+    """An object seen from chosen cameras, which are attacked and which judge the result."""
 
     transformations: Transformations | None = None
 
@@ -215,22 +220,11 @@ def _label_on(detections: Detections, box: Tensor) -> str | None:
     return detections.labels[best] if float(scores[best]) > 0 else None
 
 
-class ViewDistribution(FixedViews):
+class DrawnViews(FixedViews):
     """An object seen from all cameras of a region: which views are attacked is drawn, and others judge the result.
 
     A view depends on the seed and the number alone, so the views of one seed are the same whoever asks, and in whatever
-    order. Views of a pool are kept.
-
-    Args:
-        scene: The clean splat.
-        mask: The object's Gaussians.
-        reference: Camera that gives the size of the images, the field of view and the unit of distances.
-        transformations: What is random.
-        render: Any differentiable renderer.
-        up: (3,) direction of the world that is up in the region of cameras.
-
-    Raises:
-        InvalidValueError: An argument is of another kind, or the mask selects nothing.
+    order. Views of a pool are kept, so that several attacks share them.
     """
 
     transformations: Transformations
@@ -297,19 +291,7 @@ class ViewDistribution(FixedViews):
         return {name: sum(view.redraws for view in drawn) for name, drawn in groups.items()}
 
     def view(self, seed: int, index: int, *, keep: bool = True) -> View:
-        """One view: its camera, what happens to its picture, and where the object is in it.
-
-        Args:
-            seed: Of all views that belong together.
-            index: Number of the view, 0 or more.
-            keep: Whether to keep it for the next time.
-
-        Returns:
-            The view.
-
-        Raises:
-            InvalidValueError: No camera of the region shows the object.
-        """
+        """A view by its seed and number."""
         if (seed, index) in self._kept:
             return self._kept[seed, index]
         view = self._draw(seed, index)
@@ -318,15 +300,7 @@ class ViewDistribution(FixedViews):
         return view
 
     def views(self, seed: int, count: int) -> list[View]:
-        """The first `count` views of a seed.
-
-        Args:
-            seed: Seed of the draws; the same seed gives the same views.
-            count: How many.
-
-        Returns:
-            As many views, in the order of their numbers.
-        """
+        """The first `count` views of a seed."""
         return [self.view(seed, index) for index in range(count)]
 
     def _clean(self, camera: Camera) -> Tensor:

@@ -20,7 +20,7 @@ from attacks.dagger.attack import attack, attack_views
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import before_and_after, summary, write_files
 from attacks.dagger.search import Checkpoint
-from attacks.dagger.views import ViewDistribution
+from attacks.dagger.views import DrawnViews
 from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.search import Step
 from attacks.studies.scenes import AttackScene, attack_scene, detectors_of
@@ -127,10 +127,10 @@ def run(config: FixedAttack | DrawnAttack, inputs: Mapping[str, Path], out: Out)
 
 
 @functools.lru_cache(maxsize=4)
-def distribution(scene: AttackScene, name: str, transformations: Transformations) -> ViewDistribution:
+def distribution(scene: AttackScene, name: str, transformations: Transformations) -> DrawnViews:
     """The views of an object; drawn once for all jobs of a process."""
     reference = next(iter(scene.cameras.values()))
-    return ViewDistribution(scene.scene, scene.objects[name], reference, transformations, render=scene.renderer(""))
+    return DrawnViews(scene.scene, scene.objects[name], reference, transformations, render=scene.renderer(""))
 
 
 def attackers_renderer(scene: AttackScene, renderer: str, gradient: str) -> RenderFn:

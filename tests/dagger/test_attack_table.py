@@ -8,7 +8,7 @@ import torch
 
 from attacks.dagger.attack import attack, attack_views
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.views import ViewDistribution
+from attacks.dagger.views import DrawnViews
 from attacks.detectors import load_detector
 from attacks.detectors.base import Detector
 from attacks.objectives import hide, relabel
@@ -97,7 +97,7 @@ def test_the_shipped_car_becomes_a_person_from_cameras_that_were_not_attacked() 
     front = next(iter(loaded.cameras.values()))
     small = dataclasses.replace(front, width=128, height=128, focal=front.fx / 2)
     region = CameraRegion(azimuths=(-10.0, 10.0), elevations=(5.0, 15.0), distances=(1.0, 1.0))
-    views = ViewDistribution(
+    views = DrawnViews(
         loaded.scene,
         loaded.objects["car"],
         small,

@@ -11,7 +11,7 @@ from attacks.dagger import views as dagger_views
 from attacks.dagger.attack import attack, attack_views
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
-from attacks.dagger.views import ViewDistribution
+from attacks.dagger.views import DrawnViews
 from attacks.objectives import relabel
 from attacks.transformations.config import Transformations
 from mi_splat import rendering
@@ -99,7 +99,7 @@ def test_a_search_over_drawn_views_makes_few_pictures_of_whole_scenes(monkeypatc
     results, counts = [], []
     for render in (unknown(), Renderer()):
         made.clear()
-        views = ViewDistribution(scene, mask, camera(), Transformations(cameras=REGION), render=render)
+        views = DrawnViews(scene, mask, camera(), Transformations(cameras=REGION), render=render)
         results.append(
             attack_views(views, ColourDetector(), relabel("person"), config=DaggerConfig.for_region(**settings))
         )

@@ -8,7 +8,7 @@ import torch
 
 from attacks.budgets import Budget
 from attacks.dagger.search import ImagePrice, fitted, stretched
-from attacks.dagger.views import ViewDistribution, batch_indices, fixed_views
+from attacks.dagger.views import DrawnViews, batch_indices, fixed_views
 from attacks.gaussian_subset import GaussianSubset
 from attacks.observe.views import visible_box
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
@@ -53,8 +53,8 @@ def test_regions_have_the_up_that_is_said() -> None:
     turn = from_z(torch.tensor([0.0, -1.0, 0.0]))
     turned = scene.transform(Similarity(rotation=turn, translation=torch.zeros(3), scale=1.0))
     around = Transformations(cameras=REGION)
-    level = ViewDistribution(scene, mask, camera(), around, render=blobs).views(0, 3)
-    other = ViewDistribution(turned, mask, camera().turned(turn), around, render=blobs, up=(0.0, -1.0, 0.0))
+    level = DrawnViews(scene, mask, camera(), around, render=blobs).views(0, 3)
+    other = DrawnViews(turned, mask, camera().turned(turn), around, render=blobs, up=(0.0, -1.0, 0.0))
     assert torch.allclose(other.views(0, 3)[2].camera.to_world, level[2].camera.turned(turn).to_world, atol=1e-4)
     fixed = fixed_views(GaussianSubset.of(turned, mask), [camera().turned(turn)], render=blobs, up=(0.0, -1.0, 0.0))
     for view, expected in zip(

@@ -5,7 +5,7 @@ from typing import Any
 from attacks.dagger.attack import attack_views
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
-from attacks.dagger.views import ViewDistribution
+from attacks.dagger.views import DrawnViews
 from attacks.objectives import Objective, relabel
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
@@ -25,13 +25,13 @@ QUICK: dict[str, Any] = {
 }
 
 
-def toy_views(pictures: PictureChanges | None = None, *, region: CameraRegion = REGION) -> ViewDistribution:
+def toy_views(pictures: PictureChanges | None = None, *, region: CameraRegion = REGION) -> DrawnViews:
     scene, mask = toy_scene()
     transformations = Transformations(cameras=region, pictures=pictures or PictureChanges())
-    return ViewDistribution(scene, mask, camera(), transformations, render=blobs)
+    return DrawnViews(scene, mask, camera(), transformations, render=blobs)
 
 
-def quick(objective: Objective | None = None, *, views: ViewDistribution | None = None, **settings: Any) -> Result:
+def quick(objective: Objective | None = None, *, views: DrawnViews | None = None, **settings: Any) -> Result:
     return attack_views(
         views or toy_views(),
         ColourDetector(),
