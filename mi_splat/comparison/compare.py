@@ -8,6 +8,7 @@ import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -181,6 +182,11 @@ class GradientAgreement:
         _, first, _, gap = self._sums.sum(0).tolist()
         return math.sqrt(gap / first) if first > 0 and math.isfinite(first) and math.isfinite(gap) else None
 
+    def as_dict(self) -> dict[str, float | None]:
+        """As JSON can hold it."""
+        names = ("cosine", "median_cosine", "relative_error")
+        return {name: getattr(self, name) for name in names}
+
 
 def _cosine(product: float, first: float, second: float) -> float | None:
     """Cosine of two vectors by their products; None if one is 0 or not finite."""
@@ -340,26 +346,19 @@ def _costs(
     on_step: Callable[[str], None],
 ) -> dict[str, dict[str, Cost]]:
     """Time and memory of methods that render."""
+    weights = weighting(camera, config.seed)
 
-    def forward(method: Method) -> Run:
-        def run() -> None:
-            with torch.no_grad():
-                method.render(scene, camera).sum().item()  # so that a device has finished
+    def forward(method: Method) -> None:
+        with torch.no_grad():
+            method.render(scene, camera).sum().item()  # so that a device has finished
 
-        return run
-
-    def both(method: Method) -> Run:
-        weights = weighting(camera, config.seed)
-
-        def run() -> None:
-            gradients(method.render, scene, camera, weights)["sh"].sum().item()
-
-        return run
+    def both(method: Method) -> None:
+        gradients(method.render, scene, camera, weights)["sh"].sum().item()
 
     rendering = {name: method for name, method in methods.items() if method.renders}
-    runs: dict[str, dict[str, Run]] = {FORWARD: {name: forward(method) for name, method in rendering.items()}}
+    runs: dict[str, dict[str, Run]] = {FORWARD: {name: partial(forward, method) for name, method in rendering.items()}}
     if config.gradients:
-        runs[GRADIENT] = {name: both(method) for name, method in rendering.items() if method.differentiable}
+        runs[GRADIENT] = {name: partial(both, method) for name, method in rendering.items() if method.differentiable}
     return {
         kind: costs_of(timed, rounds=config.rounds, on_step=lambda text, kind=kind: on_step(f"{text} ({kind})"))  # type: ignore[misc]
         for kind, timed in runs.items()
@@ -453,16 +452,7 @@ def as_dict(comparison: Comparison, methods: Mapping[str, Method]) -> dict[str, 
                 "bits": pair.bits,
                 **_figures(pair.whole),
                 "by_camera": {view: _figures(distance) for view, distance in pair.distances.items()},
-                "gradients": None
-                if pair.agreement is None
-                else {
-                    attribute: {
-                        "cosine": agreement.cosine,
-                        "median_cosine": agreement.median_cosine,
-                        "relative_error": agreement.relative_error,
-                    }
-                    for attribute, agreement in pair.agreement.items()
-                },
+                "gradients": pair.agreement and {name: each.as_dict() for name, each in pair.agreement.items()},
             }
             for names, pair in comparison.pairs.items()
         ],

@@ -41,27 +41,15 @@ _Table = tuple[Values, Values]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Intrinsics:
-    """Intrinsics of a photograph, in its pixels.
-
-    Attributes:
-        focal: Focal lengths (fx, fy).
-        principal: Principal point (cx, cy).
-        size: Width and height.
-        radial: Coefficients of the second, fourth, ... power of the distance from the axis: its tangent, or for
-            fisheye the angle in radians.
-        divisor: The same of the polynomial that radial distortion is divided by: k4, k5 and k6 of OpenCV's rational
-            model.
-        tangential: p1 and p2 of Brown's model; zero for fisheye.
-        fisheye: Whether distances in the picture grow with the angle and not with its tangent.
-    """
+    """Intrinsics of a photograph, in its pixels."""
 
     focal: tuple[float, float]
     principal: tuple[float, float]
-    size: tuple[int, int]
-    radial: tuple[float, ...] = ()
-    divisor: tuple[float, ...] = ()
-    tangential: tuple[float, float] = (0.0, 0.0)
-    fisheye: bool = False
+    size: tuple[int, int]  # width and height
+    radial: tuple[float, ...] = ()  # k1, k2, ...: of the distance from the axis, or for fisheye of the angle, radians
+    divisor: tuple[float, ...] = ()  # k4, k5, k6 of OpenCV's rational model, by which radial distortion is divided
+    tangential: tuple[float, float] = (0.0, 0.0)  # p1 and p2 of Brown's model; zero for fisheye
+    fisheye: bool = False  # whether distances in the picture grow with the angle and not with its tangent
 
     def __post_init__(self) -> None:
         values = (*self.radial, *self.divisor, *self.tangential)

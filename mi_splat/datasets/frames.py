@@ -90,24 +90,14 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Frame:
-    """One picture of a set.
+    """One picture of a set."""
 
-    Attributes:
-        camera: The pinhole camera, at the picture's full size.
-        path: The picture.
-        mask: A grey picture of the same size that is white where the picture counts; None if there is none.
-        lens: Intrinsics of the picture in the file, out of which that of the camera is taken; None if they are the
-            camera's.
-        upright: Whether the picture is turned as its EXIF orientation says.
-        shrunk: By what the picture in the file is smaller already.
-    """
-
-    camera: Camera
+    camera: Camera  # the pinhole camera, at the picture's full size
     path: Path
-    mask: Path | None = None
-    lens: Intrinsics | None = None
-    upright: bool = False
-    shrunk: int = 1
+    mask: Path | None = None  # a grey picture of the same size that is white where the picture counts
+    lens: Intrinsics | None = None  # of the picture in the file; None if they are the camera's
+    upright: bool = False  # whether the picture is turned as its EXIF orientation says
+    shrunk: int = 1  # by what the picture in the file is smaller already
 
 
 class Photograph(NamedTuple):
@@ -149,9 +139,8 @@ def photograph(picture: Path, mask: Path | None, claimed: tuple[int, int] | None
     """A picture with its mask, both from folders of smaller ones if there are such; None if there is no picture."""
     small, small_mask = (_smaller(file, shrunk) if file and shrunk > 1 else None for file in (picture, mask))
     if small is not None and (mask is None or small_mask is not None):
-        return _small_photograph(
-            small, small_mask, claimed or (picture_size(picture) if picture.is_file() else None), shrunk
-        )
+        whole = claimed or (picture_size(picture) if picture.is_file() else None)
+        return _small_photograph(small, small_mask, whole, shrunk)
     if not picture.is_file():
         return None
     stored = picture_size(picture)

@@ -4,7 +4,7 @@ import math
 import re
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -158,16 +158,11 @@ def pictures_in(folder: Path, most: int) -> list[Path]:
         do = "leave some out, or allow more"
         error = PreparationError.of(str(folder), f"at most {most} pictures", len(pictures), do)
         raise error.hinted("--max-pictures")
-    check_count(str(folder), pictures)
-    return pictures
-
-
-def check_count(source: str, pictures: Sequence[object]) -> None:
-    """Raise if there are too few pictures to find cameras by."""
     if len(pictures) < FEWEST_PICTURES:
         expected = f"at least {FEWEST_PICTURES} pictures ({', '.join(sorted(_KINDS))})"
         do = "20 to 200 that overlap by two thirds are usual"
-        raise PreparationError.of(source, expected, len(pictures) or "none", do)
+        raise PreparationError.of(str(folder), expected, len(pictures) or "none", do)
+    return pictures
 
 
 def take_photographs(

@@ -5,19 +5,22 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageOps
 
 from mi_splat import provenance
 from mi_splat.datasets import load_dataset
+from mi_splat.datasets.frames import Split
 from mi_splat.datasets.writing import IMAGES
+from mi_splat.directions import up_of
 from mi_splat.errors import install
 from mi_splat.io.documents import save_json
 from mi_splat.io.folders import check_new_folder, new_folder
@@ -34,9 +37,8 @@ from mi_splat.preparation.pictures import (
     take_frames,
     take_photographs,
 )
+from mi_splat.rotation import from_z
 
-# Cameras of pictures by COLMAP's own library: features, matches, and what they say of cameras and points.
-#
 # pycolmap is imported where it is needed alone, since it takes over what a process does on signals. Lenses are
 # SIMPLE_RADIAL: a focal length and one coefficient, alike for all pictures of one size and focal length.
 
@@ -58,23 +60,14 @@ _SEED = 0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reconstruction:
-    """What came of a reconstruction, whose largest model was written.
+    """What came of a reconstruction, whose largest model was written; by the names of pictures."""
 
-    Attributes:
-        models: How many pictures each model has, the largest first.
-        error: Mean distance of points from where pictures show them, pixels.
-        features: Points by which each picture could be found in others, by its name.
-        overlaps: How many others each picture has enough of them in common with, by its name.
-        points: How many points of the model each of its pictures shows, by its name.
-        made_by: The program, and its version.
-    """
-
-    models: tuple[int, ...]
-    error: float = 0.0
-    features: Mapping[str, int]
-    overlaps: Mapping[str, int]
-    points: Mapping[str, int] = field(default_factory=dict)
-    made_by: str = ""
+    models: tuple[int, ...]  # how many pictures each model has, the largest first
+    error: float = 0.0  # mean distance of points from where pictures show them, pixels
+    features: Mapping[str, int]  # points by which each picture could be found in others
+    overlaps: Mapping[str, int]  # how many others each picture has enough of them in common with
+    points: Mapping[str, int] = field(default_factory=dict)  # how many points of the model each of its pictures shows
+    made_by: str = ""  # the program, and its version
 
 
 Reconstruct = Callable[[Path, Sequence[Picture], bool, int, OnProgress], Reconstruction]
@@ -135,7 +128,10 @@ def _extract(
     options = pycolmap.FeatureExtractionOptions(max_image_size=max(max(p.size) for p in pictures))
     options.sift.max_num_features = features
     done = 0
-    for (size, focal), names in _by_lens(pictures):
+    lenses: dict[tuple[tuple[int, int], float | None], list[str]] = {}
+    for picture in pictures:
+        lenses.setdefault((picture.size, picture.focal), []).append(picture.name)
+    for (size, focal), names in lenses.items():
         with pycolmap.Database.open(str(database)) as opened:
             camera = pycolmap.Camera(
                 model="SIMPLE_RADIAL",
@@ -157,14 +153,6 @@ def _extract(
                 device=pycolmap.Device.cpu,
             )
             done += len(chunk)
-
-
-def _by_lens(pictures: Sequence[Picture]) -> Iterator[tuple[tuple[tuple[int, int], float | None], list[str]]]:
-    """Names of the pictures of each size and focal length."""
-    lenses: dict[tuple[tuple[int, int], float | None], list[str]] = {}
-    for picture in pictures:
-        lenses.setdefault((picture.size, picture.focal), []).append(picture.name)
-    yield from lenses.items()
 
 
 def _match(
@@ -242,12 +230,6 @@ def _placed(model: Any) -> list[Any]:
 
 def _turn_up(pycolmap: Any, model: Any) -> None:
     """Turn a model so that z is up."""
-    import numpy as np
-    import torch
-
-    from mi_splat.directions import up_of
-    from mi_splat.rotation import from_z
-
     turns = np.stack([image.cam_from_world().rotation.matrix().T for image in _placed(model)])
     rotation = from_z(up_of(torch.from_numpy(turns))).T.numpy()
     model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(rotation), np.zeros(3)))
@@ -294,21 +276,18 @@ def prepare(
             raise _nothing_placed(source, pictures, done)
         shutil.rmtree(root / "colmap", ignore_errors=True)
         parts = _parts(root)
-        tiles = [
-            Tile(file=images / picture.name, text=picture.source, part=parts.get(picture.name, "none"))
-            for picture in pictures
-        ]
-        save_picture(contact_sheet(tiles), root / SHEET)
-        for tile in tiles:
-            if tile.part == "none":
-                tile.file.unlink()
+        save_picture(contact_sheet(images, pictures, parts), root / SHEET)
+        for picture in pictures:
+            if picture.name not in parts:
+                (images / picture.name).unlink()
+        points = load_dataset(root, split=None).points
         record = {
             "source": str(source),
             **dataclasses.asdict(config),
             "cameras_by": done.made_by,
             "models": list(done.models),
             "reprojection_error": done.error,
-            "points": _points(root),
+            "points": 0 if points is None else len(points),
             "pictures": [_row(picture, done, parts) for picture in pictures],
             "broken": dict(broken),
             **provenance.origin(),
@@ -326,21 +305,13 @@ def not_placed(record: Mapping[str, Any]) -> list[str]:
     return reasons + [f"{name} ({reason})" for name, reason in record["broken"].items()]
 
 
-def _parts(root: Path) -> dict[str, Part]:
+def _parts(root: Path) -> dict[str, str]:
     """Which part of the set each picture is in, as those who load the set find it."""
-    parts: dict[str, Part] = {}
-    for part in ("train", "test"):
-        parts |= {path.name: part for path in load_dataset(root, split=part).paths}
-    return parts
+    splits: tuple[Split, ...] = ("train", "test")
+    return {path.name: split for split in splits for path in load_dataset(root, split=split).paths}
 
 
-def _points(root: Path) -> int:
-    """How many points the set has to begin a training with."""
-    points = load_dataset(root, split=None).points
-    return 0 if points is None else len(points.points)
-
-
-def _row(picture: Picture, done: Reconstruction, parts: Mapping[str, Part]) -> dict[str, Any]:
+def _row(picture: Picture, done: Reconstruction, parts: Mapping[str, str]) -> dict[str, Any]:
     """What the record says of a picture."""
     return {
         "name": picture.name,
@@ -365,54 +336,42 @@ def _nothing_placed(source: Path, pictures: Sequence[Picture], done: Reconstruct
     return PreparationError.of(str(source), f"{len(pictures)} pictures that can be placed", got, do)
 
 
-Part = Literal["train", "test", "none"]
-COLOURS: dict[Part, str] = {"train": "#000000", "test": "#1f5fbf", "none": "#c01818"}
-"""Of the label, by the part of the set that a picture is in."""
-MEANINGS: dict[Part, str] = {"train": "for training", "test": "held out", "none": "not placed"}
-"""Of the parts, as the sheet says it."""
+PARTS = {"train": ("#000000", "for training"), "test": ("#1f5fbf", "held out"), "none": ("#c01818", "not placed")}
+"""Colour of the label and meaning of each part of the set that a picture may be in."""
 
 TILE = (192, 144)
 """Width and height of the place of a picture, pixels."""
 _COLUMNS, _GAP, _HEAD, _LETTERS = 8, 4, 28, 24
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tile:
-    """A picture of the sheet."""
-
-    file: Path
-    text: str
-    part: Part
-
-
-def contact_sheet(tiles: Sequence[Tile]) -> NDArray[np.uint8]:
+def contact_sheet(images: Path, pictures: Sequence[Picture], parts: Mapping[str, str]) -> NDArray[np.uint8]:
     """All pictures in rows, below a line that says what the colours of their labels mean."""
-    columns = min(_COLUMNS, max(4, len(tiles)))
-    rows = -(-len(tiles) // columns)
+    columns = min(_COLUMNS, max(4, len(pictures)))
+    rows = -(-len(pictures) // columns)
     step = (TILE[0] + _GAP, TILE[1] + _GAP)
     sheet = Image.new("RGB", (columns * step[0] + _GAP, _HEAD + rows * step[1] + _GAP), "white")
     draw = ImageDraw.Draw(sheet)
     left = float(_GAP)
-    for part, meaning in MEANINGS.items():
-        text = f"{sum(tile.part == part for tile in tiles)} {meaning}"
-        write_label(draw, (left, 4), text, COLOURS[part], size=14)
+    for part, (colour, meaning) in PARTS.items():
+        text = f"{sum(parts.get(picture.name, 'none') == part for picture in pictures)} {meaning}"
+        write_label(draw, (left, 4), text, colour, size=14)
         left += 24 + draw.textlength(text, font_size=14)
-    for number, tile in enumerate(tiles):
+    for number, picture in enumerate(pictures):
         corner = _GAP + number % columns * step[0], _HEAD + _GAP + number // columns * step[1]
-        sheet.paste(_tile(tile), corner)
+        sheet.paste(_tile(images / picture.name, picture.source, parts.get(picture.name, "none")), corner)
     return np.asarray(sheet)
 
 
-def _tile(tile: Tile) -> Image.Image:
+def _tile(file: Path, text: str, part: str) -> Image.Image:
     """A picture in its place, with its label."""
-    picture = load_picture(tile.file).convert("RGB")
-    colour = COLOURS[tile.part]
-    if tile.part == "none":
+    picture = load_picture(file).convert("RGB")
+    colour, _ = PARTS[part]
+    if part == "none":
         picture = ImageOps.grayscale(picture).convert("RGB")
     framed = ImageOps.pad(picture, TILE, color="#e8e8e8")
     draw = ImageDraw.Draw(framed)
-    if tile.part == "none":
+    if part == "none":
         draw.rectangle((0, 0, TILE[0] - 1, TILE[1] - 1), outline=colour, width=4)
-    text = tile.text if len(tile.text) <= _LETTERS else f"{tile.text[: _LETTERS - 3]}..."
+    text = text if len(text) <= _LETTERS else f"{text[: _LETTERS - 3]}..."
     write_label(draw, (4, TILE[1] - 20), text, colour, size=12)
     return framed

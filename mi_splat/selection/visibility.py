@@ -70,17 +70,10 @@ def _checked(box: Box, camera: Camera) -> Box:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectMaps:
-    """What K objects of a scene make up of each pixel.
+    """What K objects of a scene make up of each pixel; differentiable in all of the scene but its colours."""
 
-    Attributes:
-        weights: (H, W, K) sum of the weights of each object's Gaussians; together they are the picture's opacity, less
-            what Gaussians of no object make up. Differentiable in all of the scene but its colours.
-        ids: (H, W) int64, number of the object with the largest weight, the first of equal ones; -1 where Gaussians of
-            no object make up more than any object, or nothing is.
-    """
-
-    weights: Tensor
-    ids: Tensor
+    weights: Tensor  # (H, W, K) sum of the weights of each object's Gaussians
+    ids: Tensor  # (H, W) number of the object with the largest weight; -1 where no object makes up the most
 
 
 def object_maps(
