@@ -382,17 +382,15 @@ class Lint:
 
 def lint_file(path: Path, stored: Loaded | None = None) -> Lint:
     """Check a splat file, also one with Gaussians that are not valid; what it holds may have been read already."""
-    findings: list[Finding] = []
-    data = path.read_bytes() if path.suffix.lower() == ".glb" else b""
-    if data.startswith(b"glTF"):
-        findings = validate(open_glb(data, str(path)))
     try:
         loaded = stored or load_stored(path)
     except SplatFileError:
+        is_glb = path.suffix.lower() == ".glb" and path.is_file()
+        findings = validate(open_glb(path.read_bytes(), str(path))) if is_glb else []
         if any(finding.severity == "error" for finding in findings):
             return Lint(findings=tuple(findings))
         raise
-    return _lint(loaded, findings)
+    return _lint(loaded, validate(loaded.document) if isinstance(loaded.document, Glb) else [])
 
 
 def lint_scene(scene: GaussianScene) -> Lint:

@@ -321,7 +321,6 @@ def _agreement(
     config: CompareConfig,
     on_step: Callable[[str], None],
 ) -> dict[tuple[str, str], Agreement]:
-    """How well the gradients of each two methods agree, by attribute."""
     agreements: dict[tuple[str, str], Agreement] = {
         names: {attribute: GradientAgreement() for attribute in ATTRIBUTES}
         for names in combinations(_differentiable(methods), 2)
@@ -345,7 +344,6 @@ def _costs(
     config: CompareConfig,
     on_step: Callable[[str], None],
 ) -> dict[str, dict[str, Cost]]:
-    """Time and memory of methods that render."""
     weights = weighting(camera, config.seed)
 
     def forward(method: Method) -> None:
@@ -424,7 +422,6 @@ def _resident_after_reset() -> float | None:
 
 
 def _status(key: str) -> float | None:
-    """A figure of this process in bytes."""
     with contextlib.suppress(OSError):
         match = re.search(rf"^{key}:\s*(\d+) kB", _STATUS.read_text(), flags=re.MULTILINE)
         return None if match is None else 1024.0 * int(match[1])

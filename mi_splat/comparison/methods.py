@@ -245,7 +245,6 @@ class PictureFolder:
 
 
 def _path(folder: Path, name: str) -> Path:
-    """The picture of a camera."""
     stem = file_name(name)
     path = next((folder / f"{stem}{ending}" for ending in PICTURES if (folder / f"{stem}{ending}").is_file()), None)
     if path is None:

@@ -173,7 +173,6 @@ class _Binary:
             raise self._fault(f"{self._at} bytes")
 
     def _take(self, form: str) -> tuple[Any, ...]:
-        """The next values."""
         try:
             values = struct.unpack_from(f"<{form}", self._data, self._at)
         except (struct.error, OverflowError) as error:
@@ -302,7 +301,6 @@ def read_model_cameras(cameras_file: Path, split: Split | None = None) -> dict[s
 
 
 def _poses(model: Model, cameras_file: Path) -> list[Pose]:
-    """The poses of a model in the order of names."""
     source = _images_file(cameras_file)
     if not model.poses:
         raise DatasetError.of(str(source), "at least one picture", "none", "register pictures first")
@@ -319,7 +317,6 @@ def _lenses(model: Model, cameras_file: Path) -> dict[int, Intrinsics]:
 
 
 def _images_file(cameras_file: Path) -> Path:
-    """The file of a model's poses, beside that of its cameras."""
     return cameras_file.with_name(f"images{cameras_file.suffix}")
 
 

@@ -162,7 +162,6 @@ def _product(first: Tensor | None, second: Tensor | None) -> Tensor | None:
 
 
 def _digest(file: Path | None) -> str | None:
-    """SHA-256 of a file's bytes; None of none."""
     try:
         return None if file is None else sha256(file)
     except OSError as error:

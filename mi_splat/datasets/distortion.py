@@ -86,7 +86,6 @@ class Intrinsics:
         return x * factor + dx, y * factor + dy
 
     def _tangential(self, x: Values, y: Values) -> tuple[Values, Values]:
-        """What p1 and p2 add."""
         (p1, p2), square = self.tangential, x * x + y * y
         return 2 * p1 * x * y + p2 * (square + 2 * x * x), 2 * p2 * x * y + p1 * (square + 2 * y * y)
 

@@ -152,7 +152,6 @@ def photograph(picture: Path, mask: Path | None, claimed: tuple[int, int] | None
 
 
 def _small_photograph(path: Path, mask: Path | None, size: tuple[int, int] | None, shrunk: int) -> Photograph:
-    """One that lies in a folder of smaller pictures."""
     stored = picture_size(path)
     size = size or (stored[0] * shrunk, stored[1] * shrunk)
     if any(abs(side - whole / shrunk) >= 1 for side, whole in zip(stored, size, strict=True)):

@@ -105,7 +105,6 @@ def read_world_offset(path: Path) -> tuple[float, float, float]:
 
 
 def _document(path: Path) -> dict[str, Any]:
-    """The file's JSON object."""
     if not path.exists():
         raise DatasetError.of(str(path), "a transforms file", "no such file", "write it, or choose another split")
     document = _TRANSFORMS.read_json(path)
@@ -167,7 +166,6 @@ def _size(values: Mapping[str, Any], where: str) -> tuple[int, int] | None:
 
 
 def _intrinsics(values: Mapping[str, Any], size: tuple[int, int], where: str) -> Intrinsics:
-    """What a frame says of its lens."""
     model = str(values.get("camera_model", _PERSPECTIVE[0])).upper()
     if model not in (*_PERSPECTIVE, *_FISHEYE, _RATIONAL):
         do = "undistort the pictures first, for instance with colmap image_undistorter"

@@ -121,7 +121,6 @@ def picture_name(split: str, index: int) -> str:
 def _write_pictures(
     root: Path, views: Iterable[View], test: Iterable[View], alphas: Iterable[Tensor] | None
 ) -> Listing:
-    """Write every picture to images/."""
     images = make_folder(root / IMAGES)
     listing: dict[str, list[tuple[str, Camera]]] = {"train": [], "test": []}
     rest = None if alphas is None else iter(alphas)
@@ -175,7 +174,6 @@ def _intrinsics(camera: Camera) -> dict[str, float]:
 
 
 def _point_lines(points: PointCloud | None) -> list[str]:
-    """The lines of points3D.txt."""
     lines = ["# POINT3D_ID X Y Z R G B ERROR, then a track, which is empty"]
     if points is not None:
         rows = zip(points.points.tolist(), to_bytes(points.colours).tolist(), strict=True)

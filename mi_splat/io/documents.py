@@ -162,7 +162,6 @@ def _temporary_name() -> str:
 
 
 def _sync_names(folder: str | os.PathLike[str]) -> None:
-    """Bring the names in a folder to the disk, where the system can."""
     with contextlib.suppress(OSError):
         _sync(folder)
 

@@ -105,7 +105,6 @@ def is_locked(file: str) -> bool:
 
 
 def _locked(file: str, what: str) -> int:
-    """Lock a file and write into it who has it; returns it open."""
     while True:
         try:
             descriptor = os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
@@ -224,7 +223,6 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def _entry(name: str, entry: Any, path: Path) -> tuple[str, int]:
-    """What stands under the name of a file, which leads nowhere but into the folder."""
     if not _NAME.fullmatch(name):
         raise InvalidValueError.of(str(path), "names of files in its folder", name[:80], _DO)
     digest, length = (entry.get(key) if isinstance(entry, dict) else None for key in ("sha256", "bytes"))
@@ -396,17 +394,14 @@ def _kept_beside(made: Path, target: Path, error: Exception) -> SplatFileError:
 
 
 def _names_in(folder: Path) -> list[str]:
-    """What is in a folder, temporary files apart; nothing if it is not there."""
     return sorted(entry.name for entry in folder.iterdir() if not is_temporary(entry.name)) if folder.exists() else []
 
 
 def _listed(names: list[str]) -> str:
-    """A few of the names."""
     return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
 
 
 def _existing_parent(path: Path) -> Path:
-    """The nearest of a path and those above it that is there."""
     path = Path(os.path.abspath(path))
     while not os.path.lexists(path):
         path = path.parent

@@ -83,7 +83,6 @@ def save_animation(frames: Sequence[NDArray[np.uint8]], path: Path, *, fps: floa
 
 
 def _gif(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> bytes:
-    """The file; GIF counts in hundredths of a second, and has 256 colours a picture."""
     first, *rest = (Image.fromarray(frame).quantize(256, dither=Image.Dither.FLOYDSTEINBERG) for frame in frames)
     buffer = io.BytesIO()
     first.save(buffer, format="GIF", save_all=True, append_images=rest, duration=1000 / fps, loop=0)
@@ -91,7 +90,6 @@ def _gif(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> bytes:
 
 
 def _webp(frames: Sequence[NDArray[np.uint8]], path: Path, fps: float) -> bytes:
-    """The file; WebP counts in milliseconds."""
     first, *rest = map(Image.fromarray, frames)
     buffer, duration = io.BytesIO(), round(1000 / fps)
     first.save(buffer, "WEBP", save_all=True, append_images=rest, duration=duration, loop=0, quality=_WEBP_QUALITY)

@@ -155,6 +155,7 @@ class Loaded:
     is_antialiased: bool = False
     notices: tuple[Notice, ...] = ()
     unread: tuple[str, ...] = ()
+    document: object = None  # of a glTF, for checks of its form
 
     @property
     def scene(self) -> GaussianScene:
@@ -242,7 +243,6 @@ def judged(
 
 
 def _reason(arrays: list[NDArray[np.float32]], good: list[NDArray[np.bool_]], row: int) -> str:
-    """What is wrong with one Gaussian."""
     names = ("a coordinate of the mean", "a scale", "", "the opacity", "an SH coefficient")
     for name, value, fine in zip(names, arrays, good, strict=True):
         wrong = value[row][~fine[row]] if value.ndim > 1 else value[row : row + 1][~fine[row : row + 1]]

@@ -292,5 +292,4 @@ def _exr_part(head: bytes, offset: int) -> tuple[int, tuple[int, int]]:
 
 
 def _broken(what: str, kind: str) -> PictureFileError:
-    """The error for a header that says no size."""
     return PictureFileError.of(what, f"a header of {kind} with a size", "none", "write or download it again")

@@ -171,7 +171,6 @@ class _Reader:
                     raise self._refused("no native code beside it", f"{file}", "remove that file")
 
     def _include(self, file: Path, chain: list[Path]) -> None:
-        """Read a file that is included."""
         inner, self._included = [*chain, file.resolve()], self._included + 1
         if inner[-1] in chain or len(inner) > _LONGEST_CHAIN:
             names = " includes ".join(path.name for path in inner)
@@ -194,5 +193,4 @@ class _Reader:
         return {key: known.sub(lambda part: self._values[part[1]], text) for key, text in element.items()}
 
     def _refused(self, expected: str, got: str, do: str) -> InvalidValueError:
-        """The error for a scene that no one needs."""
         return InvalidValueError.of(self._scene, expected, got, do)

@@ -101,7 +101,6 @@ def require_usd(path: str) -> None:
 
 
 def _unknown(path: str) -> SplatFileError:
-    """The error for a name that fits no format."""
     ending = os.path.splitext(path)[1].lower()
     do = _OTHERS.get(ending, "convert it to .ply, for instance with splat-transform")
     if ending in _PROGRAMS:

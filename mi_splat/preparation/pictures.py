@@ -86,7 +86,6 @@ def _too_long(path: Path, seconds: float) -> PreparationError:
 
 
 def _ffmpeg() -> str:
-    """The program."""
     import imageio_ffmpeg
 
     return str(imageio_ffmpeg.get_ffmpeg_exe())

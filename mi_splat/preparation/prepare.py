@@ -162,7 +162,6 @@ def _match(
     pairs: Sequence[tuple[int, int]],
     on_progress: OnProgress,
 ) -> None:
-    """Compare pairs of pictures."""
     listed = database.with_name("pairs.txt")
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = _SEED
@@ -193,7 +192,6 @@ def _statistics(pycolmap: Any, database: Path) -> tuple[dict[str, int], dict[str
 
 
 def _map(pycolmap: Any, database: Path, images: Path, count: int, on_progress: OnProgress) -> list[Any]:
-    """The models."""
     placed = itertools.count(2)
 
     def one_more() -> None:
@@ -224,12 +222,10 @@ def _trimmed(models: Sequence[Any]) -> list[Any]:
 
 
 def _placed(model: Any) -> list[Any]:
-    """The pictures of a model that have a place."""
     return [image for image in model.images.values() if image.has_pose]
 
 
 def _turn_up(pycolmap: Any, model: Any) -> None:
-    """Turn a model so that z is up."""
     turns = np.stack([image.cam_from_world().rotation.matrix().T for image in _placed(model)])
     rotation = from_z(up_of(torch.from_numpy(turns))).T.numpy()
     model.transform(pycolmap.Sim3d(1.0, pycolmap.Rotation3d(rotation), np.zeros(3)))
@@ -312,7 +308,6 @@ def _parts(root: Path) -> dict[str, str]:
 
 
 def _row(picture: Picture, done: Reconstruction, parts: Mapping[str, str]) -> dict[str, Any]:
-    """What the record says of a picture."""
     return {
         "name": picture.name,
         "source": picture.source,
@@ -363,7 +358,6 @@ def contact_sheet(images: Path, pictures: Sequence[Picture], parts: Mapping[str,
 
 
 def _tile(file: Path, text: str, part: str) -> Image.Image:
-    """A picture in its place, with its label."""
     picture = load_picture(file).convert("RGB")
     colour, _ = PARTS[part]
     if part == "none":

@@ -91,7 +91,6 @@ def components(count: int, first: Tensor, second: Tensor) -> Tensor:
 
 
 def _by_size(label: Tensor) -> Tensor:
-    """Components numbered from the largest."""
     order = label.bincount().argsort(descending=True, stable=True)
     return order.argsort()[label]
 

@@ -124,7 +124,6 @@ class Selection:
 
 
 def _pixel_text(click: Any) -> str:
-    """A click as x,y."""
     if isinstance(click, str):
         return click
     pair = several(click)

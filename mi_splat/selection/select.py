@@ -245,7 +245,6 @@ def _hidden(weights: Mapping[str, Tensor]) -> str:
 
 
 def _clusters(scene: GaussianScene, selection: Selection) -> Tensor:
-    """The connected components as the selection counts them."""
     return clusters(
         scene, link_distance=selection.link_distance, link_colour=selection.link_colour, planes=selection.planes
     )

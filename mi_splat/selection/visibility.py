@@ -60,7 +60,6 @@ def contributions(
 
 
 def _checked(box: Box, camera: Camera) -> Box:
-    """The box, if it has pixels and all of them are in the picture."""
     x0, y0, x1, y1 = box
     if not (0 <= x0 < x1 <= camera.width and 0 <= y0 < y1 <= camera.height):
         expected = f"x0 < x1 and y0 < y1 inside {camera.width} x {camera.height}"

@@ -150,7 +150,6 @@ def _chunk_ranges(values: Array) -> Array:
 
 
 def _fraction(values: Array, ranges: Array) -> Array:
-    """Where values lie within the range of their chunk, 0 to 1."""
     ends = ranges[np.arange(len(values)) // CHUNK]
     extent = ends[:, 3:] - ends[:, :3]
     return np.clip(np.divide(values - ends[:, :3], extent, out=np.zeros_like(values), where=extent > 0), 0, 1)
@@ -166,7 +165,6 @@ def _pack(fraction: Array, bits: tuple[int, ...]) -> NDArray[np.uint32]:
 
 
 def _unpack(word: NDArray[np.uint32], bits: tuple[int, ...]) -> Array:
-    """The inverse of `_pack`."""
     columns, shift = [], sum(bits)
     for width in bits:
         shift, largest = shift - width, (1 << width) - 1

@@ -72,11 +72,11 @@ def read_glb(file: io.FileIO, path: str) -> Loaded:
         raise SplatFileError.of(path, f"a primitive with {EXTENSION}", got, "export the splat again")
     loaded = axes.together(parts)
     notices = (("splats only", f"{others} other primitives", "they were left out"),) if others else ()
-    return dataclasses.replace(loaded, arrays=axes.flipped(loaded.arrays, axes.Z), notices=notices)
+    arrays = axes.flipped(loaded.arrays, axes.Z)
+    return dataclasses.replace(loaded, arrays=arrays, notices=notices, document=document)
 
 
 def _primitive(document: Glb, primitive: Fields, extension: Fields) -> Loaded:
-    """The Gaussians of one primitive, in glTF's axes."""
     if primitive.whole("mode", 0, 6, 4) != 0:
         raise primitive.bad("mode", "0 (points)", primitive.values.get("mode", 4))
     for name, known in (("kernel", "ellipse"), ("colorSpace", COLOUR_SPACE)):
@@ -138,7 +138,6 @@ def write_glb(arrays: Arrays) -> Encoded:
 
 
 def _linear(colours: Array) -> Array:
-    """Linear light of sRGB (IEC 61966-2-1)."""
     return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
 
 
@@ -165,7 +164,6 @@ def placements(root: Fields, meshes: int) -> Iterator[tuple[int, Array]]:
 
 
 def _matrix(node: Fields) -> Array | None:
-    """The matrix of a node, None if it has none."""
     if "matrix" in node.values:
         return np.array(node.numbers("matrix", 16, 16)).reshape(4, 4).T  # columns come first
     if not {"translation", "rotation", "scale"} & set(node.values):
@@ -266,7 +264,6 @@ def open_glb(data: bytes, path: str) -> Glb:
 
 
 def _glb_bytes(columns: Mapping[str, NDArray[np.generic]], properties: Mapping[str, str]) -> bytes:
-    """A binary glTF with one mesh of points."""
     views, accessors, parts = list[dict[str, object]](), list[dict[str, object]](), list[bytes]()
     offset = 0
     for name, values in columns.items():

@@ -73,7 +73,6 @@ def _bad(path: str, expected: str, got: object) -> SplatFileError:
 
 
 def _record(level: int, degree: int) -> np.dtype[np.void]:
-    """One Gaussian of a section."""
     means, sh = "<f4" if level == 0 else "<u2", (_SH_KINDS[level], (_REST[degree],))
     scalar = _FLOATS[level]
     fields = [("means", means, (3,)), ("scales", scalar, (3,)), ("rotations", scalar, (4,)), ("colours", "u1", (4,))]
@@ -98,7 +97,6 @@ def _end(section: _Section, level: int, size: int, path: str) -> int:
 def _gaussians(
     data: bytes, section: _Section, level: int, bounds: tuple[float, float], degree: int, path: str
 ) -> tuple[Array, ...]:
-    """Means, scales, rotations, opacities and SH of a section."""
     offset = section.offset + 4 * section.partial + section.storage * section.buckets
     rows = np.frombuffer(data, _record(level, section.degree), section.count, offset)
     means = rows["means"].astype(np.float64)

@@ -77,7 +77,6 @@ def read_sog_folder(file: io.FileIO, path: str) -> Loaded:
 
 
 def _read(files: Files, size: int, path: str) -> Loaded:
-    """The scene in files of `size` bytes together."""
     meta = parse(files(_META, _META_LIMIT), path, limit=_META_LIMIT)
     if meta.values.get("version") != 2:
         do = "convert it with splat-transform"
@@ -192,7 +191,6 @@ def _write_rest(values: Values) -> tuple[dict[str, object], dict[str, bytes], li
 
 
 def _opaque(columns: NDArray[np.integer]) -> NDArray[np.uint8]:
-    """(N, 4) bytes: three columns, and full opacity."""
     return np.concatenate([columns.astype(np.uint8), np.full((len(columns), 1), 255, np.uint8)], axis=1)
 
 
@@ -307,7 +305,6 @@ def archive_files(data: bytes, path: str) -> Files:
 
 
 def _bounded(plain: bytes, most: int, where: str) -> bytes:
-    """Bytes that are not more than they may be."""
     if len(plain) > most:
         raise SplatFileError.of(where, f"at most {most} bytes", "more", _AGAIN)
     return plain

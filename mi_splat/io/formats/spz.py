@@ -109,7 +109,6 @@ def write_spz(arrays: Arrays, version: Literal[2, 3, 4] = 3, *, antialiased: boo
 
 
 def _losses(values: Values, opacities: NDArray[np.uint8], limit: float) -> list[Loss]:
-    """What lies beyond the ranges of the format."""
     low, high = -0.5 / COLOUR_SCALE, 0.5 / COLOUR_SCALE
     half = 0.5 / (255 * COLOUR_SCALE)
     return [
@@ -243,7 +242,6 @@ def _checked(fields: tuple[int, ...], versions: tuple[int, ...], size: int, path
 
 
 def _unpack_gzip(data: bytes, path: str) -> SpzContent:
-    """Versions 2 and 3: one gzip stream."""
     stream = zlib.decompressobj(16 + zlib.MAX_WBITS)
     try:
         start = stream.decompress(data, _HEADER.size)
@@ -306,7 +304,6 @@ def _frame(packed: bytes, size: int, path: str) -> bytes:
 
 
 def _split(body: bytes, head: SpzHeader) -> dict[str, NDArray[np.uint8]]:
-    """The sections of the decompressed values."""
     whole, offset, sections = np.frombuffer(body, np.uint8), 0, {}
     for name, size in head.sizes().items():
         sections[name] = whole[offset : offset + size]
