@@ -25,6 +25,8 @@ from mi_splat.io.parsing import Fields, parse
 
 EXTENSION = "KHR_gaussian_splatting"
 COLOUR_SPACE = "srgb_rec709_display"
+_PROPERTIES = {"kernel": "ellipse", "colorSpace": COLOUR_SPACE}
+_PROPERTIES |= {"sortingMethod": "cameraDistance", "projection": "perspective"}
 _MOST_PARTS = 1000
 _LEAST_BYTES = 4
 """Bytes that a Gaussian takes at the least, however often nodes place the same mesh."""
@@ -128,13 +130,7 @@ def write_glb(arrays: Arrays) -> Encoded:
     for degree in range(values.degree + 1):
         for order in range(2 * degree + 1):
             columns[_sh_name(degree, order)] = sh[:, degree**2 + order]
-    extension = {
-        "kernel": "ellipse",
-        "colorSpace": COLOUR_SPACE,
-        "sortingMethod": "cameraDistance",
-        "projection": "perspective",
-    }
-    return Encoded(_glb_bytes(columns, extension), ())
+    return Encoded(_glb_bytes(columns), ())
 
 
 def _linear(colours: Array) -> Array:
@@ -218,19 +214,15 @@ class Glb:
         if step < record.itemsize * width or inside + (count - 1) * step + record.itemsize * width > length:
             raise accessor.bad("count", f"elements inside of the {length} bytes of their view", count)
         layout = (count, width), record, self.buffer, start + inside, (step, record.itemsize)
-        return _plain(np.ndarray(*layout), kind if accessor.values.get("normalized") is True else "")
+        values = np.ndarray(*layout).astype(np.float64)
+        if accessor.values.get("normalized") is True and kind[0] in "iu":
+            values = np.maximum(values / np.iinfo(kind).max, -1.0)
+        return values
 
     def _accessor(self, attributes: Fields, name: str) -> Fields:
         if name not in attributes.values:
             raise attributes.bad(name, "an attribute", "none")
         return self.accessors[attributes.whole(name, 0, len(self.accessors) - 1)]
-
-
-def _plain(values: NDArray[np.generic], normalised: str) -> Array:
-    wide = values.astype(np.float64)
-    if normalised and normalised[0] in "iu":
-        wide = np.maximum(wide / np.iinfo(normalised).max, -1.0)
-    return wide
 
 
 def open_glb(data: bytes, path: str) -> Glb:
@@ -263,7 +255,7 @@ def open_glb(data: bytes, path: str) -> Glb:
     return Glb(root, root.objects("accessors"), root.objects("bufferViews"), values)
 
 
-def _glb_bytes(columns: Mapping[str, NDArray[np.generic]], properties: Mapping[str, str]) -> bytes:
+def _glb_bytes(columns: Mapping[str, NDArray[np.generic]]) -> bytes:
     views, accessors, parts = list[dict[str, object]](), list[dict[str, object]](), list[bytes]()
     offset = 0
     for name, values in columns.items():
@@ -287,7 +279,7 @@ def _glb_bytes(columns: Mapping[str, NDArray[np.generic]], properties: Mapping[s
     primitive = {
         "attributes": {name: number for number, name in enumerate(columns)},
         "mode": 0,
-        "extensions": {EXTENSION: dict(properties)},
+        "extensions": {EXTENSION: _PROPERTIES},
     }
     document = {
         "asset": {"version": "2.0", "generator": "mi-splat"},

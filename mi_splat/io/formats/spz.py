@@ -53,8 +53,9 @@ _UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 def read_spz(file: io.FileIO, path: str) -> Loaded:
     """Read an SPZ file of version 2, 3 or 4."""
-    content = unpack_container(read_whole(file), path)
-    head, parts = content.header, content.sections
+    data = read_whole(file)
+    unpack_file = _unpack_zstandard if data.startswith(_MAGIC) else _unpack_gzip
+    head, parts, number = unpack_file(data, path)
     count, degree = head.count, min(head.degree, 3)
     sh = np.empty((count, (degree + 1) ** 2, 3), np.float32)
     sh[:, 0] = (parts["colours"].reshape(count, 3) / 255.0 - 0.5) / COLOUR_SCALE
@@ -68,7 +69,7 @@ def read_spz(file: io.FileIO, path: str) -> Loaded:
         parts["opacities"] / 255.0,
         sh,
     )
-    loaded = _in_ply_axes(loaded, content.axes or _RUB, path)
+    loaded = _in_ply_axes(loaded, number or _RUB, path)
     notices = (HIGHER_BANDS,) if head.degree > degree else ()
     return dataclasses.replace(loaded, is_antialiased=bool(head.flags & _ANTIALIASED), notices=notices)
 
@@ -105,7 +106,7 @@ def write_spz(arrays: Arrays, version: Literal[2, 3, 4] = 3, *, antialiased: boo
     }
     flags = _ANTIALIASED if antialiased else 0
     header = SpzHeader(version=version, count=len(values.means), degree=values.degree, bits=bits, flags=flags)
-    return Encoded(pack_container(SpzContent(header, sections, 0)), tuple(_losses(values, opacities, limit)))
+    return Encoded(_packed(header, sections), tuple(_losses(values, opacities, limit)))
 
 
 def _losses(values: Values, opacities: NDArray[np.uint8], limit: float) -> list[Loss]:
@@ -193,24 +194,13 @@ class SpzHeader:
         return {name: size * self.count for name, size in each.items()}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SpzContent:
-    """A decompressed file: its header, the bytes of its sections, and the number of its axes, 0 if it names none."""
-
-    header: SpzHeader
-    sections: dict[str, NDArray[np.uint8]]
-    axes: int
+_Content = tuple[SpzHeader, dict[str, NDArray[np.uint8]], int]
+"""The header of a file, the bytes of its sections, and the number of its axes, 0 if it names none."""
 
 
-def unpack_container(data: bytes, path: str) -> SpzContent:
-    """Decompress a file, never beyond the size that its number of Gaussians asks for."""
-    return _unpack_zstandard(data, path) if data.startswith(_MAGIC) else _unpack_gzip(data, path)
-
-
-def pack_container(content: SpzContent) -> bytes:
+def _packed(head: SpzHeader, sections: dict[str, NDArray[np.uint8]]) -> bytes:
     """The bytes of a file, the same ones each time."""
-    head = content.header
-    plain = {name: content.sections[name].tobytes() for name in head.sizes()}
+    plain = {name: sections[name].tobytes() for name in head.sizes()}
     if head.version < 4:
         start = _HEADER.pack(_MAGIC, head.version, head.count, head.degree, head.bits, head.flags, 0)
         return gzip.compress(start + b"".join(plain.values()), 6, mtime=0)
@@ -241,7 +231,7 @@ def _checked(fields: tuple[int, ...], versions: tuple[int, ...], size: int, path
     return head
 
 
-def _unpack_gzip(data: bytes, path: str) -> SpzContent:
+def _unpack_gzip(data: bytes, path: str) -> _Content:
     stream = zlib.decompressobj(16 + zlib.MAX_WBITS)
     try:
         start = stream.decompress(data, _HEADER.size)
@@ -259,10 +249,10 @@ def _unpack_gzip(data: bytes, path: str) -> SpzContent:
         raise _bad(path, f"{wanted} bytes for {head.count} Gaussians", got)
     if stream.unused_data or (rest and not head.flags & _EXTENDED):
         raise _bad(path, f"{wanted} bytes for {head.count} Gaussians", "more after them")
-    return SpzContent(head, _split(body, head), _axes(rest, path))
+    return head, _split(body, head), _axes(rest, path)
 
 
-def _unpack_zstandard(data: bytes, path: str) -> SpzContent:
+def _unpack_zstandard(data: bytes, path: str) -> _Content:
     """Version 4: a plain header, and one Zstandard frame for each section."""
     if len(data) < _LONG_HEADER.size:
         raise _bad(path, f"a header of {_LONG_HEADER.size} bytes", f"{len(data)} bytes")
@@ -286,7 +276,7 @@ def _unpack_zstandard(data: bytes, path: str) -> SpzContent:
     if begin != len(data):
         raise _bad(path, f"{begin} bytes", f"{len(data)}: something was appended")
     records = data[_LONG_HEADER.size : offset] if head.flags & _EXTENDED else b""
-    return SpzContent(head, _split(b"".join(parts), head), _axes(records, path))
+    return head, _split(b"".join(parts), head), _axes(records, path)
 
 
 def _frame(packed: bytes, size: int, path: str) -> bytes:
@@ -304,11 +294,9 @@ def _frame(packed: bytes, size: int, path: str) -> bytes:
 
 
 def _split(body: bytes, head: SpzHeader) -> dict[str, NDArray[np.uint8]]:
-    whole, offset, sections = np.frombuffer(body, np.uint8), 0, {}
-    for name, size in head.sizes().items():
-        sections[name] = whole[offset : offset + size]
-        offset += size
-    return sections
+    sizes = head.sizes()
+    parts = np.split(np.frombuffer(body, np.uint8), np.cumsum(list(sizes.values()))[:-1])
+    return dict(zip(sizes, parts, strict=True))
 
 
 def _axes(records: bytes, path: str) -> int:
