@@ -29,23 +29,14 @@ _BACKGROUND = (0.55, 0.7, 0.9)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seen:
-    """What one detector reports on one object along one path.
+    """What one detector reports on one object along one path."""
 
-    Attributes:
-        number: Of the object, from 1, the largest first.
-        path: `AROUND` or `OVER`.
-        detector: Name.
-        degrees: Degrees along the path.
-        labels: The class reported with most confidence at each place; None where there is none from `CONFIDENCE` on.
-        scores: Its confidence; 0 for none.
-    """
-
-    number: int
-    path: str
+    number: int  # of the object, from 1, the largest first
+    path: str  # `AROUND` or `OVER`
     detector: str
-    degrees: tuple[float, ...]
-    labels: tuple[str | None, ...]
-    scores: tuple[float, ...]
+    degrees: tuple[float, ...]  # along the path
+    labels: tuple[str | None, ...]  # the class with most confidence at each place; None below `CONFIDENCE`
+    scores: tuple[float, ...]  # its confidence; 0 for none
 
     @property
     def runs(self) -> list[str]:

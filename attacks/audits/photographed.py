@@ -29,16 +29,10 @@ VARIES = (f"{SET}/capture.json",)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhotographedConfig(Checked):
-    """How a scene is photographed.
+    """How a scene is photographed."""
 
-    Attributes:
-        cameras: Where from; they look at the point so high above the origin.
-        exposure: Standard deviation of the pictures' exposures, stops: sRGB is multiplied by 2 to the power of a number
-            that is drawn for each picture, over 2.2.
-    """
-
-    cameras: CameraConfig
-    exposure: Annotated[float, at_least(0, "stops")] = 0.0
+    cameras: CameraConfig  # they look at the point `height` above the origin
+    exposure: Annotated[float, at_least(0, "stops")] = 0.0  # standard deviation; sRGB is scaled by 2^(drawn / 2.2)
 
 
 def run(config: PhotographedConfig, inputs: Mapping[str, Path], out: Out) -> None:

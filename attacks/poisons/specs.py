@@ -29,27 +29,16 @@ Need = Literal["splat", "classifier", "scene"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Given:
-    """What an attacker has besides the pictures.
+    """What an attacker has besides the pictures."""
 
-    Attributes:
-        decoy: It starts as the splat of the set.
-        masks: Where the object is.
-        classifier: That is to be deceived.
-        label: The object's true class.
-        setup: The scene of a study.
-        appearances: Pictures of each attack's appearance, by the name of a job's input.
-        surrogates: What the attacker's own splats show a camera, in their order.
-        gain: How much of what they lack is added.
-    """
-
-    decoy: Decoy | None = None
-    masks: Masks | None = None
-    classifier: Classifier | None = None
-    label: str = ""
-    setup: Setup | None = None
-    appearances: Mapping[str, Path] = field(default_factory=dict)
-    surrogates: Sequence[Callable[[Camera], Tensor]] = ()
-    gain: float = 1.0
+    decoy: Decoy | None = None  # it starts as the splat of the set
+    masks: Masks | None = None  # where the object is
+    classifier: Classifier | None = None  # that is to be deceived
+    label: str = ""  # the object's true class
+    setup: Setup | None = None  # the scene of a study
+    appearances: Mapping[str, Path] = field(default_factory=dict)  # pictures of them, by the name of a job's input
+    surrogates: Sequence[Callable[[Camera], Tensor]] = ()  # what the attacker's own splats show a camera
+    gain: float = 1.0  # how much of what they lack is added
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -37,47 +37,29 @@ if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
 VARIES = (RECORD,)
-DEMO_DETECTORS = ("fasterrcnn_small",)
-"""What is attacked where nothing is said."""
 SPLAT, WHOLE_SPLAT, PICTURE = "object.ply", "attacked.ply", "detections.png"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attack:
-    """One attack.
+    """One attack."""
 
-    Attributes:
-        object: Id of the object.
-        objective: What the detectors shall see.
-        detectors: Names of those that are attacked at once.
-        fingerprints: Of the detectors whose weights are in no file.
-        packages: Which packages bring the optimiser and the renderers, with their versions; empty for this project.
-    """
-
-    object: str
-    objective: Relabel | Hide | Untargeted | PluggedObjective
-    detectors: tuple[str, ...] = DEMO_DETECTORS
-    fingerprints: tuple[str, ...] = ()
-    packages: tuple[str, ...] = ()
+    object: str  # id of the object
+    objective: Relabel | Hide | Untargeted | PluggedObjective  # what the detectors shall see
+    detectors: tuple[str, ...] = ("fasterrcnn_small",)  # attacked at once
+    fingerprints: tuple[str, ...] = ()  # of the detectors whose weights are in no file
+    packages: tuple[str, ...] = ()  # that bring the optimiser and the renderers; empty for this project
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixedAttack(Attack):
-    """An attack from some of the scene's cameras.
+    """An attack from some of the scene's cameras."""
 
-    Attributes:
-        attack: How to attack. Its seed also moves the cameras, see `attacks.studies.scenes.jittered`.
-        camera: Position of the first camera that is attacked, in the order of the scene file.
-        views: Number of the cameras that are attacked together, from that one on; 0 is all of them.
-        renderer: Whose pictures the attacker looks at; "" is the scene's own.
-        gradient: Whose gradient the attacker follows; "" is that of the pictures.
-    """
-
-    attack: DaggerConfig = field(default_factory=DaggerConfig)
-    camera: int = 0
-    views: int = 1
-    renderer: str = ""
-    gradient: str = ""
+    attack: DaggerConfig = field(default_factory=DaggerConfig)  # its seed also moves the cameras, see `jittered`
+    camera: int = 0  # position of the first camera that is attacked, in the order of the scene file
+    views: int = 1  # cameras that are attacked together, from that one on; 0 is all of them
+    renderer: str = ""  # whose pictures the attacker looks at; "" is the scene's own
+    gradient: str = ""  # whose gradient the attacker follows; "" is that of the pictures
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,23 +1,10 @@
 """Studies of `mi_splat.audit`: splats that hide something and honest ones, audited; how well the two are told apart.
 
-Each point is one of three:
-
-- a study of CLOAK with one attack: its clean splat is honest, and its cloaked one hides something if every detector
-  misses the object from half of the trigger's cameras, of those from which it finds it on the clean splat;
-- `capture`, a Mitsuba scene that is photographed and trained as that study says, and hides nothing;
-- `file`, a splat that is there, and hides nothing.
-
-    study = "audit"
-    base = "scenes/audit_base.toml"
-    chosen_on = ["car", "suitcase"]         # objects on which the method was chosen; the others are evidence
-
-    [[case]]
-    name = "overhead"
-    matrix = { "scene.object" = ["car", "elephant"] }
-
-    [[case]]
-    name = "shiny"
-    matrix = { capture = ["scenes/honest/mirror_ball.xml"] }
+Each point is one of three: a study of CLOAK with one attack, whose clean splat is honest, and whose cloaked one hides
+something if every detector misses the object from half of the trigger's cameras, of those from which it finds it on the
+clean splat; `capture`, a Mitsuba scene that is photographed and trained as that study says, and hides nothing; or
+`file`, a splat that is there, and hides nothing. Contents `chosen_on` which the method was made are no evidence. See
+scenes/studies/audit.toml.
 """
 
 import re

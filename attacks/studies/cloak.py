@@ -1,21 +1,7 @@
-"""Studies of CLOAK with one thing changed at a time: how much of the attack hangs on it, as tables.
+"""Studies of CLOAK with one thing changed at a time: how much of the attack depends on it, as tables.
 
 The settings of `study = "cloak"` are those of a file that `mi-splat cloak` reads; `base` names such a file, and what
-the study says comes in the place of what stands there. Every point is done with all of its seeds. An axis is a chart:
-
-    study = "cloak"
-    base = "scenes/cloak_car_stealthy.toml"
-
-    [[case]]
-    name = "cleaning"
-    [case.matrix]
-    cleaning = ["none", { name = "SH degree 1", cleaning = { sh_degree = 1 } }]
-    "attack.overhead.emphasis" = [1.0, 3.0]
-
-    [judge]
-    every = 4                           # each fourth held-out camera
-    [judge.matrix]
-    condition = ["tile", "ray", ".spz", "0.5 x distance"]
+the study says comes in the place of what stands there. Every point is done with all of its seeds. An axis is a chart.
 """
 
 import statistics
@@ -119,19 +105,12 @@ _PICTURES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CloakJudge:
-    """Who else looks at the splats of a point, and how.
+    """Who else looks at the splats of a point, and how."""
 
-    Attributes:
-        detector: Name of the one that looks; None is each of the study's.
-        condition: How, see `attacks.observe.conditions`.
-        every: Each so manieth of the held-out cameras is used.
-        sun: A street of meshes for conditions that are hours.
-    """
-
-    detector: str | None = None
-    condition: str = ""
-    every: Annotated[int, at_least(1, "cameras")] = 4
-    sun: SunTable | None = None
+    detector: str | None = None  # None is each of the study's
+    condition: str = ""  # see `attacks.observe.conditions`
+    every: Annotated[int, at_least(1, "cameras")] = 4  # each so manieth of the held-out cameras is used
+    sun: SunTable | None = None  # a street of meshes for conditions that are hours
 
     def __post_init__(self) -> None:
         check(self)

@@ -59,21 +59,12 @@ _STATED = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judge:
-    """Who looks at an attacked splat.
+    """Who looks at an attacked splat."""
 
-    Attributes:
-        detector: Name of the one that looks; None is each of those attacked.
-        condition: How the splat is looked at, see `attacks.observe.conditions`; "as attacked" is the attacker's own
-            renderer.
-        sun: A street of meshes for conditions that are hours.
-        views: Number of held-out views of a region, at most as many as have judged the attack. Fixed cameras are those
-            that were attacked.
-    """
-
-    detector: str | None = None
-    condition: str = AS_ATTACKED
-    sun: SunTable | None = None
-    views: int = 24
+    detector: str | None = None  # None is each of those attacked
+    condition: str = AS_ATTACKED  # see `attacks.observe.conditions`
+    sun: SunTable | None = None  # a street of meshes for conditions that are hours
+    views: int = 24  # held-out views of a region, at most as many as have judged the attack; fixed cameras stay
 
     def looks(self, scene: Path, attacked: Job) -> list[Job]:
         """A look by each detector at the splat of an attack."""

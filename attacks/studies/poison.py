@@ -1,23 +1,8 @@
 """Studies of attacks on training pictures: what a victim pays, sees, and can do about it.
 
 Every point takes pictures of a scene, poisons them, and trains a victim on both sets: the clean one is the control.
-With a defence both are trained once more: what a defence costs on clean pictures may be more than it saves.
-
-    study = "poison"
-    cameras = { size = 128 }
-    training = { iterations = 30000, max_gaussians = "none" }
-    poison = { kind = "poison-splat", steps = 12000 }
-    detectors = ["fasterrcnn_small"]
-
-    [matrix]
-    seed = [0, 1, 2]
-    "poison.eps" = [8, 16, 24]
-
-    [[case]]
-    name = "blur"
-    defence = { filter = { name = "blur" } }
-
-Every key is an attribute of `attacks.studies.poison.PoisonPoint`.
+With a defence both are trained once more: what a defence costs on clean pictures may be more than it saves. Settings
+are the fields of `PoisonPoint`; see scenes/studies/poison_splat.toml.
 """
 
 from __future__ import annotations
@@ -83,17 +68,11 @@ class Victim(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Defence(Checked):
-    """What a victim does who fears poison; one of these.
+    """What a victim does who fears poison; one of these."""
 
-    Attributes:
-        filter: All pictures are filtered before the training, and those that it is compared with are not.
-        limit: No more Gaussians than so many times those of the clean splat.
-        prune: Gaussians that are too fine for the cameras are taken out of the finished splat.
-    """
-
-    filter: FilterConfig | None = None
-    limit: Annotated[float, above(0, "times the clean splat's Gaussians")] | None = None
-    prune: FrequencyPruningConfig | None = None
+    filter: FilterConfig | None = None  # of all pictures before the training, not of those that it is compared with
+    limit: Annotated[float, above(0, "times the clean splat's Gaussians")] | None = None  # no more than so many
+    prune: FrequencyPruningConfig | None = None  # of Gaussians of the finished splat that are too fine for the cameras
 
     def __post_init__(self) -> None:
         check(self)
@@ -105,35 +84,20 @@ class Defence(Checked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoisonPoint:
-    """What a point asks for.
+    """What a point asks for."""
 
-    Attributes:
-        seed: Of the poison, and of both trainings.
-        scene: What is photographed.
-        cameras: Where from.
-        training: How the victim trains.
-        attacker: How the splat is trained that the attacker starts from; None is as the victim does.
-        victim: What it trains on, and can afford.
-        evaluation: Its `cameras` are those that no training used; of its `confidence` on, a detection counts.
-        poison: The attack; None leaves the set as it is.
-        defence: What the victim does against it; None is nothing.
-        deceive: Classifier that M-IFGSM deceives.
-        classifiers: Who says what the object is, in pictures and on splats.
-        detectors: Who looks for it there.
-    """
-
-    seed: Seed = 0
+    seed: Seed = 0  # of the poison, and of both trainings
     scene: SceneConfig = field(default_factory=SceneConfig)
     cameras: CameraConfig = field(default_factory=CameraConfig)
-    training: TrainingConfig = field(default_factory=TrainingConfig)
-    attacker: TrainingConfig | None = None
+    training: TrainingConfig = field(default_factory=TrainingConfig)  # of the victim
+    attacker: TrainingConfig | None = None  # of the splat that the attacker starts from; None is as the victim's
     victim: Victim = field(default_factory=Victim)
-    evaluation: EvaluationConfig = field(default_factory=lambda: EvaluationConfig(cameras=60))
-    poison: ChosenPoison | None = None
-    defence: Defence | None = None
-    deceive: str = ""
-    classifiers: tuple[str, ...] = ()
-    detectors: tuple[str, ...] = ()
+    evaluation: EvaluationConfig = field(default_factory=lambda: EvaluationConfig(cameras=60))  # held-out cameras
+    poison: ChosenPoison | None = None  # None leaves the set as it is
+    defence: Defence | None = None  # None is nothing
+    deceive: str = ""  # the classifier that M-IFGSM deceives
+    classifiers: tuple[str, ...] = ()  # that say what the object is, in pictures and on splats
+    detectors: tuple[str, ...] = ()  # that look for it there
 
     @property
     def study(self) -> StudyConfig:

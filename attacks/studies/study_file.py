@@ -1,32 +1,4 @@
-"""A study is one TOML file: settings, and what of them varies.
-
-    study = "dagger"                    # what is studied; the other settings are that kind's own
-    question = "Which ball suffices?"
-    target = "person"
-    attack = { steps = 11 }
-
-    [matrix]                            # every combination of these
-    seed = [0, 1, 2]
-    "attack.eps" = [2.0, 5.0]
-    pair = [{ name = "car", object = "car" }, { name = "sign", object = "stop_sign" }]  # several fields at once
-
-    [[case]]                            # parts of the study: settings, and axes, of their own
-    name = "linf"
-    attack = { norm = "linf" }
-    matrix = { "attack.eps" = [0.02, 0.05] }
-
-    [[ablation]]                        # one value at a time, the rest as it stands above
-    "attack.steps" = [5, 40]
-
-    [bisect]                            # the smallest value that suffices; also in a case
-    field = "attack.eps"
-    values = [1.0, 2.0, 3.0]
-
-    [judge.matrix]                      # who looks at what came out, and how
-    condition = ["ray", ".spz"]
-
-Light, without torch. What the settings mean, the kinds say (`KINDS`).
-"""
+"""A study is one TOML file: settings, and what of them varies (docs/studies.md); light, without torch."""
 
 from __future__ import annotations
 
@@ -60,42 +32,24 @@ Axes = Mapping[str, Mapping[Any, Settings]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Point:
-    """One combination of settings.
+    """One combination of settings."""
 
-    Attributes:
-        part: Name of the case or ablation that it belongs to; empty for none.
-        labels: Of every axis the label of its value.
-        settings: All settings.
-        bisected: The axis whose smallest value that suffices is looked for, the other labels being as here; empty for
-            none.
-    """
-
-    part: str = ""
-    labels: Mapping[str, Any]
-    settings: Settings
-    bisected: str = ""
+    part: str = ""  # the case or ablation that it belongs to; empty for none
+    labels: Mapping[str, Any]  # of every axis the label of its value
+    settings: Settings  # all of them
+    bisected: str = ""  # the axis whose smallest value that suffices is looked for; empty for none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
-    """What a file says.
+    """What a file says."""
 
-    Attributes:
-        name: Of the study, as of its file.
-        kind: Key of `KINDS`.
-        question: What is asked, one sentence; empty for none.
-        parts: What is done: every combination of settings, by the case or ablation; those of a bisection together, its
-            values rising.
-        judges: Every way to look at what came out; none if nobody looks.
-        text: The file.
-    """
-
-    name: str
-    kind: str
-    question: str = ""
-    parts: Mapping[str, Sequence[Point]]
-    judges: Sequence[Point] = ()
-    text: str = ""
+    name: str  # of the study, as of its file
+    kind: str  # key of `KINDS`
+    question: str = ""  # one sentence; empty for none
+    parts: Mapping[str, Sequence[Point]]  # by case or ablation; points of a bisection with rising values
+    judges: Sequence[Point] = ()  # every way to look at what came out; none if nobody looks
+    text: str = ""  # the file
 
     def of(self, names: Sequence[str]) -> Study:
         """The study with some of its parts alone; all if none is named."""
