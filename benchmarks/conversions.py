@@ -26,7 +26,7 @@ from attacks.detectors import load_detector
 from attacks.objectives import REPORTED, relabel
 from attacks.observe.drawing import annotated
 from attacks.observe.views import ViewDetections, detect_views, object_boxes
-from attacks.studies.scenes import jittered
+from attacks.studies.attack import jittered
 from mi_splat.io import load_splat
 from mi_splat.io.formats.detection import FORMATS
 from mi_splat.io.splat_files import write_splat_file

@@ -8,28 +8,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
 from attacks import tables
-from attacks.bench.suite import ALL_VIEWS, COLUMNS, HIDDEN, ONE_VIEW, TRANSFER, Suite, suite_digest
+from attacks.bench.suite import ALL_VIEWS, COLUMNS, HIDDEN, ONE_VIEW, TRANSFER, read_suite
 from attacks.observe.rates import REPORTED, Measure, blocks_of, count
-from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS, SUFFIX, frame_of, write_rows
+from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS
 from attacks.rate import Rate, pooled
 from attacks.tables import Table
-from mi_splat import provenance
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.documents import save_json, save_text
-from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import DocumentReader
 
 if TYPE_CHECKING:
-    from attacks.detectors.base import Detector
+    pass
 
-STORY, ROW, TABLE = "bench", "row.json", "row.md"
+STORY, ROW = "bench", "row.json"
 DEFENDED = "defended"
 """What rows call the condition with the defence."""
 LEAST = 10
@@ -40,57 +36,13 @@ KNOWS: Mapping[str, Mapping[str, Any]] = {
 """Of defences what an attacker who knows them does otherwise."""
 HEADS = {"one_view": "one view", "all_views": "all views", "cloak": "CLOAK", "transfer": "transfer"}
 """Columns in words."""
-NOT_IN_ROW = ("attacks", "command", "story")
+NOT_IN_ROW = ("attacks", "command", "name", "question", "story", "study")
 """What the record of a result has, and its row has not."""
 _KEYS = ["columns", "commit", "cpu_seconds", "defence", "detector", "missing", "score", "suite", "torch"]
 _KEYS += ["variant", "versions", "warnings"]
 READER = DocumentReader(expected="a row of mi-splat bench", do="pass what mi-splat bench has written", most=1 << 20)
 """Reads rows."""
 Record = Mapping[str, Any]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Asked:
-    """Who was asked what."""
-
-    suite: Suite  # the suite
-    detector: Detector  # who was asked
-    weights: str  # SHA-256 of the file of its weights; empty where no file has them
-    defence: str  # name of the defence; empty for none
-
-
-def write(
-    asked: Asked,
-    attacks: Record,
-    rows: Sequence[Mapping[str, Any]],
-    seconds: Mapping[str, float],
-    missing: Mapping[str, str],
-    out: Path,
-) -> list[Path]:
-    """Write rows.csv.xz, result.json, and the row as row.json and row.md into a folder that is there."""
-    suite, detector, table = asked.suite, asked.detector, frame_of(rows)
-    record: dict[str, Any] = {
-        "story": STORY,
-        "suite": {"name": suite.name, "digest": suite.digest, "secret": suite.secret},
-        "detector": {
-            "name": detector.name,
-            "fingerprint": detector.fingerprint,
-            "weights": asked.weights,
-            "classes": len(detector.classes),
-        },
-        "defence": asked.defence,
-        "missing": dict(missing),
-        "cpu_seconds": {**seconds, "all": round(sum(seconds.values()), 1)},
-        "attacks": attacks,
-        **provenance.origin(),
-    }
-    record |= figures(record, {ROWS: table})
-    paths = [out / name for name in (f"{ROWS}{SUFFIX}", RECORD, ROW, TABLE)]
-    write_rows(table, paths[0])
-    save_json(record, paths[1])
-    save_json(row_of(record), paths[2])
-    save_text(markdown([row_of(record)]), paths[3])
-    return paths
 
 
 def row_of(record: Record) -> dict[str, Any]:
@@ -102,9 +54,8 @@ def figures(record: Record, frames: Mapping[str, pl.DataFrame]) -> dict[str, Any
     """Every figure of a suite, of its rows."""
     attacks, rows = record["attacks"], frames[ROWS]
     columns = {name: _column(attacks, rows, name) for name in COLUMNS}
-    scored = [entry["robust"] for entry in columns.values() if entry["robust"] is not None]
-    whole = len(scored) == len(COLUMNS) and not record["missing"]
-    return {"columns": columns, "score": _score(scored) if whole else None, "warnings": warnings(columns)}
+    score = _score_of({"columns": columns, "missing": record["missing"]})
+    return {"columns": columns, "score": score, "warnings": warnings(columns)}
 
 
 def warnings(columns: Mapping[str, Record]) -> list[str]:
@@ -119,8 +70,11 @@ def warnings(columns: Mapping[str, Record]) -> list[str]:
     return told
 
 
-def _score(rates: Sequence[Record]) -> dict[str, Any]:
-    """The mean of the columns; its interval takes them for independent."""
+def _score_of(row: Record) -> dict[str, Any] | None:
+    """The mean of the columns, if none is missing; its interval takes them for independent."""
+    rates = [column["robust"] for column in row["columns"].values() if column["robust"] is not None]
+    if len(rates) < len(COLUMNS) or row["missing"]:
+        return None
     mean = sum(rate["rate"] for rate in rates) / len(rates)
     low, high = (
         math.sqrt(sum((rate["rate"] - rate["interval"][end]) ** 2 for rate in rates)) / len(rates) for end in (0, 1)
@@ -220,25 +174,10 @@ def check_row(path: Path) -> dict[str, Any]:
     """A row that somebody hands in: what can be checked without its raw rows."""
     row = READER.read_json(path)
     try:
-        suite, columns = row["suite"], row["columns"]
-        name = str(suite["name"]).removesuffix(HIDDEN)
-        _same(path, "keys", sorted(row), _KEYS)
-        _same(path, "columns", [*columns], [*COLUMNS])
-        _same(path, f"digest of the suite {name}", suite["digest"], suite_digest(name))
-        _same(path, "a secret", bool(suite["secret"]), str(suite["name"]).endswith(HIDDEN))
-        for column, told in columns.items():
-            for where, rate in _rates_in(told, column):
-                _same(path, where, rate["rate"], Rate.of(rate).as_dict()["rate"])
-            parts = [*told["by"].values()]
-            if told["robust"] is not None:
-                sums = [sum(part[key] for part in parts) for key in ("successes", "total")]
-                _same(path, f"{column}, its parts", sums, [told["robust"]["successes"], told["robust"]["total"]])
-            _same(path, f"{column}, judged", told["judged"], sum(part["total"] for part in parts))
-            _same(path, f"{column}, filled", told["robust"] is not None, told["judged"] >= LEAST)
-        filled = [told["robust"] for told in columns.values() if told["robust"] is not None]
-        whole = len(filled) == len(COLUMNS) and not row["missing"]
-        _same(path, "score", row["score"], _score(filled) if whole else None)
-        _same(path, "warnings", row["warnings"], warnings(columns))
+        for what, (got, expected) in _stated(row).items():
+            if got != expected:
+                do = "hand in row.json as mi-splat bench has written it"
+                raise InvalidValueError.of(f"{path}, {what}", str(expected), str(got), do)
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, InvalidValueError):
             raise
@@ -247,18 +186,32 @@ def check_row(path: Path) -> dict[str, Any]:
     return row
 
 
+def _stated(row: Record) -> dict[str, tuple[object, object]]:
+    """What a row states beside what follows from the rest of it."""
+    suite, columns = row["suite"], row["columns"]
+    name = str(suite["name"]).removesuffix(HIDDEN)
+    told: dict[str, tuple[object, object]] = {
+        "keys": (sorted(row), _KEYS),
+        "columns": ([*columns], [*COLUMNS]),
+        f"digest of the suite {name}": (suite["digest"], read_suite(name).digest),
+        "a secret": (bool(suite["secret"]), str(suite["name"]).endswith(HIDDEN)),
+    }
+    for column, counted in columns.items():
+        told |= {where: (rate["rate"], Rate.of(rate).as_dict()["rate"]) for where, rate in _rates_in(counted, column)}
+        parts, robust = pooled(counted["by"].values()), counted["robust"]
+        if robust is not None:
+            told[f"{column}, its parts"] = (robust["successes"], robust["total"]), (parts.successes, parts.total)
+        told[f"{column}, judged"] = counted["judged"], parts.total
+        told[f"{column}, filled"] = robust is not None, counted["judged"] >= LEAST
+    return told | {"score": (row["score"], _score_of(row)), "warnings": (row["warnings"], warnings(columns))}
+
+
 def _rates_in(value: Any, where: str) -> Iterator[tuple[str, Record]]:
     if isinstance(value, Mapping) and "interval" in value:
         yield where, value
     elif isinstance(value, Mapping):
         for key, part in value.items():
             yield from _rates_in(part, f"{where}, {key}")
-
-
-def _same(path: Path, what: str, got: object, expected: object) -> None:
-    if got != expected:
-        do = "hand in row.json as mi-splat bench has written it"
-        raise InvalidValueError.of(f"{path}, {what}", str(expected), str(got), do)
 
 
 def _score_words(score: Record | None) -> str:

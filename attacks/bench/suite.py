@@ -69,11 +69,6 @@ def read_suite(name: str, secret: Path | None = None) -> Suite:
     )
 
 
-def suite_digest(name: str) -> str:
-    """What stands for the files of a suite, which a hidden one shares."""
-    return read_suite(name).digest
-
-
 def _secret(path: Path) -> bytes:
     if not path.is_file() or len(path.read_bytes().strip()) < 8:
         raise InvalidValueError.of("secret", "a file of 8 characters or more", str(path), "write a long line into it")
@@ -105,7 +100,7 @@ def _scenes(table: Any) -> Iterator[str]:
 
 def _files_of(scenes: Mapping[str, Path]) -> dict[str, Path]:
     """The scene files and all that they name, by their names."""
-    from attacks.studies.scenes import scene_files
+    from attacks.studies.attack import scene_files
 
     return {path.name: path for scene in scenes.values() for path in scene_files(scene).values()}
 

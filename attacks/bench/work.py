@@ -9,19 +9,21 @@ from typing import Any
 
 import polars as pl
 
-from attacks.bench.row import DEFENDED, KNOWS, Asked, write
+from attacks.bench.row import DEFENDED, KNOWS, ROW, STORY, figures, markdown, row_of
 from attacks.bench.suite import ALL_VIEWS, CLOAK, COLUMNS, ONE_VIEW, TRANSFER, Suite
 from attacks.cloak.steps import Look, StudySteps
 from attacks.detectors.registry import detector_spec, load_detector, use_weights
 from attacks.observe.conditions import OWN, check_condition
-from attacks.observe.rows import DEPTH, ROWS
+from attacks.observe.rows import DEPTH, ROWS, frame_of
 from attacks.studies.cloak import CloakJudge, config_of
 from attacks.studies.dagger import DaggerWork
-from attacks.studies.running import Attempt, Work
+from attacks.studies.running import Attempt, Observed, Work
 from attacks.studies.study_file import Settings, Study, merged, study_of
 from mi_splat.errors import MiSplatError
 from mi_splat.fields import check_choice
-from mi_splat.io.documents import sha256
+from mi_splat.io.documents import save_json, sha256
+from mi_splat.io.folders import RECORD
+from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Done, Job
 from mi_splat.ledger.plans import Result
 
@@ -69,6 +71,8 @@ class BenchWork(Work[Entry]):
     Raises:
         MiSplatError: There is no such detector or defence, or a setting cannot be; before any job is done.
     """
+
+    story = STORY
 
     def __init__(
         self, suite: Suite, detector: str, weights: Path | None = None, defence: str = "", columns: Sequence[str] = ()
@@ -133,8 +137,8 @@ class BenchWork(Work[Entry]):
             made = {f"{title} / {label}": job for label, job in steps.made()}
             yield Entry.of(made, looks, title=title, point=point, column=CLOAK)
 
-    def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
-        """Write the row; attacks of which a job has failed are left out, and the column with them is told so."""
+    def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
+        """What attacks leave; those of which a job has failed are left out, and the column with them is told so."""
         jobs = self.jobs()
         done = {jobs[label].identity: result for label, result in results.items() if isinstance(result, Done)}
         rows, attacks = list[dict[str, Any]](), dict[str, Any]()
@@ -145,10 +149,35 @@ class BenchWork(Work[Entry]):
             rows += entry.rows(done)
             labels = {axis: label for axis, label in entry.point.labels.items() if axis != "seed"}
             attacks[entry.title] = {"column": entry.column, "labels": labels, "knows": entry.knows}
-        spec = detector_spec(self.detector.name)
-        weights = "" if spec.weights is None else sha256(spec.weights())
-        asked = Asked(suite=self.suite, detector=self.detector, weights=weights, defence=self.defence)
-        return write(asked, attacks, rows, self._seconds(done), self.missing, out)
+        suite, spec, seconds = self.suite, detector_spec(self.detector.name), self._seconds(done)
+        facts = {
+            "suite": {"name": suite.name, "digest": suite.digest, "secret": suite.secret},
+            "detector": {
+                "name": self.detector.name,
+                "fingerprint": self.detector.fingerprint,
+                "weights": "" if spec.weights is None else sha256(spec.weights()),
+                "classes": len(self.detector.classes),
+            },
+            "defence": self.defence,
+            "missing": self.missing,
+            "cpu_seconds": {**seconds, "all": round(sum(seconds.values()), 1)},
+            "attacks": attacks,
+        }
+        return facts, {ROWS: frame_of(rows)}, []
+
+    def with_figures(self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+        """A record with its columns and score."""
+        return record | figures(record, rows)
+
+    def page(self, record: Mapping[str, Any]) -> str:
+        """The row as a table."""
+        return markdown([row_of(record)])
+
+    def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
+        """Write the result, and what of it is the row."""
+        paths = super().write(results, out)
+        save_json(row_of(read_json(out / RECORD)), out / ROW)
+        return [*paths, out / ROW]
 
     def _seconds(self, done: Mapping[str, Done]) -> dict[str, float]:
         """CPU seconds of the jobs of each column, and of those that every detector shares."""

@@ -84,11 +84,11 @@ def run(options: BenchOptions) -> int:
 
 def _bench(options: BenchOptions) -> int:
     """Do the jobs of a suite, and write the row."""
-    from attacks.bench.row import ROW, TABLE
+    from attacks.bench.row import ROW
     from attacks.bench.suite import read_suite
     from attacks.bench.work import BenchWork
     from attacks.cli.study import follow
-    from attacks.studies.running import run_with
+    from attacks.studies.running import TABLE, run_with
     from mi_splat.io.folders import check_own_folder, own_folder
     from mi_splat.io.parsing import read_json
     from mi_splat.ledger.engines import InProcess, Processes

@@ -107,7 +107,7 @@ def _case(options: DaggerSanityOptions) -> tuple[Case, dict[str, Any]]:
     from attacks.cli.aims import chosen_object
     from attacks.dagger.sanity_runs import Case
     from attacks.objectives import relabel
-    from attacks.studies.scenes import jittered
+    from attacks.studies.attack import jittered
     from mi_splat.cli.cameras import choose
     from mi_splat.io.camera_records import describe
     from mi_splat.scene_files import open_scene

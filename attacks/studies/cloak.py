@@ -21,8 +21,8 @@ from attacks.cloak.tables import RULE, in_words, spread_of
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import OWN, SunTable
 from attacks.observe.rows import ROWS, by_camera
+from attacks.studies.attack import street_of
 from attacks.studies.running import Attempt, Observed, Work, check_apart, names_of
-from attacks.studies.scenes import street_of
 from attacks.studies.study_file import Point, Settings, Study, merged, with_none
 from attacks.tables import Column, Table, cell, number_at, sections
 from mi_splat.errors import InvalidValueError

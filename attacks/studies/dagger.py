@@ -26,11 +26,10 @@ from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.observe.conditions import OWN, SunTable, package_of
 from attacks.observe.rows import ROWS, column_of, frame_of
 from attacks.optimisers.registry import OPTIMISERS
-from attacks.studies.attack import SPLAT, WHOLE_SPLAT, DrawnAttack, FixedAttack
+from attacks.studies.attack import SPLAT, WHOLE_SPLAT, DrawnAttack, FixedAttack, check_scene, scene_files, street_of
 from attacks.studies.look import Look
 from attacks.studies.result import figures, markdown, shared_apart
 from attacks.studies.running import Attempt, Observed, Work, check_apart
-from attacks.studies.scenes import check_scene, scene_files, street_of
 from attacks.studies.study_file import Point, Settings, Study, label_of, with_none
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import FieldError, check_choice, decode

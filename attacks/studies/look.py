@@ -19,8 +19,7 @@ from attacks.observe.conditions import OWN, Condition, SunTable, Viewing, condit
 from attacks.observe.look import look, report_cells, seen_from, verdict_cells
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE
 from attacks.observe.views import ViewDetections
-from attacks.studies.attack import distribution
-from attacks.studies.scenes import AttackScene, attack_scene, detectors_of
+from attacks.studies.attack import AttackScene, attack_scene, detectors_of, distribution
 from attacks.transformations.config import Transformations
 from attacks.transformations.draws import PictureChange, changing
 from mi_splat.attributes import ATTRIBUTES, Attribute

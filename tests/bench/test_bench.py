@@ -117,7 +117,7 @@ def test_a_row_counts_what_is_still_named(out: Path) -> None:
         "noise": {"rate": None, "successes": 0, "total": 0, "interval": [0.0, 1.0]},
     }
     assert row["score"] is None
-    text = (out / "row.md").read_text()
+    text = (out / "table.md").read_text()
     assert "| - | fake_colour | - |" in text
     assert "cannot judge (6 views)" in text
     assert set(row["cpu_seconds"]) == {"one_view", "all_views", "transfer", "shared", "all"}
@@ -203,7 +203,7 @@ def test_a_row_is_counted_again_without_attacks(
 
 
 def test_a_changed_folder_is_refused(out: Path, suite: Path, tmp_path: Path) -> None:
-    for name in ("rows.csv.xz", "result.json", "row.json", "row.md"):
+    for name in ("rows.csv.xz", "result.json", "row.json", "table.md"):
         (tmp_path / name).write_bytes((out / name).read_bytes())
     row = read(tmp_path / "row.json")
     row["columns"]["one_view"]["robust"] |= {"successes": 12, "rate": 1.0}

@@ -54,7 +54,7 @@ from pathlib import Path
 from attacks.dagger.config import DaggerConfig
 from attacks.objectives import Relabel
 from attacks.studies import attack
-from attacks.studies.scenes import scene_files
+from attacks.studies.attack import scene_files
 from mi_splat.import_closure import closure
 from mi_splat.ledger.job import Out
 

@@ -10,9 +10,8 @@ import torch
 from torch import Tensor
 
 from attacks.observe.conditions import SunTable, Viewing, condition_of
-from attacks.studies.attack import with_gradient_of
+from attacks.studies.attack import AttackScene, attack_scene, jittered, with_gradient_of
 from attacks.studies.look import clean_and_attacked
-from attacks.studies.scenes import AttackScene, attack_scene, jittered
 from mi_splat.cameras import Camera, project_points
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer
