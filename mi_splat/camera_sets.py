@@ -42,15 +42,9 @@ def orbit(
     start: float = 0.0,
 ) -> CameraList:
     """`count` cameras at equal azimuths around `target`, the first at azimuth `start`."""
-    return CameraList(
-        Camera(
-            to_world=orbit_pose(target, azimuth=start + 360.0 * i / count, elevation=elevation, distance=distance),
-            focal=focal,
-            width=size[0],
-            height=size[1],
-        )
-        for i in range(count)
-    )
+    azimuths = (start + 360.0 * i / count for i in range(count))
+    poses = (orbit_pose(target, azimuth=azimuth, elevation=elevation, distance=distance) for azimuth in azimuths)
+    return CameraList(Camera(to_world=pose, focal=focal, width=size[0], height=size[1]) for pose in poses)
 
 
 def hemisphere(
@@ -85,10 +79,9 @@ def hemisphere(
     low, high = (math.sin(math.radians(e)) for e in elevation)
     cameras = CameraList()
     for i in range(count):
-        height = low + (high - low) * (i + offset) / count
-        pose = orbit_pose(
-            target, azimuth=(start + i * _GOLDEN) % 360.0, elevation=math.degrees(math.asin(height)), distance=distance
-        )
+        azimuth = (start + i * _GOLDEN) % 360.0
+        angle = math.degrees(math.asin(low + (high - low) * (i + offset) / count))
+        pose = orbit_pose(target, azimuth=azimuth, elevation=angle, distance=distance)
         cameras.append(Camera(to_world=pose, focal=focal, width=size[0], height=size[1]))
     return cameras
 
@@ -110,23 +103,13 @@ def tiers(
     Multiples of the distance follow the additive recurrence of sqrt(2), so that they are spread evenly over the range
     whichever way the cameras are cut: near and far ones stand at all azimuths and elevations.
     """
+    lens: dict[str, Any] = {"distance": distance, "focal": focal, "size": size}
     if elevations:
-        shares = [count // len(elevations) + (ring < count % len(elevations)) for ring in range(len(elevations))]
-        cameras = [
-            camera
-            for ring, (share, elevation) in enumerate(zip(shares, elevations, strict=True))
-            for camera in orbit(
-                target,
-                count=share,
-                elevation=elevation,
-                distance=distance,
-                focal=focal,
-                size=size,
-                start=start + ring * _GOLDEN,
-            )
-        ]
+        cameras = CameraList()
+        for ring, elevation in enumerate(elevations):
+            share = count // len(elevations) + (ring < count % len(elevations))
+            cameras += orbit(target, count=share, elevation=elevation, start=start + ring * _GOLDEN, **lens)
     else:
-        lens: dict[str, Any] = {"distance": distance, "focal": focal, "size": size}
         cameras = hemisphere(target, count=count, start=start, offset=offset, **lens)
     low, high = distances
     if low == high == 1.0:
@@ -158,12 +141,11 @@ def grid(
     The range of elevations is cut into equal parts with a row of cameras in the middle of each, so none is at a pole.
     """
     low, high = elevation
-    rows = [low + (high - low) * (row + 0.5) / elevations for row in range(elevations)]
-    return [
-        camera
-        for row in rows
-        for camera in orbit(target, count=azimuths, elevation=row, distance=distance, focal=focal, size=size)
-    ]
+    cameras = CameraList()
+    for row in range(elevations):
+        middle = low + (high - low) * (row + 0.5) / elevations
+        cameras += orbit(target, count=azimuths, elevation=middle, distance=distance, focal=focal, size=size)
+    return cameras
 
 
 def framing(radius: float, *, fov: float, size: tuple[int, int]) -> tuple[float, float]:

@@ -56,14 +56,10 @@ class Range:
     @property
     def bounds(self) -> str:
         """The numbers in signs: ">= 1" or "in (0, 1]"; empty for all."""
-        low, high = (f"{bound:.0f}" if bound == round(bound, 0) else f"{bound:g}" for bound in self._finite_bounds)
+        low, high = (f"{bound:.0f}" if float(bound).is_integer() else f"{bound:g}" for bound in (self.low, self.high))
         if math.isinf(self.high):
             return "" if math.isinf(self.low) else f"{'>' if self.open_low else '>='} {low}"
         return f"in {'(' if self.open_low else '['}{low}, {high}{')' if self.open_high else ']'}"
-
-    @property
-    def _finite_bounds(self) -> tuple[float, float]:
-        return (0.0 if math.isinf(self.low) else self.low, 0.0 if math.isinf(self.high) else self.high)
 
     def __str__(self) -> str:
         text = f"a number {self.bounds}".strip()
@@ -131,8 +127,7 @@ def named_path(name: str | os.PathLike[str]) -> Path:
 def check(config: object) -> None:
     """Raise unless every field of a configuration is of the type and in the range that it says.
 
-    Called in `__post_init__`. Values of NumPy become Python's, and lists tuples, so that the configuration can be
-    compared, and written as JSON; one value stands for a tuple of it. Types that are not known here are left alone.
+    Values of NumPy become Python's, and lists tuples; one value stands for a tuple of it. Other types are left alone.
     """
     hints = type_hints(type(config))
     for field in dataclasses.fields(config):  # type: ignore[arg-type]  # a dataclass, as said above

@@ -10,12 +10,19 @@ import copy
 import math
 from typing import Any
 
+import mitsuba as mi
 import torch
 from torch import Tensor
 
 from mi_splat import variant
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
+from mi_splat.rasterization import layouts
+from mi_splat.rasterization.colour_steps import gradient_of, picture_of
+from mi_splat.rasterization.frozen import aligned
+from mi_splat.rasterization.pinhole import Pinhole
+from mi_splat.rasterization.pipeline import rasterize
+from mi_splat.rasterization.weights import HIDDEN_DC, freeze_pairs
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, check_rows, check_scene
 from mi_splat.sh import degree_of
@@ -37,16 +44,7 @@ class FrozenView:
         settings: How to render; the method has to be "tile".
         rows: The Gaussians whose colours may change, as a (N,) bool mask, (M,) integer indices, each once, or a slice;
             all if None. The others are a constant picture, and tiles without any of `rows` are never computed again.
-        max_bytes: Upper bound of `nbytes`, checked before that memory is taken. Making a view takes, besides, what one
-            picture of a `Renderer` takes.
-
-    Attributes:
-        rows: (M,) indices of the free Gaussians, in the order in which a call takes their SH.
-        nbytes: Memory in bytes that the view keeps and a step with its gradient takes; `sh` and its gradient apart.
-
-    Raises:
-        InvalidValueError: A value is none of the above, or not on the device of the variant.
-        MiSplatError: `nbytes` would be above `max_bytes`.
+        max_bytes: Upper bound of `nbytes`, what the view keeps and a step takes; checked before memory is taken.
     """
 
     def __init__(
@@ -134,14 +132,6 @@ class FrozenView:
 
     def _freeze(self, max_bytes: int, held: int) -> tuple[Any, Tensor, Tensor, int]:
         """The weights (None where nothing free is visible), the constant part of the picture, its alpha, `nbytes`."""
-        import mitsuba as mi
-
-        from mi_splat.rasterization import layouts
-        from mi_splat.rasterization.frozen import aligned
-        from mi_splat.rasterization.pinhole import Pinhole
-        from mi_splat.rasterization.pipeline import rasterize
-        from mi_splat.rasterization.weights import HIDDEN_DC, freeze_pairs
-
         others = self._kept[4]
         sh = others.new_zeros(len(self._kept[0]), *others.shape[1:])
         sh[self._fixed] = others
@@ -171,10 +161,6 @@ class _Step(torch.autograd.Function):
         ctx.view, ctx.shape = view, sh.shape
         if view._pairs is None:
             return view._constant.clone()
-        import mitsuba as mi
-
-        from mi_splat.rasterization.colour_steps import picture_of
-
         picture, ctx.colours = picture_of(view._pairs, sh.shape[1], mi.Float(sh.detach().flatten()))
         made: Tensor = picture.torch()
         return made.reshape(view._shape)
@@ -185,10 +171,6 @@ class _Step(torch.autograd.Function):
         view = ctx.view
         if view._pairs is None:
             return grad.new_zeros(ctx.shape), None
-        import mitsuba as mi
-
-        from mi_splat.rasterization.colour_steps import gradient_of
-
         _make_current(view.variant)
         grad_colours = gradient_of(view._pairs, ctx.shape[1], ctx.colours, mi.Float(grad.detach().flatten()))
         return grad_colours.torch().reshape(ctx.shape), None
@@ -196,8 +178,6 @@ class _Step(torch.autograd.Function):
 
 def _make_current(name: str) -> None:
     """`variant.use`, without its look at the disk where there is nothing to do."""
-    import mitsuba as mi
-
     if mi.variant() != name:
         variant.use(name)
 
@@ -219,11 +199,8 @@ def _indices(rows: Tensor | slice | None, count: int) -> Tensor:
 
 def _same_camera(first: object, second: Camera) -> bool:
     """Whether two cameras make the same picture."""
-    from mi_splat.rasterization.pinhole import Pinhole
-
-    return isinstance(first, Camera) and (
-        Pinhole(camera=first, near=1.0).key() == Pinhole(camera=second, near=1.0).key()
-    )
+    keys = [Pinhole(camera=camera, near=1.0).key() for camera in (first, second) if isinstance(camera, Camera)]
+    return len(keys) == 2 and keys[0] == keys[1]
 
 
 def _linear(value: Tensor) -> Tensor:

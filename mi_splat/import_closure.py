@@ -64,16 +64,11 @@ def _file(name: str) -> Path | None:
 class _Module:
     """What is kept of a module's text, which is large as a tree."""
 
-    code: str
-    """Stands for the code."""
-    modules: tuple[str, ...]
-    """What `import` names."""
-    names: tuple[tuple[str, str], ...]
-    """Module and name of each `from module import name`."""
-    texts: tuple[str, ...]
-    """Strings that may name a module."""
-    tables: tuple[tuple[str, tuple[object, ...]], ...]
-    """The entries of dictionaries that name modules, and what each of them has."""
+    code: str  # a digest
+    modules: tuple[str, ...]  # what `import` names
+    names: tuple[tuple[str, str], ...]  # module and name of each `from module import name`
+    texts: tuple[str, ...]  # strings that may name a module
+    tables: tuple[tuple[str, tuple[object, ...]], ...]  # dictionaries that name modules, and what each of these has
 
 
 @functools.cache

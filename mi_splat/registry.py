@@ -27,14 +27,8 @@ _OURS = "mi_splat."
 class Registry(Mapping[str, _Value]):
     """Values of one kind by their names: first the project's own and those registered, then those of other packages.
 
-    A name of the first two is never taken by another package.
-
-    Args:
-        group: Of entry points, for instance "mi_splat.detectors".
-        expected: What a value is, in words, for errors.
-        fits: Whether something is such a value.
-        what: What one is called in errors about its name.
-        error: Raised for a name that is taken, and for a package that is broken.
+    A name of the first two is never taken by another package. `expected` and `what` are the words of errors for a value
+    and for its name, `fits` tells whether something is such a value.
     """
 
     def __init__(

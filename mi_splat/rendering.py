@@ -12,43 +12,47 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from mi_splat import variant
+from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera, as_cameras
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.documents import save_bytes
+from mi_splat.rasterization import layouts
+from mi_splat.rasterization.colour import develop, develop_backward
+from mi_splat.rasterization.frozen import aligned, buffer
+from mi_splat.rasterization.picture import Picture
+from mi_splat.rasterization.pinhole import Pinhole
+from mi_splat.rasterization.pipeline import rasterize, rasterize_backward
 from mi_splat.rasterization.settings import Method, RenderSettings
+from mi_splat.raytracing.picture import RayPicture, raytrace, raytrace_backward
+from mi_splat.raytracing.splats import prepare
 from mi_splat.scene import GaussianScene, check_scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SideOutputs:
-    """A picture with opacity and depths; w_i = alpha_i T_i is the weight of Gaussian i at a pixel.
+    """A picture with opacity and depths; w_i = alpha_i T_i is the weight of Gaussian i, z_i its mean's depth.
 
-    Attributes:
-        image: (H, W, 3) as `Renderer.__call__` gives it, to the bit.
-        alpha: (H, W) opacity, the sum of w_i.
-        depth: (H, W) expected depth sum(w_i z_i) / sum(w_i), z_i the camera-space depth of the mean, world units. It is
-            0, with a gradient of 0, where alpha is 0.
-        median_depth: (H, W) depth of the Gaussian at which the transmittance falls to one half or below, world units; 0
-            where none does (alpha < 0.5). A step function of the scene: it is a constant to autograd.
+    The median depth is that of the Gaussian at which the transmittance falls to one half or below. It is a step
+    function of the scene, and a constant to autograd. Depths are in world units, and 0 where there is none.
     """
 
-    image: Tensor
-    alpha: Tensor
-    depth: Tensor
-    median_depth: Tensor
+    image: Tensor  # (H, W, 3) as `Renderer.__call__` gives it, to the bit
+    alpha: Tensor  # (H, W) opacity, the sum of w_i
+    depth: Tensor  # (H, W) expected depth sum(w_i z_i) / sum(w_i)
+    median_depth: Tensor  # (H, W)
 
 
 def save_floats(channels: Mapping[str, NDArray[np.float32]], path: Path) -> None:
     """Write (H, W) channels by their names as OpenEXR with 32-bit floats, without loss."""
     variant.use()
-    import mitsuba as mi
-
     stream, planes = mi.MemoryStream(), np.stack(list(channels.values()), -1)
     mi.Bitmap(planes, mi.Bitmap.PixelFormat.MultiChannel, list(channels)).write(stream, mi.Bitmap.FileFormat.OpenEXR)
     save_bytes(bytes(stream.raw_buffer()), path)
@@ -199,39 +203,24 @@ def _own(error: BaseException | None) -> MiSplatError | None:
 def _one_camera(camera: Camera) -> Camera:
     """The camera, if it is one."""
     if not isinstance(camera, Camera):
-        got = f"{type(camera).__name__}"
-        raise InvalidValueError.of("camera", "one Camera", got, "call batch(scene, cameras) for several")
+        do = "call batch(scene, cameras) for several"
+        raise InvalidValueError.of("camera", "one Camera", type(camera).__name__, do)
     return camera
 
 
 @functools.cache
 def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
     """The one crossing from torch to Dr.Jit and back, for one variant."""
-    import drjit as dr
-    import mitsuba as mi
-
-    from mi_splat.rasterization import layouts
-    from mi_splat.rasterization.colour import develop, develop_backward
-    from mi_splat.rasterization.frozen import aligned, buffer
-    from mi_splat.rasterization.picture import Picture
-    from mi_splat.rasterization.pinhole import Pinhole
-    from mi_splat.rasterization.pipeline import rasterize, rasterize_backward
-    from mi_splat.raytracing.picture import RayPicture, raytrace, raytrace_backward
-    from mi_splat.raytracing.splats import prepare
 
     def make_pictures(arrays: tuple[Any, ...], job: _Job) -> list[Picture | RayPicture]:
-        settings = job.settings
-        cameras = [
-            Pinhole(camera=camera, near=settings.near, antialiased=settings.antialiased) for camera in job.cameras
-        ]
+        settings, depths = job.settings, job.side_outputs
+        near, filtered, behind = settings.near, settings.antialiased, settings.background
+        cameras = [Pinhole(camera=camera, near=near, antialiased=filtered) for camera in job.cameras]
         if settings.method == "tile":
-            depths = job.side_outputs
-            return [
-                rasterize(layouts.TENSORS, arrays, camera, settings.background, depths=depths) for camera in cameras
-            ]
+            return [rasterize(layouts.TENSORS, arrays, camera, behind, depths=depths) for camera in cameras]
         layouts.check_finite(layouts.TENSORS, arrays)
         splats = prepare(layouts.TENSORS, arrays)
-        return [raytrace(splats, camera, settings.background, to_mean=settings.colour_to_mean) for camera in cameras]
+        return [raytrace(splats, camera, behind, to_mean=settings.colour_to_mean) for camera in cameras]
 
     class Render(dr.CustomOp):  # type: ignore[misc]
         """A renderer as one node of Dr.Jit's AD graph."""
@@ -247,7 +236,8 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
             results = []
             for camera, picture in zip(job.cameras, self.pictures, strict=True):
                 size = camera.width, camera.height
-                results.append(develop(picture, size, alpha=job.alpha, linear=job.settings.linear))
+                opacity = picture.opacity if job.alpha else None
+                results.append(develop(picture.colour, opacity, size, linear=job.settings.linear))
                 if isinstance(picture, Picture):
                     results += [mi.TensorXf(depth, size[::-1]) for depth in picture.depths[:2]]
             return results
@@ -261,7 +251,7 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
                 screen_gradients._begin(count, variant.device_of(name))
             for number, (camera, picture) in enumerate(zip(job.cameras, self.pictures, strict=True)):
                 grad_image, *grad_depths = outputs[number * outputs_of_each :][:outputs_of_each]
-                grad_picture = develop_backward(picture, grad_image, alpha=job.alpha, linear=job.settings.linear)
+                grad_picture = develop_backward(picture.colour, grad_image, alpha=job.alpha, linear=job.settings.linear)
                 grad_picture += tuple(mi.Float(dr.detach(grad.array)) for grad in grad_depths[:1])  # not the median's
                 screen = None if screen_gradients is None else buffer(3 * count, value=0.0)
                 if isinstance(picture, RayPicture):
@@ -273,9 +263,8 @@ def _bridge(name: str) -> Callable[..., tuple[Tensor, ...]]:
                 if screen_gradients is not None and screen is not None:
                     screen_gradients._add(screen.torch().reshape(-1, 3), camera)
                 totals = list(gradients) if totals is None else [a + b for a, b in zip(totals, gradients, strict=True)]
-            names = ("means", "scales", "rotations", "opacities", "sh")
             totals = totals or [dr.zeros(mi.Float, math.prod(shape)) for shape in self.shapes]
-            for key, shape, total in zip(names, self.shapes, totals, strict=True):
+            for key, shape, total in zip(ATTRIBUTES, self.shapes, totals, strict=True):
                 self.set_grad_in(key, mi.TensorXf(total, shape))
 
         def forward(self) -> None:

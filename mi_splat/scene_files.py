@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 from xml.etree import ElementTree
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -202,8 +203,13 @@ def write_scene(loaded: SplatScene, scene: GaussianScene, path: Path) -> list[Pa
     if len(scene) != len(loaded.scene):
         do = "pass the scene whose parts these are"
         raise InvalidValueError.of("scene", f"{len(loaded.scene):,} Gaussians", f"{len(scene):,}", do)
+    from mi_splat.plugins.sensor import mitsuba_pose, sensor_dict
+
     root = ElementTree.Element("scene", version="3.0.0")
-    _integrator(root, loaded.settings)
+    settings = loaded.settings
+    names = ["near", "background"] if settings.method == "tile" else ["background", "colour_to_mean", "linear"]
+    given = {name: getattr(settings, name) for name in [*names, *(["antialiased"] if settings.antialiased else [])]}
+    _element(root, "integrator", {"type": f"splat_{settings.method}", **given})
     files: list[Path] = []
     for name, rows in loaded.objects.items():
         file = path.with_name(f"{path.stem}_{file_name(name)}.ply")
@@ -214,40 +220,27 @@ def write_scene(loaded: SplatScene, scene: GaussianScene, path: Path) -> list[Pa
         ElementTree.SubElement(shape, "string", name="filename", value=file.name)
         files.append(file)
     for name, camera in loaded.cameras.items():
-        _sensor(root, name, camera)
+        sensor = {**sensor_dict(camera, f"camera {name}"), "to_world": mitsuba_pose(camera)}
+        _element(root, "sensor", sensor, id=name)
     ElementTree.indent(root, "    ")
     save_text(ElementTree.tostring(root, encoding="unicode") + "\n", path)
     return [*files, path]
 
 
-def _integrator(root: ElementTree.Element, settings: RenderSettings) -> None:
-    integrator = ElementTree.SubElement(root, "integrator", type=f"splat_{settings.method}")
-    if settings.method == "tile":
-        ElementTree.SubElement(integrator, "float", name="near", value=repr(settings.near))
-    ElementTree.SubElement(integrator, "rgb", name="background", value=", ".join(map(repr, settings.background)))
-    if settings.method == "ray":
-        for name in ("colour_to_mean", "linear"):
-            value = str(getattr(settings, name)).lower()
-            ElementTree.SubElement(integrator, "boolean", name=name, value=value)
-    if settings.antialiased:
-        ElementTree.SubElement(integrator, "boolean", name="antialiased", value="true")
-
-
-def _sensor(root: ElementTree.Element, name: str, camera: Camera) -> None:
-    """A perspective sensor that takes a camera's picture."""
-    from mi_splat.plugins.sensor import mitsuba_pose, perspective
-
-    sensor = ElementTree.SubElement(root, "sensor", type="perspective", id=name)
-    for key, value in perspective(camera, f"camera {name}").items():
-        kind, text = ("string", value) if isinstance(value, str) else ("float", repr(value))
-        ElementTree.SubElement(sensor, kind, name=key, value=text)
-    transform = ElementTree.SubElement(sensor, "transform", name="to_world")
-    pose = mitsuba_pose(camera).ravel().tolist()
-    ElementTree.SubElement(transform, "matrix", value=" ".join(map(repr, pose)))
-    film = ElementTree.SubElement(sensor, "film", type="hdrfilm")
-    for key, size in (("width", camera.width), ("height", camera.height)):
-        ElementTree.SubElement(film, "integer", name=key, value=str(size))
-    ElementTree.SubElement(film, "rfilter", type="box")
+def _element(parent: ElementTree.Element, tag: str, values: dict[str, Any], **attributes: str) -> None:
+    """What `mi.load_dict` takes, as XML; matrices of NumPy are transforms."""
+    node = ElementTree.SubElement(parent, tag, {"type": values["type"], **attributes})
+    kinds = {bool: "boolean", int: "integer", float: "float", str: "string", tuple: "rgb"}
+    for name, value in values.items():
+        if isinstance(value, dict):
+            _element(node, name, value)
+        elif isinstance(value, np.ndarray):
+            transform = ElementTree.SubElement(node, "transform", name=name)
+            ElementTree.SubElement(transform, "matrix", value=" ".join(map(repr, value.ravel().tolist())))
+        elif name != "type":
+            text = ", ".join(map(repr, value)) if isinstance(value, tuple) else str(value)
+            text = text.lower() if isinstance(value, bool) else text
+            ElementTree.SubElement(node, kinds[type(value)], name=name, value=text)
 
 
 SPLATS = ("gaussians", "ellipsoids")
@@ -267,20 +260,9 @@ def holds_surfaces(path: Path) -> bool:
 
 
 class MixedScene:
-    """A Mitsuba scene of splats among surfaces; a `RenderFn` whose pictures have no gradient.
+    """A Mitsuba scene of splats among surfaces, with the integrator `splat_ray`; its pictures have no gradient.
 
-    Args:
-        path: An XML scene with the integrator `splat_ray`.
-        samples: A pixel.
-        seed: Of the samples.
-        linear: Whether pictures have linear values, without an upper limit.
-        parameters: Take the place of the file's default values, for instance `sun_z=0.25`.
-
-    Attributes:
-        splats: Its Gaussians, objects and cameras.
-
-    Raises:
-        MiSplatError: The file cannot be read, holds no splat or no sensor, or has another integrator.
+    `parameters` take the place of the file's default values, for instance `sun_z=0.25`.
     """
 
     def __init__(

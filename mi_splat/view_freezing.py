@@ -14,9 +14,7 @@ from mi_splat.scene import GaussianScene
 if TYPE_CHECKING:
     from mi_splat.frozen_view import FrozenView
 
-MAX_BYTES = 2 << 30
-"""What all views of one call of `freeze_views` may take together where nothing else is said."""
-
+MAX_BYTES = 2 << 30  # of all views together
 MIN_PICTURES = 3
 """Pictures with a gradient from one camera from which a view pays, even where everything is free: making it takes about
 as long as one by a `Renderer`."""
@@ -52,12 +50,6 @@ class RecentViews:
     """Views of one scene from cameras that come as they like: made when they are asked for, the last ones kept.
 
     A picture of a camera has the same bits whether its view was kept or is made again.
-
-    Args:
-        scene: The splat.
-        render: As in `freeze_views`.
-        rows: As in `freeze_views`.
-        max_bytes: Upper bound of the memory of all that are kept.
     """
 
     def __init__(

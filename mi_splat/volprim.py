@@ -26,13 +26,7 @@ class Volprim:
     """Renders splats with `volprim_rf_basic`; a `RenderFn`, differentiable in the five tensors of the scene.
 
     Its derivatives hold for colours and opacities. Those of means, scales and rotations are wrong where Gaussians
-    overlap: 1 to 50 % off finite differences.
-
-    Args:
-        settings: Near plane and variant. Rays begin at the near plane, so what they enter before is not met.
-
-    Raises:
-        InvalidValueError: The background is not black, or an alpha channel or linear values are asked for.
+    overlap: 1 to 50 % off finite differences. Rays begin at the near plane, so what they enter before is not met.
     """
 
     def __init__(self, settings: RenderSettings | None = None) -> None:

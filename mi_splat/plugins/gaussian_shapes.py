@@ -15,20 +15,9 @@ _KEYS = ("data", "opacities", "sh_coeffs")
 
 
 class GaussianShapes:
-    """The `gaussians` shapes of a scene, in file order.
+    """The `gaussians` shapes of a scene, in file order: `data`, `opacities` and `sh_coeffs` as `mi.traverse` has them.
 
-    Args:
-        scene: A Mitsuba scene.
-        among: What else it may hold: "nothing", or "surfaces" that a path tracer knows.
-
-    Attributes:
-        arrays: `data`, `opacities` and `sh_coeffs` of each shape, as `mi.traverse` shows them.
-        degrees: SH degree of each shape.
-        names: Id of each shape.
-        others: All other shapes.
-
-    Raises:
-        InvalidValueError: The scene holds shapes that it may not hold, or a shape's SH are not of degree 0 to 3.
+    `among` says what else the scene may hold: "nothing", or "surfaces" that a path tracer knows, which are `others`.
     """
 
     def __init__(self, scene: Any, *, among: Literal["nothing", "surfaces"] = "nothing") -> None:
@@ -40,18 +29,14 @@ class GaussianShapes:
         self.degrees = [math.isqrt(len(sh) // (3 * len(opacities))) - 1 for _, opacities, sh in self.arrays]
         for shape, (_, opacities, sh), degree in zip(shapes, self.arrays, self.degrees, strict=True):
             if len(sh) != 3 * (degree + 1) ** 2 * len(opacities) or not 0 <= degree <= 3:
-                raise InvalidValueError.of(
-                    f"{shape.id()}.sh_coeffs", "SH of degree 0 to 3", len(sh), "check the splat's coefficients"
-                )
+                do = "check the splat's coefficients"
+                raise InvalidValueError.of(f"{shape.id()}.sh_coeffs", "SH of degree 0 to 3", len(sh), do)
 
     @staticmethod
     def _arrays_of(shape: Any) -> tuple[Any, ...]:
         values = own_values(shape)
-        missing = [key for key in _KEYS if key not in values]
-        if missing:
-            raise InvalidValueError.of(
-                f'shape "{shape.id()}"', "a splat", f"no {', '.join(missing)}", 'use type="gaussians"'
-            )
+        if missing := ", ".join(key for key in _KEYS if key not in values):
+            raise InvalidValueError.of(f'shape "{shape.id()}"', "a splat", f"no {missing}", 'use type="gaussians"')
         return tuple(values[key] for key in _KEYS)
 
     def detached(self) -> list[Any]:

@@ -23,17 +23,11 @@ from mi_splat.raytracing.splats import Splats, Sums, prepare
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mixed:
-    """What paths run through.
+    """What paths run through."""
 
-    Attributes:
-        scene: The Mitsuba scene; its emitters light the surfaces.
-        surfaces: A Mitsuba scene of its surfaces alone, so that no ray stops at a Gaussian; None where it has none.
-        splats: Its Gaussians; None where it has none.
-    """
-
-    scene: Any
-    surfaces: Any | None
-    splats: Splats | None
+    scene: Any  # the Mitsuba scene; its emitters light the surfaces
+    surfaces: Any | None  # a Mitsuba scene of its surfaces alone, so that no ray stops at a Gaussian; None for none
+    splats: Splats | None  # its Gaussians; None for none
 
 
 class MixedCache:

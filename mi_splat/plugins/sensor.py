@@ -95,9 +95,8 @@ def camera(sensor: Any) -> Camera:
     """Our camera for a perspective sensor (of its crop window, if it has one)."""
     values = own_values(sensor)
     if not _has_lens(values):
-        raise InvalidValueError.of(
-            f'sensor "{sensor.id()}"', "a perspective sensor", sensor.class_name(), "change its type to perspective"
-        )
+        what, do = f'sensor "{sensor.id()}"', "change its type to perspective"
+        raise InvalidValueError.of(what, "a perspective sensor", sensor.class_name(), do)
     pose = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4) @ _MITSUBA_TO_OPENCV
     pose[:3, :3] /= np.linalg.norm(pose[:3, :3], axis=0)
     film = sensor.film()
@@ -132,20 +131,14 @@ def mitsuba_pose(camera: Camera) -> NDArray[np.float64]:
     return camera.to_world.numpy() @ _MITSUBA_TO_OPENCV
 
 
-def sensor_dict(camera: Camera) -> dict[str, Any]:
+def sensor_dict(camera: Camera, what: str = "camera") -> dict[str, Any]:
     """A perspective sensor for `mi.load_dict` that takes our camera's picture through a box filter."""
+    size, formats = {"width": camera.width, "height": camera.height}, {"pixel_format": "rgb"}
     return {
         "type": "perspective",
-        **perspective(camera),
+        **perspective(camera, what),
         "near_clip": 0.01,
         "far_clip": 2000.0,
         "to_world": mi.ScalarTransform4f(mitsuba_pose(camera)),
-        "film": {
-            "type": "hdrfilm",
-            "width": camera.width,
-            "height": camera.height,
-            "pixel_format": "rgb",
-            "component_format": "float32",
-            "rfilter": {"type": "box"},
-        },
+        "film": {"type": "hdrfilm", **size, **formats, "component_format": "float32", "rfilter": {"type": "box"}},
     }

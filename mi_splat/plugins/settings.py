@@ -15,14 +15,6 @@ class IntegratorSettings:
     """The settings of one integrator, and what `mi.traverse` shows of them.
 
     The plain values count: reading the shown arrays waits for every kernel in flight.
-
-    Args:
-        usual: The values of those that are not given.
-        names: The fields that the integrator has.
-        props: Mitsuba's properties; those that are given are taken.
-
-    Raises:
-        InvalidValueError: A value cannot be one.
     """
 
     def __init__(self, usual: RenderSettings, names: Sequence[str], props: Any) -> None:

@@ -41,21 +41,13 @@ def gaussians(props: Any) -> Any:
     elif len(given) == len(ATTRIBUTES):
         scene = GaussianScene(*(torch.from_numpy(np.array(props[name], dtype=np.float32)) for name in ATTRIBUTES))
     else:
-        raise InvalidValueError.of(
-            f'shape "{props.id()}"',
-            f"a filename, or the tensors {', '.join(ATTRIBUTES)}",
-            ", ".join(props.keys()) or "neither",
-            "give one or the other",
-        )
+        expected, got = f"a filename, or the tensors {', '.join(ATTRIBUTES)}", ", ".join(props.keys()) or "neither"
+        raise InvalidValueError.of(f'shape "{props.id()}"', expected, got, "give one or the other")
     if "to_world" in props:
-        scene = scene.transform(
-            Similarity.from_matrix(torch.from_numpy(np.array(props["to_world"].matrix)), "to_world")
-        )
-    extra = {key: props[key] for key in _PASSED_ON if key in props}
-    children = dict(props.objects())
-    return mi.load_dict(
-        {"type": "ellipsoids", "id": props.id(), **ellipsoid_arrays(scene), **extra, **children}, parallel=False
-    )
+        matrix = torch.from_numpy(np.array(props["to_world"].matrix))
+        scene = scene.transform(Similarity.from_matrix(matrix, "to_world"))
+    extra = {key: props[key] for key in _PASSED_ON if key in props} | dict(props.objects())
+    return mi.load_dict({"type": "ellipsoids", "id": props.id(), **ellipsoid_arrays(scene), **extra}, parallel=False)
 
 
 def ellipsoid_arrays(scene: GaussianScene) -> dict[str, Any]:

@@ -79,14 +79,9 @@ def integrator_class(variant: str) -> Any:
             self._pictures: OrderedDict[Any, CachedPicture] = OrderedDict()
             self._camera: tuple[Any, Any, Pinhole] | None = None
 
-        @property
-        def near_is_set(self) -> bool:
-            """Whether near has a value that is not the default."""
-            return "near" in self.settings.given
-
         def _follow(self, scene: Any, shapes: GaussianShapes) -> None:
             """Set near to what suits the scene, unless it has a value."""
-            if not self.near_is_set and shapes.arrays:
+            if "near" not in self.settings.given and shapes.arrays:
                 cameras = [sensors.camera(sensor) for sensor in scene.sensors() if sensors.is_pinhole(sensor)]
                 self.settings.set(near=near_plane(shapes.scene(), cameras))
 
@@ -119,13 +114,7 @@ def integrator_class(variant: str) -> Any:
             self._camera = None
 
         def render(
-            self,
-            scene: Any,
-            sensor: Any = 0,
-            seed: Any = 0,
-            spp: int = 0,
-            develop: bool = True,
-            evaluate: bool = True,
+            self, scene: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0, develop: bool = True, evaluate: bool = True
         ) -> Any:
             """The picture as a TensorXf."""
             if not develop:
@@ -135,7 +124,8 @@ def integrator_class(variant: str) -> Any:
                 shapes = _shapes(scene)
                 self._follow(scene, shapes)
                 cached = self._picture(shapes, sensor)
-                return _develop(cached.picture, cached.camera.size, alpha=self.alpha, linear=self.linear)
+                opacity = cached.picture.opacity if self.alpha else None
+                return _develop(cached.picture.colour, opacity, cached.camera.size, linear=self.linear)
 
         def render_backward(
             self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
@@ -150,8 +140,9 @@ def integrator_class(variant: str) -> Any:
             if grad_in.shape != expected:
                 do = "render again after a change of alpha or of the film"
                 raise InvalidValueError.of("gradient of the picture", f"shape {expected}", grad_in.shape, do)
-            grad_picture = develop_backward(cached.picture, grad_in, alpha=self.alpha, linear=self.linear)
-            shapes.backward(rasterize_backward(cached.picture, *grad_picture))
+            picture = cached.picture
+            grad_picture = develop_backward(picture.colour, grad_in, alpha=self.alpha, linear=self.linear)
+            shapes.backward(rasterize_backward(picture, *grad_picture))
 
         def to_string(self) -> str:
             return f"SplatTile[{self.settings}]"

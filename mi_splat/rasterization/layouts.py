@@ -14,17 +14,11 @@ from mi_splat.rasterization.projection import Gaussians
 
 @dataclass(frozen=True)
 class Layout:
-    """How to read rows of Gaussians from flat Float arrays, and how to write rows of a gradient into such arrays.
+    """How to read rows of Gaussians from flat Float arrays, and how to write rows of a gradient into such arrays."""
 
-    Attributes:
-        names: Of the arrays, for messages.
-        read: (arrays, UInt32 rows, number of SH terms) -> Gaussians.
-        write: (arrays, UInt32 rows, Gaussians that hold the gradient) -> None.
-    """
-
-    names: tuple[str, ...]
-    read: Callable[[tuple[Any, ...], Any, int], Gaussians]
-    write: Callable[[tuple[Any, ...], Any, Gaussians], None]
+    names: tuple[str, ...]  # of the arrays, for messages
+    read: Callable[[tuple[Any, ...], Any, int], Gaussians]  # from arrays, UInt32 rows, number of SH terms
+    write: Callable[[tuple[Any, ...], Any, Gaussians], None]  # to arrays, UInt32 rows, a gradient
 
 
 def _rows(array: Any, index: Any, width: int) -> Any:

@@ -45,24 +45,17 @@ class BackwardState:
 class Picture:
     """What the forward pass returns and the backward pass takes.
 
-    Attributes:
-        colour: Float, height x width x 3 values, row-major, background blended in.
-        opacity: Float, height x width values of 1 - transmittance.
-        depths: If they were asked for, three Floats of height x width values: the mean of the Gaussians' camera-space
-            depths by their weights (0 where there is none), the depth of the Gaussian at which the transmittance falls
-            to one half or below (0 where none does), and the sum of weights. That is the opacity again, with a small
-            relative error where 1 - transmittance has a large one.
-        layout: What lies where in `arrays`.
-        arrays: The Gaussians, as the stages read them.
-        state: The stages' results, or None where nothing is visible.
+    The depths are nothing, or three: the mean of the Gaussians' camera-space depths by their weights, the depth of the
+    Gaussian at which the transmittance falls to one half or below (both 0 where there is none), and the sum of weights.
+    That is the opacity again, with a small relative error where 1 - transmittance has a large one.
     """
 
-    colour: Any
-    opacity: Any
-    depths: tuple[Any, ...]
-    layout: Layout
-    arrays: tuple[Any, ...]
-    state: BackwardState | None
+    colour: Any  # Float, height x width x 3 values, row-major, background blended in
+    opacity: Any  # Float, height x width values of 1 - transmittance
+    depths: tuple[Any, ...]  # Floats, height x width values each
+    layout: Layout  # what lies where in `arrays`
+    arrays: tuple[Any, ...]  # the Gaussians, as the stages read them
+    state: BackwardState | None  # the stages' results, or None where nothing is visible
 
 
 def new_buffers(

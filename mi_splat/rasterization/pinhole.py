@@ -17,19 +17,12 @@ GUARD = 1.3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pinhole:
-    """A camera with what else the projection depends on.
-
-    Attributes:
-        camera: The camera.
-        near: Means with a smaller camera-space depth are culled, world units.
-        antialiased: Whether a Gaussian keeps its weight under the low-pass filter, see `projection.project`.
-        field: (tan(fov_x / 2), tan(fov_y / 2)) of the uncropped picture, where the camera shows a part of one.
-    """
+    """A camera with what else the projection depends on."""
 
     camera: Camera
-    near: float
-    antialiased: bool = False
-    field: tuple[float, float] | None = None
+    near: float  # means with a smaller camera-space depth are culled, world units
+    antialiased: bool = False  # whether a Gaussian keeps its weight under the low-pass filter, see `project`
+    field: tuple[float, float] | None = None  # tan(fov / 2) in x and y of the whole picture, of which this is a part
 
     @property
     def size(self) -> tuple[int, int]:

@@ -24,25 +24,15 @@ _FAR = 1e9  # world units; no peak is farther away
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayPicture:
-    """What the forward pass returns and the backward pass takes.
+    """What the forward pass returns and the backward pass takes."""
 
-    Attributes:
-        colour: Float, height x width x 3 values, row-major, background blended in.
-        opacity: Float, height x width values of 1 - transmittance.
-        splats: What was traced.
-        camera: The camera.
-        seen: Colour and transmittance of each ray, in the order of `_rays`; None where there is no Gaussian.
-        background: sRGB colour behind everything.
-        to_mean: See `segments.view_direction`.
-    """
-
-    colour: Any
-    opacity: Any
+    colour: Any  # Float, height x width x 3 values, row-major, background blended in
+    opacity: Any  # Float, height x width values of 1 - transmittance
     splats: Splats | None
     camera: Pinhole
-    seen: tuple[Any, Any] | None
-    background: tuple[float, float, float]
-    to_mean: bool
+    seen: tuple[Any, Any] | None  # colour and transmittance of each of `_rays`; None where there is no Gaussian
+    background: tuple[float, float, float]  # sRGB
+    to_mean: bool  # see `segments.view_direction`
 
 
 def _rays(camera: Pinhole) -> tuple[Stretch, Any, Any]:

@@ -35,21 +35,13 @@ class Stretch:
 
 @dataclass(slots=True, eq=False)
 class Peak:
-    """A Gaussian on a ray.
+    """A Gaussian on a ray."""
 
-    Attributes:
-        slot: UInt32, in the order of the tree.
-        distance: Float, of its peak.
-        level: Float, log2 of the unclamped alpha there.
-        offset: Vector3f, from the mean to the peak in the Gaussian's own frame: in standard deviations along its axes.
-        mean: Point3f.
-    """
-
-    slot: Any
-    distance: Any
-    level: Any
-    offset: Any
-    mean: Any
+    slot: Any  # UInt32, in the order of the tree
+    distance: Any  # Float, of its peak
+    level: Any  # Float, log2 of the unclamped alpha there
+    offset: Any  # Vector3f from the mean to the peak, in standard deviations along the Gaussian's own axes
+    mean: Any  # Point3f
 
 
 def peak_of(splats: Splats, slot: Any, stretch: Stretch) -> Peak:

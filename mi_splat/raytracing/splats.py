@@ -86,10 +86,7 @@ def _leaf_boxes(means: Any, half: Any, order: Any, starts: Any, leaves: int) -> 
 def _write_level(nodes: Any, low: Any, high: Any, count: int) -> tuple[Any, Any]:
     """Write `count` nodes from the corners of their children; returns the nodes' own corners."""
     index = dr.arange(mi.UInt32, count)
-    corners = []
-    for child in range(2):
-        one_low, one_high = (dr.gather(mi.Point3f, corner, 2 * index + child) for corner in (low, high))
-        corners.append((one_low, one_high))
+    corners = [[dr.gather(mi.Point3f, corner, 2 * index + child) for corner in (low, high)] for child in range(2)]
     rows = []
     for one_low, one_high in corners:
         empty = one_low.x > one_high.x
@@ -115,21 +112,13 @@ _LEAST_OPACITY = 1e-12  # no ray meets such a Gaussian; its gradient shall be 0,
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Splats:
-    """What is traced.
+    """What is traced."""
 
-    Attributes:
-        layout: What lies where in `arrays`.
-        arrays: Flat Float arrays, detached; the last holds SH, the one before it has one opacity a Gaussian.
-        tree: Boxes about them; its slots are the rows of `records`.
-        records: Float, `RECORD` a slot.
-        terms: SH coefficients a Gaussian and channel.
-    """
-
-    layout: Layout
-    arrays: tuple[Any, ...]
-    tree: Tree
-    records: Any
-    terms: int
+    layout: Layout  # what lies where in `arrays`
+    arrays: tuple[Any, ...]  # flat Floats, detached; the last holds SH, the one before it has one opacity a Gaussian
+    tree: Tree  # boxes about them; its slots are the rows of `records`
+    records: Any  # Float, `RECORD` a slot
+    terms: int  # SH coefficients a Gaussian and channel
 
     def with_colours(self, sh: Any) -> Splats:
         """The same Gaussians in the same tree with other SH, a Float as the last of `arrays`."""
