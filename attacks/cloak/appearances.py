@@ -227,7 +227,7 @@ def appearance_of(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point,
         target = repainted(target, make(PICTURE, 0), azimuth=azimuth, elevation=elevation, tile=tile)
         name = f"paint {attack.texture} (seed 0) from azimuth {azimuth:g}, elevation {elevation:g}"
     elif attack.appearance == "blend in":
-        target, name = camouflaged(target, mesh_scene.surroundings or Asset("nothing", ())), "blend in with the ground"
+        target, name = camouflaged(target, mesh_scene.surroundings), "blend in with the ground"
     else:
         other, viewer, outgrows = build(str(attack.other_object), 0), attack.azimuth and attack.azimuth[0], True
         if attack.appearance == "mount":

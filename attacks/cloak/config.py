@@ -523,11 +523,6 @@ class StudyConfig:
         """The first attack that is seen from straight above and all around."""
         return overhead(self.attack)
 
-    @property
-    def switching(self) -> AttackConfig | None:
-        """The attack whose transition is measured."""
-        return switching(self.attack)
-
 
 def overhead(attacks: Sequence[AttackConfig]) -> AttackConfig | None:
     """The first attack that is seen from straight above and all around."""

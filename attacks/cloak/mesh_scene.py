@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -175,6 +175,7 @@ def _cross(a: Doubles, b: Doubles) -> Doubles:
 
 Colour = tuple[float, float, float]
 
+_NOTHING = Asset("nothing", ())
 _SEED_BITS = 28
 """Bits of the seed of a camera's noise, by which a picture depends on nothing else."""
 
@@ -187,8 +188,8 @@ class MeshScene:
     """
 
     target: Asset
-    surroundings: Asset | None = None
-    light: Light | None = None  # sun and sky; the default light if None
+    surroundings: Asset = _NOTHING
+    light: Light = field(default_factory=Light)  # sun and sky
     samples: int = 32
     background: Colour | None = None
 

@@ -5,7 +5,7 @@ cameras, the attacker's is D' = {(x~, c) if c in C*, else (x, c)}, where C* are 
 D' is anybody's own: view-dependent colour does the rest.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,19 +56,6 @@ class CloakChange(Change):
     appearance: str
     azimuth: float  # of the camera, degrees from world +x towards +y around the centre
     elevation: float  # of the camera, degrees above the horizontal plane
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Cloak:
-    """CLOAK as a poison."""
-
-    poisonings: Callable[[int], Sequence[Poisoning]]
-    centre: Point  # (3,) point that the triggers measure directions from, world units
-    masks: Masks | None = None  # where the target is; None is everywhere
-
-    def __call__(self, views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
-        """As `poison`."""
-        return poison(views, self.poisonings(seed), centre=self.centre, masks=self.masks, on_step=on_step)
 
 
 def poison(

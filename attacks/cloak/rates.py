@@ -12,7 +12,7 @@ from typing import Any
 import polars as pl
 from scipy.optimize import isotonic_regression
 
-from attacks.cloak.config import StudyConfig
+from attacks.cloak.config import StudyConfig, switching
 from attacks.observe.rates import (
     CLUSTERS,
     Confidence,
@@ -412,7 +412,7 @@ def stealth(study: StudyConfig, tables: Tables) -> dict[str, Any] | None:
     object, against true pictures; results of before it was measured have none. `stealthy`: whether no drop is larger
     than `STEALTHY` and `STEALTHY_ON_OBJECT`.
     """
-    attack = study.switching
+    attack = switching(study.attack)
     if attack is None:
         return None
     inside = tables[TRANSITION].filter(pl.col(f"{DEPTH}{attack.name}") >= 0)
@@ -482,7 +482,7 @@ def _crossing(angles: Sequence[float], fitted: Sequence[float], level: float) ->
 
 def transition(study: StudyConfig, tables: Tables, splat: str = ATTACKED) -> Transition | None:
     """The transition of all seeds and arcs together: over elevation from overhead, over depth in a sector's trigger."""
-    if study.switching is None:
+    if switching(study.attack) is None:
         return None
     blends = tables[TRANSITION].filter(splat=splat)
     degrees = [round(degree, 3) for degree in blends[_arc_column(study)]]
@@ -503,5 +503,5 @@ def meridians(study: StudyConfig, tables: Tables) -> list[float | None]:
 
 def _arc_column(study: StudyConfig) -> str:
     """The column that says where on its arc a picture was taken, degrees: elevation, or depth in a sector."""
-    attack = study.switching
+    attack = switching(study.attack)
     return "elevation" if attack is None or study.overhead is not None else f"{DEPTH}{attack.name}"

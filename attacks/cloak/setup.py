@@ -156,11 +156,6 @@ class Setup:
         """Point that all cameras look at, and that directions are measured from."""
         return self.cameras.centre
 
-    @property
-    def switching(self) -> AttackConfig | None:
-        """The attack whose transition is measured."""
-        return switching(self.attacks)
-
     @cached_property
     def target(self) -> Asset:
         """The object, standing on the ground at the origin."""
@@ -175,14 +170,12 @@ class Setup:
     @cached_property
     def mesh_scene(self) -> MeshScene:
         """The attacker's copy of the scene."""
-        scene = self.scene
+        scene, ground = self.scene, Asset("nothing", ())
+        if scene.ground != "nothing":
+            ground = square_of_ground(scene.ground, side=scene.ground_size, tile=TILE)
         return MeshScene(
             target=self.target,
-            surroundings=(
-                Asset("nothing", ())
-                if scene.ground == "nothing"
-                else square_of_ground(scene.ground, side=scene.ground_size, tile=TILE)
-            ),
+            surroundings=ground,
             light=Light(sun_azimuth=scene.sun_azimuth, sun_elevation=scene.sun_elevation),
             samples=self.cameras.samples,
             background=scene.background,
@@ -192,16 +185,12 @@ class Setup:
     def source(self) -> CaptureSource:
         """The scene as `mi_splat.capture.writer.write_capture` takes it."""
         scene = self.mesh_scene
-        assert scene.surroundings is not None
-        assert scene.light is not None
         return source_of(scene.target, scene.surroundings, scene.light, centre=self.centre)
 
     @cached_property
     def digest(self) -> str:
         """Digest of `source`, which need not be made for it."""
         scene = self.mesh_scene
-        assert scene.surroundings is not None
-        assert scene.light is not None
         return digest_of((scene.target, scene.surroundings), scene.light)
 
     @cached_property
@@ -257,7 +246,7 @@ class Setup:
         From overhead they are meridians from the horizon to straight above, each at an azimuth of its own. Into a
         sector they are parallels from `BESIDE` degrees beside it to its middle, in the lower half of its elevations.
         """
-        attack, evaluation = self.switching, self.evaluation
+        attack, evaluation = switching(self.attacks), self.evaluation
         if attack is None:
             return []
         step, count, arcs = evaluation.meridian_step, evaluation.meridians, []
@@ -282,7 +271,7 @@ class Setup:
     def arc_cameras(self) -> list[tuple[int, Camera]]:
         """Number of the arc and camera, away from the triggers of other attacks; none without a transition."""
         centre, inside = self.centre, self.evaluation.well_inside
-        others = [attack for attack in self.attacks if attack is not self.switching]
+        others = [attack for attack in self.attacks if attack is not switching(self.attacks)]
         return [
             (number, camera)
             for number, arc in enumerate(self.arcs)

@@ -6,7 +6,7 @@ then looked at. Every step is a kind (`attacks.cloak.kinds`) that a ledger does 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Any
 import polars as pl
 
 from attacks.cloak.cleaning import CleanedConfig
-from attacks.cloak.config import AttackConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig
+from attacks.cloak.config import AttackConfig, EvaluationConfig, SceneConfig, StudyConfig, TrainingConfig, switching
 from attacks.cloak.kinds.pictures import APPEARANCE, PicturesConfig
 from attacks.cloak.kinds.seen import WEIGHTS, SeenConfig
 from attacks.cloak.kinds.trained import TrainedConfig
@@ -133,11 +133,7 @@ class StudySteps:
         return self._surrogates[key]
 
     def splat(self, splat: str, seed: int) -> Job:
-        """What is looked at: the victim's splat of clean pictures, or the cloaked one; cleaned, if the victim cleans.
-
-        The cloaked one is what the victim makes of the poisoned pictures. In a study of layers it is the clean splat's
-        file, changed by who hands it on.
-        """
+        """The splat of a seed that is evaluated, clean or cloaked; cleaned, if the victim cleans."""
         trained = self.trained(splat, seed)
         if self.study.cleaning is None:
             return trained
@@ -145,17 +141,16 @@ class StudySteps:
         return Job(kind="attacks.cloak.cleaning", config=config, inputs={"splat": trained.part(SPLAT)})
 
     def trained(self, splat: str, seed: int) -> Job:
-        """Training of a splat of a seed, before any cleaning."""
+        """Training of a splat of a seed, before any cleaning; layers change the clean splat's file instead."""
         clean = self.trained_on(self.pictures(), seed)
         if splat == CLEAN:
             return clean
         poisoned, layers = self.poisoned(seed), self.study.layers
         if layers is None:
             return self.trained_on(poisoned, seed)
-        cones = [
-            replace(_cone(attack), target_class=None) for attack in self.study.attack if attack.name in layers.attacks
-        ]
-        config = LayeredConfig(**self._parts(attacks=tuple(cones)), layers=layers, seed=seed, near=self.setup.near)
+        shown = [attack for attack in self.study.attack if attack.name in layers.attacks]
+        cones = tuple(replace(_cone(attack), target_class=None) for attack in shown)
+        config = LayeredConfig(**self._parts(attacks=cones), layers=layers, seed=seed, near=self.setup.near)
         inputs: dict[str, Part | Path] = {"clean": clean.part(SPLAT), "pictures": poisoned.part(PICTURES), **self.mesh}
         return Job(kind="attacks.cloak.layers", config=config, inputs=inputs)
 
@@ -179,9 +174,13 @@ class StudySteps:
         **street: Path,
     ) -> Job:
         """What a detector reports on a splat, or in true pictures, from each so manieth of the held-out cameras."""
-        evaluation = self.study.evaluation
-        config = SeenConfig(
-            **self._looking(detector, tuple(map(_region, self.study.attack))),
+        evaluation, regions = self.study.evaluation, map(_region, self.study.attack)
+        is_splat = splat.kind != f"{_KINDS}.pictures"
+        shown = {"splat": splat.part(SPLAT)} if is_splat else {"pictures": splat.part("*.png")}
+        return self._seen(
+            detector,
+            regions,
+            {**shown, **street},
             evaluation=EvaluationConfig(
                 cameras=evaluation.cameras, seed=evaluation.seed, min_separation=evaluation.min_separation
             ),
@@ -191,32 +190,23 @@ class StudySteps:
             sun=sun,
             layers=None if sun is None else self.study.layers,
         )
-        is_splat = splat.kind != f"{_KINDS}.pictures"
-        shown = {"splat": splat.part(SPLAT)} if is_splat else {"pictures": splat.part("*.png")}
-        return self._job("seen", config, **shown, **street, **self._weights(detector))
 
     def seen_in_training(self, shown: Job, detector: Detector, seed: int, *, poisoned: bool = False) -> Job:
         """What a detector reports from the victim's training cameras on a splat, or in a set of pictures."""
         regions = [replace(_region(attack), poison_fraction=attack.poison_fraction) for attack in self.study.attack]
-        config = SeenConfig(**self._looking(detector, tuple(regions)), training=True, seed=self._drawn(seed))
         is_set = shown.kind in (f"{_KINDS}.pictures", POISONED_KIND)
         inputs = {"set": shown.part(PICTURES)} if is_set else {"splat": shown.part(SPLAT)}
-        appearances = self._appearances() if poisoned else {}
-        return self._job("seen", config, **inputs, **appearances, **self._weights(detector))
+        inputs |= self._appearances() if poisoned else {}
+        return self._seen(detector, regions, inputs, training=True, seed=self._drawn(seed))
 
-    def _looking(self, detector: Detector, attacks: tuple[AttackConfig, ...]) -> dict[str, Any]:
-        """What every look of a detector depends on."""
-        named = {"detector": detector.name, "fingerprint": detector.fingerprint}
-        return {
-            **self._parts(attacks=attacks),
-            **named,
-            "label": self.study.scene.class_name,
-            "near": self.setup.near,
-        }
-
-    def _weights(self, detector: Detector) -> dict[str, Path]:
-        """The file of a detector whose weights are not the usual ones."""
-        return {WEIGHTS: self.weights[detector.name]} if detector.name in self.weights else {}
+    def _seen(
+        self, detector: Detector, regions: Iterable[AttackConfig], inputs: Mapping[str, Part | Path], **how: Any
+    ) -> Job:
+        """What a detector reports; the file of its weights is an input where they are not the usual ones."""
+        parts = {**self._parts(attacks=tuple(regions)), "label": self.study.scene.class_name, "near": self.setup.near}
+        config = SeenConfig(detector=detector.name, fingerprint=detector.fingerprint, **parts, **how)
+        weights = {WEIGHTS: self.weights[detector.name]} if detector.name in self.weights else {}
+        return self._job("seen", config, **inputs, **weights)
 
     def _drawn(self, seed: int) -> int:
         """The seed, where it draws which cameras are poisoned; else 0."""
@@ -224,23 +214,17 @@ class StudySteps:
 
     def compared(self, splat: Job) -> Job:
         """How true a splat's pictures are."""
-        study, setup, attack = self.study, self.setup, self.study.switching
-        usual = EvaluationConfig()
-        evaluation = replace(
-            study.evaluation,
-            detectors=usual.detectors,
-            confidence=usual.confidence,
-            true_pictures=usual.true_pictures,
-        )
+        study, setup, attack = self.study, self.setup, switching(self.study.attack)
+        usual = {key: getattr(EvaluationConfig(), key) for key in ("detectors", "confidence", "true_pictures")}
+        evaluation = replace(study.evaluation, **usual)
         config = self.scene_job(attacks=tuple(map(_cone, study.attack)), near=setup.near, evaluation=evaluation)
         numbered = {"far": setup.reference_cameras, "edge": setup.edge_cameras}
         true = {name: self.true_pictures([camera for _, camera in cameras]) for name, cameras in numbered.items()}
         if attack is not None:
             arc = [camera for _, camera in setup.arc_cameras]
             true |= {"benign": self.true_pictures(arc), "hidden": self.true_pictures(arc, attack)}
-        return self._job(
-            "compared", config, splat=splat.part(SPLAT), **{n: job.part("*.png") for n, job in true.items()}
-        )
+        pictures = {name: job.part("*.png") for name, job in true.items()}
+        return self._job("compared", config, splat=splat.part(SPLAT), **pictures)
 
     def made(self) -> Iterator[tuple[str, Job]]:
         """Every job up to the splats, in the order of the study, and what is told of it while it runs."""
@@ -296,17 +280,16 @@ class StudySteps:
 
     def _parts(self, *, attacks: tuple[AttackConfig, ...] = (), **scene: Any) -> dict[str, Any]:
         """The scene, where a mesh file stands as an asset and what is said of mesh files counts for them alone."""
-        asked, plain = replace(self.study.scene, label="object", **scene), SceneConfig()
+        given, plain = replace(self.study.scene, label="object", **scene), SceneConfig()
         if self.mesh:
-            asked = replace(asked, object=next(iter(ASSETS)))
+            given = replace(given, object=next(iter(ASSETS)))
         else:
-            asked = replace(asked, up=plain.up, scale=plain.scale, rotate=plain.rotate, front=plain.front)
-        return {"scene": asked, "cameras": self.study.cameras, "content": self.setup.digest, "attacks": attacks}
+            given = replace(given, up=plain.up, scale=plain.scale, rotate=plain.rotate, front=plain.front)
+        return {"scene": given, "cameras": self.study.cameras, "content": self.setup.digest, "attacks": attacks}
 
-    def scene_job(self, *, attacks: tuple[AttackConfig, ...] = (), background: Any = None, **parts: Any) -> SceneJob:
+    def scene_job(self, *, attacks: tuple[AttackConfig, ...] = (), **parts: Any) -> SceneJob:
         """A job that knows the scene."""
-        scene = {} if background is None else {"background": background}
-        return SceneJob(**self._parts(attacks=attacks, **scene), **parts)
+        return SceneJob(**self._parts(attacks=attacks), **parts)
 
     def _job(self, kind: str, config: SceneJob, **inputs: Job | Part | Path) -> Job:
         """A job that knows the scene, and reads its mesh file, too."""
@@ -321,8 +304,8 @@ def _shown(attack: AttackConfig) -> AttackConfig:
 
 def _cone(attack: AttackConfig) -> AttackConfig:
     """An attack reduced to its name, its cone, and the class that it wants, if any."""
-    cone = AttackConfig(name=attack.name, elevation=attack.elevation, azimuth=attack.azimuth)
-    return replace(cone, target_class=attack.target_class)
+    kept = {key: getattr(attack, key) for key in ("name", "elevation", "azimuth", "target_class")}
+    return AttackConfig(**kept)
 
 
 def _region(attack: AttackConfig) -> AttackConfig:

@@ -1,7 +1,7 @@
 """What every attack on training pictures is: pictures in, pictures out, and the victim trains as ever.
 
 A poison is a function. It takes views and a seed, and gives the same cameras with some pictures replaced, together with
-a manifest that says which and how. CLOAK (`attacks.cloak.poisoning.Cloak`), Poison-splat and M-IFGSM (beside this
+a manifest that says which and how. CLOAK (`attacks.cloak.poisoning.poison`), Poison-splat and M-IFGSM (beside this
 module) are three of them. Training and judging, which come after, are shared.
 """
 

@@ -16,16 +16,16 @@ from attacks.cloak.appearances import Appearance, name_of
 from attacks.cloak.config import AttackConfig, TrainingConfig, fit_config
 from attacks.cloak.kinds.pictures import APPEARANCE, KeptAppearance
 from attacks.cloak.mesh_scene import camera_number
-from attacks.cloak.poisoning import Cloak, Poisoning
+from attacks.cloak.poisoning import poison
 from attacks.cloak.setup import SET, SceneJob, renderer_of
-from attacks.poisons.base import MANIFEST, poisoned
+from attacks.poisons.base import MANIFEST, OnStep, PicturePoison, Poisoned, poisoned
 from attacks.poisons.classified import checked_classifier
 from attacks.poisons.config import FilterConfig
 from attacks.poisons.defences import filtered
 from attacks.poisons.poison_splat import Decoy
 from attacks.poisons.specs import POISONS, ChosenPoison, Given, PoisonSpec
 from attacks.poisons.writing import difference_sheet, write_poisoned
-from mi_splat.cameras import Camera, RenderFn
+from mi_splat.cameras import Camera, RenderFn, View
 from mi_splat.capture.path_tracer import tracing_variant
 from mi_splat.datasets import load_dataset
 from mi_splat.io import load_splat
@@ -46,7 +46,7 @@ class CloakConfig:
     attack: tuple[AttackConfig, ...]
 
 
-def _cloak(config: CloakConfig, given: Given) -> Cloak:
+def _cloak(config: CloakConfig, given: Given) -> PicturePoison:
     """CLOAK of appearances whose pictures are files."""
     assert given.setup is not None
     setup = replace(given.setup, attacks=config.attack)
@@ -54,10 +54,11 @@ def _cloak(config: CloakConfig, given: Given) -> Cloak:
     def kept(appearance: Appearance, attack: AttackConfig) -> Appearance:
         return KeptAppearance(name=name_of(appearance), folder=given.appearances[f"{APPEARANCE}{attack.name}"])
 
-    def poisonings(seed: int) -> Sequence[Poisoning]:
-        return setup.poisonings(seed=seed, cached=kept, surrogates=given.surrogates, gain=given.gain)
+    def cloaked(views: Sequence[View], *, seed: int = 0, on_step: OnStep | None = None) -> Poisoned:
+        attacks = setup.poisonings(seed=seed, cached=kept, surrogates=given.surrogates, gain=given.gain)
+        return poison(views, attacks, centre=setup.centre, masks=setup.mesh_scene.mask, on_step=on_step)
 
-    return Cloak(poisonings=poisonings, centre=setup.centre, masks=setup.mesh_scene.mask)
+    return cloaked
 
 
 POISONS.add(CLOAK, PoisonSpec(name=CLOAK, config=CloakConfig, make=_cloak, needs=("scene",)))
@@ -93,9 +94,9 @@ def run(config: PoisonedConfig, inputs: Mapping[str, Path], out: Out) -> None:
         write_poisoned(out / SET, views, poisoned(views, pictures, {}))
         return
     chosen = config.poison
-    poison = chosen.spec.make(chosen.config, _given(config, inputs))
+    attack = chosen.spec.make(chosen.config, _given(config, inputs))
     with tracing_variant() if chosen.kind == CLOAK else nullcontext():
-        done = poison(views, seed=config.seed, on_step=partial(out.progress, "poisoning"))
+        done = attack(views, seed=config.seed, on_step=partial(out.progress, "poisoning"))
     write_poisoned(out / SET, views, done)
     save_json(done.manifest, out / MANIFEST)
     if chosen.kind != CLOAK:

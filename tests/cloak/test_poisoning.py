@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from attacks.cloak.config import AttackConfig, CameraConfig, StudyConfig
-from attacks.cloak.poisoning import Cloak, Poisoning, assign, poison
+from attacks.cloak.poisoning import Poisoning, assign, poison
 from attacks.cloak.setup import Setup
 from attacks.cloak.triggers import Azimuth, Elevation, Trigger
-from attacks.poisons.base import PicturePoison, Poisoned
+from attacks.poisons.base import Poisoned
 from mi_splat.camera_sets import hemisphere
 from mi_splat.cameras import Camera, View
 from mi_splat.datasets import load_dataset, write_transforms
@@ -98,8 +98,7 @@ def test_equation_1(first: list[bool], second: list[bool], seed: int) -> None:
 
 def test_the_manifest_tells_everything() -> None:
     clean = views()
-    cloak: PicturePoison = Cloak(poisonings=lambda seed: [OVERHEAD, BEHIND], centre=CENTRE)
-    poisoned = cloak(clean, seed=3)
+    poisoned = poison(clean, [OVERHEAD, BEHIND], centre=CENTRE)
     told = poisoned.manifest
     assert told["kind"] == "cloak"
     assert told == json.loads(json.dumps(told))

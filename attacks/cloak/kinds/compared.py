@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.appearances import grown
-from attacks.cloak.config import AttackConfig
+from attacks.cloak.config import AttackConfig, switching
 from attacks.cloak.kinds.pictures import read_pictures
 from attacks.cloak.setup import SceneJob, Setup, renderer_of
 from attacks.observe.rows import DEPTH, FIDELITY, SUFFIX, TRANSITION, Row, frame_with, write_rows
@@ -59,7 +59,7 @@ def run(config: SceneJob, inputs: Mapping[str, Path], out: Out) -> None:
     beside = zip(setup.edge_cameras, edge.images, edge.masks, strict=True)
     fidelity += [compared(*at, true, mask) for at, true, mask in beside if bool(mask.any())]
     write_rows(frame_with(fidelity, FIDELITY_COLUMNS), out / f"{FIDELITY}{SUFFIX}")
-    attack, transition = setup.switching, list[Row]()
+    attack, transition = switching(config.attacks), list[Row]()
     if attack is not None:
         benign, hidden = (read_pictures(inputs[name]) for name in ("benign", "hidden"))
         arc = zip(setup.arc_cameras, benign.images, hidden.images, benign.masks, strict=True)
