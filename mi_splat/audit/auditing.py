@@ -223,10 +223,7 @@ class SurfaceLook:
 
 
 def looks_of(pieces: Elements, view: Sight) -> list[SurfaceLook]:
-    """The looks of an object: first the one that explains most, then those that are left without its cameras.
-
-    Of a look the smaller side is left out, and what lies near it: no file can tell which side is the true one.
-    """
+    """The looks of an object: first the one that explains most, then those that are left without its cameras."""
     looks: list[SurfaceLook] = []
     kept = torch.ones(len(view.cameras), dtype=torch.bool)
     for _ in range(LIMITS.most_looks):

@@ -28,10 +28,7 @@ from mi_splat.sh import colour_to_dc, dc_to_colour, sh_basis, sh_to_colour
 
 
 def edit_of(frame: Frame, target: Target) -> Edit | None:
-    """How much the colours of an object look like an attack on a detector, and from where.
-
-    The median shell of the surroundings says what of it this file has without an attack, by undertraining or rounding.
-    """
+    """How much the colours of an object look like an attack on a detector, and from where."""
     if len(target.rows) < LIMITS.least_edited:
         return None
     rows = _slabs(frame.scene.means, target.rows)
@@ -259,10 +256,7 @@ def _evenly(values: Tensor, most: int) -> list[int]:
 
 
 def _made_up(scene: GaussianScene, camera: Camera, wanted: Tensor, near: float) -> Tensor:
-    """(N, 2) sums over the pixels of a picture of each Gaussian's weight there times (H, W, 2) values.
-
-    A picture is linear in the colours, so the derivative by a Gaussian's colour is the sum of its weights.
-    """
+    """(N, 2) sums over the pixels of a picture of each Gaussian's weight there times (H, W, 2) values."""
     step = float(colour_to_dc(torch.tensor(1.0)) - colour_to_dc(torch.tensor(0.0)))
     sh = torch.zeros(len(scene), 1, 3, requires_grad=True)
     with torch.enable_grad():

@@ -384,10 +384,7 @@ def reachable(pieces: Elements, view: Sight) -> Tensor:
 
 
 def cameras_of_look(pieces: Elements, view: Sight, scores: Explanation) -> Tensor:
-    """(K,) bool, which cameras see the look: a set of any form, begun with the best cone.
-
-    Each piece votes for the side whose mean colour is nearer to what the camera sees, by its score.
-    """
+    """(K,) bool, which cameras see the look: a set of any form, begun with the best cone."""
     shown = (
         angles_between(scores.axis[None], view.directions)[0] < scores.half_width + (LIMITS.outside - LIMITS.inside) / 2
     )

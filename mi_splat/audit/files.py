@@ -67,12 +67,7 @@ _Finding = tuple[str, Level, str, dict[str, Any]]  # rule, level, what was found
 
 
 def sarif(documents: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """One run of the tool over some files.
-
-    SARIF 2.1.0, https://docs.oasis-open.org/sarif/sarif/v2.1.0/sarif-v2.1.0.html. A file that could not be judged is a
-    notification of the tool, and the run then has no success. Results name line 1: readers want one, and a splat has
-    none.
-    """
+    """Files as one run of the tool, in SARIF 2.1.0; results name line 1, because readers want one."""
     rules = {name: _rule(name, *values) for name, values in _RULES.items()}
     results, artifacts, notes = [], [], []
     for index, document in enumerate(documents):

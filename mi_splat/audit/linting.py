@@ -78,10 +78,7 @@ class Overdraw:
 
 
 def worst_overdraw(scene: GaussianScene) -> Overdraw | None:
-    """Count Gaussians over each pixel from all around the splat and its core, as near as shows all of it.
-
-    It ends at the first camera from which the splat stops a renderer.
-    """
+    """Count Gaussians over each pixel from all around the splat and its core, as near as shows all of it."""
     if not len(scene):
         return None
     cameras = list(_cameras(scene))
@@ -119,10 +116,7 @@ def _cameras(scene: GaussianScene) -> Iterator[Camera]:
 
 
 def _around(points: Tensor, size: float) -> Iterator[Camera]:
-    """Cameras that look along the main axes of (M, 3) points and along some others, each as near as shows them all.
-
-    `size` is that of a usual Gaussian, world units.
-    """
+    """Cameras that look along the main axes of (M, 3) points and along some others, each as near as shows them all."""
     middle = torch.tensor(_ball(points)[0], dtype=torch.float64)
     axes = torch.linalg.eigh((points - middle).T @ (points - middle)).eigenvectors.T
     for direction in torch.cat([axes, -axes, lattice(_DIRECTIONS, -80, 80)]):
@@ -191,10 +185,7 @@ _UNIT = 0.01  # how far from 1 the length of a quaternion may be: half a step of
 
 
 def validate(document: Glb) -> list[Finding]:
-    """What is wrong with the splats of a binary glTF.
-
-    Rows count from the first Gaussian of the primitive that a finding names.
-    """
+    """What is wrong with the splats of a binary glTF."""
     findings: list[Finding] = []
     splats = 0
     for mesh, fields in enumerate(document.root.objects("meshes")):

@@ -1,13 +1,7 @@
-"""Takes a look out of a splat: its Gaussians get the colours that the other directions show.
+"""Repairs a splat: its Gaussians get the colours that believed directions show, by least squares.
 
-Every Gaussian of the object that cameras see is coloured anew by least squares. Towards directions that are believed it
-keeps the colours it has, by how much of the pictures it makes up there. Towards the others it shall have the mean of
-those. What is hardly seen from believed directions takes part of its mean from its neighbours. A layer that is black
-from there becomes black from everywhere.
-
-Gaussians in the air that cover an object, and that most looks from elsewhere pass, are left out.
-
-Which of two looks is the true one no file can tell, so whoever repairs says which directions are to be believed.
+Towards believed directions a Gaussian keeps its colours, and towards the others it gets their mean; one that is hardly
+seen from there takes part of its mean from its neighbours. No file can tell which appearance is the true one.
 """
 
 import math
@@ -114,10 +108,7 @@ def _mean(part: GaussianScene, shows: Tensor, eyes: Tensor, trust: Tensor) -> Te
 
 
 def _with_neighbours(points: Tensor, colours: Tensor, known: Tensor, unknown: Tensor) -> Tensor:
-    """(M, 3) colours, the less known a colour the more of it from its neighbours.
-
-    `known` are (M,) pixels that show each colour, `unknown` those that show the Gaussian and not that colour.
-    """
+    """(M, 3) colours, the less known a colour the more of it from its neighbours."""
     distances, neighbours = nearest_neighbours(points, min(LIMITS.lending, max(len(points) - 1, 1)))
     exists = distances.isfinite()
     if not bool(exists.any()):

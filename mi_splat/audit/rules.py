@@ -266,10 +266,7 @@ ADDED: Registry[Rule] = Registry("mi_splat.audit_rules", "a Rule", lambda value:
 
 
 def findings_of(stored: Stored) -> Iterator[Finding]:
-    """What all rules find, those of other packages last.
-
-    A rule of another package that fails is a warning in its place: an audit that leaves a rule out says so.
-    """
+    """What all rules find, those of other packages last."""
     for rule in RULES:
         if (finding := rule(stored)) is not None:
             yield finding

@@ -172,10 +172,7 @@ def _crowd(rows: Tensor, points: Tensor) -> Target:
 
 
 def _up(part: Tensor, centre: Tensor, radius: float, around: Tensor) -> Tensor | None:
-    """The normal of the ground of an object, on its side of it; None if it stands on none of the largest planes.
-
-    Its (M, 3) points lie within `radius` of `centre`; (P, 3) points are `around` it.
-    """
+    """The normal of the ground of an object, on its side of it; None if it stands on none of the largest planes."""
     near = around[(around - centre).norm(dim=1) < LIMITS.ground_reach * radius]
     near = near[:: max(1, len(near) // LIMITS.ground_sample)]
     for _ in range(LIMITS.planes):
@@ -241,10 +238,7 @@ def grid_of(scene: GaussianScene) -> Grid:
 
 
 def free_positions(scene: GaussianScene) -> Tensor | None:
-    """(P, 3) float64 positions inside a room from which it is seen; None where the scene is seen from outside.
-
-    A room has much free space from which nearly all rays end at something, and something that stands in it.
-    """
+    """(P, 3) float64 positions inside a room from which it is seen; None where the scene is seen from outside."""
     grid = grid_of(scene)
     close = functional.max_pool3d(grid.filled[None, None].float(), 3, stride=1, padding=1)[0, 0] > 0
     free = (~close).nonzero()
@@ -427,10 +421,7 @@ def rays(camera: Camera) -> Tensor:
 
 
 def _surface(depth: Tensor, alpha: Tensor, camera: Camera, target: Target) -> tuple[Tensor, Tensor, Tensor]:
-    """(H, W, 3) points and normals of a picture, and (H, W) bool which pixels show surface.
-
-    A normal comes from the depths two pixels to each side; there may be no jump of depth between them.
-    """
+    """(H, W, 3) points and normals of a picture, and (H, W) bool which pixels show surface."""
     eye, centre = camera.position.float(), target.centre.float()
     points = rays(camera) * depth[..., None] + eye
     along, down = torch.zeros_like(points), torch.zeros_like(points)

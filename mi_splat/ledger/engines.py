@@ -94,12 +94,7 @@ class InProcess:
 
 
 class Processes:
-    """Runs tasks in child processes, each watched by a thread.
-
-    torch has one thread in each of them; Dr.Jit has the task's share of the processor's cores, which is all of them
-    while no other task is there, and a cache of kernels of its own in the store, so that no two write into the same
-    one.
-    """
+    """Runs tasks in child processes, each watched by a thread and with its share of the processor's cores."""
 
     def __init__(self, folder: Path, *, workers: int, limits: Limits | None = None, on_event: OnEvent = nobody) -> None:
         self.window = workers

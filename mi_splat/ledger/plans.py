@@ -81,10 +81,7 @@ def planned(store: Store, name: str) -> set[str]:
 
 
 def forecast(store: Store, entries: Iterable[Entry]) -> tuple[float, int]:
-    """Seconds that the jobs which are not done take one after the other, and how many of them nobody can tell.
-
-    Each is taken to need as long as the median of its kind: of those that are done in the plan, or else in the store.
-    """
+    """Seconds that the jobs which are not done take one after the other, and how many of them nobody can tell."""
     done: dict[str, list[str]] = {}
     missing: Counter[str] = Counter()
     for entry in entries:
@@ -114,10 +111,7 @@ def grid(jobs: Mapping[str, Job]) -> Plan:
 
 
 class Driver:
-    """Gives the jobs of plans to an engine, the ones before the others, until all have ended.
-
-    Each job is a coroutine that waits for those which it reads, and then for a free place of the engine.
-    """
+    """Gives the jobs of plans to an engine, the ones before the others, until all have ended."""
 
     def __init__(self, folder: Path, engine: Engine, *, name: str = "", on_event: OnEvent = nobody) -> None:
         self._store, self._engine, self._on_event = Store(folder), engine, on_event

@@ -214,10 +214,7 @@ _HASHES: dict[Path, tuple[object, dict[str, str]]] = {}
 
 
 def hashes(path: Path) -> dict[str, str]:
-    """SHA-256 of every file below a folder by its name there, or of one file; none if there is nothing.
-
-    What was read once is not read again in this process as long as names, sizes and times are the same.
-    """
+    """SHA-256 of every file below a folder by its name there, or of one file; none if there is nothing."""
     files = {"": path} if path.is_file() else _files(path)
     status = [(name, file.stat()) for name, file in files.items()]
     state = [(name, s.st_mtime_ns, s.st_size, s.st_ino) for name, s in status]

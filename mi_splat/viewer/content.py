@@ -200,10 +200,7 @@ class Content:
         return orbit.camera_size or self.size
 
     def turned(self, up: Point) -> Content:
-        """The same with another up direction: everything is turned about the origin, so that it is z.
-
-        Cameras of files keep their pictures. Others stay level, as far above the new ground as above the old one.
-        """
+        """The same with another up direction: everything is turned about the origin, so that it is z."""
         if tuple(up) == tuple(self.up):
             return self
         back = from_z(torch.tensor(list(self.up), dtype=torch.float64))

@@ -161,10 +161,7 @@ def _any_is(given: Iterable[str], secret: str) -> bool:
 
 @contextmanager
 def guarding(guard: Guard, websockets_server: Any) -> Iterator[None]:
-    """Servers that `websockets` starts in this block answer only requests that the guard lets pass.
-
-    viser has no hook for it, so its call of `serve` is replaced.
-    """
+    """Servers that `websockets` starts in this block answer only requests that the guard lets pass."""
     plain, guarded = websockets_server.serve, []
 
     def serve(handler: Any, *arguments: Any, **options: Any) -> Any:

@@ -68,10 +68,7 @@ class JobResult:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class JobKind:
-    """A kind of job: its form, the arguments of its command, and how its folder is opened.
-
-    `out` is the folder of the command that is shown; the page itself uses a temporary one.
-    """
+    """A kind of job: its form, the arguments of its command, and how its folder is opened."""
 
     name: str
     fields: tuple[Choice | Number, ...]

@@ -36,10 +36,7 @@ _BUTTON = {False: "Pause", True: "Continue"}
 
 
 class LiveTraining(JobRunner):
-    """What a page shows of a training of so many steps; it provides the hooks of the training.
-
-    `paused` says whether the training is to wait.
-    """
+    """What a page shows of a training of so many steps; it provides the hooks of the training."""
 
     label, tab, leads = "mi-splat train", "Training", True
 

@@ -86,10 +86,7 @@ class Orbit:
         return replace(self, exact=None, source="", **numbers)
 
     def moved(self, position: Sequence[float], look_at: Sequence[float]) -> Orbit:
-        """The camera at `position` (3,) that looks at `look_at` (3,), in numbers short enough to be typed.
-
-        Straight above and below it keeps its azimuth. A pose that is no camera changes nothing.
-        """
+        """The camera at `position` (3,) that looks at `look_at` (3,), in numbers short enough to be typed."""
         x, y, z = (float(a) - float(b) for a, b in zip(position, look_at, strict=True))
         flat, length = math.hypot(x, y), math.hypot(x, y, z)
         if not (math.isfinite(length) and length > 0):
@@ -112,10 +109,7 @@ def focal_length(fov: float, size: tuple[int, int]) -> float:
 
 
 def orbit_of(camera: Camera, centre: Point, *, source: str = "") -> Orbit:
-    """A camera of a file as an orbit around the point of its axis that is nearest to `centre` (3,).
-
-    If `centre` is behind the camera, that point is as far in front of it.
-    """
+    """A camera of a file as an orbit around the point of its axis that is nearest to `centre` (3,)."""
     pose, middle = camera.to_world, torch.tensor(list(centre), dtype=torch.float64)
     forward = pose[:3, 2]
     distance = float((middle - camera.position) @ forward)

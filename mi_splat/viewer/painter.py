@@ -122,10 +122,7 @@ class Painter:
         return commands
 
     def similarity(self, orbit: Orbit) -> float | None:
-        """PSNR in dB between the two inspected pictures; None for one, or where they are equal.
-
-        Masked pixels of a photograph are left out, as in the scores of a training.
-        """
+        """PSNR in dB between the two inspected pictures; None for one, or where they are equal."""
         photographs = self.content.photographs
         if len(self.content.names) < 2 or (photographs and self._photograph(orbit) is None):
             return None

@@ -25,10 +25,7 @@ MASK = "mask.npy"  # file of the selected Gaussians in commands
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Picked:
-    """Selected Gaussians, (N,) bool, of the splat of this name.
-
-    `command` is the `mi-splat select` that selects them; empty where several clicks did.
-    """
+    """Selected Gaussians, (N,) bool, of the splat of this name."""
 
     splat: str
     mask: Tensor
@@ -64,10 +61,7 @@ class Click:
 def clicked(
     at: tuple[float, float], layout: Layout, mode: str, content: Content, orbit: Orbit
 ) -> tuple[str, tuple[int, int]] | None:
-    """The splat and the pixel of its picture at a point of the page; None beside the pictures.
-
-    A point of a photograph is one of the picture of the splat next to it.
-    """
+    """The splat and the pixel of its picture at a point of the page; None beside the pictures."""
     x, y = (part * side for part, side in zip(at, layout.canvas, strict=True))
     (width, height), size = layout.size, content.size_at(orbit)
     rendered = [splat.name for splat in content.splats]

@@ -32,10 +32,7 @@ LONGEST_SIDE = 8192  # pixels of the largest window that is believed
 
 
 class Client:
-    """One browser window.
-
-    The server's thread handles its messages, one after the other; another thread renders its pictures.
-    """
+    """One browser window."""
 
     def __init__(self, handle: Any, runner: JobRunner, wake: Callable[[], None]) -> None:
         self._handle, self._runner, self._painter, self._wake = handle, runner, runner.painter, wake
@@ -191,10 +188,7 @@ def check_port(host: str, port: int) -> None:
 
 
 class Page:
-    """Serves the content of a painter, or of a runner with jobs, until it is closed.
-
-    Pictures are rendered in the thread that calls `run`. Port 0 is any free one.
-    """
+    """Serves the content of a painter, or of a runner with jobs, until it is closed."""
 
     def __init__(self, shown: Painter | JobRunner, *, host: str = "127.0.0.1", port: int = 8080) -> None:
         self._runner = shown if isinstance(shown, JobRunner) else JobRunner(shown)

@@ -48,10 +48,7 @@ class Layout:
 
 
 def lay_out(canvas: tuple[int, int], aspect: float, count: int, *, gap: int = 4) -> Layout:
-    """Pictures of one shape as large as possible, in a row or in a column.
-
-    On a portrait page they stand in the upper part, because the controls of a narrow page are at the bottom.
-    """
+    """Pictures of one shape as large as possible, in a row or in a column."""
     width, height = max(canvas[0], count), max(canvas[1], count)
     free = height if height <= width else max(count, round(UPPER_PART * height))
     row = _fit(max((width - gap * (count - 1)) // count, 1), free, aspect)
@@ -106,10 +103,7 @@ class Step(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewState:
-    """What a window shows: `mode` is one of `mi_splat.viewer.session.display_modes`, `canvas` its size in pixels.
-
-    `revision` counts changes of the splats themselves.
-    """
+    """What a window shows: `mode` is one of `mi_splat.viewer.session.display_modes`, `canvas` its size in pixels."""
 
     orbit: Orbit
     mode: str
@@ -126,11 +120,7 @@ class Pace:
     scale: float = 0.5
 
     def after(self, seconds: float) -> Pace:
-        """The pace after a coarse picture that took `seconds`.
-
-        Time is assumed to grow with the number of pixels. Within a quarter of the target nothing changes, and the width
-        changes by at most 1.5 times at once, so that pictures do not pulse.
-        """
+        """The pace after a coarse picture that took `seconds`."""
         ratio = self.seconds / max(seconds, 1e-6)
         if 0.8 <= ratio <= 1.25:
             return self
