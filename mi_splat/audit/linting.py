@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageOps
 from torch import Tensor
 
 from mi_splat.audit.rules import Finding, Severity, Stored, findings_of
@@ -33,18 +33,10 @@ SIZE = 1024  # pixels along each side of the picture that is counted
 HEAVY, STOPS = 512.0, 4096.0
 """Mean layers from which a splat is heavy, and from which the rasteriser of mi-splat refuses such a picture."""
 
-_STOPPED, _SLOW = "a renderer stops, or takes seconds", "it is slow"
 _DIRECTIONS = 8
 _FOV = math.radians(45)
 _POINTS = 20_000
 _CORE = 0.3
-_STOPS_OF_HEAT = (
-    (0.0, (0, 0, 0)),
-    (0.35, (90, 20, 110)),
-    (0.6, (220, 60, 40)),
-    (0.8, (250, 180, 40)),
-    (1.0, (255, 240, 170)),
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -70,9 +62,10 @@ class Overdraw:
         if self.mean < HEAVY:
             return None
         stops = self.mean >= STOPS
+        effect = "a renderer stops, or takes seconds" if stops else "it is slow"
         reason = (
             f"From one camera {self.mean:,.0f} Gaussians lie over each other in the mean of a picture of {SIZE} x "
-            f"{SIZE} pixels, up to {self.highest:,} at one place: {_STOPPED if stops else _SLOW}."
+            f"{SIZE} pixels, up to {self.highest:,} at one place: {effect}."
         )
         return Finding(rule="overdraw", severity="error" if stops else "warning", reason=reason)
 
@@ -129,13 +122,11 @@ def _around(points: Tensor, size: float) -> Iterator[Camera]:
 
 def overdraw_picture(worst: Overdraw) -> NDArray[np.uint8]:
     """(H, W, 3) heat of the layers, on a logarithmic scale up to `STOPS`, with the scale beneath."""
-    heat = _heat(np.log1p(worst.layers) / math.log1p(STOPS))
-    picture = np.repeat(np.repeat(heat, 3, axis=0), 3, axis=1)
-    height, width = picture.shape[:2]
+    picture = ImageOps.scale(_heat(np.log1p(worst.layers) / math.log1p(STOPS)), 3, Image.Resampling.NEAREST)
+    width, height = picture.size
     sheet = Image.new("RGB", (width, height + 70), (255, 255, 255))
-    sheet.paste(Image.fromarray(picture), (0, 0))
-    bar = _heat(np.tile(np.linspace(0, 1, width - 80), (14, 1)))
-    sheet.paste(Image.fromarray(bar), (40, height + 10))
+    sheet.paste(picture, (0, 0))
+    sheet.paste(_heat(np.tile(np.linspace(0, 1, width - 80), (14, 1))), (40, height + 10))
     draw = ImageDraw.Draw(sheet)
     for layers in (1, 8, 64, int(HEAVY), int(STOPS)):
         x = 40 + (width - 80) * math.log1p(layers) / math.log1p(STOPS)
@@ -145,11 +136,10 @@ def overdraw_picture(worst: Overdraw) -> NDArray[np.uint8]:
     return np.asarray(sheet)
 
 
-def _heat(share: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """(..., 3) black, violet, red, yellow, pale yellow for shares from 0 to 1 and above."""
-    stops = [stop for stop, _ in _STOPS_OF_HEAT]
-    channels = [np.interp(share, stops, [colour[axis] for _, colour in _STOPS_OF_HEAT]) for axis in range(3)]
-    return np.stack(channels, axis=-1).astype(np.uint8)
+def _heat(share: NDArray[np.float64]) -> Image.Image:
+    """Black, red and pale yellow for shares from 0 to 1 and above."""
+    grey = Image.fromarray((255 * share.clip(0, 1)).astype(np.uint8))
+    return ImageOps.colorize(grey, (0, 0, 0), (255, 240, 170), mid=(200, 50, 60))
 
 
 # Validator of `KHR_gaussian_splatting`: what a primitive says, the accessors of its attributes, and their values.

@@ -28,18 +28,11 @@ OnStep = Callable[[int, int], None]  # called after each step of the training wi
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PictureAudit:
-    """Which pictures of a set contradict the others, and by how much.
+    """Which pictures of a set contradict the others, and by how much."""
 
-    Attributes:
-        audit: The verdict and its evidence, of the surface that the pictures show; no Gaussian has heat.
-        numbers: (K,) int64, which pictures were compared.
-        amounts: (K,) how much of a look each shows that other pictures of the same surface contradict: about 0 none of
-            it, about 1 all of it; 0 where nothing was found. Of two sides the one with fewer pictures is the look.
-    """
-
-    audit: Audit
-    numbers: Tensor
-    amounts: Tensor
+    audit: Audit  # of the surface that the pictures show; no Gaussian has heat
+    numbers: Tensor  # (K,) int64, which pictures were compared
+    amounts: Tensor  # (K,) how much of a contradicted appearance each shows, from about 0 to about 1
 
     @property
     def contradicting(self) -> list[int]:

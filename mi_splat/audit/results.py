@@ -120,21 +120,13 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Region:
-    """Directions from the middle of an object: a cone, a sector of azimuths above a ground, or all but these.
+    """Directions from the middle of an object: a cone, a sector of azimuths above a ground, or all but these."""
 
-    Attributes:
-        axis: (3,) unit vector, world: of a cone its axis, of a sector its middle, along the ground.
-        half_width: Degrees from the axis to the edge; of a sector degrees of azimuth.
-        elevation: Lowest and highest elevation of a sector, degrees above the object's ground; None of a cone.
-        complement: Whether all other directions are meant.
-        overlap: Intersection over union with the cameras that see the look, in [0, 1].
-    """
-
-    axis: Vector
-    half_width: float
-    elevation: tuple[float, float] | None = None
-    complement: bool = False
-    overlap: float
+    axis: Vector  # (3,) unit vector, world: of a cone its axis, of a sector its middle, along the ground
+    half_width: float  # degrees from the axis to the edge; of a sector degrees of azimuth
+    elevation: tuple[float, float] | None = None  # of a sector, degrees above the object's ground; None of a cone
+    complement: bool = False  # whether all other directions are meant
+    overlap: float  # intersection over union with the cameras that see the appearance, in [0, 1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -225,39 +217,21 @@ class Edit:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ObjectAudit:
-    """One object: its surface, what changes on it with the direction of view, and its verdict.
+    """One object: its surface, what changes on it with the direction of view, and its verdict."""
 
-    Attributes:
-        rows: (M,) its Gaussians.
-        centre: (3,) world units.
-        radius: Of a ball that holds nearly all of it, world units.
-        up: (3,) unit vector, world, away from the ground it stands on; None if it stands on none.
-        directions: (K, 3) float64 unit vectors, world, from the centre to the cameras.
-        pieces: Pieces of surface that were judged.
-        area: World units squared of the surface that was judged.
-        uncontradicted: World units squared of surface that too few cameras see, or cameras of one side only: what is
-            shown there is not contradicted by anything.
-        cameras: The K cameras, in the world.
-        looks: What explains most, then what else is found when that is taken off; at least one.
-        occluder: What covers the object; None if nothing does.
-        edit: What looks like an edit of the finished file; None where it has too few Gaussians.
-        in_room: Whether it stands in a room, and was seen from places in it: honest objects there have as much evidence
-            as others that hide something, so that nothing in a room is more than suspicious.
-    """
-
-    rows: Tensor
-    centre: Vector
-    radius: float
-    up: Vector | None
-    directions: Tensor
-    pieces: int
-    area: float
-    uncontradicted: float
-    cameras: tuple[Camera, ...]
-    looks: tuple[Look, ...]
-    occluder: Occluder | None
-    edit: Edit | None = None
-    in_room: bool = False
+    rows: Tensor  # (M,) its Gaussians
+    centre: Vector  # world units
+    radius: float  # of a ball that holds nearly all of it, world units
+    up: Vector | None  # unit vector, world, away from the ground it stands on; None if it stands on none
+    directions: Tensor  # (K, 3) float64 unit vectors, world, from the centre to the cameras
+    pieces: int  # pieces of surface that were judged
+    area: float  # world units squared of the surface that was judged
+    uncontradicted: float  # world units squared of surface that too few cameras see, or cameras of one side only
+    cameras: tuple[Camera, ...]  # the K cameras, in the world
+    looks: tuple[Look, ...]  # what explains most, then what is found when that is taken off; at least one
+    occluder: Occluder | None  # what covers the object; None if nothing does
+    edit: Edit | None = None  # what looks like an edit of the finished file; None where it has too few Gaussians
+    in_room: bool = False  # whether it stands in a room, where honest objects have as much evidence as others
 
     @property
     def edited(self) -> bool:
@@ -289,24 +263,14 @@ class ObjectAudit:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Audit(Previewed):
-    """What is hidden in a splat, as far as the file itself can tell.
+    """What is hidden in a splat, as far as the file itself can tell."""
 
-    Attributes:
-        objects: From the largest; each was looked at by itself.
-        heat: (N,) score of the surface that each Gaussian makes up, 0 of those that no picture showed.
-        mask: (N,) bool, the Gaussians that carry most of what was found; none where nothing was.
-        near: Share of the Gaussians with an opacity above 0.1 that lie near one of the objects; nothing is known of the
-            others.
-        against: How it differs from the clean splat, if one was given.
-        up: (3,) direction that was said to be up; None where nobody said it.
-    """
-
-    objects: tuple[ObjectAudit, ...]
-    heat: Tensor
-    mask: Tensor
-    near: float
-    against: Changes | None = None
-    up: Point | None = None
+    objects: tuple[ObjectAudit, ...]  # from the largest; each was looked at by itself
+    heat: Tensor  # (N,) score of the surface that each Gaussian makes up, 0 of those that no image showed
+    mask: Tensor  # (N,) bool, the Gaussians that carry most of what was found; none where nothing was
+    near: float  # share of the solid Gaussians that lie near an object; nothing is known of the others
+    against: Changes | None = None  # how it differs from the clean splat, if one was given
+    up: Point | None = None  # (3,) direction that was said to be up
 
     def __repr__(self) -> str:
         carry = f"{int(self.mask.sum()):,} of {len(self.mask):,} Gaussians carry it"
