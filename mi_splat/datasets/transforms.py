@@ -29,7 +29,7 @@ from mi_splat.datasets.frames import (
     within,
 )
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.parsing import DocumentReader
+from mi_splat.io.parsing import DocumentReader, Fields
 
 OPENGL = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 """Camera space with OpenGL's axes to ours, and back."""
@@ -47,7 +47,6 @@ _TRANSFORMS = DocumentReader(
     error=DatasetError,
 )
 _DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
-_LARGEST = 1e12
 _PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
 _FISHEYE, _RATIONAL = ("OPENCV_FISHEYE", "FISHEYE"), "FULL_OPENCV"
 _DIVISOR = ("k4", "k5", "k6")
@@ -97,10 +96,8 @@ def read_cameras(path: Path, size: tuple[int, int]) -> list[Camera]:
 
 def read_world_offset(path: Path) -> tuple[float, float, float]:
     """What a transforms file says has to be added to its coordinates; zero if it says nothing."""
-    values = _document(path).get(WORLD_OFFSET, [0.0, 0.0, 0.0])
-    if not isinstance(values, list) or len(values) != 3:
-        raise DatasetError.of(f"{path}: {WORLD_OFFSET}", "three numbers", repr(values)[:60], "repair it")
-    x, y, z = (_number({"value": value}, "value", f"{path}: {WORLD_OFFSET}") or 0.0 for value in values)
+    fields = Fields(_document(path), str(path), DatasetError, "repair it")
+    x, y, z = fields.numbers(WORLD_OFFSET, 3, 3, (0.0, 0.0, 0.0))
     return x, y, z
 
 
@@ -145,14 +142,8 @@ def _mask(entry: Mapping[str, Any], path: Path, picture: Path, where: str) -> Pa
 
 
 def _number(values: Mapping[str, Any], key: str, where: str) -> float | None:
-    """A finite number of the file, None if it is not there."""
-    value = values.get(key)
-    if value is None:
-        return None
-    usable = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _LARGEST
-    if not usable:  # nan is not smaller than anything
-        raise DatasetError.of(f"{where}: {key}", "a finite number", repr(value)[:60], "repair it")
-    return float(value)
+    """A number of the file, None if it is not there."""
+    return None if values.get(key) is None else Fields(values, where, DatasetError, "repair it").number(key)
 
 
 def _size(values: Mapping[str, Any], where: str) -> tuple[int, int] | None:

@@ -343,12 +343,8 @@ def _foreign_files(folder: Path) -> list[str]:
     return [
         name
         for name, path in files_in(folder)
-        if name not in listed or not _is_regular(path) or path.stat().st_size != listed[name][1]
+        if name not in listed or path.is_symlink() or not path.is_file() or path.stat().st_size != listed[name][1]
     ]
-
-
-def _is_regular(path: Path) -> bool:
-    return path.is_file() and not path.is_symlink()
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""Small files that claim, or expand to, gigabytes: refused in a process that grows by less than 100 MB."""
+"""Small files that claim, or expand to, half a gigabyte: refused in a process that grows by less than 100 MB."""
 
 import io
 import json
@@ -18,7 +18,7 @@ from mi_splat.io.formats.sog import picture_bytes
 from tests.io.format_files import gltf_with, rezipped, valid
 from tests.project.layers import ROOT
 
-GIGABYTES = 2 << 30
+EXPANDED = 1 << 29
 LOAD = """
 import resource, sys
 from mi_splat.io import SplatFileError, load_splat
@@ -45,7 +45,7 @@ def deflated(start: bytes, total: int) -> bytes:
 
 
 def gzipped(start: bytes) -> bytes:
-    return b"\x1f\x8b\x08\0\0\0\0\0\0\xff" + deflated(start, GIGABYTES) + bytes(8)
+    return b"\x1f\x8b\x08\0\0\0\0\0\0\xff" + deflated(start, EXPANDED) + bytes(8)
 
 
 def spz_header(version: int, count: int) -> bytes:
@@ -53,8 +53,8 @@ def spz_header(version: int, count: int) -> bytes:
 
 
 def zipped(name: str, claimed: int) -> bytes:
-    """A SOG in which one member expands to 2 GB, whatever it claims."""
-    packed = deflated(b"", GIGABYTES)
+    """A SOG in which one member expands to half a gigabyte, whatever it claims."""
+    packed = deflated(b"", EXPANDED)
     buffer = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(valid("a.sog"))) as source, zipfile.ZipFile(buffer, "w") as archive:
         for member in source.namelist():
@@ -72,9 +72,9 @@ def zipped(name: str, claimed: int) -> bytes:
 
 
 def zstandard_bomb(count: int) -> bytes:
-    """SPZ of version 4 whose first section expands to 2 GB."""
+    """SPZ of version 4 whose first section expands to half a gigabyte."""
     frame = zstandard.ZstdCompressor(level=1).compressobj()
-    packed = b"".join(frame.compress(bytes(1 << 24)) for _ in range(GIGABYTES >> 24)) + frame.flush()
+    packed = b"".join(frame.compress(bytes(1 << 24)) for _ in range(EXPANDED >> 24)) + frame.flush()
     head = spz_header(4, count) + struct.pack("<I12x", 32)
     sizes = [(len(packed), 9 * count), *((0, size * count) for size in (1, 3, 3, 4))]
     return head + b"".join(struct.pack("<QQ", *pair) for pair in sizes) + packed
@@ -112,11 +112,11 @@ def ksplat_of(count: int) -> bytes:
 
 
 BOMBS: dict[str, Callable[[], bytes]] = {
-    "claims.spz": lambda: gzipped(spz_header(3, GIGABYTES // 20)),
+    "claims.spz": lambda: gzipped(spz_header(3, EXPANDED // 20)),
     "hides.spz": lambda: gzipped(spz_header(3, 1)),
-    "claims_v4.spz": lambda: zstandard_bomb(GIGABYTES // 9),
+    "claims_v4.spz": lambda: zstandard_bomb(EXPANDED // 9),
     "hides_v4.spz": lambda: zstandard_bomb(1000),
-    "claims.sog": lambda: zipped("meta.json", GIGABYTES),
+    "claims.sog": lambda: zipped("meta.json", EXPANDED),
     "hides.sog": lambda: zipped("meta.json", 1000),
     "picture.sog": lambda: zipped("quats.webp", 400),
     "wide.sog": lambda: sog_of(20),

@@ -45,7 +45,7 @@ def opened(path: Path) -> GaussianScene | None:
 @pytest.mark.parametrize("name", NAMES)
 def test_truncation_at_each_length(name: str, tmp_path: Path) -> None:
     whole, path = valid(name), tmp_path / name
-    lengths = sorted({*range(0, len(whole), max(1, len(whole) // 400)), *range(min(100, len(whole))), len(whole) - 1})
+    lengths = sorted({*range(0, len(whole), max(1, len(whole) // 80)), *range(min(60, len(whole))), len(whole) - 1})
     tracemalloc.start()
     for length in lengths:
         path.write_bytes(whole[:length])
