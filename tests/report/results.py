@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -18,10 +19,7 @@ from attacks.dagger.sanity_checks import Finding, write_findings
 from attacks.dagger.sanity_runs import Runs
 from attacks.objectives import relabel
 from attacks.observe.conditions import OWN
-from attacks.observe.rows import frame_of, write_rows
 from attacks.rate import Rate
-from attacks.studies.audit import figures as audit_figures
-from attacks.studies.poison_figures import figures as poison_figures
 from mi_splat import provenance
 from mi_splat.audit.files import write as write_files
 from mi_splat.io import save_splat
@@ -79,6 +77,15 @@ def cloak_record(name: str = FAILED) -> dict[str, Any]:
     return {**record, **provenance.origin()}
 
 
+def write_shipped(file: str, folder: Path, most: int | None = None) -> Path:
+    """A result of docs as if it had just been written, without its rows and with so many entries of each list."""
+    folder.mkdir()
+    record = json.loads((ROOT / "docs" / file).read_text())
+    record = {key: value[:most] if isinstance(value, list) else value for key, value in record.items()}
+    save_json({**record, **provenance.origin()}, folder / "result.json")
+    return folder
+
+
 def write_cloak(folder: Path, name: str = FAILED, **values: Any) -> Path:
     """A study of CLOAK without its rows, and a picture."""
     folder.mkdir(parents=True)
@@ -95,13 +102,6 @@ def write_cloak_study(folder: Path) -> Path:
     }
     record = {"story": "cloak-study", "study": "cloak", "name": "tiny", "question": "", "points": points}
     save_json({**record, **provenance.origin()}, folder / "result.json")
-    return folder
-
-
-def write_study(folder: Path) -> Path:
-    """A study of DAGGER that was done: the six pairs from all cameras."""
-    shutil.copytree(ARTIFACTS / "dagger_eot_pairs", folder)
-    change(folder / "result.json", command=provenance.command(), question="From everywhere?")
     return folder
 
 
@@ -160,60 +160,6 @@ def write_audit(folder: Path) -> Path:
     return folder
 
 
-def write_audit_study(folder: Path) -> Path:
-    """A study of the audit: two splats that hide something, one of them found, and an honest one."""
-    rows = [
-        {
-            **{"part": part, "value": "tv", "content": "tv", "splat": splat, "derived": False, "hides": hides},
-            **{"missed": {"redness": rate(8, 10)} if hides else {}, "verdict": verdict, "evidence": evidence},
-            **{"excess": 0.002 * evidence, "occluder": 0.0, "gaussians": 900, "scores": {"band 1": evidence}},
-        }
-        for part, splat, hides, verdict, evidence in (
-            ("above", "cloaked", True, "hidden look", 2.0),
-            ("sector", "cloaked", True, "nothing found", 0.2),
-            ("above", "clean", False, "nothing found", 0.1),
-        )
-    ]
-    told = audit_figures([{**row, "attributes": [1.0]} for row in rows], [])
-    record = {"story": "audit-study", "study": "audit", "name": "audit", "question": "", "chosen_on": [], "files": rows}
-    folder.mkdir()
-    save_json({**record, "figures": told, **provenance.origin()}, folder / "result.json")
-    write_manifest(folder)
-    return folder
-
-
-def write_poison_study(folder: Path) -> Path:
-    """A study of poisoned pictures: a clean and a poisoned splat of two seeds, and one that ended early."""
-    folder.mkdir()
-    victims, rows = list[dict[str, Any]](), list[dict[str, Any]]()
-    for seed, splat, many in ((0, "clean", 100), (0, "attacked", 300), (1, "clean", 110), (1, "attacked", 250)):
-        named = {"seed": seed, "splat": splat}
-        cost = {"gaussians": many, "steps": 9, "stopped": "after 9 steps" * (many == 250), "seconds": many / 10}
-        speed = {"cpu_seconds": many / 20, "peak_megabytes": 500.0, "milliseconds": 2.0, "device": "cpu"}
-        victims.append({"part": "by eps", "value": "16", **named, "defended": False, **cost, **speed})
-        rows += [{"attack": "by eps: 16", **named, "view": view, "psnr": 30.0 + view, "ssim": 0.9} for view in (0, 1)]
-    look: dict[str, Any] = {
-        "attack": "by eps: 16",
-        "seed": 0,
-        "condition": "held-out cameras",
-        "view": 0,
-    }
-    seen = {"clean": False, "attacked": True}
-    looks = [
-        {**look, "detector": who, "splat": splat, "success": wrong, "original_score": 0.4}
-        for who in ("toy", "fake_colour")
-        for splat, wrong in seen.items()
-    ]
-    tables = {"fidelity": frame_of([{**row, "condition": None} for row in rows]), "rows": frame_of(looks)}
-    record: dict[str, Any] = {"story": "poison-study", "study": "poison", "name": "toy", "question": ""}
-    record |= {"victims": victims, "detectors": {"fake_colour": "0" * 16}}
-    for name, table in tables.items():
-        write_rows(table, folder / f"{name}.csv.xz")
-    save_json({**record, **poison_figures(record, tables), **provenance.origin()}, folder / "result.json")
-    write_manifest(folder)
-    return folder
-
-
 def write_training(folder: Path) -> Path:
     """A training of two looks at pictures that were held out."""
     folder.mkdir()
@@ -252,16 +198,16 @@ def write_bench(folder: Path) -> Path:
 
 
 MAKERS: dict[str, Callable[[Path], Path]] = {
-    "study": write_study,
+    "study": partial(write_shipped, "artifacts/dagger_eot_pairs/result.json"),
     "dagger": write_dagger,
     "dagger-eot": write_eot,
     "cloak": write_cloak,
     "cloak-study": write_cloak_study,
     "dagger-sanity": write_sanity,
     "audit": write_audit,
-    "audit-study": write_audit_study,
+    "audit-study": partial(write_shipped, "tables/audit.json"),
     "bench": write_bench,
-    "poison-study": write_poison_study,
+    "poison-study": partial(write_shipped, "artifacts/m_ifgsm/result.json", most=30),
     "evaluate": write_evaluation,
     "compare": write_comparison,
     "detect": write_detections,

@@ -4,7 +4,7 @@ import json
 import re
 import runpy
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -13,6 +13,7 @@ import pytest
 
 from attacks.objectives import LEFT, REPORTED
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS
+from attacks.rate import pooled
 from attacks.report.checking import Result, check_result, flat, in_words, read_result
 from attacks.report.results import kind_of
 from tests.project.documented_commands import ROOT
@@ -83,10 +84,7 @@ def test_the_transfer_matrix_in_the_guide_is_that_of_the_rows() -> None:
     matrix = text.partition("## The matrix")[2].partition("**Method.**")[0]
     cells = re.findall(r"\d+/\d+, \d+/\d+", matrix)
     looks = result_of("transfer").record["looks"]
-    counts = (
-        [f"{look[key]['successes']}/{look[key]['total']}" for key in ("targeted", "untargeted")] for look in looks
-    )
-    assert Counter(cells) == Counter(map(", ".join, counts))
+    assert Counter(cells) == Counter(f"{summed([look['targeted']])}, {summed([look['untargeted']])}" for look in looks)
 
 
 def test_the_tables_of_cloak_are_those_of_the_rows() -> None:
@@ -95,8 +93,7 @@ def test_the_tables_of_cloak_are_those_of_the_rows() -> None:
     cloak, coco = ((ROOT / "docs" / page).read_text() for page in ("cloak.md", "coco.md"))
     for detector in (*OUR, "ssd_openimages"):
         rates = [result.record["by_seed"][seed][detector]["trigger_miss_rate"] for seed in ("1", "2")]
-        missed, seen = (sum(rate[key] for rate in rates) for key in ("successes", "total"))
-        assert f"{missed}/{seen} = {100 * missed / seen:.1f} %" in cloak
+        assert f"{summed(rates)} = {summed(rates, share=True)}" in cloak
     rows = result.tables[ROWS].with_columns(found=pl.col("original_score") >= 0.3)
     inside, behind = pl.col("depth: overhead") >= 0, pl.col("depth: rear") >= 0
     for (detector,), of_one in rows.group_by("detector"):
@@ -118,12 +115,10 @@ def by_splat(rows: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
 # The figures of README
 
 
-def of(successes: int, total: int) -> str:
-    return f"{successes}/{total}"
-
-
-def share(successes: int, total: int) -> str:
-    return f"{100 * successes / total:.1f} %"
+def summed(rates: Iterable[Mapping[str, int]], *, share: bool = False) -> str:
+    """Successes and total of some rates together, or per cent."""
+    rate = pooled(rates)
+    return f"{100 * rate.fraction:.1f} %" if share else rate.short()
 
 
 def from_one_view(detector: str) -> tuple[str, str]:
@@ -138,7 +133,7 @@ def from_one_view(detector: str) -> tuple[str, str]:
     reported = pl.col("target_score") >= least
     noise = rows.filter(splat=NOISE)
     strict = attacked.filter(reported, pl.col("original_score") < LEFT)
-    return of(len(strict), len(attacked)), of(len(noise.filter(reported)), len(noise))
+    return f"{len(strict)}/{len(attacked)}", f"{len(noise.filter(reported))}/{len(noise)}"
 
 
 def from_a_moving_camera(detector: str) -> tuple[str, str]:
@@ -146,31 +141,24 @@ def from_a_moving_camera(detector: str) -> tuple[str, str]:
     attacks = result_of("dagger_eot_pairs").record["attacks"].values()
     own = [attack for attack in attacks if attack["sources"] == [detector]]
     held = sorted(attack["strict_rate"]["successes"] for attack in own)
-    noise = [sum(attack["noise_rate"][key] for attack in own) for key in ("successes", "total")]
-    return f"{of(held[0], 60)} to {of(held[-1], 60)}", of(noise[0], noise[1])
+    return f"{held[0]}/60 to {held[-1]}/60", summed(attack["noise_rate"] for attack in own)
 
 
 def missed(name: str, detector: str) -> str:
     """Share of cameras well inside the trigger, without the seed on which settings were chosen."""
     seeds = result_of(name).record["by_seed"]
-    rates = [seeds[seed][detector]["trigger_miss_rate"] for seed in ("1", "2")]
-    return share(sum(rate["successes"] for rate in rates), sum(rate["total"] for rate in rates))
+    return summed((seeds[seed][detector]["trigger_miss_rate"] for seed in ("1", "2")), share=True)
 
 
 def on_new_cars(rate: str, detector: str) -> str:
-    (pooled,) = result_of("cloak_new_cars").record["pooled"].values()
-    counts = pooled["by_detector"][detector][rate]
-    return share(counts["successes"], counts["total"])
+    (over,) = result_of("cloak_new_cars").record["pooled"].values()
+    return summed([over["by_detector"][detector][rate]], share=True)
 
 
 def transferred() -> str:
-    looks = [
-        look["targeted"]
-        for look in result_of("transfer").record["looks"]
-        if " + " not in look["labels"]["detectors"] and not look["white_box"]
-    ]
-    counts = [sum(look[key] for look in looks) for key in ("successes", "total")]
-    return of(counts[0], counts[1])
+    looks = result_of("transfer").record["looks"]
+    others = (look for look in looks if " + " not in look["labels"]["detectors"] and not look["white_box"])
+    return summed(look["targeted"] for look in others)
 
 
 def grown(part: str, value: str, measure: str) -> str:
@@ -185,8 +173,8 @@ def test_readme_says_what_the_rows_give() -> None:
     one = {name: from_one_view(name) for name in (*OUR, "nanodet_coco", "centernet_coco")}
     moving = {name: from_a_moving_camera(name) for name in (rcnn, "nanodet_coco")}
     audit = json.loads((ROOT / "docs" / "tables" / "audit.json").read_text())
-    rates = (audit["figures"]["parts"]["all"]["found"], audit["figures"]["false_alarms"])
-    found, alarms = (of(rate["successes"], rate["total"]) for rate in rates)
+    found = summed([audit["figures"]["parts"]["all"]["found"]])
+    alarms = summed([audit["figures"]["false_alarms"]])
     drop = result_of("cloak_car_stealthy").record["stealth"]["object_psnr_drop"]
     layers, stealthy = "cloak_car_layers", "cloak_car_stealthy"
     assert {noise for _, noise in one.values()} == {"0/90"}

@@ -2,11 +2,14 @@
 
 import json
 import re
+import shutil
 import unicodedata
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from attacks import cli
@@ -23,7 +26,6 @@ from mi_splat.io.documents import save_png
 from mi_splat.io.picture_files import PictureFileError
 from tests.report.results import write_cloak, write_dagger, write_evaluation
 
-np = pytest.importorskip("numpy")
 EVIL = "\"><script>alert(1)</script><img src=http://x.invalid/a onerror='x'>$x_1^2$ {{ 7*7 }} {% raw %}"
 
 
@@ -58,37 +60,22 @@ class Reader(HTMLParser):
         return [attributes for name, attributes in self.elements if name == tag]
 
 
-def evil_section(**values: object) -> Section:
+def evil_section(evil: str = EVIL, **values: Any) -> Section:
     """A section whose every text tries to be markup."""
     points = (Point.of(0.0, Rate(successes=1, total=9)), Point.of(1.0, Rate(successes=4, total=9)))
-    chart = Chart(
-        title=EVIL,
-        caption=EVIL,
-        x_label=EVIL,
-        y_label=EVIL,
-        lines=(Line(name=EVIL, role="attack", points=points), Line(name="none", role="control", points=())),
-        ticks=(EVIL, "b"),
-        shade=(0.0, 1.0, EVIL),
-        level=(0.5, EVIL),
-        connected=False,
-    )
-    given = {
-        "kind": EVIL,
-        "title": EVIL,
-        "folder": EVIL,
-        "done": EVIL,
-        "conclusion": EVIL,
-        "headline": Figure(label=EVIL, rate=Rate(successes=3, total=40), note=EVIL),
-        "control": Figure(label=EVIL, words=EVIL),
-        "warnings": (EVIL,),
-        "charts": (chart,),
-        "tables": (Table(caption=EVIL, head=(EVIL, "b"), rows=((EVIL, EVIL),)),),
-        "configuration": ((EVIL, EVIL),),
-        "versions": ((EVIL, EVIL),),
-        "command": EVIL,
-        "file": (EVIL, EVIL),
+    lines = (Line(name=evil, role="attack", points=points), Line(name="none", role="control", points=()))
+    marks: dict[str, Any] = {"shade": (0.0, 1.0, evil), "level": (0.5, evil)}
+    given: dict[str, Any] = {
+        **dict.fromkeys(("kind", "title", "folder", "done", "conclusion", "command"), evil),
+        "headline": Figure(label=evil, rate=Rate(successes=3, total=40), note=evil),
+        "control": Figure(label=evil, words=evil),
+        "warnings": (evil,),
+        "charts": (Chart.bars(evil, (evil, evil), (evil, "b"), *lines, caption=evil, **marks),),
+        "tables": (Table(caption=evil, head=(evil, "b"), rows=((evil, evil),)),),
+        **dict.fromkeys(("configuration", "versions"), ((evil, evil),)),
+        "file": (evil, evil),
     }
-    return Section(**{**given, **values})  # type: ignore[arg-type]
+    return Section(**{**given, **values})
 
 
 @pytest.fixture(scope="module")
@@ -131,10 +118,9 @@ def test_nothing_is_asked_for_and_there_is_no_script(evil: bool, text: str) -> N
     assert not re.search(r"url\((?!#)|@import", (text if not evil else "").partition("</style>")[0])
 
 
-def test_what_a_terminal_would_obey_is_written_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_terminal_would_obey_is_written_out() -> None:
     hostile = "\x1b[31mred\x07\u202edesrever\u2028\x9b"
-    monkeypatch.setitem(evil_section.__globals__, "EVIL", hostile)
-    text = page_text([evil_section(), evil_section()], title=hostile)
+    text = page_text([evil_section(hostile), evil_section(hostile)], title=hostile)
     assert text.count(r"\x1b[31mred\x07\u202edesrever\u2028\x9b") >= 30
     assert not {sign for sign in text if unicodedata.category(sign) in ("Cc", "Cf", "Cs", "Zl", "Zp")} - {"\n", "\t"}
 
@@ -200,26 +186,27 @@ def test_large_pictures_are_made_smaller(tmp_path: Path) -> None:
         data_address(tmp_path / "b.png")
 
 
-def test_results_of_one_kind_are_compared(text: str, tmp_path: Path) -> None:
-    words = Reader(text).words
-    assert "Compared: DAGGER, from chosen cameras" in words
-    assert "Compared: CLOAK" not in words
-    one, two = (write_evaluation(tmp_path / name) for name in ("one", "two"))
-    page = Reader(page_text([read_section(one), read_section(two)]))
-    assert "attacked.ply against clean.ply (one)" in page.words
-    assert "attacked.ply against clean.ply (two)" in page.words
-
-
 # `mi-splat report`: what it refuses, what it writes and says
 
 
-@pytest.fixture
-def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    write_evaluation(tmp_path / "judged")
-    (tmp_path / "old.html").write_text("an older page")
-    (tmp_path / "empty").mkdir()
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("commands")
+    write_evaluation(folder / "judged")
+    shutil.copytree(folder / "judged", folder / "more" / "judged")
+    (folder / "old.html").write_text("an older page")
+    (folder / "empty").mkdir()
+    return folder
+
+
+def test_results_of_one_kind_are_compared(text: str, results: Path) -> None:
+    words = Reader(text).words
+    assert "Compared: DAGGER, from chosen cameras" in words
+    assert "Compared: CLOAK" not in words
+    page = Reader(
+        page_text([read_section(results / "judged"), evil_section(), read_section(results / "more" / "judged")])
+    )
+    assert "attacked.ply against clean.ply (judged)" in page.words
 
 
 @pytest.mark.parametrize(
@@ -234,7 +221,14 @@ def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (["judged/result.json", "--out", "page.html"], "pass judged"),
     ],
 )
-def test_errors_in_one_line(words: list[str], reason: str, results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_errors_in_one_line(
+    words: list[str],
+    reason: str,
+    results: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(results)
     before = sorted(results.iterdir())
     assert cli.main(["report", *words]) == 1
     error = capsys.readouterr().err
@@ -243,7 +237,10 @@ def test_errors_in_one_line(words: list[str], reason: str, results: Path, capsys
     assert sorted(results.iterdir()) == before
 
 
-def test_a_page_is_written_and_replaced_by_force_alone(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_page_is_written_and_replaced_by_force_alone(
+    results: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(results)
     words = ["report", "judged", "--out", "old.html", "--title", "A & B", "--force"]
     assert cli.main(words) == 0
     captured = capsys.readouterr()

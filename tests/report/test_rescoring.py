@@ -47,10 +47,12 @@ def test_an_attack_is_scored_again(aim: Objective, tmp_path: Path, variant: str)
     assert all("moved by 0.0%" in line.words for line in lines)
 
 
-def test_an_objective_of_functions_is_not_scored_again(tmp_path: Path, variant: str) -> None:
+def test_what_cannot_be_scored_again(tmp_path: Path, variant: str) -> None:
     own = objective(lambda candidates, target: candidates.scores.sum(), lambda detections, target: True, name="own")
     with pytest.raises(InvalidValueError, match="objective own: expected one that is known by its name, got functions"):
         scored(result_of(tmp_path / "result", own), ColourDetector())
+    with pytest.raises(InvalidValueError, match="score one of its attacks again"):
+        scored(ROOT / "docs" / "artifacts" / "dagger_eot_pairs", ColourDetector())
 
 
 @pytest.mark.parametrize(
@@ -84,11 +86,6 @@ def test_the_command_scores_again(
     assert cli.main(["artifact-check", str(attacked), "--rescore"]) == 1
 
 
-def test_a_study_of_many_attacks_is_not_scored_again() -> None:
-    with pytest.raises(InvalidValueError, match="score one of its attacks again"):
-        scored(ROOT / "docs" / "artifacts" / "dagger_eot_pairs", ColourDetector())
-
-
 # More than one threshold: rates over the confidence from which a detection counts, of rows that are there
 
 
@@ -100,7 +97,7 @@ def cloak(confidence: Confidence) -> Measures:
     return measures(study, confidence=confidence)
 
 
-def test_the_sector_is_missed_less_by_a_lower_confidence() -> None:
+def test_the_sector_is_missed_less_by_a_lower_confidence(tmp_path: Path) -> None:
     charts, (table,) = threshold_charts(SECTOR, cloak, {"trigger_miss_rate": ("missed", "attack")})
     assert [chart.title.split(",")[0] for chart in charts][:2] == ["fasterrcnn_small", "yolov8n_small"]
     (line,) = charts[1].lines
@@ -109,8 +106,5 @@ def test_the_sector_is_missed_less_by_a_lower_confidence() -> None:
     assert all(point.low is not None and point.low <= point.y <= (point.high or 0) for point in line.points)
     assert table.head == ("detector", "rate", "from 0.5", "from 0.25")
     assert [row[:2] for row in table.rows][:2] == [("fasterrcnn_small", "missed"), ("yolov8n_small", "missed")]
-
-
-def test_a_result_without_rows_or_without_such_a_rate_has_none(tmp_path: Path) -> None:
-    assert threshold_charts(tmp_path, cloak, {"trigger_miss_rate": ("missed", "attack")}) == ((), ())
     assert threshold_charts(SECTOR, cloak, {"target_rate": ("reported", "attack")}) == ((), ())
+    assert threshold_charts(tmp_path, cloak, {"trigger_miss_rate": ("missed", "attack")}) == ((), ())

@@ -10,10 +10,9 @@ import pytest
 
 from attacks.cli.summary import show_summary
 from attacks.cloak.config import StudyConfig, read_study
-from attacks.rate import Rate
+from attacks.rate import Rate, pooled
 from attacks.report.kinds.audit import angles
 from attacks.report.results import RESULT_KINDS, read_section
-from attacks.report.section import Section
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import decode
 from mi_splat.io.folders import read_manifest
@@ -29,24 +28,11 @@ from tests.report.results import (
 )
 
 
-def complaint(folder: Path) -> str | None:
-    """What is wrong with a folder; other errors than those that are meant for people pass."""
-    try:
-        read_section(folder)
-    except InvalidValueError as error:
-        return str(error)
-    return None
-
-
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     base = tmp_path_factory.mktemp("results")
     with running_command(LINE):
         return {name: make(base / name.replace(" ", "")) for name, make in MAKERS.items()}
-
-
-def words_of(section: Section) -> str:
-    return " ".join(section.warnings)
 
 
 LINE = ["mi-splat", "some command", "a b.ply", "--out", "x"]
@@ -88,11 +74,15 @@ def test_what_is_broken_is_told_in_one_line(name: str, folders: dict[str, Path],
     with pytest.raises(InvalidValueError, match="expected a JSON object"):
         read_section(tmp_path)
     wrong: tuple[Any, ...] = (None, 3, "text", {"x": []})
-    for key in list(whole):
+    told = list[str]()
+    for key in whole:
         for value in wrong:
             file.write_text(json.dumps({**whole, key: value}))
-            error = complaint(tmp_path)
-            assert error is None or ": expected " in error
+            try:
+                read_section(tmp_path)
+            except InvalidValueError as error:  # no other error
+                told.append(str(error))
+    assert all(": expected " in text for text in told)
     file.write_text("{}")
     with pytest.raises(InvalidValueError, match=r"expected .* again"):
         read_section(tmp_path)
@@ -110,6 +100,9 @@ def test_what_is_no_result_is_told(path: str, words: str, tmp_path: Path) -> Non
 
 
 def test_an_attack_s_figures_and_settings(folders: dict[str, Path]) -> None:
+    region = read_section(folders["dagger-eot"]).headline.rate
+    assert region is not None
+    assert region.total == 8
     section = read_section(folders["dagger"])
     assert section.title == "thing to person"
     assert section.headline.rate == Rate(successes=1, total=1)
@@ -127,12 +120,6 @@ def test_an_attack_without_a_control_says_so(tmp_path: Path) -> None:
     assert section.manifest == read_manifest(tmp_path / "a").sha256
 
 
-def test_an_attack_on_a_region(folders: dict[str, Path]) -> None:
-    section = read_section(folders["dagger-eot"])
-    stored = json.loads((folders["dagger-eot"] / "result.json").read_text())
-    assert section.headline.rate == Rate(successes=stored["rate"]["successes"], total=8)
-
-
 def test_a_study_s_file_is_the_study(folders: dict[str, Path], tmp_path: Path) -> None:
     section = read_section(folders["cloak"])
     assert section.file is not None
@@ -146,10 +133,10 @@ def test_a_study_says_what_speaks_against_it(folders: dict[str, Path], tmp_path:
     assert section.control is not None
     assert section.control.rate == Rate(successes=1, total=338)
     for warning in ("Not stealthy", "The attack rear fails", "One seed"):
-        assert warning in words_of(section)
+        assert warning in " ".join(section.warnings)
     several = read_section(write_cloak(tmp_path / "several", TWO_SEEDS, control_recall=rate(4, 40)))
     for warning in ("look at each seed", "found in 4 of 40 views only"):
-        assert warning in words_of(several)
+        assert warning in " ".join(several.warnings)
 
 
 def test_a_study_that_hides_nothing_has_the_target_class_as_its_figure(tmp_path: Path) -> None:
@@ -169,12 +156,6 @@ def test_a_study_has_resampled_intervals_and_a_chart_over_its_angle(name: str, a
     assert any(axis in chart.x_label for chart in section.charts)
 
 
-def test_red_lines_of_sanity_are_warnings(folders: dict[str, Path]) -> None:
-    section = read_section(folders["dagger-sanity"])
-    assert section.headline.value == "1 of 2"
-    assert len(section.warnings) == 2
-
-
 def test_an_audit_says_what_was_not_judged_and_from_where_its_looks_are_seen(folders: dict[str, Path]) -> None:
     section = read_section(folders["audit"])
     assert section.headline.words == "hidden look"
@@ -183,9 +164,8 @@ def test_an_audit_says_what_was_not_judged_and_from_where_its_looks_are_seen(fol
     assert [line.name for line in seen.lines] == ["see look 1", "see look 2", "see none"]
     assert min(point.y for point in seen.lines[0].points) > 44 > max(point.y for point in seen.lines[1].points)
     assert [line.name for line in covered.lines] == ["covered", "not covered"]
-    warnings = " ".join(section.warnings)
     for words in ("20% of the surface", "An honest canopy may do the same", "20% of the solid", "Nothing shows (1 Ga"):
-        assert words in warnings
+        assert words in " ".join(section.warnings)
     assert len(section.tables) == 4
 
 
@@ -202,7 +182,7 @@ def test_what_detectors_report(folders: dict[str, Path]) -> None:
     section = read_section(folders["detect"])
     assert section.headline.rate == Rate(successes=2, total=4)
     assert not section.attacked
-    assert "there is no control" in words_of(section)
+    assert "there is no control" in " ".join(section.warnings)
     assert len(section.pictures) == 4
     classes, each = section.tables
     assert classes.rows[0][:3] == ("fake_colour", "car", "2 of 2 = 100\u00a0% (34.2 to 100\u00a0%)")
@@ -212,15 +192,14 @@ def test_what_detectors_report(folders: dict[str, Path]) -> None:
 
 def test_detectors_are_counted_apart_from_classifiers(folders: dict[str, Path]) -> None:
     section = read_section(folders["poison-study"])
-    rates = {figure.label: figure.rate for figure in section.all_figures if figure.rate is not None}
-    one, none = Rate(successes=1, total=1), Rate(successes=0, total=1)
-    assert section.headline.rate == none
+    stored = json.loads((folders["poison-study"] / "result.json").read_text())["classified"]
+    named = [line["right"] for line in stored if line["condition"] == "held-out cameras" and line["splat"] == "clean"]
     assert section.control is not None
-    assert section.control.rate == one
-    assert rates["fake_colour finds the object on the clean splat, from held-out cameras"] == one
-    assert rates["fake_colour finds the object on the poisoned splat, from held-out cameras"] == none
-    heads = [[column for column in table.head if column in ("classifier", "detector")] for table in section.tables]
-    assert heads == [[], ["classifier"], ["detector"]]
+    assert section.control.rate == pooled(named)
+    detectors = {figure.label.partition(" finds")[0] for figure in section.figures if " finds " in figure.label}
+    assert detectors == {"fasterrcnn_small", "yolov8n_small"}
+    heads = {column for table in section.tables for column in table.head[1:2]}
+    assert heads >= {"classifier", "detector"}
 
 
 def test_a_command_says_what_its_page_says(folders: dict[str, Path], capsys: pytest.CaptureFixture[str]) -> None:
