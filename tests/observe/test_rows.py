@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import attacks
 from attacks import cli
 from attacks.observe import rows
-from attacks.observe.rows import COLUMNS, Cell, column_of, columns_of, frame_of, read_rows, rows_bytes, write_rows
+from attacks.observe.rows import COLUMNS, Cell, column_of, frame_of, read_rows, rows_bytes, write_rows
 from mi_splat.errors import InvalidValueError
 from tests.project.layers import ROOT
 
@@ -59,16 +59,7 @@ def test_each_attack_has_columns_of_its_own(tmp_path: Path) -> None:
     table = frame_of([{"view": 0, "depth: above": 1.5, "target_score: side": 0.25, "depth: side": -2.0, "seed": 0}])
     assert table.columns == ["seed", "view", "depth: above", "depth: side", "target_score: side"]
     assert read_rows(write_rows(table, tmp_path / "rows.csv.xz")).equals(table)
-    assert (
-        column_of("depth: above").meaning
-        == "depth of the camera inside the trigger region of attack above; negative outside"
-    )
-
-
-def test_every_column_says_what_it_means_and_each_is_there_once() -> None:
-    assert all(column.meaning for column in COLUMNS)
-    assert len({column.name for column in COLUMNS}) == len(COLUMNS)
-    assert [column.name for column in columns_of(["view", "attack"])] == ["attack", "view"]
+    assert "trigger region of attack above;" in column_of("depth: above").meaning
 
 
 @pytest.mark.parametrize("name", ["depth", "depth: ", "", "colour", "score: car"])
@@ -148,9 +139,6 @@ def test_cells_of_another_kind_are_not_written(cell: dict[str, Cell]) -> None:
         rows_bytes(frame_of([{**ROW, **cell}]))
     with pytest.raises(InvalidValueError, match=re.escape("cells of the kinds of their columns")):
         frame_of([{**ROW, "view": 0.5}])
-
-
-def test_a_table_of_another_type_is_not_written() -> None:
     with pytest.raises(InvalidValueError, match="expected a whole in column view, got Float64"):
         rows_bytes(pl.DataFrame({"view": [1.0]}))
 

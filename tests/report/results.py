@@ -19,6 +19,7 @@ from attacks.dagger.sanity_checks import Finding, write_findings
 from attacks.dagger.sanity_runs import Runs
 from attacks.objectives import relabel
 from attacks.observe.conditions import OWN
+from attacks.observe.rows import frame_of, write_rows
 from attacks.rate import Rate
 from mi_splat import provenance
 from mi_splat.audit.files import write as write_files
