@@ -90,22 +90,14 @@ def _noted(document: dict[str, Any], rest: bytes | None, path: Path) -> MeshFile
 
 def _read(path: Path) -> tuple[dict[str, Any], bytes | None]:
     """The JSON document, and of a GLB the chunks after it."""
-    data = path.read_bytes()
-    if not data:
-        raise GltfError.of(str(path), "a glTF 2.0 file", "an empty file", "export it again")
-    rest = None
-    try:
-        if path.suffix.lower() == ".glb":
-            if len(data) < _HEADER:
-                raise ValueError(f"a file of {len(data)} bytes, too short for a GLB")
-            magic, version, _, length, kind = struct.unpack_from("<4sIII4s", data)
-            if magic != b"glTF" or version != 2 or kind != b"JSON":
-                raise ValueError("no header of a GLB file of version 2")
-            if _HEADER + length > len(data):
-                raise ValueError("a file that is cut off")
-            data, rest = data[_HEADER : _HEADER + length], data[_HEADER + length :]
-    except ValueError as error:
-        raise GltfError.of(str(path), "a glTF 2.0 file", str(error)[:160], "export it again") from error
+    data, rest = path.read_bytes(), None
+    if path.suffix.lower() == ".glb":
+        magic, version, _, length, kind = struct.unpack_from("<4sIII4s", data.ljust(_HEADER, b"\0"))
+        if magic != b"glTF" or version != 2 or kind != b"JSON":
+            raise _DOCUMENT.broken(str(path), "no header of a GLB file of version 2")
+        if _HEADER + length > len(data):
+            raise _DOCUMENT.broken(str(path), "a file that is cut off")
+        data, rest = data[_HEADER : _HEADER + length], data[_HEADER + length :]
     document = _DOCUMENT.json_object(data, str(path))
     if "asset" not in document:
         raise _DOCUMENT.broken(str(path), "no object with the key asset")
@@ -143,13 +135,11 @@ def _base_colour(material: dict[str, Any]) -> dict[str, Any] | None:
 def _material(document: dict[str, Any], material: dict[str, Any]) -> MaterialNotes:
     """What a material says."""
     factor = material.get("pbrMetallicRoughness", {}).get("baseColorFactor")
+    factor = None if factor is None else np.clip(np.asarray(factor[:3], np.float64), 0, 1)
     texture = _base_colour(material)
-    transform = None if texture is None else _uv_transform(texture)
-    return MaterialNotes(
-        picture=None if texture is None else _picture(document, texture),
-        factor=None if factor is None else np.clip(np.asarray(factor[:3], np.float64), 0, 1),
-        uv_transform=transform,
-    )
+    if texture is None:
+        return MaterialNotes(factor=factor)
+    return MaterialNotes(picture=_picture(document, texture), factor=factor, uv_transform=_uv_transform(texture))
 
 
 def _picture(document: dict[str, Any], reference: dict[str, Any]) -> str:
@@ -218,16 +208,13 @@ class MeshFileError(MiSplatError):
 class LoadedMesh:
     """A mesh file as an asset.
 
-    Attributes:
-        asset: The surfaces, z up, metres.
-        world_offset: What to add to the asset's coordinates, metres, to get those of the file as `MeshSettings` turn
-            and scale it; zero unless the file's mesh lies so far from its origin that float32 cannot hold it.
-        warnings: What of the file's colours is not shown.
+    The offset, in metres, is what to add to get the file's coordinates as `MeshSettings` turn and scale them; zero
+    unless the mesh lies so far from the file's origin that float32 cannot hold it.
     """
 
-    asset: Asset
+    asset: Asset  # the surfaces, z up, metres
     world_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # what of the file's colours is not shown
 
 
 @np.errstate(all="ignore")  # numbers that are not finite are refused where they end up
@@ -333,15 +320,13 @@ def _world_offset(pieces: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     high = np.max([piece.max(0) for piece in pieces], axis=0)
     middle = (low + high) / 2
     radius = float(np.linalg.norm(high - low)) / 2
-    far: bool = bool(np.abs(middle).max() > FARTHEST * radius > 0)
-    return middle if far else np.zeros(3)
+    return middle if np.abs(middle).max() > FARTHEST * radius > 0 else np.zeros(3)
 
 
 def _mesh(surface: Surface, vertices: NDArray[np.float64]) -> Mesh:
     """A surface's mesh in float32."""
-    return Mesh(
-        vertices.astype(np.float32), surface.faces.astype(np.uint32), surface.uvs.astype(np.float32), surface.texture
-    )
+    faces, uvs = surface.faces.astype(np.uint32), surface.uvs.astype(np.float32)
+    return Mesh(vertices.astype(np.float32), faces, uvs, surface.texture)
 
 
 def _not_finite(path: Path, error: Exception) -> MeshFileError:

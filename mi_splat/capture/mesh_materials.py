@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,36 +30,22 @@ _USUAL: dict[str, tuple[object, ...]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MaterialNotes:
-    """What a file says of one material.
+    """What a file says of one material."""
 
-    Attributes:
-        picture: Name of its texture, None if it has none.
-        factor: (3,) linear colour that multiplies the texture and the colours of vertices, None if it is not given.
-        uv_transform: (3, 3) matrix that acts on texture coordinates (v down) before they are used; None is none.
-        options: What the file wants of the texture and is not done, in the file's words; "" if there is nothing.
-    """
-
-    picture: str | None = None
-    factor: NDArray[np.float64] | None = None
-    uv_transform: NDArray[np.float64] | None = None
-    options: str = ""
+    picture: str | None = None  # name of its texture
+    factor: NDArray[np.float64] | None = None  # (3,) linear colour that multiplies texture and colours of vertices
+    uv_transform: NDArray[np.float64] | None = None  # (3, 3) matrix that acts on texture coordinates first, v down
+    options: str = ""  # what the file wants of the texture and is not done, in the file's words
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeshFileNotes:
-    """What a file says of its materials.
+    """What a file says of its materials."""
 
-    Attributes:
-        data: The file's bytes as trimesh shall read them; None is the file itself.
-        materials: By the name that trimesh gives them; "" is that of a file with only one.
-        faults: What cannot be shown, in words.
-        float32: Whether the file holds coordinates as 32-bit numbers.
-    """
-
-    data: bytes | None = None
-    materials: dict[str, MaterialNotes] = field(default_factory=dict)
-    faults: tuple[str, ...] = ()
-    float32: bool = False
+    data: bytes | None = None  # the file's bytes as trimesh shall read them; None is the file itself
+    materials: dict[str, MaterialNotes] = field(default_factory=dict)  # by trimesh's name; "" is that of an only one
+    faults: tuple[str, ...] = ()  # what cannot be shown, in words
+    float32: bool = False  # whether the file holds coordinates as 32-bit numbers
 
 
 def obj_notes(path: Path) -> MeshFileNotes:
@@ -220,36 +206,34 @@ def coloured(
     colours = _corner_colours(piece, faces)
     if picture is not None:
         if colours is not None:
-            left_out = (
-                f"{stated.picture or 'a texture'}: colours of vertices beside it, which are not multiplied with it"
-            )
-            (fault if linear else remark)(left_out)
-        return _textured(piece, vertices, faces, _times(picture, stated), stated, fault)
-    if colours is not None:
+            what = stated.picture or "a texture"
+            (fault if linear else remark)(f"{what}: colours of vertices beside it, which are not multiplied with it")
+        # An OBJ's picture stands in for its diffuse colour, which exporters often leave at black or grey.
+        shown = stated.factor is None
+        texture = picture if shown else to_srgb(to_linear(picture) * np.float32(cast("Any", stated.factor)))
+        uvs = _texture_coordinates(piece, stated.uv_transform)
+        if uvs is not None:
+            return Surface(vertices=vertices, faces=faces, uvs=uvs, texture=texture)
+        fault(f"{stated.picture or 'a texture'}: no texture coordinates")
+        texture = texture.mean((0, 1), keepdims=True)
+    elif colours is not None:
         factor = stated.factor if stated.factor is not None else 1.0
         return _baked(vertices, faces, to_srgb(colours * np.float32(factor)) if linear else colours)
-    return Surface(vertices=vertices, faces=faces, uvs=np.zeros((len(vertices), 2)), texture=_plain(material, stated))
+    else:
+        texture = _plain(material, stated)
+    return Surface(vertices=vertices, faces=faces, uvs=np.zeros((len(vertices), 2)), texture=texture)
 
 
-def _textured(
-    piece: Any,
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    texture: Floats,
-    stated: MaterialNotes,
-    fault: Report,
-) -> Surface:
-    """A surface with a picture; without coordinates that is only its mean colour."""
+def _texture_coordinates(piece: Any, transform: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+    """(V, 2) texture coordinates, v up; None if there are none."""
     uvs = getattr(piece.visual, "uv", None)
-    if uvs is None or len(uvs) != len(vertices):
-        fault(f"{stated.picture or 'a texture'}: no texture coordinates")
-        mean = texture.mean((0, 1), keepdims=True)
-        return Surface(vertices=vertices, faces=faces, uvs=np.zeros((len(vertices), 2)), texture=mean)
+    if uvs is None or len(uvs) != len(piece.vertices):
+        return None
     uvs = np.asarray(uvs, np.float64)[:, :2]
-    if stated.uv_transform is not None:  # which is meant for v down
-        down = np.column_stack([uvs[:, 0], 1 - uvs[:, 1], np.ones(len(uvs))]) @ stated.uv_transform.T
+    if transform is not None:  # which is meant for v down
+        down = np.column_stack([uvs[:, 0], 1 - uvs[:, 1], np.ones(len(uvs))]) @ transform.T
         uvs = np.column_stack([down[:, 0], 1 - down[:, 1]])
-    return Surface(vertices=vertices, faces=faces, uvs=uvs, texture=texture)
+    return uvs
 
 
 def _material(piece: Any) -> Any | None:
@@ -284,12 +268,6 @@ def _picture(material: Any | None, stated: MaterialNotes, path: Path, fault: Rep
         return None
 
 
-def _times(texture: Floats, stated: MaterialNotes) -> Floats:
-    """A texture times the linear factor of a glTF material."""
-    # An OBJ's picture stands in for its diffuse colour, which exporters often leave at black or grey.
-    return texture if stated.factor is None else to_srgb(to_linear(texture) * np.float32(stated.factor))
-
-
 def _plain(material: Any, stated: MaterialNotes) -> Floats:
     """(1, 1, 3) sRGB colour of a material without a picture.
 
@@ -319,10 +297,9 @@ def _corner_colours(piece: Any, faces: NDArray[np.int64]) -> Floats | None:
     elif piece.visual.kind == "vertex":
         colours = _unit(np.asarray(piece.visual.vertex_colors)[:, :3])[faces]
     else:  # beside a material
-        attribute = piece.vertex_attributes.get("color")
-        values = (
-            attribute if attribute is not None else dict(getattr(piece.visual, "vertex_attributes", {})).get("color")
-        )
+        values = piece.vertex_attributes.get("color")
+        if values is None:
+            values = dict(getattr(piece.visual, "vertex_attributes", {})).get("color")
         if values is None or np.shape(values)[:1] != (len(piece.vertices),) or np.shape(values)[1] < 3:
             return None
         colours = _unit(np.asarray(values)[:, :3])[faces]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,7 +22,8 @@ from torch import Tensor
 
 from mi_splat.assets.daylight import Light, sky_map
 from mi_splat.assets.mesh import Asset, Floats, Mesh, to_linear, to_srgb
-from mi_splat.cameras import Camera, View
+from mi_splat.cameras import Camera
+from mi_splat.directions import unit_vector
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.picture_files import check_texture
 from mi_splat.mitsuba_setup import prepare_llvm, set_up_mitsuba
@@ -131,9 +132,8 @@ def _shape(name: str, meshes: Sequence[Mesh]) -> mi.Mesh:
     values = mi.traverse(shape)
     values["vertex_positions"] = np.concatenate([mesh.vertices[mesh.faces].ravel() for mesh in meshes])
     values["vertex_normals"] = np.concatenate([corner_normals(mesh).ravel() for mesh in meshes])
-    values["vertex_texcoords"] = (
-        (np.concatenate(uvs) * (1, -1) + (0, 1)).astype(np.float32).ravel()
-    )  # v runs down there
+    down = np.concatenate(uvs) * (1, -1) + (0, 1)  # v runs down there
+    values["vertex_texcoords"] = down.astype(np.float32).ravel()
     values["faces"] = np.arange(corners, dtype=np.uint32)
     values.update()
     return shape
@@ -160,12 +160,7 @@ def scene_dict(
 ) -> dict[str, Any]:
     """A Mitsuba scene, without a sensor, of `assets` in daylight; the scene belongs to the variant that traces."""
     light = Light() if light is None else light
-    azimuth, elevation = math.radians(light.sun_azimuth), math.radians(light.sun_elevation)
-    to_sun = [
-        math.cos(elevation) * math.cos(azimuth),
-        math.cos(elevation) * math.sin(azimuth),
-        math.sin(elevation),
-    ]
+    to_sun = unit_vector(light.sun_azimuth, light.sun_elevation)
     with tracing_variant():
         scene: dict[str, Any] = {"type": "scene", "integrator": {"type": "path", "max_depth": MAX_DEPTH}}
         for number, asset in enumerate(assets):
@@ -176,12 +171,8 @@ def scene_dict(
         sky = sky_map(light) if environment is None else environment
         scene["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(sky), "to_world": upright}
         if light.sun_strength > 0:
-            irradiance = [light.sun_strength * c for c in light.sun_colour]
-            scene["sun"] = {
-                "type": "directional",
-                "direction": [-c for c in to_sun],
-                "irradiance": {"type": "rgb", "value": irradiance},
-            }
+            irradiance = {"type": "rgb", "value": [light.sun_strength * c for c in light.sun_colour]}
+            scene["sun"] = {"type": "directional", "direction": [-c for c in to_sun], "irradiance": irradiance}
     return scene
 
 
@@ -189,8 +180,7 @@ def read_environment(path: Path) -> Floats:
     """(h, w, 3) float32 linear RGB of an environment map."""
     expected = "an OpenEXR (.exr) or Radiance (.hdr) picture"
     if path.suffix.lower() not in (".exr", ".hdr") or not path.is_file():
-        got = f"no file {path}" if path.suffix.lower() in (".exr", ".hdr") else str(path)
-        raise InvalidValueError.of("environment", expected, got, "check the path")
+        raise InvalidValueError.of("environment", expected, f"no such file at {path}", "check the path")
     check_texture(path, f"environment {path}")
     with tracing_variant():
         try:
@@ -221,9 +211,6 @@ PASSES = 2
 
 
 _Depths = TypeVar("_Depths", NDArray[Any], Tensor)
-
-OnStep = Callable[[int, int], None]
-"""Called after each picture with the number finished and the number wanted."""
 
 
 def pass_samples(samples: int) -> tuple[int, ...]:
@@ -303,12 +290,6 @@ def _picture(
     return torch.from_numpy(np.concatenate([colours, alpha.astype(np.float32)], axis=-1))
 
 
-def check_camera(camera: Camera) -> None:
-    """Raise if no picture can be taken from a camera."""
-    with tracing_variant():
-        sensor_dict(camera)
-
-
 class PathTracer:
     """A loaded mesh scene that takes pictures one at a time; each depends on its camera, samples and seed alone."""
 
@@ -349,39 +330,6 @@ class PathTracer:
         return torch.from_numpy(film[..., :3].copy()), torch.from_numpy(film[..., 3].copy())
 
 
-def capture(
-    scene: dict[str, Any] | Path,
-    cameras: Sequence[Camera],
-    *,
-    samples: int = 32,
-    seed: int = 0,
-    on_step: OnStep | None = None,
-) -> list[View]:
-    """Path-traced views of a mesh scene."""
-    views = []
-    with tracing_variant(made_in(scene)):
-        tracer = PathTracer(scene, samples=samples)
-        for number, camera in enumerate(cameras):
-            views.append(View(camera, tracer.picture(camera, seed=seed + number)))
-            if on_step is not None:
-                on_step(number + 1, len(cameras))
-    return views
-
-
-def first_hits(scene: mi.Scene, camera: Camera, *, seed: int = 0) -> Floats:
-    """(H, W) distance from the camera along one ray a pixel, 0 where it meets nothing; rays depend on the seed only."""
-    sensor = _sensor(camera, samples=1, seed=seed)
-    film = mi.render(scene, sensor=sensor, integrator=mi.load_dict({"type": "depth"}), spp=1, seed=seed)
-    return np.array(film, dtype=np.float32)[..., 0]
-
-
 def in_front(alone: _Depths, nearest: _Depths) -> _Depths:
     """(H, W) bool, where something is the first that a ray meets."""
     return (alone > 0) & (alone <= nearest * (1 + 1e-5))
-
-
-def depth_maps(scene: dict[str, Any] | Path, cameras: Sequence[Camera], *, seed: int = 0) -> list[Tensor]:
-    """Of each camera, (H, W) float32 distance from its centre to the first surface, 0 where there is none."""
-    with tracing_variant(made_in(scene)):
-        loaded = load_scene(scene)
-        return [torch.from_numpy(first_hits(loaded, camera, seed=seed)) for camera in cameras]

@@ -131,27 +131,15 @@ def working_frame(centre: Point, radius: float) -> WorkingFrame:
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CaptureSource:
-    """Something to take pictures of.
+    """Something to take pictures of."""
 
-    Attributes:
-        scene: What the path tracer loads: a scene dictionary or a Mitsuba XML file, in the working frame.
-        centre: Point that cameras look at, world units.
-        radius: Radius of what they shall see, world units.
-        assets: The surfaces in the working frame, the object first and then its surroundings; none are known of an
-            XML file.
-        digest: SHA-256 of everything that the pictures show.
-        frame: From world units to those of `scene` and `assets`.
-        world_offset: As in `mi_splat.capture.mesh_files.LoadedMesh`.
-        warnings: What the user should know of it.
-    """
-
-    scene: dict[str, Any] | Path
-    centre: Point
-    radius: float
-    assets: tuple[Asset, ...]
-    digest: str
-    frame: WorkingFrame = field(default_factory=WorkingFrame)
-    world_offset: Point = (0.0, 0.0, 0.0)
+    scene: dict[str, Any] | Path  # what the path tracer loads, in the working frame
+    centre: Point  # that cameras look at, world units
+    radius: float  # of what they shall see, world units
+    assets: tuple[Asset, ...]  # in the working frame, the object first, then its surroundings; none of an XML file
+    digest: str  # SHA-256 of everything that the pictures show
+    frame: WorkingFrame = field(default_factory=WorkingFrame)  # from world units to those of `scene` and `assets`
+    world_offset: Point = (0.0, 0.0, 0.0)  # as in `LoadedMesh`
     warnings: tuple[str, ...] = ()
 
 
@@ -164,13 +152,11 @@ def open_source(
     is_asset = name not in EXAMPLES and name.partition(":")[0] in ASSETS
     mesh, surroundings = mesh or MeshSettings(), surroundings or SurroundingsSettings()
     if mesh != MeshSettings() and suffix not in SUFFIXES:
-        what = "up, scale, rotate, front and missing textures"
-        error = InvalidValueError.of(what, "a mesh file to go with", name, "leave them out")
-        raise error.hinted("--up, --scale, --rotate, --front, --missing-textures")
+        what, flags = "up, scale, rotate, front and missing textures", "--up, --scale, --rotate, --front"
+        raise InvalidValueError.of(what, "a mesh file to go with", name, "leave them out").hinted(flags)
     if surroundings != SurroundingsSettings() and not (is_asset or suffix in SUFFIXES):
-        expected = "a mesh file, or an object of the project, to go with"
-        error = InvalidValueError.of("ground, sun and environment", expected, name, "leave them out")
-        raise error.hinted("--ground, --sun, --environment")
+        what, expected = "ground, sun and environment", "a mesh file, or an object of the project, to go with"
+        raise InvalidValueError.of(what, expected, name, "leave them out").hinted("--ground, --sun, --environment")
     if name in EXAMPLES:
         example = EXAMPLES[name]
         return source_of(*example.assets(), example.light, centre=example.centre)

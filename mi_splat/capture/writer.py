@@ -20,7 +20,7 @@ from torch import Tensor
 from mi_splat import provenance
 from mi_splat.assets.mesh import Asset, Floats
 from mi_splat.cameras import Camera, View, project_points
-from mi_splat.capture.path_tracer import NEAR, PASSES, PathTracer, check_camera, tracing_variant
+from mi_splat.capture.path_tracer import NEAR, PASSES, PathTracer, tracing_variant
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource, WorkingFrame
 from mi_splat.datasets.dataset import Dataset
@@ -33,6 +33,7 @@ from mi_splat.io.folders import locked_folder
 from mi_splat.io.parsing import DocumentReader, Fields
 from mi_splat.io.picture_files import PictureFileError, check_pixels, load_picture
 from mi_splat.io.points import PointCloud, load_points, save_points, to_bytes
+from mi_splat.plugins.sensor import sensor_dict
 from mi_splat.sh import sh_basis, sh_to_colour
 
 COLOUR_VIEWS = 24
@@ -54,7 +55,7 @@ class SurfaceSamples:
 
 def nearness(cameras: Sequence[Camera], *, closest: float = 1.5) -> Callable[[Floats], Floats]:
     """A density for `surface_samples`: the mean over cameras of one over the squared distance."""
-    eyes = np.stack([camera.position.numpy() for camera in cameras])
+    eyes = [camera.position.numpy() for camera in cameras]
 
     def density(points: Floats) -> Floats:
         total = np.zeros(len(points))
@@ -279,9 +280,8 @@ def write_capture(
             seconds = time.perf_counter() - begun
             cloud = folder / POINTS[0]
             if not cloud.is_file():
-                frames = tuple(
-                    Frame(camera=frame.camera(entry), path=images / name) for name, entry in listing["train"]
-                )
+                entries = [(frame.camera(camera), images / name) for name, camera in listing["train"]]
+                frames = tuple(Frame(camera=camera, path=path) for camera, path in entries)
                 views = Dataset(frames=frames, background=_GREY)
                 sampled = surface_points(tracer, source.assets, views, count=settings.points, seed=settings.seed)
                 save_points(frame.in_world(sampled), cloud)
@@ -310,7 +310,7 @@ def _listing(cameras: Sequence[Camera], test: Sequence[Camera]) -> dict[str, lis
         raise InvalidValueError.of("cameras", "at least one", "none", "ask for more")
     with tracing_variant():
         for camera in (*cameras, *test):
-            check_camera(camera)
+            sensor_dict(camera)  # which refuses pixels that are not square
             check_pixels("size", camera.width, camera.height)  # or they could not be read again
     parts = {"train": cameras, "test": test}
     return {split: [(picture_name(split, i), camera) for i, camera in enumerate(part)] for split, part in parts.items()}
@@ -413,31 +413,11 @@ def differences(stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[st
     """What differs between the record of a folder and the one wanted, in words; empty if the pictures are the same."""
     plain = ("train", "test", "samples", "seed", "alpha", "points", "near", "pictures", "mitsuba")
     changed = [f"{key} {stored.get(key)!r}, now {wanted[key]!r}" for key in plain if stored.get(key) != wanted[key]]
-    same_scene = stored.get("scene") == wanted["scene"]
-    same_counts = (stored.get("train"), stored.get("test")) == (wanted["train"], wanted["test"])
-    for key, unnamed in (("scene", True), ("cameras", same_scene and same_counts)):
-        if stored.get(key) == wanted[key]:
-            continue
-        if asked := _asked(stored, wanted, key):
-            changed += asked
-        elif unnamed:
-            changed.append(_unknown(key, stored, wanted))
+    content = {"scene": "another scene (what its files hold)", "cameras": "other cameras (their poses or lenses)"}
+    for key, words in content.items():
+        if stored.get(key) != wanted[key]:
+            before, now = (record.get("inputs", {}).get(key, {}) for record in (stored, wanted))
+            options = [name for name in {**now, **before} if name in before and before[name] != now.get(name)]
+            changed += [f"{name} {before[name]!r}, now {now.get(name)!r}" for name in options]
+            changed += [] if changed else [words]
     return changed
-
-
-def _asked(stored: Mapping[str, Any], wanted: Mapping[str, Any], key: str) -> list[str]:
-    """What was asked for otherwise, of the scene or of the cameras."""
-    before, now = (record.get("inputs", {}).get(key, {}) for record in (stored, wanted))
-    names = [name for name in {**now, **before} if name in before and before.get(name) != now.get(name)]
-    return [f"{name} {before.get(name)!r}, now {now.get(name)!r}" for name in names]
-
-
-def _unknown(key: str, stored: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
-    """The words for a difference in content alone."""
-    what = {"scene": "another scene", "cameras": "other cameras"}[key]
-    where = {"scene": "what its files hold", "cameras": "their poses or lenses"}[key]
-    versions = stored.get("version"), wanted["version"]
-    upgrade = (
-        f", or how version {versions[1]} reads them, where {versions[0]} began" if versions[0] != versions[1] else ""
-    )
-    return f"{what} ({where}{upgrade})"

@@ -68,14 +68,13 @@ class FitConfig:
             raise InvalidValueError.of("strategy", "the options of a strategy", repr(self.strategy), do)
         check(self)
         if not self.trainable:
-            raise InvalidValueError.of(
-                "trainable", f"some of {', '.join(ATTRIBUTES)}", self.trainable, "name what may change"
-            )
+            expected = f"some of {', '.join(ATTRIBUTES)}"
+            raise InvalidValueError.of("trainable", expected, self.trainable, "name what may change")
         frozen = [name for name in self.strategy.needs_trainable if name not in self.trainable]
         if frozen:
             expected = f"one that does not need {', '.join(frozen)} trainable"
             got = type(self.strategy).__name__
             raise InvalidValueError.of("strategy", expected, got, "use the fixed strategy, or train them")
         if self.lr_sh_final is not None and self.lr_sh == 0:
-            do = "1e-9 is next to nothing"
-            raise InvalidValueError.of("lr_sh", "a number > 0, as it decays exponentially", self.lr_sh, do)
+            expected = "a number > 0, as it decays exponentially"
+            raise InvalidValueError.of("lr_sh", expected, self.lr_sh, "1e-9 is next to nothing")

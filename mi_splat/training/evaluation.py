@@ -18,20 +18,12 @@ MOST_PSNR = 120.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scores:
-    """Means over views, of pictures clipped to [0, 1].
+    """Means over views, of pictures clipped to [0, 1]."""
 
-    Attributes:
-        psnr: dB; that of a view counts at most `MOST_PSNR`, since equal pictures have none.
-        ssim: At most 1.
-        lpips: At least 0, less is better; None if it was not asked for.
-        corrected_psnr: dB, as `psnr`, after the affine map of colours by which each picture comes nearest to its view,
-            for views whose exposures differ; None if it was not asked for.
-    """
-
-    psnr: float
+    psnr: float  # dB; that of a view counts at most `MOST_PSNR`, since equal pictures have none
     ssim: float
-    lpips: float | None = None
-    corrected_psnr: float | None = None
+    lpips: float | None = None  # less is better
+    corrected_psnr: float | None = None  # after the affine map of colours by which each picture is nearest to its view
 
 
 @runtime_checkable

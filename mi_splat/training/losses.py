@@ -105,9 +105,8 @@ def photometric_loss(image: Tensor, reference: Tensor, *, lambda_dssim: float = 
     `mi_splat.metrics.ssim` is the figure to report; the two differ at the picture's rim.
     """
     if image.ndim != 3 or image.shape != reference.shape:
-        raise InvalidValueError.of(
-            "image", f"shape {tuple(reference.shape)}, (H, W, 3)", tuple(image.shape), "render it at that size"
-        )
+        expected = f"shape {tuple(reference.shape)}, (H, W, 3)"
+        raise InvalidValueError.of("image", expected, tuple(image.shape), "render it at that size")
     loss: Tensor = _Photometric.apply(image, reference, lambda_dssim)
     return loss
 

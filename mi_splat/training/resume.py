@@ -295,9 +295,8 @@ def _check_same(state: TrainState, config: FitConfig, seed: int, data: str, fold
     if config not in (state.config, extended) or state.seed != seed:
         old, new = to_json(state.config) | {"seed": state.seed}, to_json(config) | {"seed": seed}
         differs = ", ".join(f"{key} {old[key]} and not {new[key]}" for key in old if old[key] != new[key])
-        raise CheckpointError.of(
-            str(folder), f"a run with {differs}", "another", "use those, or train in another folder"
-        )
+        do = "use those, or train in another folder"
+        raise CheckpointError.of(str(folder), f"a run with {differs}", "another", do)
 
 
 def _check_settings(state: TrainState, settings: Mapping[str, object], folder: Path) -> None:

@@ -26,12 +26,7 @@ class Exposures:
     """A (3, 4) map for each picture of a set: a matrix and what is added, from the splat's sRGB to the picture's.
 
     Nothing says which exposure is the right one. So the mean of the maps is kept the identity, and the splat has the
-    mean exposure; left free, all maps and the splat drift together.
-
-    Attributes:
-        values: (V, 3, 4) maps.
-        maps: The same, a picture at a time, as Adam knows them.
-        optimiser: Adam.
+    mean exposure; left free, all maps and the splat drift together. Adam knows a map at a time.
     """
 
     def __init__(self, count: int, device: torch.device) -> None:
@@ -234,9 +229,8 @@ class TrainState:
     def _exchange(self, values: dict[str, Tensor], source: Tensor, fresh: Tensor | None) -> None:
         """Give all tensors other rows, and Adam's state with them."""
         if not len(source):
-            raise TrainingError.of(
-                "splat", "Gaussians left after pruning", "none", "lower the rates or start from more of them"
-            )
+            do = "lower the rates or start from more of them"
+            raise TrainingError.of("splat", "Gaussians left after pruning", "none", do)
         old = dict(self.parameters)
         for name in old:
             self.parameters[name] = (values[name] if name in values else old[name][source]).detach().clone()

@@ -29,15 +29,7 @@ from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset, Floats, rotation, scaling, translation
 from mi_splat.assets.primitives import ellipsoid
 from mi_splat.cameras import Camera, RenderFn, View, orbit_pose, project_points
-from mi_splat.capture.path_tracer import (
-    FEW_PICTURES,
-    capture,
-    depth_maps,
-    in_front,
-    scene_dict,
-    shapes,
-    tracing_variant,
-)
+from mi_splat.capture.path_tracer import FEW_PICTURES, in_front, scene_dict, shapes, tracing_variant
 from mi_splat.capture.writer import nearness, surface_samples
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
@@ -45,6 +37,7 @@ from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, merge
 from scenes.recipes.detector_surroundings import backdrop, daylight, of_kind, random_surroundings, scatter
 from scenes.recipes.disc_splats import DiscConfig, RefineConfig, disc_splat, refine
+from scenes.recipes.mesh_views import capture, depth_maps
 
 SPLITS = {"train": (0, 100_000), "validation": (300_000, 400_000), "held-out": (500_000, 600_000)}
 """Half-open ranges of asset seeds; also what separates the splits' cameras, lights and surroundings."""

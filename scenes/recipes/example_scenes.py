@@ -22,7 +22,7 @@ from torch import Tensor
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import ellipsoid
 from mi_splat.cameras import Camera, View, angle_of, look_at
-from mi_splat.capture.path_tracer import capture, depth_maps, scene_dict
+from mi_splat.capture.path_tracer import scene_dict
 from mi_splat.capture.sources import EXAMPLES, ExampleScene, Point
 from mi_splat.capture.writer import nearness, surface_samples
 from mi_splat.io import load_splat, save_splat
@@ -33,6 +33,7 @@ from mi_splat.scene import GaussianScene, merge
 from mi_splat.training.loop import FitConfig, fit
 from mi_splat.training.strategies import ClassicConfig
 from scenes.recipes.disc_splats import DiscConfig, disc_splat
+from scenes.recipes.mesh_views import capture, depth_maps
 
 SIZE, FOCAL, HELD_OUT = 256, 256.0, 12
 """Edge of the pictures and focal length in pixels, and number of pictures that take no part."""

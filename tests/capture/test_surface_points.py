@@ -11,11 +11,12 @@ from mi_splat.assets.mesh import Asset, translation
 from mi_splat.assets.primitives import box, quad
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, View, look_at
-from mi_splat.capture.path_tracer import capture, depth_maps, scene_dict
+from mi_splat.capture.path_tracer import scene_dict
 from mi_splat.capture.writer import SurfaceSamples, fit_colours, nearness, surface_samples
 from mi_splat.rotation import to_matrix
 from mi_splat.sh import sh_to_colour
 from scenes.recipes.disc_splats import disc_splat
+from scenes.recipes.mesh_views import capture, depth_maps
 
 CUBE = Asset("cube", (box((1, 1, 1), (0.7, 0.2, 0.1), centre=(0, 0, 0.5)),))
 PLANE = Asset("plane", (quad([[-8, -8, 0], [8, -8, 0], [8, 8, 0], [-8, 8, 0]], (0.5, 0.5, 0.5)),))

@@ -13,12 +13,13 @@ from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import box, quad
 from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import Camera
-from mi_splat.capture.path_tracer import PathTracer, capture, scene_dict
+from mi_splat.capture.path_tracer import PathTracer, scene_dict
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
 from mi_splat.capture.writer import surface_points, write_capture
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
+from scenes.recipes.mesh_views import capture
 
 RED, GREEN = (0.8, 0.1, 0.1), (0.1, 0.7, 0.1)
 
