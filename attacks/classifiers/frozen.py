@@ -10,11 +10,10 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torchvision.transforms import InterpolationMode
-from torchvision.transforms.functional import center_crop, normalize, resize
 
 from attacks.classifiers.base import Classifier
 from attacks.detectors.base import check_images
+from attacks.detectors.vision import torchvision
 from attacks.detectors.weights import FrozenModel, fingerprint
 from mi_splat.errors import InvalidValueError, nearest
 
@@ -33,9 +32,10 @@ class Preparation:
 
     def __call__(self, images: Tensor) -> Tensor:
         """(B, H, W, 3) sRGB in [0, 1] to (B, 3, size, size)."""
-        planes, mode = images.permute(0, 3, 1, 2), InterpolationMode(self.mode)
-        scaled = resize(planes, [self.shorter or self.size], mode, antialias=True)
-        cut: Tensor = normalize(center_crop(scaled, [self.size]), self.mean, self.deviation)
+        planes, mode = images.permute(0, 3, 1, 2), torchvision.transforms.InterpolationMode(self.mode)
+        functional = torchvision.transforms.functional
+        scaled = functional.resize(planes, [self.shorter or self.size], mode, antialias=True)
+        cut: Tensor = functional.normalize(functional.center_crop(scaled, [self.size]), self.mean, self.deviation)
         return cut
 
 

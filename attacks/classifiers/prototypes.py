@@ -21,7 +21,6 @@ from pathlib import Path
 
 import torch
 from torch import Tensor, nn
-from torchvision.models import mobilenet_v2
 
 from attacks.classifiers.frozen import FrozenClassifier, Preparation, ZeroShot, check_classes
 from attacks.detectors.catalogue import (
@@ -33,6 +32,7 @@ from attacks.detectors.catalogue import (
     DetectorError,
     features_file,
 )
+from attacks.detectors.vision import torchvision
 from attacks.detectors.weights import apply_weights, fingerprint, read_weights
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import check_choice
@@ -82,7 +82,7 @@ class Features(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.features = mobilenet_v2(weights=None).features
+        self.features = torchvision.models.mobilenet_v2(weights=None).features
 
     def forward(self, pictures: Tensor) -> Tensor:
         """Features of prepared pictures."""

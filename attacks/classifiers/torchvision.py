@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import torchvision
 from torch import nn
-from torchvision.models import get_model_builder, get_model_weights, list_models
 
 from attacks.classifiers.frozen import FrozenClassifier, Preparation, check_classes
 from attacks.detectors.catalogue import DetectorError
+from attacks.detectors.vision import torchvision
 from attacks.detectors.weights import apply_weights, one_line, read_weights
 from mi_splat.errors import InvalidValueError, nearest
 
@@ -21,7 +20,7 @@ _GOOGLE = ("googlenet", "inception_v3")
 
 def load(name: str, weights: Path | None = None, classes: Sequence[str] | None = None) -> FrozenClassifier:
     """One of torchvision's classifiers."""
-    known = list_models(module=torchvision.models)
+    known = torchvision.models.list_models(module=torchvision.models)
     if name not in known:
         do = nearest(name, known, "see torchvision.models.list_models()")
         raise InvalidValueError.of("classifier", "one of torchvision", repr(name), do)
@@ -36,14 +35,14 @@ def load(name: str, weights: Path | None = None, classes: Sequence[str] | None =
         state = read_weights(Path(weights))
     names = check_classes(_imagenet(entry) if classes is None else classes)
     options = {"init_weights": False, "transform_input": True} if name in _GOOGLE else {}
-    model: nn.Module = get_model_builder(name)(weights=None, num_classes=len(names), **options)
+    model: nn.Module = torchvision.models.get_model_builder(name)(weights=None, num_classes=len(names), **options)
     apply_weights(model, state, name if weights is None else weights)
     return FrozenClassifier(f"torchvision:{name}", model, names, preparation_of(entry.transforms()))
 
 
 def _entry(name: str, weights: Path | None) -> Any:
     """The library's own entry for a file that has the name of its download; else for its best weights."""
-    entries: Any = get_model_weights(name)
+    entries: Any = torchvision.models.get_model_weights(name)
     named = [entry for entry in entries if weights is not None and entry.url.endswith(f"/{Path(weights).name}")]
     return named[0] if named else entries.DEFAULT
 

@@ -165,7 +165,9 @@ def _gradients(values: Sequence[Tensor], leaves: Parameters, weights: Sequence[T
     """Derivative of the weighted sum of some values by each parameter; none where nobody asks."""
     if not torch.is_grad_enabled():
         return {}
-    parts = torch.autograd.grad(values, list(leaves.values()), weights, materialize_grads=True)
+    if weights is not None:  # as scalars, because torch imports sympy for gradients that are tensors
+        values = [(value * weight).sum() for value, weight in zip(values, weights, strict=True)]
+    parts = torch.autograd.grad(values, list(leaves.values()), materialize_grads=True)
     return dict(zip(leaves, parts, strict=True))
 
 

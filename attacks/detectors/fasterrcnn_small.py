@@ -9,13 +9,11 @@ from collections import OrderedDict
 
 import torch
 from torch import Tensor, nn
-from torchvision.models.detection import FasterRCNN
-from torchvision.models.detection.anchor_utils import AnchorGenerator
-from torchvision.models.detection.faster_rcnn import FastRCNNPredictor
-from torchvision.ops import FeaturePyramidNetwork, MultiScaleRoIAlign
-from torchvision.ops.feature_pyramid_network import LastLevelMaxPool
 
 from attacks.detectors.catalogue import SMALL_CLASSES, SMALL_SIDE
+from attacks.detectors.vision import torchvision
+
+detection, ops = torchvision.models.detection, torchvision.ops
 
 _STEM = (24, 48)
 _STAGES = ((96, 2), (160, 2), (256, 2))
@@ -62,7 +60,8 @@ class Backbone(nn.Module):
             blocks = [Block(inputs if i == 0 else width, width, 2 if i == 0 else 1) for i in range(count)]
             self.stages.append(nn.Sequential(*blocks))
             inputs = width
-        self.pyramid = FeaturePyramidNetwork(list(self.widths), _PYRAMID, LastLevelMaxPool())
+        last = ops.feature_pyramid_network.LastLevelMaxPool()
+        self.pyramid = ops.FeaturePyramidNetwork(list(self.widths), _PYRAMID, last)
         self.out_channels = _PYRAMID
 
     def forward(self, x: Tensor) -> OrderedDict[str, Tensor]:
@@ -100,10 +99,12 @@ class Head(nn.Module):
         return result
 
 
-def build() -> FasterRCNN:
+def build() -> nn.Module:
     """The network with random weights, in training mode."""
-    anchors = AnchorGenerator(sizes=((28,), (56,), (112,), (200,)), aspect_ratios=((0.4, 1.0, 2.2),) * 4)
-    return FasterRCNN(
+    anchors = detection.anchor_utils.AnchorGenerator(
+        sizes=((28,), (56,), (112,), (200,)), aspect_ratios=((0.4, 1.0, 2.2),) * 4
+    )
+    network: nn.Module = detection.FasterRCNN(
         Backbone(),
         min_size=SMALL_SIDE,
         max_size=2 * SMALL_SIDE,
@@ -113,7 +114,8 @@ def build() -> FasterRCNN:
         rpn_post_nms_top_n_train=150,
         rpn_post_nms_top_n_test=150,
         rpn_batch_size_per_image=128,
-        box_roi_pool=MultiScaleRoIAlign(featmap_names=["0", "1", "2"], output_size=_POOL, sampling_ratio=2),
+        box_roi_pool=ops.MultiScaleRoIAlign(featmap_names=["0", "1", "2"], output_size=_POOL, sampling_ratio=2),
         box_head=Head(_PYRAMID * _POOL**2, _HEAD),
-        box_predictor=FastRCNNPredictor(_HEAD, len(SMALL_CLASSES) + 1),
+        box_predictor=detection.faster_rcnn.FastRCNNPredictor(_HEAD, len(SMALL_CLASSES) + 1),
     )
+    return network

@@ -16,17 +16,14 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
-from torchvision.models import get_model_builder, get_model_weights
-from torchvision.models.detection import FCOS, FasterRCNN, RetinaNet
-from torchvision.models.detection.ssd import SSD
-from torchvision.models.detection.transform import resize_boxes
-from torchvision.ops import FrozenBatchNorm2d
-from torchvision.ops.boxes import clip_boxes_to_image
 
 from attacks.detectors import fasterrcnn_small
 from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.catalogue import BACKGROUND, SMALL_CLASSES, SMALL_WEIGHTS, UNUSED, DetectorError, download_advice
+from attacks.detectors.vision import torchvision
 from attacks.detectors.weights import FrozenModel, apply_weights, one_line, read_weights
+
+models, ops = torchvision.models, torchvision.ops
 
 SMALL = "fasterrcnn_small"
 """Name of the project's own detector."""
@@ -46,9 +43,9 @@ def _with_centreness(outputs: Outputs) -> Tensor:
 
 
 _SCORES: Mapping[type[nn.Module], Callable[[Outputs], Tensor]] = {
-    RetinaNet: lambda outputs: torch.sigmoid(outputs["cls_logits"]),
-    FCOS: _with_centreness,
-    SSD: lambda outputs: torch.softmax(outputs["cls_logits"], -1),
+    models.detection.RetinaNet: lambda outputs: torch.sigmoid(outputs["cls_logits"]),
+    models.detection.FCOS: _with_centreness,
+    models.detection.ssd.SSD: lambda outputs: torch.softmax(outputs["cls_logits"], -1),
 }
 """How a one-stage model computes (B, A, L) scores: each class for itself, or one of them or the background."""
 
@@ -85,8 +82,8 @@ class TorchvisionDetector(FrozenModel, ABC):
         They are (A, C, 4) for each class, or (A, 1, 4) for all. Height and width are `inner` in the network's picture,
         and `size` in the input.
         """
-        inside = clip_boxes_to_image(boxes, inner)
-        pixels = resize_boxes(inside.reshape(-1, 4), inner, size).reshape(boxes.shape)
+        inside = ops.clip_boxes_to_image(boxes, inner)
+        pixels = models.detection.transform.resize_boxes(inside.reshape(-1, 4), inner, size).reshape(boxes.shape)
         return Candidates(pixels.expand(-1, len(self.classes), -1), scores)
 
 
@@ -154,14 +151,16 @@ class _Boxes(torch.autograd.Function):
         maps = [features.detach().requires_grad_(True) for features in ctx.saved_tensors]
         with torch.enable_grad():
             outputs = ctx.regions.only(rows).scored(maps)
-        kept = [gradient[rows] for gradient in gradients]
-        return (None, *torch.autograd.grad(outputs, maps, kept, allow_unused=True))
+            # One scalar with the same derivative: torch imports sympy for gradients that are tensors.
+            pairs = zip(outputs, gradients, strict=True)
+            product = torch.stack([(output * gradient[rows]).sum() for output, gradient in pairs]).sum()
+        return (None, *torch.autograd.grad(product, maps, allow_unused=True))
 
 
 class OneStageDetector(TorchvisionDetector):
     """A frozen one-stage detector behind the `Detector` interface; see `TorchvisionDetector` for its attributes."""
 
-    def __init__(self, name: str, model: RetinaNet | FCOS | SSD, labels: Sequence[str]) -> None:
+    def __init__(self, name: str, model: nn.Module, labels: Sequence[str]) -> None:
         """As in `TorchvisionDetector`."""
         super().__init__(name, model, labels)
         scores = [scores for architecture, scores in _SCORES.items() if isinstance(model, architecture)]
@@ -201,7 +200,7 @@ def _channels_first(images: Tensor) -> list[Tensor]:
 
 def wrap(name: str, model: nn.Module, labels: Sequence[str]) -> TorchvisionDetector:
     """A model of the library behind the `Detector` interface."""
-    adapter = RCNNDetector if isinstance(model, FasterRCNN) else OneStageDetector
+    adapter = RCNNDetector if isinstance(model, models.detection.FasterRCNN) else OneStageDetector
     return adapter(name, model, labels)
 
 
@@ -217,9 +216,9 @@ def load(name: str, weights: Path | None = None) -> TorchvisionDetector:
 
 def _build(name: str) -> nn.Module:
     """The network with random weights."""
-    model: nn.Module = (
-        fasterrcnn_small.build() if name == SMALL else get_model_builder(name)(weights=None, weights_backbone=None)
-    )
+    if name == SMALL:
+        return fasterrcnn_small.build()
+    model: nn.Module = models.get_model_builder(name)(weights=None, weights_backbone=None)
     return model
 
 
@@ -230,7 +229,7 @@ def _labels(name: str) -> tuple[str, ...]:
 
 def published_weights(name: str) -> Any:
     """The library's entry for its COCO weights of a detector."""
-    weights: Any = get_model_weights(name)
+    weights: Any = models.get_model_weights(name)
     return weights["COCO_V1"]
 
 
@@ -250,7 +249,7 @@ def _freeze_norms(name: str, module: nn.Module) -> None:
     """Put the library's frozen norms in place, where it evaluates the published weights with them."""
     for part, child in module.named_children() if name in _FROZEN else ():
         if isinstance(child, nn.BatchNorm2d):
-            frozen = FrozenBatchNorm2d(child.num_features, eps=0.0)
+            frozen = ops.FrozenBatchNorm2d(child.num_features, eps=0.0)
             frozen.load_state_dict(child.state_dict())
             setattr(module, part, frozen)
         else:

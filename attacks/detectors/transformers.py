@@ -12,10 +12,10 @@ from typing import Any
 import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
-from torchvision.ops import box_convert
 
 from attacks.detectors.base import Candidates, Detections, check_images, eight_bits
 from attacks.detectors.catalogue import BACKGROUND, TRANSFORMERS_HUB, UNUSED, DetectorError, download_advice
+from attacks.detectors.vision import torchvision
 from attacks.detectors.weights import FrozenModel, keep_gradients_right, one_line
 from mi_splat.errors import install
 
@@ -81,7 +81,7 @@ class TransformersDetector(FrozenModel):
         with _WholeGradient():
             outputs = self.model(**self._network_input(images))
         scores = self._scores(outputs.logits)[:, :, self._columns]
-        corners = box_convert(outputs.pred_boxes, "cxcywh", "xyxy")
+        corners = torchvision.ops.box_convert(outputs.pred_boxes, "cxcywh", "xyxy")
         boxes = corners * corners.new_tensor([width, height, width, height])
         return [Candidates.of_all_classes(*parts) for parts in zip(boxes, scores, strict=True)]
 

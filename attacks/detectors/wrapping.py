@@ -8,9 +8,9 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torchvision.ops import batched_nms
 
 from attacks.detectors.base import Candidates, Detections, Detector, check_images, eight_bits
+from attacks.detectors.vision import torchvision
 from attacks.detectors.weights import FrozenModel
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import between, checked_number
@@ -126,7 +126,8 @@ class _Wrapped(FrozenModel):
     def _reported(self, candidates: Candidates) -> Detections:
         rows, columns = torch.nonzero(candidates.scores >= self.min_confidence, as_tuple=True)
         boxes, scores = candidates.boxes[rows, columns], candidates.scores[rows, columns]
-        kept = batched_nms(boxes.float(), scores.float(), columns, self._max_iou)[:MOST]  # the surest first
+        kept = torchvision.ops.batched_nms(boxes.float(), scores.float(), columns, self._max_iou)
+        kept = kept[:MOST]  # the surest first
         return Detections(boxes[kept], scores[kept], tuple(self.classes[column] for column in columns[kept].tolist()))
 
     def _channels_first(self, images: Tensor) -> Tensor:

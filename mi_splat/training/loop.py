@@ -154,7 +154,7 @@ def _step(state: TrainState, views: Sequence[View], index: int, render: RenderFn
     if isinstance(views, HasMasks):
         image = masked(image, target, views.loss_mask(index, files=state.config.masks))
     loss = photometric_loss(image, target, lambda_dssim=state.config.lambda_dssim)
-    state.optimiser.zero_grad(set_to_none=True)
+    state.optimiser.zero_grad()
     value = differentiate(state, loss, scene)
     state.descend()
     if state.exposures is not None:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 import torch.nn.functional as F  # noqa: N812
 from torch import Generator, Tensor
+from torch.optim.adam import adam
 
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.parameters import from_raw_parameters, to_raw_parameters
@@ -22,6 +25,42 @@ MOMENTS = ("exp_avg", "exp_avg_sq", "step")
 """What Adam keeps of each map, by torch's names."""
 
 
+class Adam:
+    """Adam (Kingma and Ba 2015) with the bits of `torch.optim.Adam`, whose first use imports torch's compiler.
+
+    Attributes:
+        param_groups: Tensors under "params", and their rate under "lr".
+        state: What is kept of each tensor that was moved: `MOMENTS`.
+    """
+
+    def __init__(self, groups: Iterable[dict[str, Any]], *, fused: bool = False) -> None:
+        self.param_groups = [{"lr": 0.0, **group} for group in groups]
+        self.state: dict[Tensor, dict[str, Tensor]] = {}
+        self._fused = fused
+
+    @torch.no_grad()
+    def step(self) -> None:
+        """Move every tensor that has a gradient."""
+        for group in self.param_groups:
+            moved = [tensor for tensor in group["params"] if tensor.grad is not None]
+            for tensor in moved:
+                if tensor not in self.state:
+                    step = torch.zeros((), device=tensor.device if self._fused else "cpu")
+                    moments = {key: torch.zeros_like(tensor) for key in ("exp_avg", "exp_avg_sq")}
+                    self.state[tensor] = {**moments, "step": step}
+            mean, square, steps = ([self.state[tensor][key] for tensor in moved] for key in MOMENTS)
+            gradients = [tensor.grad for tensor in moved]
+            rates = {"lr": group["lr"], "beta1": 0.9, "beta2": 0.999, "eps": 1e-15, "weight_decay": 0.0}
+            ways = {"foreach": False, "fused": self._fused, "amsgrad": False, "maximize": False}
+            adam(moved, gradients, mean, square, [], steps, **rates, **ways)
+
+    def zero_grad(self) -> None:
+        """Forget all gradients."""
+        for group in self.param_groups:
+            for tensor in group["params"]:
+                tensor.grad = None
+
+
 class Exposures:
     """A (3, 4) map for each picture of a set: a matrix and what is added, from the splat's sRGB to the picture's.
 
@@ -32,7 +71,7 @@ class Exposures:
     def __init__(self, count: int, device: torch.device) -> None:
         self.values = torch.eye(3, 4, device=device).repeat(count, 1, 1)
         self.maps = [exposure_map.requires_grad_(True) for exposure_map in self.values.unbind()]
-        self.optimiser = torch.optim.Adam(self.maps, lr=_FIRST, eps=1e-15)
+        self.optimiser = Adam([{"params": self.maps}])
 
     def applied(self, image: Tensor, index: int) -> Tensor:
         """(H, W, 3) colours as a picture has them."""
@@ -43,7 +82,7 @@ class Exposures:
         for group in self.optimiser.param_groups:
             group["lr"] = math.exp((1 - progress) * math.log(_FIRST) + progress * math.log(_LAST))
         self.optimiser.step()
-        self.optimiser.zero_grad(set_to_none=True)
+        self.optimiser.zero_grad()
         self.values -= self.values.mean(0) - torch.eye(3, 4, device=self.values.device)
 
     def tensors(self) -> dict[str, Tensor]:
@@ -135,7 +174,7 @@ class TrainState:
         for name in self.trained:
             self.parameters[name].requires_grad_(True)
         groups = [{"params": [self.parameters[name]], "name": name} for name in self.trained]
-        self.optimiser = torch.optim.Adam(groups, lr=0.0, eps=1e-15, fused=True)
+        self.optimiser = Adam(groups, fused=True)
 
     def to(self, device: torch.device) -> None:
         """Move everything that is trained or counted to another device."""

@@ -121,7 +121,11 @@ def test_the_fast_loss_of_single_numbers_is_that_of_doubles_by_autograd(size: tu
     torch.set_num_threads(before)
 
 
-def test_ssim_is_that_of_the_library_away_from_the_rim() -> None:
+def test_ssim_is_that_of_torchmetrics() -> None:
+    from torchmetrics.functional.image import structural_similarity_index_measure as theirs
+
     image, reference = (p.float() for p in pictures(1, 200, 200))
+    planes = [picture.permute(2, 0, 1)[None] for picture in (image, reference)]
+    assert float(reported_ssim(image, reference)) == pytest.approx(float(theirs(*planes, data_range=1.0)), abs=1e-6)
     assert float(ssim(image, reference)) == pytest.approx(float(reported_ssim(image, reference)), abs=5e-3)
     assert float(ssim(image, image)) == pytest.approx(1.0, abs=1e-6)

@@ -10,6 +10,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
 from mi_splat.training.loop import FitConfig, TrainingError, TrainState, advance, fit, scene_extent
+from mi_splat.training.state import MOMENTS, Adam
 from mi_splat.training.strategies import ClassicConfig, Edit, FixedConfig
 from tests.training.sets import SHORT, scene_and_views, watching
 
@@ -145,3 +146,17 @@ def test_the_extent_is_that_of_3dgs() -> None:
     positions = torch.stack([view.camera.position for view in views])
     assert scene_extent(views) == pytest.approx(1.1 * float((positions - positions.mean(0)).norm(dim=1).max()))
     assert scene_extent(views[:1]) == 1e-3
+
+
+@pytest.mark.parametrize("fused", [False, True])
+def test_adam_has_the_bits_of_torch(fused: bool) -> None:
+    ours, theirs = (torch.linspace(-1, 1, 7).requires_grad_(True) for _ in range(2))
+    mine = Adam([{"params": [ours], "lr": 0.1}], fused=fused)
+    other = torch.optim.Adam([theirs], lr=0.1, eps=1e-15, fused=fused)
+    for step in range(5):
+        for leaf, optimiser in ((ours, mine), (theirs, other)):
+            ((leaf - 0.3) ** 2 * (step + 1)).sum().backward()
+            optimiser.step()
+            optimiser.zero_grad()
+    assert torch.equal(ours, theirs)
+    assert all(torch.equal(mine.state[ours][key], other.state[theirs][key]) for key in MOMENTS)

@@ -18,7 +18,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
-from torchvision.ops import batched_nms
 
 from attacks.detectors.base import Candidates, Detections, check_images
 from attacks.detectors.catalogue import (
@@ -32,6 +31,7 @@ from attacks.detectors.catalogue import (
 from attacks.detectors.graphs.graph import GraphModel, Node, read_graph_model, read_tflite
 from attacks.detectors.graphs.operations import OPERATIONS, Function, Step, Value, plain
 from attacks.detectors.graphs.packages import read_files
+from attacks.detectors.vision import torchvision
 from attacks.detectors.weights import FrozenModel
 
 # A graph model as a torch module: differentiable, channels first, its shapes and constants worked out once.
@@ -249,7 +249,7 @@ def _keep_peaks(boxes: Tensor, scores: Tensor, least: float) -> tuple[Tensor, Te
 def _keep_unsuppressed(boxes: Tensor, scores: Tensor, least: float) -> tuple[Tensor, Tensor]:
     """As in `Family.keep`: what is left after non-maximum suppression in each class."""
     rows, columns = (scores >= least).nonzero(as_tuple=True)
-    kept = batched_nms(boxes[rows], scores[rows, columns], columns, _OVERLAP)[:_MOST]
+    kept = torchvision.ops.batched_nms(boxes[rows], scores[rows, columns], columns, _OVERLAP)[:_MOST]
     return rows[kept], columns[kept]
 
 
