@@ -141,16 +141,11 @@ def package_of(name: str) -> str:
 
 
 def check_condition(name: str, sun: SunTable | None) -> None:
-    """Raise unless there is a condition of this name; nothing is loaded.
-
-    Args:
-        name: See the head of this module.
-        sun: The street, which hours need.
-    """
+    """Raise unless there is a condition of this name, of which hours need the street; nothing is loaded."""
     known = (*method_names(), *FORMS, *CONDITIONS)
     is_known = name in ("", *known) or _DISTANCE.fullmatch(name) or picture_change(name) is not None
     if sun is not None and _HOUR.fullmatch(name):
-        sun_direction(hour_of(name), latitude=sun.latitude, declination=sun.declination)
+        _sun_at(name, sun)
     elif not is_known:
         do = nearest(name, known, "choose one of them; hours, as 09:30, need the street of [judge.sun]")
         raise InvalidValueError.of("condition", ", ".join(known), name, do)
@@ -212,8 +207,6 @@ FORMATS = (".ply", ".compressed.ply", ".spz", ".sog", ".glb", ".splat")
 
 def through_file(scene: GaussianScene, suffix: str) -> GaussianScene:
     """The splat after it was saved in a format and loaded again."""
-    if suffix not in FORMATS:
-        raise InvalidValueError.of("format", f"one of {', '.join(FORMATS)}", suffix, "choose one")
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", SplatLossWarning)
         path = Path(folder) / f"splat{suffix}"
@@ -239,17 +232,15 @@ FORMS: Mapping[str, Callable[[GaussianScene], GaussianScene]] = {
 """What becomes of a splat in other formats, with SH in half precision, and with fewer SH bands."""
 
 
-def hour_of(name: str) -> float:
-    """The hour that a condition as 09:30 is, of local solar time."""
-    if not _HOUR.fullmatch(name):
-        raise InvalidValueError.of("condition", "an hour as 09:30", name, "write two digits each")
-    hours, minutes = name.split(":")
-    return int(hours) + int(minutes) / 60
+def _sun_at(hour: str, sun: SunTable) -> tuple[float, float, float]:
+    """(3,) where the sun is at an hour as 09:30, of local solar time."""
+    hours, minutes = hour.split(":")
+    return sun_direction(int(hours) + int(minutes) / 60, latitude=sun.latitude, declination=sun.declination)
 
 
 def _on_street(name: str, sun: SunTable, viewing: Viewing) -> Condition:
     """The object alone, on a street of meshes."""
-    east, north, up = sun_direction(hour_of(name), latitude=sun.latitude, declination=sun.declination)
+    east, north, up = _sun_at(name, sun)
     street_with = partial(MixedScene, Path(sun.scene), samples=sun.samples, sun_x=east, sun_y=north, sun_z=up)
     fixed, alone, clean = None if sun.parameter else street_with(), viewing.alone, viewing.clean
     if fixed is not None and clean is not None:

@@ -13,9 +13,8 @@ takes as much space at the same precision, and its pages allocate what they clai
 import csv
 import lzma
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import polars as pl
 
@@ -47,7 +46,7 @@ class Column:
     """A column of a table."""
 
     name: str  # at its head; one that ends in ": " stands for a column of each attack, whose name follows
-    kind: Literal["text", "whole", "number", "truth"]  # what its cells hold; a truth is true or false
+    kind: str  # what its cells hold: text, whole, number or truth, which is true or false
     meaning: str  # in words
     unit: str = ""  # of a number; empty for none
     optional: bool = False  # whether a cell may be empty, which stands for None
@@ -62,22 +61,6 @@ class Column:
         return f"{self.meaning}, {self.unit}" if self.unit else self.meaning
 
 
-def _text(name: str, meaning: str, *, optional: bool = False) -> Column:
-    return Column(name=name, kind="text", meaning=meaning, optional=optional)
-
-
-def _whole(name: str, meaning: str, *, optional: bool = False) -> Column:
-    return Column(name=name, kind="whole", meaning=meaning, optional=optional)
-
-
-def _number(name: str, meaning: str, unit: str = "", *, optional: bool = False) -> Column:
-    return Column(name=name, kind="number", meaning=meaning, unit=unit, optional=optional)
-
-
-def _truth(name: str, meaning: str) -> Column:
-    return Column(name=name, kind="truth", meaning=meaning, optional=True)
-
-
 BOX = ("x0", "y0", "x1", "y1")
 """Columns with the box of the object."""
 DETECTION_BOX = tuple(f"box_{corner}" for corner in BOX)
@@ -85,68 +68,62 @@ DETECTION_BOX = tuple(f"box_{corner}" for corner in BOX)
 DEPTH, POISON_DEPTH, TARGET_SCORE = "depth: ", "poison_depth: ", "target_score: "
 """Heads of the columns that each attack of a study of CLOAK has; its name follows."""
 
-COLUMNS = (
-    _text("attack", "name of the attack in its study"),
-    _text("sources", "attacked detectors, joined by +"),
-    _whole("seed", "random seed of the attack or of the training; empty for ground-truth images", optional=True),
-    _text(
+_TABLE: tuple[tuple[str, ...], ...] = (
+    ("attack", "text", "name of the attack in its study"),
+    ("sources", "text", "attacked detectors, joined by +"),
+    ("seed", "whole?", "random seed of the attack or of the training; empty for ground-truth images"),
+    (
         "condition",
+        "text?",
         "evaluation condition, set of images, or attack that poisons a training image; empty: as attacked, benign",
-        optional=True,
     ),
-    _text(
+    (
         "splat",
+        "text",
         "clean (control), attacked, noise (random, of the attack's size); images: true, perfect, poisoned",
     ),
-    _whole("draw", "index of the draw of random noise, from 0; empty for other splats", optional=True),
-    _text("detector", "name of the detector"),
-    _whole("view", "index of the camera in cameras.json, or of the image, from 0"),
-    _whole("object", "index of the object in the image, from 0; empty: the detection matches none", optional=True),
-    _text("camera", "name of the camera"),
-    _whole("meridian", "index of the meridian of a transition"),
-    _number("azimuth", "azimuth of the camera, from +x towards +y", "degrees"),
-    _number("elevation", "elevation of the camera above the ground", "degrees"),
-    _number("distance", "distance of the camera from the centre", "world units"),
-    _number("extent", "diagonal of the object's bounding box in the world", "world units"),
-    *(_number(axis, "position of the camera", "world units") for axis in "xyz"),
-    _number(DEPTH, "depth of the camera inside the trigger region of attack NAME; negative outside", "degrees"),
-    _number(POISON_DEPTH, "depth of the camera inside the region whose images attack NAME poisons", "degrees"),
-    *(_number(name, f"{name} of the object's box; empty: not visible", "pixels", optional=True) for name in BOX),
-    _text(
-        "original",
-        "class of the object, or the detector's class for the clean object; empty: unknown",
-        optional=True,
-    ),
-    _text("target", "target class of the attack", optional=True),
-    _text("label", "class of the detection: in rows the most confident one on the object; empty: none", optional=True),
-    _number("score", "its confidence; in rows 0 where nothing is detected on the object", optional=True),
-    *(_number(name, "box of the detection", "pixels", optional=True) for name in DETECTION_BOX),
-    _number("iou", "IoU of its box and the object's box", optional=True),
-    _number(
-        "original_score", "highest confidence of the original class (or any) at IoU >= 0.5; 0: none", optional=True
-    ),
-    _number("target_score", "the same for the target class; empty: no target", optional=True),
-    _number(
-        TARGET_SCORE,
-        "the same for the target class of attack NAME; empty: the detector has no such class",
-        optional=True,
-    ),
-    _number("any_overlap", "as original_score, at IoU >= 0.1", optional=True),
-    _truth("success", "whether the attack succeeds in this image"),
-    _truth("unambiguous", "whether it succeeds and no other class is more confident on the object"),
-    _number("aim", "progress towards success, in [0, 1]", optional=True),
-    _number("psnr", "PSNR of the whole image, against the clean or ground-truth image", "dB", optional=True),
-    _number("ssim", "SSIM of the same", optional=True),
-    _number("surroundings_psnr", "PSNR around the object, against the ground truth", "dB", optional=True),
-    _number(
-        "object_psnr", "PSNR on the object, against the ground truth; only just outside a trigger", "dB", optional=True
-    ),
-    _number("appearance_psnr", "PSNR on the object, against the appearance intended there", "dB", optional=True),
-    _number("size", "longer side of the object's box in the image", "image sides"),
-    _number("brightness", "mean luma of the image in the object's box", optional=True),
-    _number("sun_elevation", "elevation of the sun above the horizon; empty: unknown", "degrees", optional=True),
-    _number("sun_strength", "irradiance of the sun on a surface facing it; empty: unknown", optional=True),
-    _number("fraction", "fraction of the transition from the benign to the hidden appearance"),
+    ("draw", "whole?", "index of the draw of random noise, from 0; empty for other splats"),
+    ("detector", "text", "name of the detector"),
+    ("view", "whole", "index of the camera in cameras.json, or of the image, from 0"),
+    ("object", "whole?", "index of the object in the image, from 0; empty: the detection matches none"),
+    ("camera", "text", "name of the camera"),
+    ("meridian", "whole", "index of the meridian of a transition"),
+    ("azimuth", "number", "azimuth of the camera, from +x towards +y", "degrees"),
+    ("elevation", "number", "elevation of the camera above the ground", "degrees"),
+    ("distance", "number", "distance of the camera from the centre", "world units"),
+    ("extent", "number", "diagonal of the object's bounding box in the world", "world units"),
+    *((axis, "number", "position of the camera", "world units") for axis in "xyz"),
+    (DEPTH, "number", "depth of the camera inside the trigger region of attack NAME; negative outside", "degrees"),
+    (POISON_DEPTH, "number", "depth of the camera inside the region whose images attack NAME poisons", "degrees"),
+    *((name, "number?", f"{name} of the object's box; empty: not visible", "pixels") for name in BOX),
+    ("original", "text?", "class of the object, or the detector's class for the clean object; empty: unknown"),
+    ("target", "text?", "target class of the attack"),
+    ("label", "text?", "class of the detection: in rows the most confident one on the object; empty: none"),
+    ("score", "number?", "its confidence; in rows 0 where nothing is detected on the object"),
+    *((name, "number?", "box of the detection", "pixels") for name in DETECTION_BOX),
+    ("iou", "number?", "IoU of its box and the object's box"),
+    ("original_score", "number?", "highest confidence of the original class (or any) at IoU >= 0.5; 0: none"),
+    ("target_score", "number?", "the same for the target class; empty: no target"),
+    (TARGET_SCORE, "number?", "the same for the target class of attack NAME; empty: the detector has no such class"),
+    ("any_overlap", "number?", "as original_score, at IoU >= 0.1"),
+    ("success", "truth?", "whether the attack succeeds in this image"),
+    ("unambiguous", "truth?", "whether it succeeds and no other class is more confident on the object"),
+    ("aim", "number?", "progress towards success, in [0, 1]"),
+    ("psnr", "number?", "PSNR of the whole image, against the clean or ground-truth image", "dB"),
+    ("ssim", "number?", "SSIM of the same"),
+    ("surroundings_psnr", "number?", "PSNR around the object, against the ground truth", "dB"),
+    ("object_psnr", "number?", "PSNR on the object, against the ground truth; only just outside a trigger", "dB"),
+    ("appearance_psnr", "number?", "PSNR on the object, against the appearance intended there", "dB"),
+    ("size", "number", "longer side of the object's box in the image", "image sides"),
+    ("brightness", "number?", "mean luma of the image in the object's box"),
+    ("sun_elevation", "number?", "elevation of the sun above the horizon; empty: unknown", "degrees"),
+    ("sun_strength", "number?", "irradiance of the sun on a surface facing it; empty: unknown"),
+    ("fraction", "number", "fraction of the transition from the benign to the hidden appearance"),
+)
+"""Name, kind, meaning and unit of every column; a question mark: a cell may be empty."""
+COLUMNS = tuple(
+    Column(name=name, kind=kind.rstrip("?"), meaning=meaning, unit="".join(unit), optional=kind.endswith("?"))
+    for name, kind, meaning, *unit in _TABLE
 )
 """Every column that a table may have, in the order of the file."""
 
@@ -160,10 +137,7 @@ def column_of(name: str) -> Column:
     if head not in _ORDER or (head == name and head in _EACH):
         raise InvalidValueError.of("column", "one of attacks.observe.rows.COLUMNS", name[:40], "rename it")
     column = COLUMNS[_ORDER[head]]
-    if head == name:
-        return column
-    named = column.meaning.replace("NAME", name.removeprefix(head))
-    return Column(name=name, kind=column.kind, meaning=named, unit=column.unit, optional=column.optional)
+    return replace(column, name=name, meaning=column.meaning.replace("NAME", name.removeprefix(head)))
 
 
 def columns_of(names: Iterable[str]) -> tuple[Column, ...]:

@@ -5,7 +5,7 @@ Both attacks are judged by this module alone: what it has not seen on an 8-bit p
 
 import math
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -36,23 +36,16 @@ BATCH = 16
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class ViewDetections:
-    """One view of a scene as one detector sees it.
+    """One view of a scene as one detector sees it."""
 
-    Attributes:
-        view: Index of the camera.
-        camera: Where from.
-        detector: Name of the detector.
-        pixels: (H, W, 3) uint8 sRGB, the picture that the detector looked at.
-        box: (4,) x0, y0, x1, y1 in pixels, where the object is; None when it does not show, or when no box was given.
-        detections: What the detector reports.
-    """
-
-    view: int
+    view: int  # index of the camera
     camera: Camera
-    detector: str
-    pixels: Tensor
-    box: Tensor | None
-    detections: Detections
+    detector: str  # name of the detector
+    pixels: Tensor  # (H, W, 3) uint8 sRGB, the picture that the detector looked at
+    box: (
+        Tensor | None
+    )  # (4,) x0, y0, x1, y1 in pixels, where the object is; None where it does not show or is not known
+    detections: Detections  # what the detector reports
 
     @property
     def image(self) -> Tensor:
@@ -88,26 +81,13 @@ def detect_views(
     Each picture is rendered once for all detectors. Nothing is rendered before the first value is asked for, so that a
     caller can report progress.
     """
-    yield from detect_pictures(
-        lambda camera: render(scene, camera), as_cameras(cameras), detectors, boxes=boxes, batch=batch
-    )
-
-
-def detect_pictures(
-    picture_from: Callable[[Camera], Tensor],
-    cameras: Sequence[Camera],
-    detectors: Detector | str | Sequence[Detector | str],
-    *,
-    boxes: Sequence[Tensor | None] | None = None,
-    batch: int = BATCH,
-) -> Iterator[ViewDetections]:
-    """As `detect_views`, of pictures that come from anywhere."""
+    cameras = as_cameras(cameras)
     detectors = as_detectors(detectors)
     if boxes is not None and len(boxes) != len(cameras):
         raise InvalidValueError.of("boxes", f"{len(cameras)}, one for each camera", len(boxes), "use None in gaps")
     for views in _batches(cameras, batch):
         with torch.no_grad():
-            images = torch.stack([through_png(picture_from(cameras[view])) for view in views])
+            images = torch.stack([through_png(render(scene, cameras[view])) for view in views])
             seen = [(detector.name, detector.detect(images)) for detector in detectors]
         pixels = (images * 255).round().to(torch.uint8)
         for name, reports in seen:
