@@ -180,45 +180,35 @@ def test_force_never_replaces_what_is_no_result(tmp_path: Path) -> None:
         have(tmp_path, "config.json")
 
 
-def _changed(out: Path) -> str:
-    (out / "before.png").write_text("retouched")
-    return "before.png"
-
-
-def _added(out: Path) -> str:
-    (out / "notes").mkdir()
-    (out / "notes" / "mine.txt").write_text("")
-    return "notes/mine.txt"
-
-
-def _linked(out: Path) -> str:
-    (out / "before.png").rename(out.parent / "old.png")
-    (out / "before.png").symlink_to("../old.png")
-    return "before.png"
-
-
-def _unlisted(out: Path) -> str:
-    (out / MANIFEST).unlink()
-    return "before.png, result.json"
-
-
-def _hidden(out: Path) -> str:
+def hide(out: Path) -> None:
+    """A file in a folder that the manifest leaves out."""
     document = json.loads((out / MANIFEST).read_text())
     (out / MANIFEST).write_text(json.dumps({**document, "without": ["src"]}))
     (out / "src").mkdir()
     (out / "src" / "a.py").write_text("")
-    return "src/a.py"
 
 
-def _project(out: Path) -> str:
-    (out / ".git").mkdir()
-    return ".git"
+def link(out: Path) -> None:
+    (out / "before.png").rename(out.parent / "old.png")
+    (out / "before.png").symlink_to("../old.png")
 
 
-@pytest.mark.parametrize("change", [_changed, _added, _linked, _unlisted, _hidden, _project])
-def test_force_replaces_only_what_the_manifest_lists(change: Callable[[Path], str], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        (lambda out: (out / "before.png").write_text("retouched"), "before.png"),
+        (lambda out: (out / "mine.txt").write_text(""), "mine.txt"),
+        (lambda out: (out / MANIFEST).unlink(), "before.png, result.json"),
+        (lambda out: (out / ".git").mkdir(), ".git"),
+        (link, "before.png"),
+        (hide, "src/a.py"),
+    ],
+)
+def test_force_replaces_only_what_the_manifest_lists(
+    change: Callable[[Path], object], name: str, tmp_path: Path
+) -> None:
     out = result_in(tmp_path / "out")
-    name = change(out)
+    change(out)
     before = sorted(out.rglob("*"))
     with pytest.raises(SplatFileError, match=rf"what its manifest\.json lists, got also {name}; move it elsewhere"):
         check_new_folder(out, force=True)
@@ -325,10 +315,8 @@ def test_names_that_lead_elsewhere_are_refused(name: str, tmp_path: Path) -> Non
     ("text", "message"),
     [
         ("", "Expecting value"),
-        ("{}", "files, and folders without"),
         ('{"files": [], "without": []}', "files, and folders without"),
         ('{"files": {"a": 3}, "without": []}', "sha256 and bytes of a"),
-        ('{"files": {"a": {"sha256": "0", "bytes": 1}}, "without": []}', "sha256 and bytes of a"),
         (f'{{"files": {{"a": {{"sha256": "{DIGEST}", "bytes": -1}}}}, "without": []}}', "sha256 and bytes of a"),
     ],
 )
