@@ -1,8 +1,10 @@
 """What is refused, and what its message says to do."""
 
 import gzip
+import re
 import struct
 import sys
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,9 @@ import pytest
 
 from mi_splat.io import SplatFileError, SplatFileWarning, load_splat, save_splat
 from mi_splat.io.formats.sog import picture_bytes
+from tests.gaussians import ply_bytes, ply_header, splat_names, splat_rows
 from tests.io.format_files import gltf_with, rezipped, tame_scene, valid
+from tests.io.ply_files import BODY, FACE, HEAD, LINE, ROWS, TEXT_HEAD, listed, reordered, with_elements
 
 
 def sog_with(**contents: bytes | None) -> bytes:
@@ -84,13 +88,62 @@ BAD = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", BAD)
-def test_bad_files_are_refused_with_what_to_do(name: str, tmp_path: Path) -> None:
-    contents, words = BAD[name]
-    (tmp_path / name).write_bytes(contents)
+POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:aa\nsize 134\n"
+HEADER = "one format, elements with a count"
+NEEDED = splat_names(1, normals=False)
+LISTED = listed("binary_little_endian")
+PLY = {
+    "empty file": (b"", "first line 'ply'"),
+    "Git LFS": (POINTER, "a Git LFS pointer in place of the file; run `git lfs pull`"),
+    "header ends early": (HEAD[:100], "none in 100 bytes; write or download it again"),
+    "header never ends": (HEAD[:-11] + b"comment x\n" * 10**4, "none in 65536 bytes"),
+    "no format": (HEAD.replace(b"format binary_little_endian 1.0\n", b"") + BODY, "a line 'format'"),
+    "unknown format": (HEAD.replace(b"little", b"middle") + BODY, "got 'format binary_middle_endian 1.0'"),
+    "property first": (HEAD.replace(b"element vertex 40\n", b"") + BODY, "got 'property float x'"),
+    "no vertex": (HEAD.replace(b"vertex", b"points") + BODY, "an element named vertex, got points"),
+    "element twice": (with_elements(b"element vertex 1\nproperty int i\n", bytes(4)), "got 'element vertex 1'"),
+    "property twice": (HEAD.replace(b"float opacity", b"float x") + BODY, "got 'property float x'"),
+    "unknown kind": (HEAD.replace(b"float opacity", b"half opacity") + BODY, "got 'property half opacity'"),
+    "list length in floats": (with_elements(FACE.replace(b"char", b"float"), b""), "property list float int"),
+    "count of 5000 digits": (HEAD.replace(b"vertex 40", b"vertex " + b"9" * 5000) + BODY, "got 'element vertex 9{65}'"),
+    "truncated": (HEAD + BODY[:-1], r"expected \d+ bytes for 40 x vertex, got \d+ bytes; it is truncated"),
+    "one byte more": (HEAD + BODY + b"\0", "something was appended"),
+    "10^17 vertices": (ply_header(ROWS, count=10**17) + BODY, "it is truncated"),
+    "10^12 vertices with lists": (LISTED.replace(b"x 40\n", b"x 1000000000000\n"), "it is truncated"),
+    "10^12 faces": (with_elements(FACE.replace(b"2", b"1000000000000"), b"\0\0"), "it is truncated"),
+    "lists end early": (LISTED[:-1], "intact rows with lists of vertex, got .*early end-of-file"),
+    "more after the lists": (LISTED + b"\0", "the end of the file.*got more"),
+    "negative list length": (with_elements(b"", b"", FACE, b"\0\xff"), "intact rows with lists"),
+    "list for a value": (HEAD.replace(b"float x", b"list uchar float x") + BODY, "a 3DGS splat, got no x"),
+    **{f"no {name}": (ply_bytes(reordered(ROWS, [n for n in NEEDED if n != name])), f"got no {name};")
+       for name in ("x", "opacity", "rot_3", "scale_1", "f_dc_2")},
+    "no f_rest_5": (ply_bytes(reordered(ROWS, [n for n in NEEDED if n != "f_rest_5"])), "properties f_rest.*got 8"),
+    "a point cloud": (ply_bytes(splat_rows(3, names=["x", "y", "z"])), "got no scale_0, .* and 5 more"),
+    "integer property": (HEAD.replace(b"float f_dc_1", b"int f_dc_1") + BODY, r"f_dc_1 as float.*integer \(i4\)"),
+    "text too short": (TEXT_HEAD + LINE * 39 + b"\n" * 200, "40 lines for 40 x vertex, got 39"),
+    "text row too short": (TEXT_HEAD + LINE * 39 + LINE[4:] + b" " * 99, "row 39: .*early end-of-line"),
+    "text row too long": (TEXT_HEAD + LINE * 39 + b"1 " + LINE, "row 39: expected end-of-line"),
+    "words in text": (TEXT_HEAD + LINE * 39 + LINE.replace(b"0.5", b"red", 1), "row 39: .*malformed input"),
+    "list too long in text": (listed("ascii").replace(b"\n1 0 ", b"\n9 0 ", 1), r"row 1: .*early end-of-line"),
+    "endless line in text": (TEXT_HEAD + LINE * 39 + b"0.5 " * (1 << 19), "lines of at most 1048576 bytes"),
+}  # fmt: skip
+
+REFUSED = {**BAD, **{f"{name}.ply": case for name, case in PLY.items()}}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_bad_files_raise_one_error_with_what_was_expected_found_and_to_do(name: str, tmp_path: Path) -> None:
+    contents, words = REFUSED[name]
+    path = tmp_path / name
+    path.write_bytes(contents)
+    tracemalloc.start()
     with pytest.raises(SplatFileError, match=words) as caught:
-        load_splat(tmp_path / name)
-    assert len(str(caught.value)) < len(str(tmp_path)) + 400
+        load_splat(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert re.match(rf"{re.escape(str(path))}.*: expected .+, got .+; .+", str(caught.value), re.DOTALL)
+    assert len(str(caught.value)) < len(str(path)) + 400
+    assert peak < 12 << 20
 
 
 def test_the_checksum_of_gzip_is_looked_at(tmp_path: Path) -> None:
