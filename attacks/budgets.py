@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 
-from attacks.limits import NORM_NAMES, NormName
+from attacks.optimisers import NORM_NAMES, NormName
 from attacks.search import Parameters
 from mi_splat.attributes import ATTRIBUTES
 from mi_splat.errors import InvalidValueError, MiSplatError

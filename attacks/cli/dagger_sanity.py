@@ -10,7 +10,7 @@ from attacks.cli.options import ClassName, Confidence, OneDetector, PositiveRadi
 from attacks.dagger.config import DaggerConfig
 from attacks.detectors import load_detector
 from attacks.detectors.registry import DETECTORS
-from attacks.limits import NormName
+from attacks.optimisers import NormName
 from mi_splat.cli.console import limit_threads, progress, show, show_json, warn
 from mi_splat.cli.flags import Positional, Unprefixed
 from mi_splat.cli.options import CameraOptions, ResultOptions
@@ -19,8 +19,7 @@ from mi_splat.io.parsing import read_json
 from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
-    from attacks.dagger.sanity_checks import Finding
-    from attacks.dagger.sanity_runs import Case
+    from attacks.dagger.sanity import Case, Finding
     from attacks.detectors.base import Detector
 
 
@@ -75,8 +74,7 @@ ATTACKS = 15
 
 def run(options: DaggerSanityOptions) -> int:
     """Make the checks."""
-    from attacks.dagger.sanity_checks import CHECKS, write_findings
-    from attacks.dagger.sanity_runs import Runs
+    from attacks.dagger.sanity import CHECKS, Runs, write_findings
     from mi_splat.io.folders import RECORD, check_new_folder, new_folder
 
     check_new_folder(options.out, force=options.force)
@@ -105,7 +103,7 @@ def run(options: DaggerSanityOptions) -> int:
 def _case(options: DaggerSanityOptions) -> tuple[Case, dict[str, Any]]:
     """What the options ask to check, and what the record has to say of it."""
     from attacks.cli.aims import chosen_object
-    from attacks.dagger.sanity_runs import Case
+    from attacks.dagger.sanity import Case
     from attacks.objectives import relabel
     from attacks.studies.attack import jittered
     from mi_splat.cli.cameras import choose

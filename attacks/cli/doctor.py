@@ -251,7 +251,7 @@ EXTRAS = {
     "yolo": ("ultralytics",),
 }
 REGISTRIES = {
-    "mi_splat.attacks": ("attacks.optimisers.registry", "OPTIMISERS"),
+    "mi_splat.attacks": ("attacks.optimisers", "OPTIMISERS"),
     "mi_splat.audit_rules": ("mi_splat.audit.rules", "ADDED"),
     "mi_splat.conditions": ("attacks.observe.conditions", "CONDITIONS"),
     "mi_splat.detectors": ("attacks.detectors.registry", "DETECTORS"),

@@ -16,7 +16,7 @@ from attacks.cli.options import DEFAULT_TARGET
 from attacks.detectors import load_detector
 from attacks.detectors.catalogue import DetectorError
 from attacks.detectors.registry import DETECTORS
-from attacks.limits import NORM_NAMES
+from attacks.optimisers import NORM_NAMES
 from mi_splat.cli.console import limit_threads, progress, show
 from mi_splat.cli.flags import Flag, Positional
 from mi_splat.cli.options import Colour, Direction, Size

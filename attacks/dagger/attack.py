@@ -17,9 +17,8 @@ import torch
 from torch import Generator
 
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.judging import judge
 from attacks.dagger.problem import Problem, check_detectors
-from attacks.dagger.result import Result, counted
+from attacks.dagger.result import Result, counted, judge
 from attacks.dagger.search import Checkpoint, OnStep, search
 from attacks.dagger.views import DrawnViews, FixedViews, ViewDistribution
 from attacks.detectors.base import Detector

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from attacks.limits import NormName, Radius, Schedule
-from attacks.optimisers.registry import OptimiserSpec, optimiser_spec
+from attacks.optimisers import NormName, OptimiserSpec, Radius, Schedule, optimiser_spec
 from mi_splat.attributes import Attribute
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import (
@@ -67,7 +66,7 @@ class DaggerConfig:
             pgd.
         schedule: How the steps become shorter (pgd, momentum, adam).
         gradient_power: Power of the gradients' absolute values before a step of pgd or momentum, in [0, 1]; below 1,
-            small ones count for more (see `attacks.optimisers.descent.momentum`).
+            small ones count for more (see `attacks.optimisers.methods.momentum`).
         required_views: Fraction of the views in which the attack has to succeed.
         required_detectors: Fraction of the detectors, if there are several, that the attack has to deceive.
         ensemble: Loss over several detectors: the mean of theirs, or that of the one that resists most.

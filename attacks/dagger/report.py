@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from attacks.dagger.judging import JudgedView, Seen
-from attacks.dagger.result import DRAWN, FIXED, Result
+from attacks.dagger.result import DRAWN, FIXED, JudgedView, Result, Seen
 from attacks.observe.drawing import annotated, difference, listed, stacked
 from attacks.observe.views import CAMERAS, cameras_document
 from attacks.search import NOT_JUDGED

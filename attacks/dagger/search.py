@@ -22,7 +22,7 @@ from torch import Generator
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import FixedViews
-from attacks.optimisers.settings import SearchSettings
+from attacks.optimisers.methods import SearchSettings
 from attacks.search import (
     Ball,
     Evaluation,

@@ -25,7 +25,7 @@ from attacks.detectors.registry import detector_spec, load_detector
 from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.observe.conditions import OWN, SunTable, package_of
 from attacks.observe.rows import ROWS, column_of, frame_of
-from attacks.optimisers.registry import OPTIMISERS
+from attacks.optimisers import OPTIMISERS
 from attacks.studies.attack import SPLAT, WHOLE_SPLAT, DrawnAttack, FixedAttack, check_scene, scene_files, street_of
 from attacks.studies.look import Look
 from attacks.studies.result import figures, markdown, shared_apart

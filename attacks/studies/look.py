@@ -13,12 +13,12 @@ from attacks.aims import PluggedObjective
 from attacks.budgets import Budget
 from attacks.dagger.views import View, fixed_views
 from attacks.gaussian_subset import GaussianSubset
-from attacks.limits import NormName
 from attacks.objectives import Hide, Relabel, Target, Untargeted
 from attacks.observe.conditions import OWN, Condition, SunTable, Viewing, condition_of
 from attacks.observe.look import look, report_cells, seen_from, verdict_cells
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE
 from attacks.observe.views import ViewDetections
+from attacks.optimisers import NormName
 from attacks.studies.attack import AttackScene, attack_scene, detectors_of, distribution
 from attacks.transformations.config import Transformations
 from attacks.transformations.draws import PictureChange, changing

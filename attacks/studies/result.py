@@ -20,7 +20,7 @@ from attacks.observe.rates import (
     with_control,
 )
 from attacks.observe.rows import ATTACKED, ROWS
-from attacks.optimisers.registry import OPTIMISERS
+from attacks.optimisers import OPTIMISERS
 from attacks.rate import Rate, number, pooled
 from attacks.studies.study_file import merged
 from attacks.tables import Column, Table, cell, number_at, sections, short_rate

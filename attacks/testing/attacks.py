@@ -1,4 +1,4 @@
-"""The contract of an attack's search (`attacks.optimisers.registry.OptimiserSpec`)."""
+"""The contract of an attack's search (`attacks.optimisers.OptimiserSpec`)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import torch
 from torch import Tensor
 
 from attacks.budgets import Budget
-from attacks.limits import NORM_NAMES, NormName
-from attacks.optimisers.registry import OptimiserSpec
-from attacks.optimisers.settings import SearchSettings
+from attacks.optimisers import NORM_NAMES, NormName, OptimiserSpec
+from attacks.optimisers.methods import SearchSettings
 from attacks.search import Evaluation, Hooks, OptimiserState, Outcome, Parameters, SearchState, Verdict, pgd
 from attacks.testing.promises import Contract, expect, expect_repeatable, expect_same, expect_text
 

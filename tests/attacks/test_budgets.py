@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from torch import Generator, Tensor
 
 from attacks.budgets import NORMS, Budget, BudgetError
-from attacks.limits import NORM_NAMES, NormName
+from attacks.optimisers import NORM_NAMES, NormName
 from mi_splat.errors import InvalidValueError
 
 norms = st.sampled_from(NORM_NAMES)

@@ -8,9 +8,8 @@ import torch
 from torch import Tensor
 
 from attacks.budgets import Budget, BudgetError
-from attacks.limits import NormName
-from attacks.optimisers.descent import momentum
-from attacks.optimisers.settings import SearchSettings
+from attacks.optimisers import NormName
+from attacks.optimisers.methods import SearchSettings, momentum
 from attacks.search import (
     START,
     Evaluation,

@@ -13,12 +13,9 @@ from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
 from attacks.detectors.base import Candidates
-from attacks.limits import NORM_NAMES, NormName
 from attacks.objectives import relabel
-from attacks.optimisers.apgd import apgd, checkpoints
-from attacks.optimisers.registry import OPTIMISERS, optimiser_spec
-from attacks.optimisers.sampling import square
-from attacks.optimisers.settings import SearchSettings
+from attacks.optimisers import NORM_NAMES, OPTIMISERS, NormName, optimiser_spec
+from attacks.optimisers.methods import SearchSettings, apgd, checkpoints, square
 from attacks.search import Evaluation, OptimiserState, Outcome, Parameters, Verdict, pgd, rank
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 

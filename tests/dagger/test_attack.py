@@ -15,8 +15,8 @@ from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
 from attacks.detectors.base import Detections
-from attacks.limits import NORM_NAMES, NormName
 from attacks.objectives import Objective, hide, relabel, untargeted
+from attacks.optimisers import NORM_NAMES, NormName
 from attacks.search import Step
 from mi_splat import variant
 from mi_splat.attributes import ATTRIBUTES, Attribute

@@ -14,10 +14,10 @@ from attacks import cli
 from attacks.budgets import Budget
 from attacks.dagger.attack import attack_views
 from attacks.dagger.config import DaggerConfig
-from attacks.limits import NORM_NAMES, NormName
 from attacks.objectives import relabel, untargeted
 from attacks.observe.rates import AIMS, count, joint_views
 from attacks.observe.views import as_saved
+from attacks.optimisers import NORM_NAMES, NormName
 from attacks.report.checking import pack, read_result, rescore
 from attacks.report.results import kind_of, read_section
 from attacks.report.viewer_content import open_content

@@ -16,7 +16,7 @@ from attacks.dagger.result import Result
 from attacks.dagger.views import FixedViews
 from attacks.detectors.base import Candidates, Detector
 from attacks.objectives import relabel
-from attacks.optimisers.settings import SearchSettings
+from attacks.optimisers.methods import SearchSettings
 from attacks.search import Evaluation, pgd
 from mi_splat.cameras import View, look_at
 from mi_splat.datasets import write_transforms

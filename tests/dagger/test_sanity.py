@@ -15,8 +15,7 @@ from attacks.cli import dagger_sanity
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
-from attacks.dagger.sanity_checks import CHECKS, Finding
-from attacks.dagger.sanity_runs import Attack, Case, Runs
+from attacks.dagger.sanity import CHECKS, Attack, Case, Finding, Runs
 from attacks.detectors import load_detector
 from attacks.detectors.base import Candidates
 from attacks.objectives import relabel
@@ -230,7 +229,7 @@ class TestCommand:
         self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
         few = {name: CHECKS[name] for name in ("clean", "gradient")}
-        monkeypatch.setattr("attacks.dagger.sanity_checks.CHECKS", few)
+        monkeypatch.setattr("attacks.dagger.sanity.CHECKS", few)
         assert self.call("--detectors", "flipped", "--surrogate", "none", "--json") == 1
         values = json.loads(capsys.readouterr().out)
         assert values["passed"] is False

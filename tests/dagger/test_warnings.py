@@ -9,8 +9,7 @@ from torch import Tensor
 
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.judging import JudgedView
-from attacks.dagger.result import Result, counted
+from attacks.dagger.result import JudgedView, Result, counted
 from attacks.detectors.base import Detections
 from attacks.objectives import hide, relabel
 from tests.fakes import ColourDetector, blobs, camera, toy_scene

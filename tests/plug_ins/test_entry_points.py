@@ -22,7 +22,7 @@ from attacks.dagger.report import summary, write_report
 from attacks.detectors import DETECTORS
 from attacks.objectives import hide
 from attacks.observe.conditions import CONDITIONS, Viewing, check_condition, condition_of, package_of
-from attacks.optimisers.registry import OPTIMISERS
+from attacks.optimisers import OPTIMISERS
 from attacks.poisons.specs import POISONS, ChosenPoison, Given
 from attacks.report.results import read_section
 from attacks.studies.attack import FixedAttack
@@ -51,7 +51,7 @@ from attacks.aims import ObjectiveSpec
 from attacks.detectors import DetectorSpec
 from attacks.objectives import confidence, objective
 from attacks.observe.conditions import rendered, renderer_of
-from attacks.optimisers.registry import OptimiserSpec
+from attacks.optimisers import OptimiserSpec
 from attacks.poisons.base import poisoned
 from attacks.poisons.specs import PoisonSpec
 from mi_splat.audit.rules import Rule

@@ -16,8 +16,8 @@ from torch import Tensor, nn
 from attacks.detectors import Candidates, Detections, load_detector, wrap_detector
 from attacks.objectives import Target, confidence, hide, objective, relabel, untargeted
 from attacks.observe.conditions import Viewing, condition_of, rendered, renderer_of
-from attacks.optimisers.registry import OPTIMISERS, OptimiserSpec
-from attacks.optimisers.settings import SearchSettings
+from attacks.optimisers import OPTIMISERS, OptimiserSpec
+from attacks.optimisers.methods import SearchSettings
 from attacks.poisons.base import Poisoned, PoisonedViews, poisoned
 from attacks.poisons.specs import POISONS, PoisonSpec
 from attacks.search import Evaluation, OptimiserState, Parameters, Verdict

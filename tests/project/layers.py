@@ -59,7 +59,6 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "viewer": ("mi_splat.viewer",),
     "commands of mi_splat": ("mi_splat.cli",),
     "interfaces of attacks": (
-        "attacks.limits",
         *("attacks.rate", "attacks.tables"),
         *("attacks.search", "attacks.optimisers", "attacks.budgets", "attacks.detectors.base", "attacks.objectives"),
         "attacks.aims",

@@ -127,7 +127,7 @@ def test_the_plug_ins_of_the_page_keep_their_contracts(warm: Warm) -> None:
 
 def test_the_attack_of_the_page_of_the_zoo_keeps_its_contract(warm: Warm) -> None:
     (example,) = blocks("python", (ROOT / "docs" / "attack-zoo.md").read_text())
-    check = "from attacks.testing import check_attack\nfrom attacks.optimisers.registry import OPTIMISERS"
+    check = "from attacks.testing import check_attack\nfrom attacks.optimisers import OPTIMISERS"
     done = warm.run("-c", f"{example}\n{check}\ncheck_attack(OPTIMISERS['mine'])", cwd=ROOT)
     assert done.returncode == 0, done.stderr
 

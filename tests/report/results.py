@@ -15,8 +15,7 @@ from attacks.cli import main
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import write_report
-from attacks.dagger.sanity_checks import Finding, write_findings
-from attacks.dagger.sanity_runs import Runs
+from attacks.dagger.sanity import Finding, Runs, write_findings
 from attacks.objectives import relabel
 from attacks.observe.conditions import OWN
 from attacks.observe.rows import frame_of, write_rows
