@@ -109,14 +109,7 @@ def load_method(name: str, settings: RenderSettings) -> Method:
 
 
 class GsplatRenderer:
-    """Renders splats with `gsplat.rasterization` (package gsplat, NVIDIA GPU) in its classic mode; differentiable.
-
-    Args:
-        settings: Background and near plane.
-
-    Raises:
-        MiSplatError: The package is not installed, or there is no GPU for it.
-    """
+    """Renders splats with `gsplat.rasterization` (package gsplat, NVIDIA GPU) in its classic mode; differentiable."""
 
     def __init__(self, settings: RenderSettings) -> None:
         self.settings = settings
@@ -212,17 +205,7 @@ def _coloured(scene: GaussianScene, colours: Tensor) -> GaussianScene:
 
 
 class PictureFolder:
-    """A folder with a picture for each camera, called as `mi-splat render` calls its own; reads them as a `RenderFn`.
-
-    Args:
-        folder: Where they are: NAME.png or NAME.jpg for the camera NAME.
-        cameras: All cameras that will be asked for, by name.
-        background: sRGB colour behind transparent pixels.
-
-    Raises:
-        InvalidValueError: There is no such folder.
-        DatasetError: A picture is missing, cannot be read, or has another size than its camera.
-    """
+    """A `RenderFn` that reads the picture of each camera from a folder, named as `mi-splat render` names its own."""
 
     def __init__(
         self, folder: Path, cameras: Mapping[str, Camera], *, background: tuple[float, float, float] = (0.0, 0.0, 0.0)

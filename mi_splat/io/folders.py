@@ -371,22 +371,20 @@ def new_folder(
             check_new_folder(target, force=force, record=record)
             publish(made, target, replace=force)
         except (SplatFileError, OSError) as error:
-            raise _kept_beside(made, target, error) from error
+            raise _kept_elsewhere(made, target, error) from error
 
 
-def _kept_beside(made: Path, target: Path, error: Exception) -> SplatFileError:
+def _kept_elsewhere(made: Path, target: Path, error: Exception) -> SplatFileError:
     """Give a finished folder that cannot have its name the first free one like it; the error that says so."""
     names = (target.with_name(f"{target.name}-{number}") for number in itertools.count(2))
-    beside = next(name for name in names if not os.path.lexists(name))
+    other = next(name for name in names if not os.path.lexists(name))
     try:
-        publish(made, beside)
+        publish(made, other)
     except OSError as second:
         return from_os_error(str(target), "a folder that can be written", second)
     meanwhile = "something that another process wrote there meanwhile"
     got = error.strerror or str(error) if isinstance(error, OSError) else meanwhile
-    return SplatFileError.of(
-        str(target), "a name that this result can have", got, f"see {beside}, where this result is"
-    )
+    return SplatFileError.of(str(target), "a name that this result can have", got, f"see {other}, where this result is")
 
 
 def _names_in(folder: Path) -> list[str]:

@@ -215,7 +215,7 @@ def unit(quaternions: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
         return (wide * np.where(np.abs(factor - 1) <= UNIT_SLACK, 1.0, factor)).astype(quaternions.dtype)
 
 
-def judged(
+def validated(
     means: NDArray[np.floating],
     scales: NDArray[np.floating],
     rotations: NDArray[np.floating],

@@ -171,7 +171,7 @@ def _opened(source: Path | bytes, what: str, formats: Sequence[str]) -> Iterator
     except UnidentifiedImageError as error:
         if _beginning(source).startswith(LFS_POINTER):
             raise PictureFileError.of(what, "a picture", *LFS_ADVICE) from error
-        if (kind := _of_phones(source)) is not None:
+        if (kind := _phone_format(source)) is not None:
             do = "convert it, for instance with `magick mogrify -format jpg` (ImageMagick) or heif-convert (libheif)"
             raise PictureFileError.of(what, f"a picture as {', '.join(formats)}", kind, do) from error
         kinds = f"a picture that can be read ({', '.join(formats)})"
@@ -182,7 +182,7 @@ def _opened(source: Path | bytes, what: str, formats: Sequence[str]) -> Iterator
         raise PictureFileError.of(what, "a picture that can be read", reason, do) from error
 
 
-def _of_phones(source: Path | bytes) -> str | None:
+def _phone_format(source: Path | bytes) -> str | None:
     """HEIC or AVIF, if the file is a picture of these; its first box names its brand (ISO/IEC 23008-12)."""
     head = _beginning(source)
     if head[4:8] != b"ftyp":

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from mi_splat.io.documents import atomic_write, write_all
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.loaded import HIGHER_BANDS, SHOWN, Loaded, judged, unit
+from mi_splat.io.loaded import HIGHER_BANDS, SHOWN, Loaded, unit, validated
 from mi_splat.sh import colour_to_dc
 
 if TYPE_CHECKING:
@@ -253,7 +253,7 @@ def read_ply(file: io.FileIO, path: str) -> Loaded:
     sh[:, 0] = colours
     used = [name for channel in range(3) for name in rest_names(rest)[channel * rest // 3 :][:kept]]
     sh[:, 1:] = _columns(rows, used).reshape(len(rows), 3, kept).transpose(0, 2, 1)
-    loaded = judged(_columns(rows, _MEANS), scales, unit(_columns(rows, _ROTATIONS)), opacities, sh)
+    loaded = validated(_columns(rows, _MEANS), scales, unit(_columns(rows, _ROTATIONS)), opacities, sh)
     notices = [HIGHER_BANDS] if rest == _REST_OF_DEGREE_4 else []
     if len(scale_names) == 2:
         notices.append(("three scales", "two (a 2DGS splat)", "its flat Gaussians are drawn as very thin ellipsoids"))

@@ -61,9 +61,9 @@ def arrays_of(scene: GaussianScene) -> Arrays:
 
 
 def stored(arrays: Arrays) -> Stored:
-    from mi_splat.io.loaded import judged
+    from mi_splat.io.loaded import validated
 
-    return Stored.of(judged(*arrays.values()))
+    return Stored.of(validated(*arrays.values()))
 
 
 def _set(name: str, value: float, rows: int = 1) -> Callable[[Arrays], None]:

@@ -46,7 +46,7 @@ def flipped(arrays: Arrays, signs: Signs) -> Arrays:
     }
 
 
-def placed(part: Loaded, matrix: NDArray[np.floating], path: str) -> Loaded:
+def transformed(part: Loaded, matrix: NDArray[np.floating], path: str) -> Loaded:
     """A part after a transform that turns, moves and resizes it."""
     if np.array_equal(matrix, np.eye(4)):
         return part
@@ -63,7 +63,7 @@ def placed(part: Loaded, matrix: NDArray[np.floating], path: str) -> Loaded:
     return dataclasses.replace(part, arrays=arrays_of(scene))
 
 
-def together(parts: Sequence[Loaded]) -> Loaded:
+def concatenated(parts: Sequence[Loaded]) -> Loaded:
     """All parts after each other; SH of lower degree are padded with zeros."""
     most = max(part.arrays["sh"].shape[1] for part in parts)
     starts = np.cumsum([0, *(len(part.arrays["means"]) for part in parts[:-1])])

@@ -20,9 +20,9 @@ from mi_splat.io.loaded import (
     Loaded,
     Values,
     drop_largest,
-    judged,
     outside,
     restore_largest,
+    validated,
     vanished,
 )
 from mi_splat.io.ply import REST_COUNTS, Element, Header, header_bytes, read_header, read_rows, rest_names
@@ -60,7 +60,7 @@ def read_compressed_ply(file: io.FileIO, path: str) -> Loaded:
             raise _bad(path, "9, 24 or 45 bytes of SH for each Gaussian", got)
         table = _columns(file, header, "sh", rest_names(len(rest.columns)), "u1", path).astype(np.uint8)
         sh[:, 1:] = _unpack_sh(table).reshape(len(table), 3, sh.shape[1] - 1).transpose(0, 2, 1)
-    loaded = judged(
+    loaded = validated(
         _between(ends[:, 0:6], _unpack(packed[:, 0], _POSITION_BITS)),
         np.exp(_between(ends[:, 6:12], _unpack(packed[:, 2], _POSITION_BITS))),
         restore_largest(packed[:, 1] >> 30, (_unpack(packed[:, 1], _ROTATION_BITS) - 0.5) / ROOT_HALF),

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats import axes
-from mi_splat.io.loaded import Array, Arrays, Encoded, Loaded, Values, bytes_of, check_count, judged, read_whole
+from mi_splat.io.loaded import Array, Arrays, Encoded, Loaded, Values, bytes_of, check_count, read_whole, validated
 from mi_splat.io.parsing import Fields, parse
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -68,11 +68,11 @@ def read_glb(file: io.FileIO, path: str) -> Loaded:
             check_count(total, len(data) // _LEAST_BYTES, path)
             if len(parts) == _MOST_PARTS:
                 raise SplatFileError.of(path, f"at most {_MOST_PARTS} splats", "more", "merge them")
-            parts.append(axes.placed(_primitive(document, primitive, extensions.object(EXTENSION)), matrix, path))
+            parts.append(axes.transformed(_primitive(document, primitive, extensions.object(EXTENSION)), matrix, path))
     if not parts:
         got = f"none, but {others} other primitives" if others else "none"
         raise SplatFileError.of(path, f"a primitive with {EXTENSION}", got, "export the splat again")
-    loaded = axes.together(parts)
+    loaded = axes.concatenated(parts)
     notices = (("splats only", f"{others} other primitives", "they were left out"),) if others else ()
     arrays = axes.flipped(loaded.arrays, axes.Z)
     return dataclasses.replace(loaded, arrays=arrays, notices=notices, document=document)
@@ -105,7 +105,7 @@ def _primitive(document: Glb, primitive: Fields, extension: Fields) -> Loaded:
     for column, name in enumerate(names[:coefficients]):
         sh[:, column] = read(name, 3, ("f4",))
     means, quaternions = read("POSITION", 3, _KINDS["POSITION"]), values["ROTATION"][:, [3, 0, 1, 2]]
-    return judged(means, values["SCALE"], quaternions, values["OPACITY"][:, 0], sh)
+    return validated(means, values["SCALE"], quaternions, values["OPACITY"][:, 0], sh)
 
 
 def _sh_name(degree: int, order: int) -> str:

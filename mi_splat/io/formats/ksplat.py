@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.loaded import Array, Loaded, judged, read_whole
+from mi_splat.io.loaded import Array, Loaded, read_whole, validated
 from mi_splat.sh import colour_to_dc
 
 _HEADER_SIZE, _SECTION_SIZE, _MOST_SECTIONS = 4096, 1024, 4096
@@ -136,4 +136,4 @@ def _joined(parts: list[tuple[Array, ...]], degree: int) -> Loaded:
     if not parts:
         parts = [tuple(np.zeros((0, *shape)) for shape in ((3,), (3,), (4,), (), ((degree + 1) ** 2, 3)))]
     means, scales, rotations, opacities, sh = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return judged(means, scales, rotations, opacities, sh)
+    return validated(means, scales, rotations, opacities, sh)

@@ -31,10 +31,10 @@ from mi_splat.io.loaded import (
     bytes_of,
     check_count,
     drop_largest,
-    judged,
     open_regular,
     read_whole,
     restore_largest,
+    validated,
     vanished,
 )
 from mi_splat.io.parsing import Fields, parse
@@ -101,7 +101,7 @@ def _read(files: Files, size: int, path: str) -> Loaded:
     logs = low + (high - low) * ((coarse.astype(np.uint32) << 8 | fine) / _STEPS)
     means = np.sign(logs) * np.expm1(np.abs(logs))
     scales = np.exp(_look_up(parts["scales"], picture(parts["scales"], 1, 0, count)[:, :3]))
-    loaded = judged(means, scales, _unpack_rotations(quaternions), colours[:, 3] / 255.0, sh)
+    loaded = validated(means, scales, _unpack_rotations(quaternions), colours[:, 3] / 255.0, sh)
     return dataclasses.replace(loaded, is_antialiased=meta.values.get("model") == "antialiased")
 
 

@@ -18,9 +18,9 @@ from mi_splat.io.loaded import (
     Values,
     bytes_of,
     dropped_bands,
-    judged,
     outside,
     read_whole,
+    validated,
     vanished,
 )
 from mi_splat.sh import colour_to_dc
@@ -39,7 +39,7 @@ def read_splat(file: io.FileIO, path: str) -> Loaded:
         expected = f"whole records of {RECORD.itemsize} bytes"
         raise SplatFileError.of(path, expected, f"{len(data)} bytes", "write or download it again")
     rows = np.frombuffer(data, RECORD)
-    return judged(
+    return validated(
         rows["means"],
         rows["scales"],
         (rows["rotations"].astype(np.float64) - 128) / 128,

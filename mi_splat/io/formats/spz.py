@@ -32,10 +32,10 @@ from mi_splat.io.loaded import (
     bytes_of,
     check_count,
     drop_largest,
-    judged,
     outside,
     read_whole,
     restore_largest,
+    validated,
     vanished,
 )
 
@@ -62,7 +62,7 @@ def read_spz(file: io.FileIO, path: str) -> Loaded:
     rest = parts["sh"].reshape(count, (head.degree + 1) ** 2 - 1, 3)
     sh[:, 1:] = (rest[:, : sh.shape[1] - 1].astype(np.float32) - 128) / 128
     unpack = _unpack_first_three if head.version < 3 else _unpack_smallest_three
-    loaded = judged(
+    loaded = validated(
         _unpack_means(parts["means"], count) / 2.0**head.bits,
         np.exp(parts["scales"].reshape(count, 3) / 16.0 - 10),
         unpack(parts["rotations"].reshape(count, 3 if head.version < 3 else 4)),
@@ -80,7 +80,7 @@ def _in_ply_axes(loaded: Loaded, number: int, path: str) -> Loaded:
     The bits of the number less one say right or left, up or down, front or back; from 9 on y and z are exchanged.
     """
     if number > 8:
-        loaded = axes.placed(loaded, _UPRIGHT, path)
+        loaded = axes.transformed(loaded, _UPRIGHT, path)
     bits = ((number - 1) ^ (_RDF - 1)) & 7
     x, y, z = (-1.0 if bits >> axis & 1 else 1.0 for axis in range(3))
     return dataclasses.replace(loaded, arrays=axes.flipped(loaded.arrays, (x, y, z)))

@@ -21,7 +21,7 @@ import numpy as np
 
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.formats import axes, usd_child
-from mi_splat.io.loaded import FREE_GAUSSIANS, HIGHER_BANDS, Array, Arrays, Encoded, Loaded, Notice, judged
+from mi_splat.io.loaded import FREE_GAUSSIANS, HIGHER_BANDS, Array, Arrays, Encoded, Loaded, Notice, validated
 from mi_splat.io.parsing import Fields, parse
 from mi_splat.sh import degree_of
 
@@ -71,8 +71,8 @@ def read_usd(file: io.FileIO, path: str) -> Loaded:
     for part in parts:
         matrix = np.array(part.numbers("matrix", 16, 16)).reshape(4, 4)
         gaussians, values = _gaussians(part, values)
-        loaded.append(axes.placed(gaussians, frame @ matrix, path))
-    whole = axes.together(loaded)
+        loaded.append(axes.transformed(gaussians, frame @ matrix, path))
+    whole = axes.concatenated(loaded)
     return dataclasses.replace(whole, arrays=axes.flipped(whole.arrays, axes.Z), notices=tuple(notices))
 
 
@@ -100,7 +100,7 @@ def _gaussians(part: Fields, values: Array) -> tuple[Loaded, Array]:
         arrays.append(values[:size].reshape(shape))
         values = values[size:]
     means, scales, quaternions, opacities, sh = arrays
-    return judged(means, scales, quaternions[:, [3, 0, 1, 2]], opacities, sh[:, :16]), values
+    return validated(means, scales, quaternions[:, [3, 0, 1, 2]], opacities, sh[:, :16]), values
 
 
 def write_usd(arrays: Arrays, ending: str) -> Encoded:
