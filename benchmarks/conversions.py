@@ -28,7 +28,6 @@ from attacks.observe.drawing import annotated
 from attacks.observe.views import ViewDetections, detect_views, object_boxes
 from attacks.studies.attack import jittered
 from mi_splat.io import load_splat
-from mi_splat.io.formats.detection import FORMATS
 from mi_splat.io.splat_files import write_splat_file
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import read_scene
@@ -44,7 +43,7 @@ PAIRS = (
 )
 """The paper's six: scene, object, wanted class."""
 CONFIG = DaggerConfig(noise_draws=0, sh_degree=None)
-SUFFIXES = [entry.suffix for entry in FORMATS if entry.writes]
+SUFFIXES = (".ply", ".glb", ".usdc", ".compressed.ply", ".sog", ".spz", ".splat")
 
 
 def views(pair: tuple[str, str, str], degree: int, seed: int, folder: Path) -> dict[str, ViewDetections] | None:
