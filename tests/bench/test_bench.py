@@ -111,12 +111,7 @@ def test_a_row_counts_what_is_still_named(out: Path) -> None:
     assert row["columns"]["all_views"]["robust"]["rate"] < 0.5
     assert row["columns"]["transfer"]["judged"] == 6
     assert row["columns"]["transfer"]["robust"] is None
-    assert row["columns"]["cloak"] == {
-        **{"robust": None, "judged": 0, "by": {}},
-        "named_clean": {"rate": None, "successes": 0, "total": 0, "interval": [0.0, 1.0]},
-        "noise": {"rate": None, "successes": 0, "total": 0, "interval": [0.0, 1.0]},
-    }
-    assert row["score"] is None
+    assert (row["columns"]["cloak"]["robust"], row["columns"]["cloak"]["judged"], row["score"]) == (None, 0, None)
     text = (out / "table.md").read_text()
     assert "| - | fake_colour | - |" in text
     assert "cannot judge (6 views)" in text
@@ -222,24 +217,19 @@ def test_a_row_is_checked_by_itself(out: Path, suite: Path, tmp_path: Path, monk
     (tmp_path / SUITES).mkdir(parents=True)
     (tmp_path / SUITES / "tiny").symlink_to(suite)
     assert check_row(out / "row.json")["detector"]["name"] == "fake_colour"
-    wrong: tuple[tuple[str, dict[str, Any]], ...] = (
-        ("rate", {"robust": {"successes": 6, "total": 12, "rate": 0.9, "interval": [0.1, 0.95]}}),
-        ("its parts", {"robust": {"successes": 12, "total": 12, "rate": 1.0, "interval": [0.8, 1.0]}}),
-        ("judged", {"judged": 11}),
+    row = read(out / "row.json")
+    one = row["columns"]["one_view"]
+    wrong: tuple[dict[str, Any], ...] = (
+        {"robust": {"successes": 6, "total": 12, "rate": 0.9, "interval": [0.1, 0.95]}},
+        {"robust": {"successes": 12, "total": 12, "rate": 1.0, "interval": [0.8, 1.0]}},
+        {"judged": 11},
     )
-    for _, change in wrong:
-        row = read(out / "row.json")
-        row["columns"]["one_view"] |= change
-        (tmp_path / "row.json").write_text(json.dumps(row))
-        with pytest.raises(InvalidValueError, match="one_view"):
+    documents: list[Any] = [{**row, "columns": {**row["columns"], "one_view": {**one, **change}}} for change in wrong]
+    documents += [{**row, "suite": {**row["suite"], "digest": "0" * 32}}, {**row, "score": {"mean": 1.0}}, []]
+    for document in documents:
+        (tmp_path / "row.json").write_text(json.dumps(document))
+        with pytest.raises(InvalidValueError, match=r"one_view|digest|score|a row"):
             check_row(tmp_path / "row.json")
-    for change in ({"suite": {"name": "tiny", "digest": "0" * 32, "secret": ""}}, {"score": {"mean": 1.0}}):
-        (tmp_path / "row.json").write_text(json.dumps({**read(out / "row.json"), **change}))
-        with pytest.raises(InvalidValueError, match=r"digest|score"):
-            check_row(tmp_path / "row.json")
-    (tmp_path / "row.json").write_text("[]")
-    with pytest.raises(InvalidValueError, match="a row"):
-        check_row(tmp_path / "row.json")
 
 
 def test_a_defence_is_judged_on_the_same_views(suite: Path, out: Path) -> None:

@@ -16,7 +16,6 @@ from attacks.detectors import registry
 from attacks.report.results import read_section
 from attacks.studies.audit import AuditWork, figures, tables
 from attacks.studies.study_file import study_of
-from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from tests.audit.scenes import cone, direction, hidden, standing
 from tests.cloak.tiny_study import KNOWN, STUDY
@@ -34,21 +33,6 @@ def test_a_control_that_attacks_share_counts_once(monkeypatch: pytest.MonkeyPatc
         ("above", "cloaked"),
         ("side", "cloaked"),
     ]
-
-
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ({"file": "nowhere.ply"}, "expected a file, got no file nowhere.ply"),
-        ({"chosen_on": "car"}, "expected a list of names, got 'car'"),
-        ({"capture": "nowhere.xml"}, "expected a file, got no file nowhere.xml"),
-        ({"attack": [{"name": n, "elevation": [50, 90]} for n in "ab"]}, "expected one attack, got 2"),
-        ({"attack": [{"name": "a", "elevation": [50, 90]}], "colour": 1}, "colour"),
-    ],
-)
-def test_what_cannot_be_is_refused(table: dict[str, object], message: str) -> None:
-    with pytest.raises(InvalidValueError, match=message):
-        AuditWork(study_of({"study": "audit", **table}, "x"))
 
 
 def row(part: str, splat: str, evidence: float, *, hides: bool = False, content: str = "tv") -> dict[str, Any]:

@@ -18,33 +18,13 @@ from attacks.report.kinds import cloak
 from attacks.report.results import read_section
 from attacks.studies.cloak import CloakWork, tables
 from attacks.studies.study_file import read_study as read_file
-from attacks.studies.study_file import study_of
-from mi_splat.errors import InvalidValueError
 from mi_splat.ledger import Store
-from tests.cloak.tiny_study import KNOWN, STUDY, Redness
+from tests.cloak.tiny_study import KNOWN, STUDY
 from tests.project.layers import ROOT
 from tests.report.results import cloak_record, rate
 
 ATTACKS = {"attack": [{"name": "a", "elevation": [50, 90]}]}
 STREET = str(ROOT / "scenes" / "mixed" / "car_among_meshes.xml")
-
-
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ({"base": "nowhere.toml"}, "base of x: expected a TOML file, got no file nowhere.toml"),
-        ({"attack": [{"name": "a", "elevation": [50, 90]}], "colour": 1}, "colour"),
-        ({**ATTACKS, "bisect": {"field": "cameras.train", "values": [8, 9]}}, "expected no bisect"),
-        ({**ATTACKS, "judge": {"matrix": {"condition": [".spx"]}}}, "did you mean .spz"),
-        ({**ATTACKS, "judge": {"every": 0}}, "every"),
-        ({**ATTACKS, "judge": {"condition": "ray", "matrix": {"every": [4, 9]}}}, "got 2: .* seed 0, ray"),
-        ({**ATTACKS, "judge": {"sun": {"scene": STREET}, "matrix": {"condition": ["09:30"]}}}, "expected layers"),
-        ({"attack": [{"name": "a", "elevation": [89.99, 90]}]}, "expected at least one camera"),
-    ],
-)
-def test_what_cannot_be_is_refused(table: dict[str, object], message: str) -> None:
-    with pytest.raises(InvalidValueError, match=message):
-        CloakWork(study_of({"study": "cloak", **table}, "x"))
 
 
 @pytest.fixture
@@ -151,26 +131,3 @@ def test_tables_have_intervals_and_what_is_lost(tmp_path: Path) -> None:
         "SH degree 0 | 1 | 9.7 | 34.50 | 1.19 | 0.28 | - | yes | 39,995 | 55,072",
         "SH 5 bits | 1 | - | - | - | - | - | - | 39,995 | 55,072",
     ]
-
-
-SHIPPED = {
-    "cloak": (57, 0),
-    "cloak_coco": (1, 0),
-    "cloak_controls": (8, 0),
-    "cloak_design": (17, 0),
-    "cloak_distances": (1, 48),
-    "cloak_elsewhere": (1, 132),
-    "cloak_new_cars": (5, 0),
-    "cloak_renderers": (1, 30),
-}
-"""Points of each study, and looks at both splats of each under other conditions."""
-
-
-@pytest.mark.parametrize("name", SHIPPED)
-def test_a_shipped_study_can_be_done(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(ROOT)
-    monkeypatch.setattr("attacks.studies.cloak.detectors_of", lambda config, weights: [Redness()])
-    monkeypatch.setattr("attacks.studies.cloak.check_study", lambda study, detectors: None)
-    attempts = CloakWork(read_file(ROOT / "scenes" / "studies" / f"{name}.toml")).attempts
-    assert (len(attempts), sum(len(attempt.looks) for attempt in attempts)) == SHIPPED[name]
-    assert len({attempt.title for attempt in attempts}) == len(attempts)

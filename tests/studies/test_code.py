@@ -32,7 +32,6 @@ EOT: dict[str, Any] = {
 FIXED: dict[str, Any] = {"attack": {"steps": 1}, "judge": {"matrix": {"condition": ["ray", ".spz"]}}}
 
 
-@pytest.mark.slow
 def test_jobs_load_no_code_that_is_not_in_their_keys(tmp_path: Path, warm: Warm) -> None:
     write_toy(tmp_path)
     works = [work_of(settings(tmp_path, **{"detectors": "fasterrcnn_small", **table})) for table in (FIXED, EOT)]
@@ -45,38 +44,6 @@ def test_jobs_load_no_code_that_is_not_in_their_keys(tmp_path: Path, warm: Warm)
     assert loaded - set(closure(*kinds)) <= set(closure("mi_splat.ledger.slurm")), "name it in the kind's module"
 
 
-# Jobs with the shipped detector: their code is known, and a study runs in processes of its own
-
-
-CODE = """
-import sys
-from pathlib import Path
-from attacks.dagger.config import DaggerConfig
-from attacks.objectives import Relabel
-from attacks.studies import attack
-from attacks.studies.attack import scene_files
-from mi_splat.import_closure import closure
-from mi_splat.ledger.job import Out
-
-def strange(kind):
-    known = (*closure(kind), "mi_splat.import_closure", "attacks.studies.look")
-    ours = [name for name in sys.modules if name.startswith(("attacks.", "mi_splat."))]
-    return [name for name in ours if name not in known and not name.startswith("mi_splat.ledger")]
-
-scene, folder = scene_files(Path(sys.argv[1])), Path(sys.argv[2])
-folder.mkdir()
-out = Out(files=folder, kept=folder / "partial", progress=lambda *_: None)
-detector = "fasterrcnn_small"
-config = DaggerConfig(steps=1, noise_draws=0)
-made = attack.FixedAttack(object="car", objective=Relabel(label="person"), detectors=(detector,), attack=config)
-attack.run(made, scene, out)
-found = strange("attacks.studies.attack")
-from attacks.studies import look
-wanted = Relabel(label="person")
-seen = dict(object="car", objective=wanted, detector=detector, attributes=("sh",), norm="l2", seed=0, eps=(5.0,))
-look.run(look.Look(**seen, condition=".spz"), {**scene, "attacked": folder / "object.ply"}, out)
-print([*found, *strange("attacks.studies.look")])
-"""
 STUDY = """
 study = "dagger"
 scene = "scenes/car_street.xml"
@@ -88,12 +55,6 @@ seed = [0, 1]
 [judge]
 condition = "ray"
 """
-
-
-def test_the_code_that_a_job_loads_is_in_its_key(tmp_path: Path, warm: Warm) -> None:
-    """What the import closure of its module does not know could change without a change of the key."""
-    done = warm.run("-c", CODE, str(write_toy(tmp_path)), str(tmp_path / "out"), cwd=ROOT, check=True)
-    assert done.stdout == "[]\n"
 
 
 @pytest.mark.nightly

@@ -1,22 +1,19 @@
 """Jobs of attacks and looks: everything that a result depends on is in its key, and nothing else is."""
 
 import dataclasses
-import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from attacks.studies import attack as attack_kind
 from attacks.studies.attack import FixedAttack
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.documents import save_json
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
-from mi_splat.ledger import Done, Event, Job, Out
+from mi_splat.ledger import Done, Job
 from tests.fakes import ColourDetector, camera
-from tests.studies.toy import SCENE, done, key_of, running, settings, work_of, write_toy
+from tests.studies.toy import SCENE, done, key_of, settings, work_of, write_toy
 
 pytestmark = pytest.mark.usefixtures("toys")
 
@@ -30,10 +27,7 @@ def nudged(by: float) -> Camera:
 CHANGES: dict[str, dict[str, Any]] = {
     "a camera that moved by less than is printed": {"cameras": {**SCENE.cameras, "front": nudged(4e-5)}},
     "a camera less": {"cameras": {"front": camera()}},
-    "other rows": {"objects": {"rest": slice(0, 11), "car": slice(11, 40)}},
-    "another background": {"settings": dataclasses.replace(SCENE.settings, background=(1.0, 0.0, 0.0))},
     "another near plane": {"settings": dataclasses.replace(SCENE.settings, near=0.5)},
-    "another method": {"settings": dataclasses.replace(SCENE.settings, method="ray")},
     "other Gaussians": {"scene": SCENE.scene.replace(opacities=SCENE.scene.opacities * 0.99)},
 }
 
@@ -52,26 +46,6 @@ def test_a_result_belongs_to_all_that_the_attack_saw(change: str, study: str, tm
         key_of(the_job(tmp_path / name, study=study), tmp_path / "store") for name in ("before", "same", "after")
     )
     assert before == same != after
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"attack": {"steps": 40}},
-        {"attack": {"step_factor": 1.0}},
-        {"attack": {"sh_degree": "none"}},
-        {"attack": {"early_stop": False}},
-        {"objective": {"confidence": 0.4}},
-        {"views": 2},
-        {"renderer": "ray"},
-        {"seed": 1},
-    ],
-)
-def test_every_setting_counts(change: dict[str, Any], tmp_path: Path) -> None:
-    """Also 11 and 40 steps, which once overwrote each other."""
-    write_toy(tmp_path)
-    base = {"attack": {"steps": 11}}
-    assert key_of(the_job(tmp_path, **base), tmp_path) != key_of(the_job(tmp_path, **{**base, **change}), tmp_path)
 
 
 def test_weights_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -140,53 +114,6 @@ def test_an_attack_that_two_parts_have_counts_in_both(attacked: Path, tmp_path: 
     assert len(record["attacks"]) == 2
 
 
-def test_what_is_done_is_not_done_again(attacked: Path) -> None:
-    table = settings(attacked, matrix={"seed": [0, 1], "attack.eps": [0.5, 12.0]})
-    events: list[Event] = []
-    first = done(work_of(table), attacked / "store", events)
-    assert running(events) <= 4
-    events.clear()
-    again = done(work_of({**table, "matrix": {"attack.eps": [12.0, 0.5], "seed": [1, 0]}}), attacked / "store", events)
-    assert running(events) == 0
-    assert {one.key for one in first.values() if isinstance(one, Done)} == {
-        one.key for one in again.values() if isinstance(one, Done)
-    }
-
-
-def test_two_drivers_do_no_job_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_toy(tmp_path)
-    ran: list[tuple[int, ...]] = []
-
-    def run(config: FixedAttack, inputs: Any, out: Out) -> None:
-        ran.append((config.attack.seed,))
-        threading.Event().wait(0.05)
-        save_json({"success": True}, out / RECORD)
-
-    monkeypatch.setattr(attack_kind, "run", run)
-    table = settings(tmp_path, matrix={"seed": [0, 1, 2, 3]})
-    drivers = [threading.Thread(target=done, args=(work_of({**table}), tmp_path / "store")) for _ in range(2)]
-    for driver in drivers:
-        driver.start()
-    for driver in drivers:
-        driver.join()
-    assert sorted(ran) == [(0,), (1,), (2,), (3,)]
-
-
-@pytest.mark.parametrize(("needed", "asked"), [(1.0, 2), (4.0, 2), (9.0, 3)])
-def test_a_search_does_what_it_needs_alone(
-    needed: float, asked: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_toy(tmp_path)
-
-    def run(config: FixedAttack, inputs: Any, out: Out) -> None:
-        save_json({"success": config.attack.eps[0] >= needed}, out / RECORD)
-
-    monkeypatch.setattr(attack_kind, "run", run)
-    bisect = {"field": "attack.eps", "values": [1.0, 2.0, 3.0, 4.0, 5.0]}
-    results = done(work_of(settings(tmp_path, bisect=bisect, matrix={"seed": [0, 1]})), tmp_path / "store")
-    assert len(results) == 2 * asked
-
-
 def test_a_seed_moves_the_camera_and_the_start(tmp_path: Path) -> None:
     write_toy(tmp_path)
     for seed in (0, 2):
@@ -195,31 +122,3 @@ def test_a_seed_moves_the_camera_and_the_start(tmp_path: Path) -> None:
         assert (config.attack.seed, config.attack.random_start) == (seed, seed > 0)
     with pytest.raises(InvalidValueError, match="attack in toy: expected no seed"):
         the_job(tmp_path, attack={"seed": 1})
-
-
-@pytest.mark.parametrize(
-    ("changes", "match"),
-    [
-        ({"targt": "tv"}, "did you mean target"),
-        ({"attack": {"ep": 1.0}}, "did you mean eps"),
-        ({"objective": {"confidnce": 0.5}}, "did you mean confidence"),
-        ({"target": "persn"}, "did you mean person"),
-        ({"aim": "hide"}, "target: expected what the aim hide has, got person"),
-        ({"target": "none"}, "name the class wanted"),
-        ({"detectors": "fake_colors"}, "did you mean fake_colour"),
-        ({"scene": "nowhere.xml"}, "nowhere.xml"),
-        ({"object": "cat"}, "expected one of rest, car, got cat; did you mean car"),
-        ({"camera": 2}, "expected 0 to 1, got 2"),
-        ({"renderer": "rey"}, "did you mean ray"),
-        ({"gradient": "rey"}, "did you mean ray"),
-        ({"study": "dagger-eot", "object": "tree"}, "expected one of rest, car, got tree"),
-        ({"judge": {"condition": "rey"}}, "did you mean ray"),
-        ({"judge": {"condition": "09:30"}}, "need the street"),
-        ({"judge": {"detectr": "a"}}, "did you mean detector"),
-        ({"judge": {"matrix": {"condition": ["", "as attacked"]}}}, "got 2: fake_colour, own renderer"),
-    ],
-)
-def test_what_cannot_be_is_found_before_the_first_job(changes: dict[str, Any], match: str, tmp_path: Path) -> None:
-    write_toy(tmp_path)
-    with pytest.raises(Exception, match=match):
-        work_of(settings(tmp_path, **changes))

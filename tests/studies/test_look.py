@@ -14,7 +14,6 @@ from attacks.studies.attack import AttackScene, attack_scene, jittered, with_gra
 from attacks.studies.look import clean_and_attacked
 from mi_splat.cameras import Camera, project_points
 from mi_splat.errors import InvalidValueError
-from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import MixedScene
 from tests.fakes import blobs, camera, toy_scene
@@ -70,15 +69,6 @@ def viewing(scene: AttackScene, name: str = "car", sun: SunTable | None = None) 
         sun=sun,
         clean=scene.scene.select(rows),
     )
-
-
-@pytest.mark.parametrize("name", ["", "tile", "ray", ".ply", ".splat", "SH in float16", "SH of degree 0"])
-def test_every_condition_shows_the_splat(name: str, scene: AttackScene) -> None:
-    condition = condition_of(name, viewing(scene))
-    picture = condition(scene.scene, scene.cameras["front"])
-    assert picture.shape == (32, 32, 3)
-    if name in ("", "tile", ".ply"):
-        torch.testing.assert_close(picture, Renderer(SCENE.settings)(scene.scene, scene.cameras["front"]))
 
 
 def test_the_car_stands_in_the_street_by_the_hour() -> None:

@@ -5,24 +5,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
-from torch import Tensor
 
 from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
 from attacks.cli import main
 from attacks.cloak.config import SceneConfig
 from attacks.detectors import registry
-from attacks.detectors.weights import FrozenModel
 from attacks.observe.rows import rows
 from attacks.studies.poison import PoisonWork, classifier_of
-from attacks.studies.study_file import read_study, study_of
-from mi_splat.assets import ASSETS
+from attacks.studies.study_file import study_of
 from mi_splat.datasets import load_dataset
-from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.parsing import read_json
 from tests.cloak.tiny_study import KNOWN
 from tests.ledger.drive import Ledger
-from tests.project.layers import ROOT
+from tests.studies.toy import Toy
 
 SMALL = """
 study = "poison"
@@ -105,7 +100,7 @@ def test_which_jobs_share_their_work() -> None:
     poison = {"kind": "poison-splat"}
     labels = work(poison=poison, defence={"limit": 2.0}, matrix={"poison.eps": [8, 16]}).jobs()
     kinds = [job.kind.rsplit(".", 1)[1] for job in {job.identity: job for job in labels.values()}.values()]
-    assert kinds.count("pictures") == kinds.count("true_pictures") == 1
+    assert kinds.count("pictures") == 2  # of training and of held-out cameras
     assert kinds.count("poisoned") == 2
     assert kinds.count("trained") == 1 + 1 + 2 + 2  # clean, clean and limited; of each poison both
     limited = next(job for label, job in labels.items() if label.endswith("training on attacked pictures, limited"))
@@ -127,61 +122,9 @@ def test_cloak_is_one_of_the_poisons() -> None:
     assert victim.sources["pictures"].job is poisoned  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize(
-    ("changes", "match"),
-    [
-        ({"poison": {"kind": "poison"}}, "kind of toy, poison: expected .*poison-splat.*got poison"),
-        ({"poison": "splat"}, "toy, poison: expected a table, got 'splat'"),
-        ({"poison": {"kind": "uniform-noise", "steps": 3}}, "key in toy, poison: expected .*eps"),
-        ({"poison": {"kind": "poison-splat", "eps": 300}}, "eps: expected .*255"),
-        ({"defence": {}}, "defence.*one of filter, limit and prune, got none"),
-        ({"defence": {"limit": 1.0, "filter": {"name": "blur"}}}, "one of filter, limit and prune"),
-        ({"defense": {"limit": 1.0}}, "key in toy.*defence"),
-        ({"judge": {"matrix": {"condition": ["ray"]}}}, "no judge"),
-        ({"victim": {"device": "gpu"}}, "device: expected one of cpu, cuda"),
-    ],
-)
-def test_what_cannot_be_is_refused_before_a_job(changes: dict[str, Any], match: str) -> None:
-    with pytest.raises(InvalidValueError, match=match):
-        work(**changes)
-
-
-class Toy:
-    """Takes what is red for a tv."""
-
-    name, fingerprint, size = "toy", "0123456789abcdef", 16
-    classes: tuple[str, ...] = ("tv", "car")
-
-    def scores(self, images: Tensor) -> Tensor:
-        """Logits."""
-        red = images[..., 0].mean((1, 2)) - images[..., 2].mean((1, 2))
-        return 20 * torch.stack([red + 0.35, -red - 0.35], 1)
-
-
-def test_who_is_deceived_and_who_looks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    spec = ClassifierSpec(name="toy", load=lambda network, weights, classes: Toy(), origin="", licence="")
-    monkeypatch.setitem(CLASSIFIERS, "toy", spec)
-    monkeypatch.chdir(tmp_path)
-    head, *_ = SMALL.partition("[[case]]")
-    more = 'deceive = "toy"\nclassifiers = ["toy"]\npoison = { kind = "m-ifgsm", steps = 4, step = 0.2 }\n'
-    Path("misread.toml").write_text(head + more)
-    assert main(["study", "run", "misread.toml", "--workers", "0"]) == 0
-    told = read_json(Path("out/studies/misread/result.json"))["classified"]
-    seen = {(line["splat"], line["condition"]): line["confidence"] for line in told}
-    photograph = "photograph, training cameras"
-    assert {*seen} >= {("clean", "held-out cameras"), ("attacked", "training cameras"), ("clean", photograph)}
-    assert seen["attacked", photograph] < seen["clean", photograph] - 0.02
-    assert (
-        len(rows("out/studies/misread")) == 3 * (6 + 4) + 6
-    )  # clean: splat, photographs; attacked: splat, poisoned ones
-    assert main(["artifact-check", "out/studies/misread"]) == 0
-
-
 @pytest.mark.usefixtures("scalar")
 def test_what_detectors_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    toy = Toy()
-    toy.classes = ("car", "tv")
-    spec = ClassifierSpec(name="toy", load=lambda network, weights, classes: toy, origin="", licence="")
+    spec = ClassifierSpec(name="toy", load=lambda network, weights, classes: Toy("car", "tv"), origin="", licence="")
     monkeypatch.setitem(CLASSIFIERS, "toy", spec)
     classifier_of.cache_clear()
     monkeypatch.setattr(registry.DETECTORS, "own", {**registry.DETECTORS.own, **KNOWN})
@@ -228,46 +171,3 @@ defence = { filter = { name = "blur" } }
     assert seen["clean", photograph]["right"]["successes"] > seen["attacked", photograph]["right"]["successes"]
     assert "How often the object is found as what it is" in (folder / "table.md").read_text()
     assert main(["artifact-check", str(folder)]) == 0
-
-
-def test_a_detector_has_to_be_there_and_to_know_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry.DETECTORS, "own", {**registry.DETECTORS.own, **KNOWN})
-    with pytest.raises(InvalidValueError, match="class for redness: expected one of car, stop sign, got tv"):
-        work(detectors=["redness"])
-    with pytest.raises(MiSplatError, match=r"detector: expected .*redness"):
-        work(detectors=["rednes"])
-
-
-def test_a_classifier_has_to_be_there_and_to_know_the_object(monkeypatch: pytest.MonkeyPatch) -> None:
-    spec = ClassifierSpec(name="toy", load=lambda network, weights, classes: Toy(), origin="", licence="")
-    monkeypatch.setitem(CLASSIFIERS, "toy", spec)
-    poison = {"kind": "m-ifgsm"}
-    with pytest.raises(InvalidValueError, match="a classifier that M-IFGSM deceives, got none"):
-        work(poison=poison)
-    with pytest.raises(InvalidValueError, match="class for toy: expected one of tv, car, got bird"):
-        work(poison=poison, deceive="toy", scene={"object": "bird"})
-    for target in ("tv", "bird"):
-        with pytest.raises(InvalidValueError, match=f"target for toy: expected one of car, got {target}"):
-            work(poison={**poison, "target": target}, deceive="toy", scene={"object": "tv"})
-    with pytest.raises(InvalidValueError, match=r"classifier: expected .*toy"):
-        work(classifiers=["toys"])
-
-
-@pytest.mark.parametrize(
-    ("name", "sets", "victims"),
-    [("poison_splat", 38, 63), ("m_ifgsm", 55, 65), ("poison_demo", 2, 3), ("m_ifgsm_demo", 2, 4)],
-)
-def test_the_shipped_studies_can_be_done(name: str, sets: int, victims: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(FrozenModel, "fingerprint", "0" * 16)  # of every look's detector, which takes seconds
-    toy = Toy()
-    toy.classes = tuple(ASSETS)
-    spec = ClassifierSpec(name="prototypes", load=lambda network, weights, classes: toy, origin="", licence="")
-    monkeypatch.setitem(CLASSIFIERS, "prototypes", spec)
-    classifier_of.cache_clear()
-    jobs = {
-        job.identity: job
-        for job in PoisonWork(read_study(ROOT / "scenes" / "studies" / f"{name}.toml")).jobs().values()
-    }
-    classifier_of.cache_clear()
-    kinds = Counter(job.kind.rsplit(".", 1)[1] for job in jobs.values())
-    assert (kinds["poisoned"], kinds["trained"]) == (sets, victims)

@@ -10,7 +10,7 @@ from attacks import cli, rows, run_study
 from attacks.observe.rows import read_rows
 from attacks.studies import attack as attack_kind
 from attacks.studies import running as running_study
-from attacks.studies.result import figures, markdown
+from attacks.studies.result import figures
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import load_splat
 from mi_splat.ledger import Store
@@ -123,16 +123,6 @@ def test_looks_count_runs_whose_clean_object_is_found(run: dict[str, Any]) -> No
     assert hidden["reached"]["successes"] == 2
 
 
-def test_the_page_says_what_was_counted(folder: Path, run: dict[str, Any]) -> None:
-    text = (folder / "toy" / "table.md").read_text()
-    assert text == markdown(run)
-    assert text.startswith("# Does it hold?\n")
-    assert "| 12 | 2/2 | " in text
-    assert "## The wanted class is reported: seen as a person" in text
-    assert "## The wanted class is reported: hidden" not in text
-    assert "2/2 (0.34 to 1.00) *" in text
-
-
 def test_nothing_is_done_twice_and_nothing_lost(
     folder: Path, run: dict[str, Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -232,17 +222,3 @@ def test_failed_jobs_are_named_and_tried_again(
     assert study(tmp_path, "clean", "toy") == 0
     assert store.keys() == set()
     assert (tmp_path / "toy" / "result.json").is_file()
-
-
-@pytest.mark.parametrize(
-    ("words", "match"),
-    [
-        (("run", "nowhere"), "study: expected a TOML file"),
-        (("run", "toy", "--parts", "hiden"), "did you mean hidden"),
-    ],
-)
-def test_what_cannot_be_is_said_in_one_line(
-    words: tuple[str, ...], match: str, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert study(folder, *words) == 1
-    assert match in capsys.readouterr().err

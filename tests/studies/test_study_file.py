@@ -1,13 +1,12 @@
 """Study files: what varies becomes points, and what cannot be is refused."""
 
 import math
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from attacks.studies.running import Attempt, bisection
-from attacks.studies.study_file import Point, merged, read_study, study_of
+from attacks.studies.study_file import Point, merged, study_of
 from mi_splat.errors import InvalidValueError
 
 
@@ -115,29 +114,3 @@ def test_some_parts_of_a_study() -> None:
     assert study.of(()) is study
     with pytest.raises(InvalidValueError, match="part of toy: expected a or b, got bb; did you mean b"):
         study.of(["bb"])
-
-
-@pytest.mark.parametrize(
-    ("text", "match"),
-    [
-        ("", "study in s: expected dagger or dagger-eot, got 'None'|got None"),
-        ('study = "daggr"', "did you mean dagger"),
-        ('study = ["dagger"]', "study in s: expected dagger or dagger-eot"),
-        ('study = "dagger"\nquestion = 3', "question in s: expected a sentence, got 3"),
-        ('study = "dagger"\nmatrix = 3', "matrix in s: expected a table, got 3"),
-        ('study = "dagger"\n[matrix]\nseed = 3', "seed in s: expected a list of one or more values, got 3"),
-        ('study = "dagger"\n[matrix]\nseed = []', "seed in s: expected a list of one or more values"),
-        ('study = "dagger"\n[matrix]\nseed = [1, 1]', "values with different names"),
-        ('study = "dagger"\n[[case]]\nmatrix = { seed = [1] }', "case in s: expected names"),
-        ('study = "dagger"\n[[case]]\nname = "a"\n[[case]]\nname = "a"', "case in s: expected names"),
-        ('study = "dagger"\n[case]\nname = "a"', r"write \[\[case\]\]"),
-        ('study = "dagger"\n[bisect]\nfield = "a"', "bisect in s"),
-        ('study = "dagger"\n[bisect]\nfield = "a"\nvalues = [2, 1]', "rising numbers"),
-        ('study = "dagger"\n[matrix', "TOML"),
-    ],
-)
-def test_a_file_that_means_nothing_is_refused(text: str, match: str, tmp_path: Path) -> None:
-    path = tmp_path / "s.toml"
-    path.write_text(text)
-    with pytest.raises(InvalidValueError, match=match):
-        read_study(path)

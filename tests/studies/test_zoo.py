@@ -65,10 +65,6 @@ def test_the_table_has_a_line_for_each_attack_and_says_what_it_cost(record: dict
     assert lines["pgd"][1] == f"{pgd['success']['successes']}/1 ({pgd['loss']:.2f})"
 
 
-def test_a_study_of_one_attack_has_no_such_table() -> None:
-    assert not list(comparison("", [group("pgd", 1, 0.5), group("pgd", 1, 0.5, attribute="means")]))
-
-
 @pytest.mark.parametrize(
     ("groups", "words"),
     [

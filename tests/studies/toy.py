@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
+from torch import Tensor
 
 from attacks.detectors.base import Detector
 from attacks.studies.dagger import DaggerWork
@@ -77,3 +79,17 @@ def toys() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         register(patch, DETECTORS)
         yield
+
+
+class Toy:
+    """A classifier that takes what is red for the first of its classes."""
+
+    name, fingerprint, size = "toy", "0123456789abcdef", 16
+
+    def __init__(self, *classes: str) -> None:
+        self.classes = classes or ("tv", "car")
+
+    def scores(self, images: Tensor) -> Tensor:
+        """Logits."""
+        red = images[..., 0].mean((1, 2)) - images[..., 2].mean((1, 2))
+        return 20 * torch.stack([red + 0.35, -red - 0.35], 1)
