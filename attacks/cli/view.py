@@ -26,7 +26,7 @@ from mi_splat.io.parsing import read_json
 
 if TYPE_CHECKING:
     from mi_splat.viewer.content import Content
-    from mi_splat.viewer.jobs import JobKind, JobRequest, JobResult
+    from mi_splat.viewer.runner import JobKind, JobRequest, JobResult
 
 EXAMPLES = (
     "view desk.ply",
@@ -125,8 +125,8 @@ def audit_job(content: Content) -> JobKind:
     from attacks.report.viewer_content import open_content
     from mi_splat.audit.files import HEAT
     from mi_splat.io.folders import RECORD
-    from mi_splat.viewer.jobs import Choice, JobKind, JobResult
     from mi_splat.viewer.orbit import up_options
+    from mi_splat.viewer.runner import Choice, JobKind, JobResult
 
     def file(request: JobRequest) -> Path:
         """Of the chosen splat; of the first where that is shown no longer."""
@@ -150,8 +150,8 @@ def audit_job(content: Content) -> JobKind:
 def attack_job(detector: str | None = None, *, weights: Path | None = None) -> JobKind:
     """An attack on the selected object, by `mi-splat dagger`; the named detector, with its weights, is the default."""
     from attacks.report.viewer_content import detector_inspector, open_content
-    from mi_splat.viewer.jobs import Choice, JobKind, JobResult, Number
     from mi_splat.viewer.orbit import camera_options
+    from mi_splat.viewer.runner import Choice, JobKind, JobResult, Number
 
     known = {detector: DETECTORS[detector].classes} if detector is not None else {}
     known |= {name: classes for name, classes in available() if name not in known}

@@ -1,27 +1,19 @@
-"""The controls of one window: of the view, and of the selected object and the jobs on it."""
+"""The controls of what a window shows."""
 
 from __future__ import annotations
 
 import html
 import math
-from collections.abc import Callable, Coroutine, Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mi_splat.errors import InvalidValueError
 from mi_splat.viewer.content import Content
-from mi_splat.viewer.jobs import Choice, JobKind, Value
 from mi_splat.viewer.orbit import Orbit
-from mi_splat.viewer.picking import MASK
 from mi_splat.viewer.session import ViewState, display_modes
 
-if TYPE_CHECKING:
-    from mi_splat.viewer.runner import JobRunner
-    from mi_splat.viewer.server import Client
-
 FREE = "(free)"  # name of a camera that is not listed; in more parentheses if a listed one is called so
-HOW_TO_SELECT = "Click on an object in the picture; hold Shift to add to the selection."
-NOTHING_TO_SELECT = "Only splats have objects to select."
 
 Remark = tuple[str, str]  # what it is about, which may be nothing, and plain text from anywhere
 Change = Callable[[Callable[[ViewState], ViewState]], None]  # changes the state of a window
@@ -91,88 +83,6 @@ class ViewPanel:
             if event.client is not None:  # else it was `follow`
                 value = event.target.value
                 self._change(lambda state: changed(state, value))
-
-
-class JobPanel:
-    """The controls of the selection and of the jobs."""
-
-    def __init__(self, gui: Any, runner: JobRunner, client: Client, wake: Callable[[], None]) -> None:
-        self._gui, self._runner, self._client, self._wake = gui, runner, client, wake
-        self._forms = list[tuple[JobKind, dict[str, Any], Any, Any]]()
-        self._result = gui.add_folder("Result", visible=False)
-        with self._result:
-            self._lines = gui.add_html("")
-            self._stop = self._button("Stop", runner.stop)
-            self._back = self._button("Back to what was shown before", runner.back)
-        with gui.add_folder("Object"):
-            self._object = gui.add_html("")
-            self._button("Select what is in the middle", client.pick_middle)
-            self._clear = self._button("Clear", runner.clear)
-            self._save = self._button(f"Save {MASK}", self._download)
-            self._select = gui.add_text("command", "", multiline=True, hint="Copy it to select the same Gaussians")
-        for kind in runner.kinds:
-            self._add_form(kind)
-        self.follow()
-
-    def follow(self) -> None:
-        """Show the present state."""
-        runner, picked = self._runner, self._runner.picked
-        how = HOW_TO_SELECT if runner.content.splats else NOTHING_TO_SELECT
-        self._object.content = as_html([("", how if picked is None else picked.text)])
-        self._select.value = "" if picked is None else picked.command
-        self._select.visible = bool(self._select.value)
-        self._clear.disabled = self._save.disabled = picked is None
-        self._lines.content = as_html([("", f"{line}\n") for line in runner.lines])
-        self._stop.visible, self._back.visible = bool(runner.running), runner.has_result
-        self._result.visible = bool(runner.lines) or runner.has_result
-        for _, _, start, _ in self._forms:
-            start.disabled = bool(runner.running)
-        self.follow_camera()
-
-    def follow_camera(self) -> None:
-        """Show the commands of the jobs from this camera."""
-        for kind, handles, _, command in self._forms:
-            command.value = self._runner.command(kind, self._client.orbit, _values(kind, handles))
-
-    def _add_form(self, kind: JobKind) -> None:
-        """The fields of a kind of job, the button that starts it, and its command."""
-        gui, handles = self._gui, dict[str, Any]()
-        with gui.add_folder(kind.name, expand_by_default=False):
-            for field in kind.fields:
-                if isinstance(field, Choice):
-                    handle = gui.add_dropdown(field.label, field.options, initial_value=field.default)
-                else:
-                    handle = gui.add_number(field.label, field.default, min=field.low, max=field.high, step=field.step)
-                handles[field.name] = handle
-                handle.on_update(self._queued(self.follow_camera))
-            start = self._button(
-                kind.name, lambda: self._runner.start(kind, self._client.orbit, _values(kind, handles))
-            )
-            self._forms.append((kind, handles, start, gui.add_text("command", "", multiline=True)))
-
-    def _download(self) -> None:
-        if self._runner.picked is not None:
-            self._client.download(MASK, self._runner.picked.file)
-
-    def _button(self, label: str, act: Callable[[], None]) -> Any:
-        button = self._gui.add_button(label)
-        button.on_click(self._queued(act))
-        return button
-
-    def _queued(self, act: Callable[[], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
-        """Queues an action for the thread that renders."""
-
-        async def queue(event: Any) -> None:
-            if event.client is not None:  # else it was `follow`
-                self._runner.later(act)
-                self._wake()
-
-        return queue
-
-
-def _values(kind: JobKind, handles: dict[str, Any]) -> dict[str, Value]:
-    """The valid values of a form."""
-    return {field.name: field.valid(handles[field.name].value) for field in kind.fields}
 
 
 def as_html(remarks: Iterable[Remark]) -> str:

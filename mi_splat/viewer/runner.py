@@ -1,34 +1,137 @@
-"""What the windows of a page share: the selected object, the running job and its result.
+"""What the windows of a page share: the selected object, the running job and its result, and their controls.
 
 All of it happens in the thread that renders, where `turn` is called again and again; requests of browsers are queued.
 """
 
 from __future__ import annotations
 
+import math
+import os
 import shlex
 import signal
+import subprocess
 import tempfile
 from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mi_splat.cameras import RenderFn
-from mi_splat.errors import InvalidValueError, MiSplatError, message
+from mi_splat.errors import InvalidValueError, MiSplatError, message, printable
 from mi_splat.io.documents import save_bytes
 from mi_splat.processes import python_command
 from mi_splat.rendering import Renderer, RenderSettings
-from mi_splat.viewer.content import Content
-from mi_splat.viewer.jobs import Job, JobKind, JobRequest, Value
+from mi_splat.viewer.content import Content, Inspector
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter
-from mi_splat.viewer.panel import JobPanel
+from mi_splat.viewer.panel import as_html
 from mi_splat.viewer.picking import MASK, Click, Picked, pick
 
 if TYPE_CHECKING:
     from mi_splat.viewer.server import Client
 
+Value = str | float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """A field of a form: one of some words."""
+
+    name: str
+    label: str
+    options: tuple[str, ...]
+    default: str
+
+    def valid(self, value: object) -> Value:
+        """The value if it is an option, else the default: a browser may send anything."""
+        return value if isinstance(value, str) and value in self.options else self.default
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Number:
+    """A field of a form: a number in a range."""
+
+    name: str
+    label: str
+    low: float
+    high: float
+    step: float
+    default: float
+
+    def valid(self, value: object) -> Value:
+        """The value if it is a number in the range, else the default."""
+        fits = isinstance(value, int | float) and math.isfinite(value) and self.low <= value <= self.high
+        return value if fits and isinstance(value, int | float) else self.default
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class JobRequest:
+    """A job on what is shown, from the camera of a window, with the values of its form and the selected object."""
+
+    content: Content
+    orbit: Orbit
+    values: Mapping[str, Value]
+    picked: Picked | None
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class JobResult:
+    """The result of a job in words; `content`, if any, is shown from then on."""
+
+    lines: tuple[str, ...]
+    content: Content | None = None
+    inspector: Inspector | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class JobKind:
+    """A kind of job: its form, the arguments of its command, and how its folder is opened."""
+
+    name: str
+    fields: tuple[Choice | Number, ...]
+    out: Path
+    arguments: Callable[[JobRequest, Path, Path], list[str]]
+    """Of a request, the file of the mask and the folder of the result."""
+    opened: Callable[[JobRequest, Path], JobResult]
+
+
+class Job:
+    """A command in a process, whose output is kept in a file next to its result."""
+
+    def __init__(self, arguments: Sequence[str], log: Path) -> None:
+        self._log = log
+        with log.open("wb") as output:
+            self._process = subprocess.Popen(
+                arguments,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, "MI_SPLAT_PROGRESS_SECONDS": "1"},
+                start_new_session=True,  # Ctrl-C is for the page, which ends this process
+            )
+
+    @property
+    def status(self) -> int | None:
+        """Exit status of the process; None while it runs."""
+        return self._process.poll()
+
+    @property
+    def last_line(self) -> str:
+        """What the command said last."""
+        lines = self._log.read_bytes().decode("utf-8", "replace").splitlines()
+        return printable(lines[-1].removeprefix("mi-splat: ")) if lines else ""
+
+    def stop(self, number: signal.Signals) -> None:
+        """Send a signal to the process and to all that it has started, if it still runs."""
+        if self.status is None:
+            os.killpg(self._process.pid, number)
+            if number == signal.SIGKILL:
+                self._process.wait()
+
+
+HOW_TO_SELECT = "Click on an object in the picture; hold Shift to add to the selection."
+NOTHING_TO_SELECT = "Only splats have objects to select."
 MOST_QUEUED = 100  # requests that wait; more are dropped
 
 
@@ -182,3 +285,85 @@ class JobRunner:
             inspector = result.inspector or self.painter.inspector
             self.painter = Painter(result.content, self._renderer(result.content.settings), inspector)
         return True
+
+
+class JobPanel:
+    """The controls of the selection and of the jobs."""
+
+    def __init__(self, gui: Any, runner: JobRunner, client: Client, wake: Callable[[], None]) -> None:
+        self._gui, self._runner, self._client, self._wake = gui, runner, client, wake
+        self._forms = list[tuple[JobKind, dict[str, Any], Any, Any]]()
+        self._result = gui.add_folder("Result", visible=False)
+        with self._result:
+            self._lines = gui.add_html("")
+            self._stop = self._button("Stop", runner.stop)
+            self._back = self._button("Back to what was shown before", runner.back)
+        with gui.add_folder("Object"):
+            self._object = gui.add_html("")
+            self._button("Select what is in the middle", client.pick_middle)
+            self._clear = self._button("Clear", runner.clear)
+            self._save = self._button(f"Save {MASK}", self._download)
+            self._select = gui.add_text("command", "", multiline=True, hint="Copy it to select the same Gaussians")
+        for kind in runner.kinds:
+            self._add_form(kind)
+        self.follow()
+
+    def follow(self) -> None:
+        """Show the present state."""
+        runner, picked = self._runner, self._runner.picked
+        how = HOW_TO_SELECT if runner.content.splats else NOTHING_TO_SELECT
+        self._object.content = as_html([("", how if picked is None else picked.text)])
+        self._select.value = "" if picked is None else picked.command
+        self._select.visible = bool(self._select.value)
+        self._clear.disabled = self._save.disabled = picked is None
+        self._lines.content = as_html([("", f"{line}\n") for line in runner.lines])
+        self._stop.visible, self._back.visible = bool(runner.running), runner.has_result
+        self._result.visible = bool(runner.lines) or runner.has_result
+        for _, _, start, _ in self._forms:
+            start.disabled = bool(runner.running)
+        self.follow_camera()
+
+    def follow_camera(self) -> None:
+        """Show the commands of the jobs from this camera."""
+        for kind, handles, _, command in self._forms:
+            command.value = self._runner.command(kind, self._client.orbit, _values(kind, handles))
+
+    def _add_form(self, kind: JobKind) -> None:
+        """The fields of a kind of job, the button that starts it, and its command."""
+        gui, handles = self._gui, dict[str, Any]()
+        with gui.add_folder(kind.name, expand_by_default=False):
+            for field in kind.fields:
+                if isinstance(field, Choice):
+                    handle = gui.add_dropdown(field.label, field.options, initial_value=field.default)
+                else:
+                    handle = gui.add_number(field.label, field.default, min=field.low, max=field.high, step=field.step)
+                handles[field.name] = handle
+                handle.on_update(self._queued(self.follow_camera))
+            start = self._button(
+                kind.name, lambda: self._runner.start(kind, self._client.orbit, _values(kind, handles))
+            )
+            self._forms.append((kind, handles, start, gui.add_text("command", "", multiline=True)))
+
+    def _download(self) -> None:
+        if self._runner.picked is not None:
+            self._client.download(MASK, self._runner.picked.file)
+
+    def _button(self, label: str, act: Callable[[], None]) -> Any:
+        button = self._gui.add_button(label)
+        button.on_click(self._queued(act))
+        return button
+
+    def _queued(self, act: Callable[[], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
+        """Queues an action for the thread that renders."""
+
+        async def queue(event: Any) -> None:
+            if event.client is not None:  # else it was `follow`
+                self._runner.later(act)
+                self._wake()
+
+        return queue
+
+
+def _values(kind: JobKind, handles: dict[str, Any]) -> dict[str, Value]:
+    """The valid values of a form."""
+    return {field.name: field.valid(handles[field.name].value) for field in kind.fields}

@@ -18,11 +18,10 @@ from mi_splat.io import save_splat
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import open_scene
 from mi_splat.viewer.content import Content, content_of_file
-from mi_splat.viewer.jobs import JobKind, JobRequest, Value
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.picking import Picked
-from mi_splat.viewer.runner import JobRunner
+from mi_splat.viewer.runner import JobKind, JobRequest, JobRunner, Value
 from tests.audit.accounts import account, look
 from tests.project.layers import ROOT
 from tests.viewer.contents import ball

@@ -18,10 +18,9 @@ from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc
 from mi_splat.viewer.content import Content, ShownSplat
-from mi_splat.viewer.jobs import Choice, JobKind, JobRequest, JobResult, Number
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter
-from mi_splat.viewer.runner import JobRunner
+from mi_splat.viewer.runner import Choice, JobKind, JobRequest, JobResult, JobRunner, Number
 from tests.fakes import blobs
 
 START = Orbit(target=(0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=5.0, fov=45.0)

@@ -13,9 +13,8 @@ import torch
 
 from attacks import cli
 from mi_splat.errors import InvalidValueError
-from mi_splat.viewer.jobs import Choice, Number, Value
 from mi_splat.viewer.picking import Click, clicked
-from mi_splat.viewer.runner import JobRunner
+from mi_splat.viewer.runner import Choice, JobRunner, Number, Value
 from mi_splat.viewer.session import DIFFERENCE, SIDE_BY_SIDE, Pace, Step, ViewState, lay_out
 from tests.viewer.contents import START, WORK, balls, painter, runner
 
