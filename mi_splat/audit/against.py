@@ -175,7 +175,8 @@ def _components(scene: GaussianScene) -> dict[str, Tensor]:
 def _difference(attribute: str, ours: Tensor, clean: Tensor) -> Tensor:
     """(M,) difference of each Gaussian from its partner, in the attribute's unit."""
     if attribute == "position":
-        return (ours - clean).norm(dim=1)
+        apart: Tensor = (ours - clean).norm(dim=1)
+        return apart
     if attribute == "rotation":
         turn = multiply(ours.double(), (clean * clean.new_tensor([1.0, -1.0, -1.0, -1.0])).double())
         turn = turn / turn.norm(dim=1, keepdim=True).clamp(min=1e-12)

@@ -184,7 +184,8 @@ def validate(document: Glb) -> list[Finding]:
             if isinstance(extensions, Mapping) and EXTENSION in extensions:
                 splats += 1
                 where = f"mesh {mesh}, primitive {number}: "
-                findings += _primitive(document, primitive, extensions[EXTENSION], where)
+                found = _primitive(document, primitive, extensions[EXTENSION])
+                findings += [dataclasses.replace(item, reason=where + item.reason) for item in found]
     used = document.root.values.get("extensionsUsed")
     if splats and not (isinstance(used, list) and EXTENSION in used):
         findings.insert(0, _finding("extension", f"{EXTENSION} is not listed in extensionsUsed."))
@@ -195,15 +196,15 @@ def _finding(rule: str, reason: str, severity: Severity = "error") -> Finding:
     return Finding(rule=f"gltf-{rule}", severity=severity, reason=reason)
 
 
-def _primitive(document: Glb, primitive: Fields, extension: object, where: str) -> Iterator[Finding]:
+def _primitive(document: Glb, primitive: Fields, extension: object) -> Iterator[Finding]:
     if primitive.values.get("mode", 4) != 0:
-        yield _finding("mode", f"{where}mode has to be 0 (points), and is {primitive.values.get('mode', 4)!r:.40}.")
-    yield from _words(extension, where)
+        yield _finding("mode", f"mode has to be 0 (points), and is {primitive.values.get('mode', 4)!r:.40}.")
+    yield from _words(extension)
     attributes = primitive.values.get("attributes")
     if not isinstance(attributes, Mapping):
-        yield _finding("attribute", f"{where}attributes has to be an object.")
+        yield _finding("attribute", "attributes has to be an object.")
         return
-    yield from _degrees(attributes, where)
+    yield from _degrees(attributes)
     known = {**_ATTRIBUTES, **{name: ("VEC3", _FLOAT) for name in attributes if _SH.fullmatch(name)}}
     quantised = document.root.values.get("extensionsUsed")
     if isinstance(quantised, list) and "KHR_mesh_quantization" in quantised:
@@ -211,10 +212,10 @@ def _primitive(document: Glb, primitive: Fields, extension: object, where: str) 
     counts: dict[str, int] = {}
     for name, (form, kinds) in known.items():
         if name not in attributes:
-            yield _finding("attribute", f"{where}the attribute {name} is missing.")
+            yield _finding("attribute", f"the attribute {name} is missing.")
             continue
         accessor, faults = _accessor(document, attributes[name], form, kinds)
-        yield from (_finding("accessor", f"{where}{name}: {fault}") for fault in faults)
+        yield from (_finding("accessor", f"{name}: {fault}") for fault in faults)
         if accessor is None or faults:
             continue
         counts[name] = int(accessor["count"])  # type: ignore[call-overload]
@@ -222,45 +223,45 @@ def _primitive(document: Glb, primitive: Fields, extension: object, where: str) 
             names = tuple(sorted({kind for kind, _ in kinds}))
             values = document.values(primitive.object("attributes"), name, _WIDTHS[form], counts[name], names)
         except SplatFileError as error:
-            yield _finding("accessor", f"{where}{name}: {error}")
+            yield _finding("accessor", f"{name}: {error}")
             continue
-        yield from _values(name, values, accessor, where)
+        yield from _values(name, values, accessor)
     if len(set(counts.values())) > 1:
         got = ", ".join(f"{name} {count}" for name, count in counts.items())
-        yield _finding("accessor", f"{where}all attributes need the same count, and have {got:.300}.")
+        yield _finding("accessor", f"all attributes need the same count, and have {got:.300}.")
 
 
-def _words(extension: object, where: str) -> Iterator[Finding]:
+def _words(extension: object) -> Iterator[Finding]:
     """What is wrong with the extension object."""
     if not isinstance(extension, Mapping):
-        yield _finding("extension", f"{where}{EXTENSION} has to be an object.")
+        yield _finding("extension", f"{EXTENSION} has to be an object.")
         return
     for name, known in _WORDS.items():
         value = extension.get(name)
         if value is None and name in ("kernel", "colorSpace"):
-            yield _finding("extension", f"{where}the property {name} is missing; it may be {' or '.join(known)}.")
+            yield _finding("extension", f"the property {name} is missing; it may be {' or '.join(known)}.")
         elif value is not None and not isinstance(value, str):
-            yield _finding("extension", f"{where}the property {name} has to be a string.")
+            yield _finding("extension", f"the property {name} has to be a string.")
         elif value is not None and value not in known:
             expected = " or ".join(known)
-            reason = f"{where}the extension names no {name} {value!r:.40}, only {expected}: few programs will read it."
+            reason = f"the extension names no {name} {value!r:.40}, only {expected}: few programs will read it."
             yield _finding("extension", reason, "warning")
 
 
-def _degrees(attributes: Mapping[str, Any], where: str) -> Iterator[Finding]:
+def _degrees(attributes: Mapping[str, Any]) -> Iterator[Finding]:
     """SH come in whole degrees, each with all below it."""
     matches = [match for match in map(_SH.fullmatch, attributes) if match]
     present = {(int(match[1]), int(match[2])) for match in matches}
     highest = max((degree for degree, _ in present), default=0)
     wanted = {(degree, order) for degree in range(1, highest + 1) for order in range(2 * degree + 1)}
     for degree, order in sorted(wanted - present):
-        reason = f"{where}SH reach degree {highest}, and SH_DEGREE_{degree}_COEF_{order} is missing."
+        reason = f"SH reach degree {highest}, and SH_DEGREE_{degree}_COEF_{order} is missing."
         yield _finding("degree", reason)
     ours = [name for name in attributes if str(name).startswith(EXTENSION + ":")]
     strange = [name for name in ours if name not in _ATTRIBUTES and not _SH.fullmatch(name)]
     strange += [f"SH_DEGREE_{degree}_COEF_{order}" for degree, order in sorted(present) if order > 2 * degree]
     if strange:
-        yield _finding("attribute", f"{where}the extension has no attribute {', '.join(strange)[:200]}.", "warning")
+        yield _finding("attribute", f"the extension has no attribute {', '.join(strange)[:200]}.", "warning")
 
 
 def _accessor(document: Glb, index: object, form: str, kinds: Kinds) -> tuple[Mapping[str, object] | None, list[str]]:
@@ -282,7 +283,7 @@ def _accessor(document: Glb, index: object, form: str, kinds: Kinds) -> tuple[Ma
     return values, faults
 
 
-def _values(name: str, values: NDArray[np.floating], accessor: Mapping[str, object], where: str) -> Iterator[Finding]:
+def _values(name: str, values: NDArray[np.floating], accessor: Mapping[str, object]) -> Iterator[Finding]:
     """What is wrong with the values of an attribute."""
     short = name.removeprefix(f"{EXTENSION}:")
     finite = np.isfinite(values).all(1)
@@ -298,21 +299,21 @@ def _values(name: str, values: NDArray[np.floating], accessor: Mapping[str, obje
         faults.append(("a quaternion has length 1", finite & (np.abs(length - 1) > _UNIT)))
     for fault, rows in faults:
         if rows.any():
-            yield Finding.of("gltf-values", "error", f"{where}{short}: {fault}.", rows)
+            yield Finding.of("gltf-values", "error", f"{short}: {fault}.", rows)
     if name == "POSITION" and finite.all():
-        yield from _extremes(values, accessor, where)
+        yield from _extremes(values, accessor)
 
 
-def _extremes(values: NDArray[np.floating], accessor: Mapping[str, object], where: str) -> Iterator[Finding]:
+def _extremes(values: NDArray[np.floating], accessor: Mapping[str, object]) -> Iterator[Finding]:
     """POSITION has to state its extremes, and viewers frame and cull by them; quantised ones are stated unscaled."""
     for key, true in (("min", values.min(0)), ("max", values.max(0))):
         stated = accessor.get(key)
         numbers = isinstance(stated, list) and len(stated) == 3 and all(map(_finite, stated))
         if not numbers:
-            yield _finding("bounds", f"{where}the accessor of POSITION has to state its {key}, three finite numbers.")
+            yield _finding("bounds", f"the accessor of POSITION has to state its {key}, three finite numbers.")
         elif accessor.get("componentType") == 5126 and not np.allclose(stated, true, rtol=1e-5, atol=1e-6):  # type: ignore[arg-type]
             got = f"{stated} where the values have {np.round(true, 6).tolist()}"
-            yield _finding("bounds", f"{where}the {key} of POSITION is {got:.200}.")
+            yield _finding("bounds", f"the {key} of POSITION is {got:.200}.")
 
 
 def _finite(item: object) -> bool:

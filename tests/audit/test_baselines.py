@@ -8,12 +8,13 @@ from torch import Tensor
 
 from attacks.audits.baselines import BASELINES, attributes, fit_attributes, measured
 from attacks.audits.disagreement import AROUND, OVER, Seen, seen_along_paths
-from attacks.detectors.base import Candidates, Detections
+from attacks.detectors.base import Detections
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, merge
 from scenes.recipes.audit_hiding import Hiding, Victim, hide
 from tests.audit.scenes import Made, cone, direction, glossy, hidden, standing
+from tests.fakes import ColourDetector
 
 
 @pytest.fixture(scope="module")
@@ -59,16 +60,8 @@ def test_a_classifier_finds_the_kind_of_attack_that_it_was_trained_on() -> None:
 # What detectors report along paths of cameras: where a class goes away and comes back
 
 
-class Reddest:
+class Reddest(ColourDetector):
     """Reports a car around all that is clearly red."""
-
-    name: str = "reddest"
-    classes: tuple[str, ...] = ("car",)
-    fingerprint: str = "0" * 16
-    min_confidence: float = 0.0
-
-    def candidates(self, images: Tensor) -> list[Candidates]:
-        raise AssertionError("only detections are asked for")
 
     def detect(self, images: Tensor) -> list[Detections]:
         return [self._reddest(image) for image in images]
