@@ -15,19 +15,8 @@ STILL_LIFE = Path(__file__).parents[2] / "scenes" / "meshes" / "still_life.xml"
 
 def command_line(folder: Path, *more: str) -> list[str]:
     """A quick capture of the still life."""
-    return [
-        "capture",
-        str(STILL_LIFE),
-        "--out",
-        str(folder),
-        "--size",
-        "16",
-        "--samples",
-        "2",
-        "--points",
-        "200",
-        *more,
-    ]
+    quick = ["--size", "16", "--samples", "2", "--points", "200"]
+    return ["capture", str(STILL_LIFE), "--out", str(folder), *quick, *more]
 
 
 def test_the_command_writes_a_set_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -100,21 +89,15 @@ def test_flags_that_cameras_of_a_file_do_not_follow_are_refused(
     ("more", "says"),
     [
         (["--cameras", "sphere:3"], "hemisphere:N"),
-        (["--cameras", "none.json"], "none.json"),
         (["--cameras", "orbit:0@20"], "1 to 100000 cameras, got 0"),
         (["--cameras", "hemisphere:1000000000"], "1 to 100000 cameras, got 1000000000"),
         (["--size", "0"], "size"),
-        (["--size", "1x2x3"], "size"),
-        (["--size", "99999"], "99999"),
         (["--fov", "180"], "fov"),
         (["--distance", "-1"], "distance"),
         (["--test", "-1"], "test"),
         (["--up", "y"], "--up"),
-        (["--scale", "2"], "--scale"),
-        (["--rotate", "0", "0", "90"], "--rotate"),
         (["--front", "-x"], "--front"),
         (["--ground", "road"], "--ground"),
-        (["--sun", "-50,52"], "--sun"),
         (["--sun", "40,95"], "sun"),
         (["--missing-textures", "grey"], "missing-textures"),
     ],
@@ -135,11 +118,9 @@ def test_the_command_refuses_before_it_begins(
     ("name", "content", "says"),
     [
         ("lorry", None, "car_street, stop_sign"),
-        ("none.xml", None, "none.xml"),
         ("none.obj", None, "none.obj"),
         ("bad.xml", "<scene", "bad.xml"),
         ("empty.xml", '<scene version="3.0.0"/>', "empty.xml"),
-        ("bare.xml", '<scene version="3.0.0"><shape type="cube"/></scene>', 'add <integrator type="path"/>'),
         ("splats.xml", '<scene version="3.0.0"><integrator type="splat_tile"/></scene>', "mi-splat render"),
         ("unknown.xml", '<scene version="3.0.0"><shape type="teapot"/></scene>', "unknown.xml"),
     ],

@@ -17,11 +17,8 @@ from mi_splat.capture import path_tracer
 from mi_splat.capture.path_tracer import (
     FEW_PICTURES,
     MANY_PICTURES,
-    PASSES,
     PathTracer,
     corner_normals,
-    pass_samples,
-    sampler_type,
     scene_dict,
     tracing_variant,
 )
@@ -138,13 +135,3 @@ def test_a_large_picture_is_traced_in_bands(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 # Samples of a picture: exactly as many as were asked for, and nothing of Mitsuba's log on stdout
-
-
-@pytest.mark.parametrize("samples", [1, 2, 3, 10, 20, 32, 63, 64, 131, 187, 1000])
-def test_passes_take_exactly_the_samples(samples: int) -> None:
-    counts = pass_samples(samples)
-    assert sum(counts) == samples
-    assert len(counts) == min(PASSES, samples)
-    with tracing_variant():
-        taken = [mi.load_dict({"type": sampler_type(count), "sample_count": count}).sample_count() for count in counts]
-    assert tuple(taken) == counts

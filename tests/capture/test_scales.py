@@ -35,7 +35,7 @@ class Captured:
 
 
 def captured(path: Path, out: Path, *more: str) -> Captured:
-    words = ["--cameras", "hemisphere:4", "--size", "64", "--samples", "16", "--points", "300", "--ground", "road"]
+    words = ["--cameras", "hemisphere:4", "--size", "40", "--samples", "16", "--points", "300", "--ground", "road"]
     assert cli.main(["capture", str(path), "--out", str(out), *words, *more]) == 0
     dataset = load_dataset(out)
     assert dataset.points is not None
@@ -61,14 +61,8 @@ def assert_in_proportion(scaled: Captured, usual: Captured, *, size: float) -> N
 
 @pytest.mark.parametrize(
     ("write", "factor", "scale"),
-    [
-        (write_glb, 100.0, 0.01),
-        (write_ply, 1.0, 0.03),
-        (write_obj, 0.01, 1.0),
-        (write_ply, 1000.0, 1.0),
-        (write_ply, 0.0005, 1.0),
-    ],
-    ids=["centimetres", "scale 0.03", "5 cm", "5 km", "2.5 mm"],
+    [(write_glb, 100.0, 0.01), (write_ply, 1000.0, 1.0), (write_obj, 0.0005, 1.0)],
+    ids=["centimetres", "5 km", "2.5 mm"],
 )
 def test_size_changes_no_picture(
     write: Callable[..., Path], factor: float, scale: float, usual: Captured, tmp_path: Path
@@ -80,13 +74,8 @@ def test_size_changes_no_picture(
 
 @pytest.mark.parametrize(
     ("write", "move", "node"),
-    [
-        (write_ply, UTM, {}),
-        (write_obj, UTM, {}),
-        (write_ply, (5000.0, 0.0, 0.0), {}),
-        (write_glb, (0, 0, 0), {"translation": [UTM[0], UTM[2], -UTM[1]]}),
-    ],
-    ids=["UTM, PLY", "UTM, OBJ", "5 km away", "UTM, GLB"],
+    [(write_obj, UTM, {}), (write_glb, (0, 0, 0), {"translation": [UTM[0], UTM[2], -UTM[1]]})],
+    ids=["OBJ", "GLB"],
 )
 def test_a_mesh_far_away_is_brought_to_the_origin(
     write: Callable[..., Path],
@@ -110,11 +99,9 @@ def test_a_mesh_far_away_is_brought_to_the_origin(
     assert f"{middle[0]:.10g}" in out
     assert "far from its origin" in out
     assert float(dataset.points.abs().max()) < 20
-    # The cameras of such a set, and points to look at, are those of the same place.
+    # The cameras of such a set are those of the same place.
     again = captured(path, tmp_path / "again", "--cameras", str(tmp_path / "out" / "transforms_train.json"))
     assert torch.equal(again.pictures, dataset.pictures)
-    looked = captured(path, tmp_path / "looked", "--centre", *(repr(float(value)) for value in middle))
-    assert psnr(looked.pictures, dataset.pictures) > 60
 
 
 def as_float32(path: Path) -> Path:

@@ -46,15 +46,8 @@ TEXTURED = """<scene version="3.0.0"><integrator type="path"/><emitter type="con
 </scene>"""
 SPELLINGS = {
     "plain": ("", '<string name="filename" value="a.png"/>'),
-    "single quotes": ("", "<string name='filename' value='a.png'/>"),
-    "value first": ("", '<string value="a.png" name="filename"/>'),
-    "spaces": ("", '<string name = "filename"\n value = "a.png" />'),
     "a character by its number": ("", '<string name="filename" value="&#97;.png"/>'),
     "a default": ('<default name="t" value="a.png"/>', '<string name="filename" value="$t"/>'),
-    "a default of a default": (
-        '<default name="t" value="a"/><default name="u" value="$t.png"/>',
-        '<string name="filename" value="$u"/>',
-    ),
     "a default that is included": ('<include filename="inner/b.xml"/>', '<string name="filename" value="$included"/>'),
     "a folder of its own": ('<path value="inner"/>', '<string name="filename" value="c.png"/>'),
 }

@@ -12,7 +12,7 @@ from mi_splat.assets.daylight import Light
 from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import box, quad
 from mi_splat.camera_sets import hemisphere, orbit
-from mi_splat.cameras import Camera
+from mi_splat.cameras import Camera, look_at
 from mi_splat.capture.path_tracer import PathTracer, scene_dict
 from mi_splat.capture.settings import CaptureSettings
 from mi_splat.capture.sources import CaptureSource
@@ -25,17 +25,8 @@ RED, GREEN = (0.8, 0.1, 0.1), (0.1, 0.7, 0.1)
 
 
 CUBE = Asset("cube", (box((1, 1, 1), RED, centre=(0, 0, 0.5)),))
-
-
 FLOOR = Asset("floor", (quad([[-4, -4, 0], [4, -4, 0], [4, 4, 0], [-4, 4, 0]], GREEN),))
-
-
 EVEN = Light(sun_strength=0.0, sky_strength=1.0, zenith=(1, 1, 1), horizon=(1, 1, 1), clouds=0.0)
-
-
-STILL_LIFE = Path(__file__).parents[2] / "scenes" / "meshes" / "still_life.xml"
-
-
 QUICK = CaptureSettings(samples=2, points=300)
 
 
@@ -106,27 +97,23 @@ def test_a_capture_goes_on_where_it_stopped(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_captured(tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError, match="cameras"):
-        write_capture(source(CUBE), [], tmp_path / "a")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("mine")
+    (tmp_path / "torn").mkdir()
+    (tmp_path / "torn" / "capture.json").write_text("{")
+    away = [Camera(to_world=look_at((0, 0, 5), (0, 0, 9)), focal=9.0, width=8, height=8)]
     wide = Camera(to_world=cameras()[0].to_world, focal=(9.0, 10.0), width=8, height=8)
-    with pytest.raises(InvalidValueError, match="square pixels"):
-        write_capture(source(CUBE), [wide], tmp_path / "a")
+    refused: list[tuple[str, list[Camera], str]] = [
+        ("a", [], "cameras"),
+        ("a", [wide], "square pixels"),
+        ("a", away, "nothing but sky"),
+        ("mine", cameras(), r"notes\.txt in it"),
+        ("torn", cameras(), r"capture\.json"),
+    ]
+    for folder, given, words in refused:
+        with pytest.raises(InvalidValueError, match=words):
+            write_capture(source(CUBE), given, tmp_path / folder, settings=QUICK)
     assert not (tmp_path / "a").exists()
-    (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(InvalidValueError, match=r"notes\.txt in it"):
-        write_capture(source(CUBE), cameras(), tmp_path)
-    (tmp_path / "capture.json").write_text("{")
-    with pytest.raises(InvalidValueError, match=r"capture\.json"):
-        write_capture(source(CUBE), cameras(), tmp_path)
-    away = [Camera(to_world=torch.eye(4), focal=9.0, width=8, height=8)]
-    with pytest.raises(InvalidValueError, match="nothing but sky"):
-        write_capture(
-            source(Asset("far", (box((1, 1, 1), RED, centre=(0, 0, -9)),))), away, tmp_path / "b", settings=QUICK
-        )
-    assert not (tmp_path / "b").exists()
-    for name in ("samples", "seed", "points"):
-        with pytest.raises(InvalidValueError, match=name):
-            CaptureSettings(**{name: -1})  # type: ignore[arg-type]
 
 
 def test_alpha_leaves_the_surfaces_alone(tmp_path: Path) -> None:

@@ -15,13 +15,11 @@ from attacks import DaggerConfig, attack, judge, relabel
 from attacks.cloak.poisoning import Poisoning, poison
 from attacks.cloak.triggers import Elevation
 from mi_splat import cards
-from mi_splat.audit.linting import lint_scene
 from mi_splat.camera_sets import hemisphere, orbit
 from mi_splat.cameras import View
 from mi_splat.cards import HEIGHT, Pictures, image
 from mi_splat.comparison.compare import CompareConfig, compare
 from mi_splat.comparison.methods import Method
-from mi_splat.errors import InvalidValueError, counted, listed, one_line
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene_files import SplatScene, read_scene
 from mi_splat.training.config import FitConfig
@@ -129,17 +127,3 @@ def test_looking_changes_no_variant_and_no_gradient(variant: str) -> None:
     assert scene.means.requires_grad
     assert scene.means.grad is None
     mi.set_variant(variant)
-
-
-def test_what_is_no_picture_is_refused() -> None:
-    with pytest.raises(InvalidValueError, match=r"image: expected shape \(H, W, 3\), got \(2, 2\)"):
-        image(np.zeros((2, 2)))
-    assert pictures(image(torch.full((4, 4, 3), torch.nan)))
-
-
-def test_lines_and_lists_are_short() -> None:
-    assert one_line("a\n b\x07" * 900, 20) == "a b\\x07a b\\x07a b..."
-    assert listed(str(number) for number in range(9)) == "0, 1, 2, 3, 4, 5, 3 more"
-    assert listed([]) == "none"
-    assert repr(lint_scene(random_scene(9))).startswith("Lint(9 Gaussians, findings: ")
-    assert (counted(1, "step"), counted(2000, "step")) == ("1 step", "2,000 steps")

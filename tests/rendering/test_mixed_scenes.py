@@ -1,6 +1,7 @@
 """Scene files of `splat_ray`: among meshes they are rendered as they are, alone they are read as values."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -71,18 +72,6 @@ def test_another_splat_stands_in_the_place_of_the_files() -> None:
         street(scene.select(torch.arange(10)), camera)
 
 
-def test_a_mixed_scene_needs_splat_ray_and_samples(tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError, match="splat_ray"):
-        MixedScene(ROOT / "scenes" / "car_street.xml")
-    with pytest.raises(InvalidValueError, match="samples"):
-        MixedScene(MIXED[0], samples=0)
-
-
-def test_a_mixed_scene_is_no_scene_of_splats() -> None:
-    with pytest.raises(InvalidValueError, match="splat_ray"):
-        read_scene(MIXED[0])
-
-
 def test_the_command_renders_a_mixed_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["render", str(MIXED[0]), "--samples", "4", "--size", "24x20", "--out", str(tmp_path / "street.png")]
     assert main([*words, "--json"]) == 0
@@ -133,15 +122,23 @@ def test_names_that_no_file_can_have(tmp_path: Path, variant: str) -> None:
     assert list(open_scene(tmp_path / "new.xml").objects) == ['a/"b"', "a:<b>"]
 
 
-def test_another_scene_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: MixedScene(ROOT / "scenes" / "car_street.xml"), "splat_ray"),
+        (lambda: MixedScene(MIXED[0], samples=0), "samples"),
+        (lambda: read_scene(MIXED[0]), "splat_ray"),
+    ],
+)
+def test_other_scenes_are_refused(call: Callable[[], object], words: str) -> None:
+    with pytest.raises(InvalidValueError, match=words):
+        call()
+
+
+def test_what_a_scene_file_cannot_hold_is_refused(tmp_path: Path) -> None:
     loaded = scene_of(tmp_path)
     with pytest.raises(InvalidValueError, match="40 Gaussians, got 39"):
         write_scene(loaded, loaded.scene.select(slice(0, 39)), tmp_path / "new.xml")
-    assert not (tmp_path / "new.xml").exists()
-
-
-def test_pixels_that_are_not_square_are_refused(tmp_path: Path) -> None:
-    loaded = scene_of(tmp_path)
     loaded.cameras["wide"] = Camera(to_world=torch.eye(4), focal=(10.0, 20.0), width=8, height=8)
     with pytest.raises(InvalidValueError, match="camera wide: expected square pixels"):
         write_scene(loaded, loaded.scene, tmp_path / "new.xml")

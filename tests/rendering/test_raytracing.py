@@ -67,19 +67,6 @@ def test_three_hundred_gaussians_in_one_place_are_all_blended() -> None:
     np.testing.assert_allclose(picture[clear], expected[clear], atol=TOLERANCE)
 
 
-def test_nothing_visible_is_background() -> None:
-    scene = oracle.random_scene(10, degree=1, seed=0)
-    expected = torch.tensor([0.25, 0.5, 1.0]).expand(38, 45, 3)
-    empty = scene.select(torch.zeros(10, dtype=torch.bool))
-    assert torch.equal(ray(background=(0.25, 0.5, 1.0))(empty, camera()), expected)
-    leaf = scene.means.clone().requires_grad_(True)
-    picture = ray(background=(0.25, 0.5, 1.0))(replace(scene, means=leaf, opacities=torch.zeros(10)), camera())
-    assert torch.equal(picture.detach(), expected)
-    picture.sum().backward()  # type: ignore[no-untyped-call]
-    assert leaf.grad is not None
-    assert not leaf.grad.any()
-
-
 def overlapping_scene() -> GaussianScene:
     """Large Gaussians on top of each other: a ray meets dozens."""
     scene = oracle.random_scene(70, degree=3, seed=5)
@@ -160,12 +147,6 @@ def test_a_changed_colour_is_seen_in_the_same_tree() -> None:
     params.update()
     np.testing.assert_allclose(pixel(loaded), 0.6 * linear(0.5), rtol=1e-4)
     assert integrator._cache._splats[2].tree is tree
-
-
-def test_forward_mode_is_refused() -> None:
-    loaded = scene_of(gaussian((0, 0, 0)))
-    with pytest.raises(InvalidValueError, match="reverse-mode"):
-        loaded.integrator().render_forward(loaded, mi.traverse(loaded))
 
 
 def test_gradients_of_surfaces_are_refused() -> None:

@@ -1,7 +1,6 @@
 """Renderer as a torch function: batches, bad input, sizes, and memory."""
 
 import math
-import re
 import resource
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from mi_splat.attributes import ATTRIBUTES
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, orbit_pose
 from mi_splat.errors import InvalidValueError
-from mi_splat.io import SplatFileError, SplatFileWarning, save_splat
+from mi_splat.io import SplatFileError, save_splat
 from mi_splat.rendering import Method, Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene, merge
 from mi_splat.scene_files import read_scene
@@ -72,12 +71,6 @@ def test_screen_gradients_are_in_half_pictures_and_know_what_is_visible() -> Non
     assert gradients.visible.tolist() == [1.0, 0.0]
 
 
-def test_float64_scenes_are_rendered_in_float32() -> None:
-    scene = oracle.random_scene(40, degree=0, seed=1)
-    double = GaussianScene(*(tensor.double() for tensor in scene.tensors()))
-    torch.testing.assert_close(Renderer()(double, VIEW), Renderer()(scene, VIEW), atol=1e-5, rtol=0)
-
-
 def test_memory_stays_flat() -> None:
     scene, render = oracle.random_scene(200, degree=1, seed=0), Renderer()
     sh = scene.sh.clone().requires_grad_(True)
@@ -88,8 +81,8 @@ def test_memory_stays_flat() -> None:
 
     steps(30)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    steps(300)
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 20 * 1024  # KiB
+    steps(150)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 12 * 1024  # KiB
 
 
 SCENE = """<scene version="3.0.0">
@@ -120,14 +113,6 @@ def test_a_scene_is_its_file(tmp_path: Path) -> None:
     reference, _ = oracle.render(loaded.scene, loaded.cameras["front"], background=(0.1, 0.2, 0.3), near=0.5)
     picture = Renderer(loaded.settings)(loaded.scene, loaded.cameras["front"])
     torch.testing.assert_close(picture.double(), torch.from_numpy(reference), atol=1e-4, rtol=0)
-
-
-def test_the_integrator_path_is_warned_of(tmp_path: Path) -> None:
-    for name in ("a.ply", "b.ply"):
-        save_splat(oracle.random_scene(3, degree=0, seed=1), tmp_path / name)
-    (tmp_path / "scene.xml").write_text(re.sub(r"(?s)<integrator.*</integrator>", '<integrator type="path"/>', SCENE))
-    with pytest.warns(SplatFileWarning, match=r"expected the integrator splat_tile or splat_ray, got PathIntegrator"):
-        read_scene(tmp_path / "scene.xml")
 
 
 def test_cameras_beyond_what_float32_bears_are_named(tmp_path: Path) -> None:

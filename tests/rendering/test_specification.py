@@ -116,9 +116,6 @@ import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
 from mi_splat.rasterization import binning  # noqa: E402
-from mi_splat.rasterization.binning import NO_TILE, bounds_of_tiles  # noqa: E402
-from mi_splat.rasterization.blending import exp2_of_alpha  # noqa: E402
-from mi_splat.rasterization.projection import CUTOFF  # noqa: E402
 
 
 def uints(values: NDArray[np.int64]) -> mi.UInt32:
@@ -132,29 +129,3 @@ def test_pairs_are_sorted_by_tile_and_keep_their_order(tiles: int) -> None:
     keys = np.random.default_rng(tiles).integers(0, tiles, 3000)
     keys[:2] = 0, tiles - 1
     assert np.array_equal(binning.order_below(uints(keys), tiles).numpy(), np.argsort(keys, kind="stable"))
-
-
-@pytest.mark.parametrize(("columns", "rows"), [(1, 1), (5, 3), (16, 16), (17, 33), (160, 40)])
-def test_every_tile_is_worked_on_once_with_its_neighbours(columns: int, rows: int) -> None:
-    tiles = binning.by_block(mi.variant(), columns, rows).numpy()
-    assert sorted(tiles) == list(range(columns * rows))
-    first = tiles[: min(binning.BLOCK, columns) * min(binning.BLOCK, rows)]
-    assert (first % columns).max() < binning.BLOCK
-    assert (first // columns).max() < binning.BLOCK
-
-
-def test_bounds_of_tiles_are_those_of_the_runs() -> None:
-    tile = np.array([1, 1, 1, 4, 6, 6, NO_TILE])
-    first, last = (dr.zeros(mi.UInt32, 8) for _ in range(2))
-    dr.make_opaque(first, last)
-    bounds_of_tiles(uints(tile), uints(np.arange(len(tile))), mi.UInt32(len(tile)), (first, last))
-    assert list(first.numpy()) == [0, 0, 0, 0, 3, 0, 4, 0]
-    assert list(last.numpy()) == [0, 3, 0, 0, 4, 0, 6, 0]
-
-
-def test_the_exponential_is_right_where_an_alpha_counts() -> None:
-    power = np.linspace(CUTOFF, 0.1, 200_001).astype(np.float32)
-    expected = np.exp2(power.astype(np.float64))
-    assert np.abs(exp2_of_alpha(mi.Float(power)).numpy() / expected - 1).max() < 2e-7
-    halves = np.arange(math.floor(CUTOFF) + 1, 1) - 0.5
-    assert np.abs(exp2_of_alpha(mi.Float(halves)).numpy() / np.exp2(halves) - 1).max() < 2e-7

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import math
 import shutil
 from pathlib import Path
 
@@ -50,21 +49,15 @@ def test_a_resumed_run_makes_the_same_bits(strategy: StrategyConfig, tmp_path: P
     assert scene_hash(fit(views, start, render=watching(), config=config, seed=6).scene) != whole
 
 
-def test_bad_checkpoints_say_why(tmp_path: Path) -> None:
-    with pytest.raises(CheckpointError, match="nothing there"):
-        load_state(tmp_path / "none.safetensors")
-    path = tmp_path / "bad.safetensors"
-    path.write_bytes(b"\x05" * 100)
-    with pytest.raises(CheckpointError, match="a checkpoint of this version"):
-        load_state(path)
-
-
-def test_checkpoints_of_another_format_say_what_changed(tmp_path: Path) -> None:
-    path = tmp_path / "old.safetensors"
-    notes = {"config": {"densification": None}, "extent": 1.0, "was_reset": False}
-    path.write_bytes(save({"gradient": torch.zeros(1)}, metadata={"notes": json.dumps(notes)}))
-    with pytest.raises(CheckpointError, match="knows its pictures by their bytes, got format 1; end it with"):
-        load_state(path)
+def test_files_that_are_no_checkpoints_say_why(tmp_path: Path) -> None:
+    path = tmp_path / "state.safetensors"
+    old = save({"gradient": torch.zeros(1)}, metadata={"notes": json.dumps({"extent": 1.0})})
+    contents = {None: "nothing there", b"\x05" * 100: "a checkpoint of this version", old: "got format 1; end it with"}
+    for content, words in contents.items():
+        if content is not None:
+            path.write_bytes(content)
+        with pytest.raises(CheckpointError, match=words):
+            load_state(path)
 
 
 @pytest.fixture(scope="module")
@@ -86,28 +79,14 @@ def begun(tmp_path_factory: pytest.TempPathFactory) -> Path:
 BROKEN: dict[str, tuple[Change, str]] = {
     "a parameter of NaN": (lambda n, t: t["parameters/means"][1].fill_(torch.nan), "finite numbers in parameters/mea"),
     "a parameter of one row": (lambda n, t: t.update({"parameters/scales": torch.zeros(1, 3)}), "parameters, scales"),
-    "a parameter of doubles": (
-        lambda n, t: t.update({"parameters/scales": t["parameters/scales"].double()}),
-        "float32, got .* of float64",
-    ),
     "no means": (lambda n, t: t.pop("parameters/means"), "means: expected at least one row"),
-    "no shN": (lambda n, t: t.pop("parameters/shN"), "parameters, shN: expected .*, got none"),
     "a moment of another shape": (lambda n, t: t.update({"exp_avg/sh0": torch.zeros(2)}), "exp_avg: expected"),
-    "half of Adam": (lambda n, t: t.pop("exp_avg_sq/sh0"), "exp_avg_sq: expected"),
     "a strategy of other rows": (lambda n, t: t.update({"strategy/grad2d": torch.zeros(3)}), "strategy, grad2d"),
-    "a strategy that lacks something": (lambda n, t: t.pop("strategy/grad2d"), "strategy, grad2d"),
     "no generator": (lambda n, t: t.pop("generator"), "the state of a generator, got none"),
-    "a wrong generator": (lambda n, t: t["generator"].fill_(255), "the state of a generator"),
     "a negative view": (lambda n, t: n.update(view_queue=[-1]), "view_queue: expected whole numbers from 0"),
     "steps after the last": (lambda n, t: n.update(iteration=4), "iteration: expected a whole number from 0 to 3"),
     "a history of something else": (lambda n, t: n["history"][0].update(loss="low"), "loss: expected a number"),
-    "scores of something else": (
-        lambda n, t: n["history"][0].update(held_out={"psnr": 1.0}),
-        "held_out: expected the key ssim, got none",
-    ),
-    "a loss of NaN": (lambda n, t: n["history"][0].update(loss=math.nan), "history/0/loss: expected a finite number"),
     "an extent of zero": (lambda n, t: n.update(scene_extent=0), "scene_extent: expected a number above 0"),
-    "a seed in words": (lambda n, t: n.update(seed="five"), "seed: expected a whole number"),
     "a strategy in words": (lambda n, t: n["config"].update(strategy="classic"), "a checkpoint of this version"),
     "another setting": (lambda n, t: n["config"].update(more=1), "settings: expected settings that this version"),
 }

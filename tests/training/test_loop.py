@@ -67,20 +67,6 @@ def test_nan_stops_with_the_cause() -> None:
         fit([spoilt], start, render=watching(), config=SHORT)
 
 
-@pytest.mark.parametrize(
-    ("given", "says"),
-    [
-        ({"trainable": ("colour",)}, "trainable"),
-        ({"trainable": ("sh",)}, "strategy"),
-        ({"iterations": 0}, "iterations"),
-        ({"sh_degree": 4}, "sh_degree"),
-    ],
-)
-def test_bad_configurations_say_why(given: dict[str, object], says: str) -> None:
-    with pytest.raises(InvalidValueError, match=says):
-        FitConfig(**given)  # type: ignore[arg-type]
-
-
 def test_a_plain_renderer_cannot_densify() -> None:
     _, views, start = scene_and_views()
     with pytest.raises(InvalidValueError, match="a renderer that keeps screen gradients"):

@@ -4,7 +4,6 @@ import dataclasses
 import json
 import os
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,11 +12,10 @@ import torch
 from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError
 from mi_splat.processes import sigterm_as_interrupt
-from mi_splat.rendering import Renderer
 from mi_splat.scene import scene_hash
 from mi_splat.training.initialization import from_points
 from mi_splat.training.loop import FitConfig, Progress
-from mi_splat.training.resume import CheckpointError, load_state, train
+from mi_splat.training.resume import CheckpointError, train
 from mi_splat.training.strategies import ClassicConfig
 from tests.training.sets import views_of, watching
 
@@ -37,18 +35,8 @@ CONFIG = FitConfig(
 )
 
 
-@pytest.fixture
-def threads(request: pytest.FixtureRequest) -> Iterator[int]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(request.param)
-    yield request.param
-    torch.set_num_threads(before)
-
-
-@pytest.mark.parametrize(
-    ("threads", "step", "number"), [(1, 23, signal.SIGINT), (2, 31, signal.SIGTERM)], indirect=["threads"]
-)
-def test_a_folder_that_was_interrupted_goes_on(tmp_path: Path, threads: int, step: int, number: signal.Signals) -> None:
+@pytest.mark.parametrize(("step", "number"), [(23, signal.SIGINT), (31, signal.SIGTERM)])
+def test_a_folder_that_was_interrupted_goes_on(tmp_path: Path, step: int, number: signal.Signals) -> None:
     truth, views = views_of()
     start = from_points(truth.means, torch.full((50, 3), 0.5))
     whole = train(views, start, tmp_path / "whole", render=watching(), config=CONFIG, held_out=views[:2], every=15)
@@ -78,7 +66,7 @@ def test_a_folder_that_was_interrupted_goes_on(tmp_path: Path, threads: int, ste
     figures = json.loads((broken / "metrics.json").read_text())
     assert [line["iteration"] for line in figures["history"]] == [20, 40]
     assert figures["psnr"] > 15
-    assert figures["threads"] == threads
+    assert figures["threads"] == torch.get_num_threads()
     assert json.loads((broken / "config.json").read_text())["config"]["iterations"] == 40
 
 
@@ -117,25 +105,3 @@ def test_another_number_of_threads_is_told(tmp_path: Path) -> None:
             train(views, start, tmp_path, render=watching(), config=short)
     finally:
         torch.set_num_threads(threads)
-
-
-def test_a_further_score_is_kept(tmp_path: Path) -> None:
-    truth, views = views_of(3)
-    start = from_points(truth.means, torch.full((50, 3), 0.5))
-    config = dataclasses.replace(CONFIG, iterations=3)
-    held_out = views[:2]
-    trained = train(
-        views,
-        start,
-        tmp_path,
-        render=watching(),
-        config=config,
-        held_out=held_out,
-        lpips=lambda a, b: (a - b).abs().max(),
-    )
-    figures = json.loads((tmp_path / "metrics.json").read_text())
-    with torch.no_grad():
-        worst = [(Renderer()(trained.scene, v.camera).clamp(0, 1) - v.image).abs().max() for v in held_out]
-    assert figures["lpips"] == pytest.approx(float(sum(worst)) / 2, rel=1e-5)
-    again, _ = load_state(tmp_path / "checkpoint.safetensors")
-    assert again.history == list(trained.history)

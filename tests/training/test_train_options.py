@@ -157,18 +157,3 @@ def test_a_random_background_empties_what_is_transparent(tmp_path: Path) -> None
         left[random] = opacity(trained)
     assert left[False] == pytest.approx(opacity(start), rel=0.05)
     assert left[True] < 0.25 * left[False]
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["--masks"], "expected masks of pictures, got none"),
-        (["--random", "9", "--start", "splat.ply"], "--random: expected no other start, got --start splat.ply"),
-    ],
-)
-def test_options_that_would_mean_nothing_are_refused(
-    words: list[str], says: str, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["train", str(dataset), "--out", str(tmp_path / "out"), "--iterations", "2", *words]) == 1
-    assert says in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
