@@ -2,7 +2,7 @@
 
 A command is a module with its options, a dataclass, its EXAMPLES, and `run(options)`. It may have `ALIASES` of its
 flags, `defaults(words)`, which reads what other flags depend on, and `check_inputs(options)`, which is called before
-torch and Mitsuba are imported.
+torch and Mitsuba are imported. Commands that share most of their code share a module.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import os
+import re
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
@@ -73,10 +74,19 @@ WITHOUT_TORCH = ("detectors", "doctor", "info", "rows", "study")
 """Commands that do without torch, or with most of what they are asked."""
 
 
+OTHER_MODULES = {"dagger --region": "dagger", "demo": "dagger", "artifact-check": "artifact", "rows": "report"}
+"""Commands in the module of another one, by its name; `run_region` does what `dagger --region` is to do."""
+
+
 def module_of(name: str) -> ModuleType:
     """The module of a command or of its mode."""
     package = "mi_splat" if name in OF_SPLATS else "attacks"
-    return importlib.import_module(f"{package}.cli.{name.replace(' --', '_').replace('-', '_')}")
+    return importlib.import_module(f"{package}.cli.{OTHER_MODULES.get(name, name.replace(' --', '_'))}")
+
+
+def examples_of(name: str) -> list[str]:
+    """Lines that show how a command is used."""
+    return [line for line in module_of(name).EXAMPLES if command_of(line.split())[0] == name]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -145,12 +155,13 @@ def _dispatch(words: list[str]) -> int:
     options = parse(name, rest)
     check_names(options)
     module = module_of(name)
-    if hasattr(module, "check_inputs"):
+    run = getattr(module, f"run_{name.split('-')[-1]}" if name in OTHER_MODULES else "run")
+    if hasattr(module, "check_inputs") and name not in OTHER_MODULES:
         module.check_inputs(options)
     if name not in WITHOUT_TORCH:
         import_at_once("torch")
     with running_command(given), _pixel_limit(most):
-        return module.run(options) or DONE
+        return run(options) or DONE
 
 
 def _pixel_limit(most: int | None) -> AbstractContextManager[object]:
@@ -192,13 +203,12 @@ def see_also(name: str) -> list[str]:
 
 
 def _command(name: str, words: Sequence[str]) -> dict[str, Any]:
-    """What a parser has to know of a command: its options, the one such dataclass in its module, and its help."""
+    """What a parser has to know of a command: its options, and its help."""
     module = module_of(name)
-    named = [value for key, value in vars(module).items() if key.endswith("Options")]
-    (kind,) = (value for value in named if value.__module__ == module.__name__)
+    kind = getattr(module, "".join(word.capitalize() for word in re.findall(r"\w+", name)) + "Options")
     parts = [
         inspect.getdoc(kind) or "",
-        "\n".join(["Examples:", *(f"  {PROGRAM} {line}" for line in module.EXAMPLES)]),
+        "\n".join(["Examples:", *(f"  {PROGRAM} {line}" for line in examples_of(name))]),
         f"See also: {', '.join(see_also(name))}",
     ]
     defaults = module.defaults(words) if hasattr(module, "defaults") else {}

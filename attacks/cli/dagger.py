@@ -1,4 +1,4 @@
-"""`mi-splat dagger`: attack one object of a scene and write what came of it."""
+"""`mi-splat dagger`: attack one object of a scene, from chosen cameras or, with `--region`, from all of a region."""
 
 from __future__ import annotations
 
@@ -6,34 +6,65 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from attacks.cli.options import AttackOptions
+from attacks.aims import OBJECTIVES, objective_of
+from attacks.cli.options import DEFAULT_OBJECT, DEFAULT_TARGET, ClassName, Confidence, DetectorOptions
 from attacks.dagger.config import DaggerConfig
+from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from mi_splat.cli.console import Advance, limit_threads, progress, warn
-from mi_splat.cli.flags import Unprefixed
-from mi_splat.cli.options import CameraOptions, check_no_input_in
+from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.options import CameraOptions, ResultOptions, check_no_input_in
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Folder
+from mi_splat.fields import Folder, Metavar
 from mi_splat.processes import deferred_interrupt
+from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from torch import Tensor
 
+    from attacks.dagger.result import Result
     from attacks.detectors.base import Detector
+    from attacks.objectives import Objective
     from attacks.search import Step
     from mi_splat.cli.cameras import Chosen
+    from mi_splat.datasets.frames import Split
     from mi_splat.scene import GaussianScene
+    from mi_splat.scene_files import SplatScene
 
 EXAMPLES = (
     "dagger scenes/car_street.xml --object car --target person --out out/dagger",
     "dagger scenes/car_street.xml --objective hide --eps 2 --out out/hidden",
     "dagger desk.ply --mask mask.npy --cameras orbit:4@25 --target person --out out/desk",
+    "dagger --region scenes/car_street.xml --object car --target person --out out/dagger-eot",
+    "dagger --region scenes/car_street.xml --object car --elevations 10 30 --jpeg 50 --blur 1 --out out/photographed",
+    "demo",
+    "demo --out out/first --force",
 )
-_LOOKS = 3
-"""How many looks from a camera a step takes as long as: what is seen, and the gradient."""
+EVALUATIONS = 3
+"""Evaluations from a camera that a step takes as long as: what is seen, and the gradient."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttackOptions(DetectorOptions, ResultOptions):
+    """What an attack on one object takes, from chosen cameras or from a region."""
+
+    scene: Positional[Path]
+    """Scene XML made of splats, a splat file, or example:car_street or example:stop_sign."""
+    selection: Unprefixed[Selection] = field(default_factory=Selection)
+    """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    """Where the object is looked at from."""
+    objective: Annotated[str, Metavar("relabel|hide|untargeted")] = "relabel"
+    """The aim: another class (--target), no detection at all, any but the right class, or that of another package."""
+    target: ClassName | None = None
+    """Class that the detectors shall see there (relabel); None is person."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where splat and detectors are: on the CPU, or on an NVIDIA GPU, where no two attacks have the same bits."""
+    confidence: Confidence | None = None
+    """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,53 +84,153 @@ class DaggerOptions(AttackOptions):
     out: Folder = Path("out/dagger")
 
 
+@dataclass(frozen=True, kw_only=True)
+class DaggerRegionOptions(AttackOptions):
+    """Attack one object so that detectors misread it from all cameras of a region, not from one (DAGGER with EOT).
+
+    Views are drawn at random, new ones at each step or from a pool; others judge the result. Writes held_out.png,
+    attacked.ply, mask.npy (the object), cameras.json, the rows and result.json into --out; of a scene XML also
+    attacked.xml with its parts. An attack that was interrupted goes on where it stopped when the same command is given
+    again. The exit status is 0 also when the attack fails: that is a result.
+    """
+
+    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    """The reference camera, the first if there are several: size of the pictures, field of view, unit of distances."""
+    region: Unprefixed[CameraRegion] = field(default_factory=CameraRegion)
+    """Where the object is looked at from."""
+    pictures: Unprefixed[PictureChanges] = field(default_factory=PictureChanges)
+    """What happens to the pictures between renderer and detector; by default nothing."""
+    config: Unprefixed[DaggerConfig] = field(default_factory=DaggerConfig.for_region)
+    """How to attack."""
+    checkpoint: Path | None = None
+    """File that keeps the search while it runs; None is one beside --out."""
+    out: Folder = Path("out/dagger-eot")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoOptions(ResultOptions):
+    """Attack the car of the scene example:car_street, so that a small Faster R-CNN reports a person in its place.
+
+    The same as `mi-splat dagger example:car_street --object car --target person --cameras rear`. It needs neither a
+    GPU nor a network, and takes about 20 seconds on two CPU cores. Writes what `mi-splat dagger` writes into --out;
+    look at detections.png first.
+    """
+
+    out: Folder = Path("out/demo")
+
+
 def run(options: DaggerOptions) -> None:
-    """Attack, write what came of it, and say it; Ctrl-C ends the search with the best so far."""
-    from attacks.cli.aims import aim, chosen_object, write_result
-    from attacks.cli.options import load_detectors
-    from attacks.cli.summary import show_summary
-    from attacks.dagger.attack import attack
-    from mi_splat.cli.cameras import choose
-    from mi_splat.io.folders import check_new_folder
-    from mi_splat.scene_files import open_scene
+    """Attack from chosen cameras; Ctrl-C ends the search with the best so far."""
+    from attacks.dagger.attack import attack_views
+    from attacks.dagger.views import FixedViews
     from mi_splat.selection.select import doubts, require_visible
 
-    check_no_input_in(options.out, options.scene)
-    check_new_folder(options.out, force=options.force)
-    limit_threads()
     config = options.config
     with progress("loading the scene and the detector", total=config.restarts * (config.steps + 1)) as advance:
-        loaded = open_scene(options.scene, options.device)
-        selection = chosen_object(loaded, options.selection)
-        chosen = choose(loaded, selection, options.view, split="train")
+        loaded, selection, chosen = _opened(options, split="train")
         weights = chosen.weights(loaded)
         if any(Path(text).is_dir() for text in options.view.cameras):
             chosen, weights = _showing(chosen, weights)
         require_visible(weights)
-        detectors = load_detectors(options.detectors, options.weights, options.device)
+        detectors, objective = _loaded(options)
         if len(chosen.cameras) > 1:
             _forecast(loaded.scene, chosen, detectors, config)
-        objective = aim(options.objective, options.target, options.confidence)
+        cameras = list(chosen.cameras.values())
+        views = FixedViews(loaded.scene, chosen.mask, cameras, render=chosen.render, up=options.view.up)
         advance("attacking", 0)
         with deferred_interrupt() as interrupted:
-            result = attack(
-                loaded.scene,
-                chosen.mask,
-                list(chosen.cameras.values()),
-                detectors,
-                objective,
-                render=chosen.render,
-                config=config,
-                up=options.view.up,
-                on_step=_follow(advance, objective.label, config, interrupted),
-            )
-        origin = {"scene": str(options.scene), "selection": selection.as_dict(), "cameras": list(chosen.cameras)}
-        doubtful = tuple(doubts(chosen.mask, weights))
-        result = replace(result, origin={**result.origin, **origin}, doubts=doubtful)
-        write_result(result, loaded, chosen.mask, options.out, force=options.force)
-    show_summary(options.out, as_json=options.json)
+            on_step = _follow(advance, objective.label, config, interrupted)
+            result = attack_views(views, detectors, objective, config=config, on_step=on_step)
+        result = replace(result, doubts=tuple(doubts(chosen.mask, weights)))
+        origin = {"selection": selection.as_dict(), "cameras": list(chosen.cameras)}
+        _write(options, result, loaded, chosen.mask, origin)
+    _show(options)
     if interrupted():
         raise KeyboardInterrupt
+
+
+def run_region(options: DaggerRegionOptions) -> None:
+    """Attack from all cameras of a region."""
+    from attacks.dagger.attack import attack_views
+    from attacks.dagger.search import Checkpoint
+    from attacks.dagger.views import DrawnViews
+    from mi_splat.io.camera_records import describe
+
+    config = options.config
+    checkpoint = Checkpoint(path=options.checkpoint or options.out.with_name(f"{options.out.name}.checkpoint"))
+    with progress("loading the scene and the detectors", total=config.steps + 1) as advance:
+        loaded, selection, chosen = _opened(options)
+        name, camera = next(iter(chosen.cameras.items()))
+        detectors, objective = _loaded(options)
+        drawn = Transformations(cameras=options.region, pictures=options.pictures)
+        views = DrawnViews(loaded.scene, chosen.mask, camera, drawn, render=chosen.render, up=options.view.up)
+        advance("drawing views", 0)
+        checkpoint.path.parent.mkdir(parents=True, exist_ok=True)
+        on_step = _follow_region(advance)
+        result = attack_views(views, detectors, objective, config=config, checkpoint=checkpoint, on_step=on_step)
+        origin = {"selection": selection.as_dict(), "cameras": [name], "reference": describe(name, camera)}
+        _write(options, result, loaded, chosen.mask, origin)
+    _show(options)
+
+
+def run_demo(options: DemoOptions) -> None:
+    """Attack with the options of the demo."""
+    from attacks.cli import parse
+
+    words = ["example:car_street", "--object", "car", "--target", "person", "--cameras", "rear", "--out"]
+    flags = [f"--{name}" for name in ("force", "json") if getattr(options, name)]
+    run(parse("dagger", [*words, str(options.out), *flags]))
+
+
+def chosen_object(loaded: SplatScene, selection: Selection) -> Selection:
+    """What the options select; the part called car if they say nothing and there is one."""
+    nothing = selection.is_empty and DEFAULT_OBJECT in loaded.objects
+    return replace(selection, object=DEFAULT_OBJECT) if nothing else selection
+
+
+def _opened(options: AttackOptions, *, split: Split | None = None) -> tuple[SplatScene, Selection, Chosen]:
+    """The scene, what is selected in it, and the object with its cameras."""
+    from mi_splat.cli.cameras import choose
+    from mi_splat.io.folders import check_new_folder
+    from mi_splat.scene_files import open_scene
+
+    check_no_input_in(options.out, options.scene)
+    check_new_folder(options.out, force=options.force)
+    limit_threads()
+    loaded = open_scene(options.scene, options.device)
+    selection = chosen_object(loaded, options.selection)
+    return loaded, selection, choose(loaded, selection, options.view, split=split)
+
+
+def _loaded(options: AttackOptions) -> tuple[Sequence[Detector], Objective]:
+    """The detectors and the objective."""
+    from attacks.cli.options import load_detectors
+
+    targeted = OBJECTIVES.chosen(options.objective).targeted
+    target = (options.target or DEFAULT_TARGET) if targeted else None
+    detectors = load_detectors(options.detectors, options.weights, options.device)
+    return detectors, objective_of(options.objective, target, options.confidence)
+
+
+def _write(options: AttackOptions, result: Result, loaded: SplatScene, mask: Tensor, origin: dict[str, Any]) -> None:
+    """Write a result, the object's mask, and of a scene file its parts and the XML that names them."""
+    from attacks.dagger.report import write_files
+    from mi_splat.io.folders import new_folder
+    from mi_splat.scene_files import write_scene
+    from mi_splat.selection.select import save_mask
+
+    result = replace(result, origin={**result.origin, "scene": str(options.scene), **origin})
+    with new_folder(options.out, force=options.force) as folder:
+        save_mask(mask, folder / "mask.npy")
+        if loaded.cameras:  # a bare splat has none, and so makes no scene file
+            write_scene(loaded, result.scene, folder / "attacked.xml")
+        write_files(result, folder)
+
+
+def _show(options: AttackOptions) -> None:
+    from attacks.cli.summary import show_summary
+
+    show_summary(options.out, as_json=options.json)
 
 
 def _showing(chosen: Chosen, weights: dict[str, Tensor]) -> tuple[Chosen, dict[str, Tensor]]:
@@ -113,7 +244,7 @@ def _showing(chosen: Chosen, weights: dict[str, Tensor]) -> tuple[Chosen, dict[s
 
 
 def _forecast(scene: GaussianScene, chosen: Chosen, detectors: Sequence[Detector], config: DaggerConfig) -> None:
-    """Say how many views are attacked and about how long that takes, by one look from one of them."""
+    """Say how many views are attacked and about how long that takes, by one evaluation of one of them."""
     import torch
 
     from attacks.report.section import duration
@@ -125,14 +256,14 @@ def _forecast(scene: GaussianScene, chosen: Chosen, detectors: Sequence[Detector
             picture = chosen.render(scene, camera).clamp(0, 1)[None]
             for detector in detectors:
                 detector.detect(picture)
-    seconds = _LOOKS * (time.perf_counter() - begun) * len(chosen.cameras) * config.restarts * (config.steps + 1)
+    seconds = EVALUATIONS * (time.perf_counter() - begun) * len(chosen.cameras) * config.restarts * (config.steps + 1)
     warn(f"{len(chosen.cameras)} views at once, {config.steps} steps: at most about {duration(seconds)}")
 
 
 def _follow(
     advance: Advance, label: str | None, config: DaggerConfig, interrupted: Callable[[], bool]
 ) -> Callable[[Step], bool]:
-    """A callback that shows each step of the attack, and ends it if the clean object is taken for the class wanted."""
+    """Show each step, and end the attack if the clean object is taken for the class wanted."""
 
     def note(step: Step) -> bool:
         if label is not None and step.index == step.restart == 0 and step.unambiguous and not config.random_start:
@@ -140,5 +271,20 @@ def _follow(
             raise InvalidValueError.of("--target", "another class than is seen before the attack", label, do)
         advance(f"attacking: loss {step.loss:.3f}, score {step.score:.0%}")
         return step.index + step.restart > 0 and interrupted()
+
+    return note
+
+
+def _follow_region(advance: Advance) -> Callable[[Step], None]:
+    """Show each step, and the last score of the validation views."""
+    from attacks.search import NOT_JUDGED
+
+    validation = ""
+
+    def note(step: Step) -> None:
+        nonlocal validation
+        if step.score != NOT_JUDGED:
+            validation = f", validation {step.score:.0%}"
+        advance(f"attacking: step {step.index}, loss {step.loss:.3f}{validation}")
 
     return note

@@ -6,15 +6,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from attacks.cli.options import ClassName, Confidence, OneDetector, PositiveRadius, Seeds
+from attacks.cli.options import ClassName, Confidence, OneDetector, Seeds
 from attacks.dagger.config import DaggerConfig
 from attacks.detectors import load_detector
 from attacks.detectors.registry import DETECTORS
-from attacks.optimisers import NormName
 from mi_splat.cli.console import limit_threads, progress, show, show_json, warn
 from mi_splat.cli.flags import Positional, Unprefixed
 from mi_splat.cli.options import CameraOptions, ResultOptions
-from mi_splat.fields import Folder, Metavar, Steps
+from mi_splat.fields import Folder, Metavar
 from mi_splat.io.parsing import read_json
 from mi_splat.selection.config import Selection
 
@@ -57,14 +56,8 @@ class DaggerSanityOptions(ResultOptions):
     out."""
     seeds: Seeds = 3
     """Number of seeds; each but 0 moves the camera and starts at a random point of the ball."""
-    eps: PositiveRadius = 5.0
-    """Radius of the ball over the object's SH coefficients; the checks also take fractions and multiples of it."""
-    norm: NormName = "l2"
-    """How the change is measured: one ball over the whole object (linf, l2), or one for each Gaussian."""
-    optimiser: Annotated[str, Metavar("OPTIMISER")] = "pgd"
-    """How each attack moves: pgd, fgsm, momentum, adam, apgd, cw, square, random, or one that was registered."""
-    steps: Steps = 20
-    """Number of steps of an attack."""
+    config: Unprefixed[DaggerConfig] = field(default_factory=lambda: DaggerConfig(steps=20))
+    """How to attack; the checks also take fractions and multiples of the radius, and seeds of their own."""
     out: Folder = Path("out/sanity")
 
 
@@ -102,7 +95,7 @@ def run(options: DaggerSanityOptions) -> int:
 
 def _case(options: DaggerSanityOptions) -> tuple[Case, dict[str, Any]]:
     """What the options ask to check, and what the record has to say of it."""
-    from attacks.cli.aims import chosen_object
+    from attacks.cli.dagger import chosen_object
     from attacks.dagger.sanity import Case
     from attacks.objectives import relabel
     from attacks.studies.attack import jittered
@@ -124,7 +117,7 @@ def _case(options: DaggerSanityOptions) -> tuple[Case, dict[str, Any]]:
         detector=load_detector(options.detector, weights=options.weights),
         objective=relabel(options.target, confidence=options.confidence),
         render=chosen.render,
-        config=DaggerConfig(eps=(options.eps,), norm=options.norm, steps=options.steps, optimiser=options.optimiser),
+        config=options.config,
         surrogate=_surrogate(options),
     )
     return case, {

@@ -5,24 +5,18 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from attacks.aims import OBJECTIVES
 from mi_splat.cli.console import UsageError
-from mi_splat.cli.flags import Flag, Positional, Unprefixed
-from mi_splat.cli.options import CameraOptions, ResultOptions
+from mi_splat.cli.flags import Flag
 from mi_splat.errors import InvalidValueError, nearest
-from mi_splat.fields import Fraction, Metavar, above, at_least, between, check_choice
-from mi_splat.selection.config import Selection
+from mi_splat.fields import Fraction, Metavar, at_least, between, check_choice
 
 if TYPE_CHECKING:
     from attacks.detectors.base import Detector
-
-# The detectors, classes and aims that a command's options name: checked together before torch is loaded, then loaded.
-#
-# One set of rules for every command, by the name of the option.
 
 DEFAULT_OBJECT = "car"
 """Part that is attacked if nothing else is said."""
@@ -103,7 +97,6 @@ OneDetector = Annotated[str, Flag(name="detectors"), Metavar("DETECTOR")]
 """A detector of a command that takes one; the flag is called as where there may be several."""
 ClassName = Annotated[str, Metavar("CLASS")]
 Confidence = Annotated[Fraction, Metavar("CONFIDENCE")]
-PositiveRadius = Annotated[float, above(0, "units of the splat file", "5 is the paper's"), Metavar("RADIUS")]
 Seeds = Annotated[int, at_least(1), Metavar("COUNT")]
 Workers = Annotated[int, between(0, 1024, "processes")]
 _WORKER = 2e9
@@ -134,23 +127,3 @@ class DetectorOptions:
     """Names of detectors (see `mi-splat detectors`)."""
     weights: tuple[Path, ...] = ()
     """Files with their weights, as many as there are detectors; none takes the shipped or published ones."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class AttackOptions(DetectorOptions, ResultOptions):
-    """What an attack on one object takes, from chosen cameras or from a region; what is written is told by each."""
-
-    scene: Positional[Path]
-    """Scene XML made of splats, a splat file, or example:car_street or example:stop_sign."""
-    selection: Unprefixed[Selection] = field(default_factory=Selection)
-    """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
-    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
-    """Where the object is looked at from."""
-    objective: Annotated[str, Metavar("relabel|hide|untargeted")] = "relabel"
-    """The aim: another class (--target), no detection at all, any but the right class, or that of another package."""
-    target: ClassName | None = None
-    """Class that the detectors shall see there (relabel); None is person."""
-    device: Literal["cpu", "cuda"] = "cpu"
-    """Where splat and detectors are: on the CPU, or on an NVIDIA GPU, where no two attacks have the same bits."""
-    confidence: Confidence | None = None
-    """Confidence that counts as success: at least so much of the target class (0.7 if None), or less than it (0.3)."""

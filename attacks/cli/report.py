@@ -1,15 +1,16 @@
-"""`mi-splat report`: one page of results, which needs no server and no network."""
+"""`mi-splat report` and `rows`: results as one page, which needs no server and no network, and as tables."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from attacks.cli.options import check_result_folder
 from attacks.rate import FIXED
-from mi_splat.cli.console import progress, show, show_json, warn
+from mi_splat.cli.console import progress, show, show_json, show_table, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError, counted
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 EXAMPLES = (
     "report out/dagger --out dagger.html",
     "report out/cloak out/dagger-eot --out page.html",
+    "rows out/dagger",
+    "rows out/cloak --csv",
+    "rows out/cloak --table detections --json",
 )
 
 
@@ -98,3 +102,34 @@ def _looked_at(folder: Path, section: Section, names: Sequence[str]) -> Section:
         expected, do = "a folder of `mi-splat audit`, whose splat is there", "leave out --detectors"
         raise InvalidValueError.of("--detectors", expected, str(folder), do)
     return along_paths(section, seen_along_paths(open_scene(path).scene, load_detectors(names, ())))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RowsOptions(JsonOptions):
+    """Show the rows of a result: a line for each splat, view and detector, from which every figure is counted.
+
+    Without --csv or --json it says which columns there are and what they mean. Takes a folder that mi-splat dagger,
+    evaluate, cloak or study has written.
+    """
+
+    result: Positional[Folder]
+    """Folder of a result."""
+    table: Literal["rows", "detections", "fidelity", "transition"] = "rows"
+    """Which table: what is reported on the object, every single detection, or (cloak) pictures without a detector."""
+    csv: bool = False
+    """Write the table as CSV on stdout."""
+
+
+def run_rows(options: RowsOptions) -> None:
+    """Read a table and show it."""
+    from attacks.observe.rows import columns_of, rows, rows_bytes
+
+    table = rows(options.result, options.table)
+    columns = columns_of(table.columns)
+    if options.csv:
+        sys.stdout.write(rows_bytes(table).decode())
+    elif options.json:
+        show_json({"columns": [column.as_dict() for column in columns], "rows": table.to_dicts()})
+    else:
+        show_table([(column.name, column.words) for column in columns])
+        show(f"{len(table):,} rows; --csv or --json prints them.")

@@ -46,16 +46,16 @@ def file_name(command: str) -> str:
 
 def page(name: str, summary: str) -> Iterator[str]:
     """The lines of a command's page."""
-    from attacks.cli import module_of, parser_of, see_also
+    from attacks.cli import examples_of, parser_of, see_also
 
-    module, parser = module_of(name), parser_of(name)
+    parser = parser_of(name)
     title = f"mi-splat {name}"
     yield from (title, "=" * len(title), "", f".. program:: {title}", "")
     for paragraph in re.split(r"\n\s*\n", parser.description or summary):
         if not paragraph.startswith(("Examples:", "See also:")):  # which stand below as code, and as links
             yield from (marked_up(paragraph), "")
     yield from (".. code-block:: sh", "")
-    for line in module.EXAMPLES:
+    for line in examples_of(name):
         yield from (f"    mi-splat {line}", "")
     for group in parser._action_groups:
         actions = [action for action in group._group_actions if "--help" not in action.option_strings]

@@ -32,7 +32,7 @@ COMMANDS = {
     "render a.ply --cameras orbit:2@20": ("a.gif", "mi_splat.cli.cameras.renderer_of"),
     "compare a.ply": ("", "mi_splat.comparison.compare.compare"),
     "select a.ply --cluster 1": ("a.npy", "mi_splat.cli.cameras.choose"),
-    "dagger a.ply --cluster 1": ("", "attacks.dagger.attack.attack"),
+    "dagger a.ply --cluster 1": ("", "attacks.dagger.attack.attack_views"),
     "dagger --region a.ply --cluster 1": ("", "attacks.dagger.attack.attack_views"),
     "dagger --sanity a.ply --cluster 1": ("", "attacks.cli.dagger_sanity._case"),
     "study run study.toml": ("", "attacks.cli.study._engine"),
@@ -129,7 +129,7 @@ def test_a_result_is_replaced_only_when_forced(
     words = ["dagger", "a.ply", "--cluster", "1", "--out", "out"]
     with new_folder(folder / "out") as made:
         (made / "result.json").write_text("{}")
-    forbid("attacks.dagger.attack.attack", monkeypatch)
+    forbid("attacks.dagger.attack.attack_views", monkeypatch)
     assert cli.main(words) == 1
     assert "replace this result with force (--force)" in capsys.readouterr().err
     with pytest.raises(AssertionError, match="work was begun"):
