@@ -30,6 +30,7 @@ FAST = {
         "convert",
         "dagger",
         "dagger --region",
+        "demo",
         "detect",
         "detectors",
         "evaluate",
@@ -62,6 +63,7 @@ ELSEWHERE = {
     "study": "tests/studies/test_shipped.py plans every study that is shipped; one of each kind is done by night",
     "detectors --get": "tests/detectors/graphs/test_packages.py runs it, with an npm of its own",
     "detectors --from": "the same",
+    "source": "tests/cli/test_set_up.py runs the completion of a shell",
     "pip": "the tests run in what it has installed; the extras that it names are checked",
 }
 """Commands that are run by something else."""
