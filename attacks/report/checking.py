@@ -73,8 +73,12 @@ class Result:
 def read_result(folder: Path) -> Result:
     """A result with its tables."""
     record = DocumentReader(do="pass a folder of results").read_json(folder / RECORD)
-    tables = {name: read_rows(path) for name in TABLES if (path := folder / f"{name}{SUFFIX}").is_file()}
-    return Result(folder=folder, record=record, manifest=read_manifest(folder), tables=tables)
+    return Result(folder=folder, record=record, manifest=read_manifest(folder), tables=read_tables(folder))
+
+
+def read_tables(folder: Path, names: Sequence[str] = TABLES) -> Tables:
+    """The tables that a result has, of those with these names."""
+    return {name: read_rows(path) for name in names if (path := folder / f"{name}{SUFFIX}").is_file()}
 
 
 def check_result(result: Result, figures: Figures | None, *, manifest: str | None = None) -> list[Check]:

@@ -14,6 +14,7 @@ from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import write_report
 from attacks.objectives import Objective, hide, objective, relabel, untargeted
 from attacks.observe.rates import Confidence, Measures
+from attacks.observe.rows import rows
 from attacks.report.checking import Check, read_result, rescore
 from attacks.report.kinds.cloak import study_of
 from attacks.report.kinds.detectors import threshold_charts
@@ -97,8 +98,8 @@ def cloak(confidence: Confidence) -> Measures:
     return measures(study, confidence=confidence)
 
 
-def test_the_sector_is_missed_less_by_a_lower_confidence(tmp_path: Path) -> None:
-    charts, (table,) = threshold_charts(SECTOR, cloak, {"trigger_miss_rate": ("missed", "attack")})
+def test_the_sector_is_missed_less_by_a_lower_confidence() -> None:
+    charts, (table,) = threshold_charts(rows(SECTOR), cloak, {"trigger_miss_rate": ("missed", "attack")})
     assert [chart.title.split(",")[0] for chart in charts][:2] == ["fasterrcnn_small", "yolov8n_small"]
     (line,) = charts[1].lines
     heights = {point.x: point.y for point in line.points}
@@ -106,5 +107,5 @@ def test_the_sector_is_missed_less_by_a_lower_confidence(tmp_path: Path) -> None
     assert all(point.low is not None and point.low <= point.y <= (point.high or 0) for point in line.points)
     assert table.head == ("detector", "rate", "from 0.5", "from 0.25")
     assert [row[:2] for row in table.rows][:2] == [("fasterrcnn_small", "missed"), ("yolov8n_small", "missed")]
-    assert threshold_charts(SECTOR, cloak, {"target_rate": ("reported", "attack")}) == ((), ())
-    assert threshold_charts(tmp_path, cloak, {"trigger_miss_rate": ("missed", "attack")}) == ((), ())
+    assert threshold_charts(rows(SECTOR), cloak, {"target_rate": ("reported", "attack")}) == ((), ())
+    assert threshold_charts(None, cloak, {"trigger_miss_rate": ("missed", "attack")}) == ((), ())

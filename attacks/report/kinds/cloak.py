@@ -7,45 +7,18 @@ from typing import Any
 
 import polars as pl
 
+from attacks.cloak import rates as cloak_rates
+from attacks.cloak import tables as cloak_tables
 from attacks.cloak.config import StudyConfig, knowledge_for
-from attacks.cloak.rates import (
-    AT_LOWER,
-    CLOAKED,
-    MARGIN,
-    NAMES,
-    OWN_REGION,
-    RATES,
-    SECTOR,
-    by_azimuth,
-    measures,
-    picture_rows,
-    transition,
-)
-from attacks.cloak.rates import figures as study_figures
-from attacks.cloak.rates import rates as study_rates
 from attacks.cloak.steps import ROW_NAMES
 from attacks.cloak.study import CONTACT, POISONED_PICTURES, study_toml
-from attacks.cloak.tables import costs
-from attacks.cloak.tables import tables as summary_tables
 from attacks.detectors.base import Detector
 from attacks.observe.look import report_cells
 from attacks.observe.rates import Confidence, Measures
-from attacks.observe.rows import (
-    ATTACKED,
-    CLEAN,
-    FIDELITY,
-    PERFECT,
-    ROWS,
-    SUFFIX,
-    TARGET_SCORE,
-    TRANSITION,
-    TRUE,
-    Row,
-    read_rows,
-)
+from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, PERFECT, ROWS, TARGET_SCORE, TRANSITION, TRUE, Row
 from attacks.observe.views import BATCH, ViewDetections
 from attacks.rate import Rate, rate_of, spread
-from attacks.report.checking import Rescoring, Tables
+from attacks.report.checking import Rescoring, Tables, read_tables
 from attacks.report.kinds.detectors import threshold_charts
 from attacks.report.section import (
     FEW,
@@ -87,10 +60,13 @@ def read_cloak(folder: Path, summary: Record) -> Section:
     headline, control = headline_of(summary)
 
     def measured(confidence: Confidence) -> Measures:
-        return measures(study_of(study), confidence=confidence)
+        return cloak_rates.measures(study_of(study), confidence=confidence)
 
-    curves, at = threshold_charts(folder, measured, _CURVES)
-    true_curves, true_at = threshold_charts(folder, measured, _CURVES, part=picture_rows, what=", path traced")
+    tables = read_tables(folder, (ROWS, TRANSITION))
+    rows = tables.get(ROWS)
+    curves, at = threshold_charts(rows, measured, _CURVES)
+    traced = None if rows is None else cloak_rates.picture_rows(rows)
+    true_curves, true_at = threshold_charts(traced, measured, _CURVES, ", path traced")
     return Section(
         kind="CLOAK, a study",
         title=str(study["name"]),
@@ -103,11 +79,11 @@ def read_cloak(folder: Path, summary: Record) -> Section:
         pictures=tuple(Picture(path=folder / name, caption=words, wide=True) for name, words in _PICTURES.items()),
         charts=(
             *(_elevation(summary, name) for name in summary["by_detector"]),
-            *_charts_of_rows(folder, summary),
+            *_charts_of_rows(tables, study),
             *curves,
             *true_curves,
         ),
-        tables=(*summary_tables(summary), *at, *true_at),
+        tables=(*cloak_tables.tables(summary), *at, *true_at),
         configuration=settings({**study, "weights": summary["detectors"]}),
         file=(f"{study['name']}.toml", study_toml(study)),
     )
@@ -141,12 +117,12 @@ def cloak_figures(record: Record, tables: Tables) -> Record:
     """Every figure of a study, of its rows."""
     study = study_of(record["study"])
     _check_rows(study, record["splats"], tables)
-    return _known(study_figures(study, tables, record["splats"]), record)
+    return _known(cloak_rates.figures(study, tables, record["splats"]), record)
 
 
 def _known(derived: Record, record: Record) -> dict[str, Any]:
     """The figures that a result has, which may have been written before some were counted."""
-    later = (OWN_REGION, AT_LOWER, MARGIN)
+    later = (cloak_rates.OWN_REGION, cloak_rates.AT_LOWER, cloak_rates.MARGIN)
     return {
         name: _known(value, record) if name == "pictures" else value
         for name, value in derived.items()
@@ -157,7 +133,7 @@ def _known(derived: Record, record: Record) -> dict[str, Any]:
 def _splats(record: Record) -> dict[tuple[str, int], str]:
     """The files of the splats in a result, which are those of the first seed."""
     first = min(int(splat["seed"]) for splat in record["splats"])
-    return {(CLEAN, first): f"{CLEAN}.ply", (ATTACKED, first): f"{CLOAKED}.ply"}
+    return {(CLEAN, first): f"{CLEAN}.ply", (ATTACKED, first): f"{cloak_rates.CLOAKED}.ply"}
 
 
 def _cells(record: Record, seen: ViewDetections, row: Record, detector: Detector) -> Row:
@@ -172,8 +148,8 @@ def _rescored(record: Record, rows: pl.DataFrame) -> dict[str, dict[str, Rate]]:
     """Every rate of each detector, of the splats in the rows."""
     study = study_of(record["study"])
     return {
-        name: {RATES[key]: rate for key, rate in rates.items() if rate is not None}
-        for (name,), rates in study_rates(study, rows, ("detector",)).items()
+        name: {cloak_rates.RATES[key]: rate for key, rate in rates.items() if rate is not None}
+        for (name,), rates in cloak_rates.rates(study, rows, ("detector",)).items()
     }
 
 
@@ -193,7 +169,7 @@ def _check_rows(study: StudyConfig, splats: Sequence[Record], tables: Tables) ->
 
     Looks under conditions, which others do, may be of any detectors and cameras.
     """
-    wanted = {(which, seed) for which in (CLEAN, CLOAKED) for seed in study.seeds}
+    wanted = {(which, seed) for which in (CLEAN, cloak_rates.CLOAKED) for seed in study.seeds}
     if sorted((splat["splat"], splat["seed"]) for splat in splats) != sorted(wanted):
         got = ", ".join(f"{splat['splat']} {splat['seed']}" for splat in splats)
         raise _wrong("splats", "a clean and a cloaked one for each seed", got or "none")
@@ -259,11 +235,11 @@ def _figures(summary: Record) -> tuple[Figure, ...]:
     headlines = {"trigger_miss_rate"} if hides else {"target_rate", "control_target_rate"}
     rates = [
         Figure(label=words, rate=rate)
-        for key, words in RATES.items()
+        for key, words in cloak_rates.RATES.items()
         if key not in headlines and (rate := rate_of(summary[key])) is not None
     ]
     time = {"time": f"{summary['seconds'] / 60:.0f} minutes"} if "seconds" in summary else {}
-    return (*rates, *Figure.each({**costs(summary), **time}))
+    return (*rates, *Figure.each({**cloak_tables.costs(summary), **time}))
 
 
 def _doubts(summary: Record) -> Iterator[str]:
@@ -312,15 +288,15 @@ def _elevation(summary: Record, detector: str) -> Chart:
     )
 
 
-def _charts_of_rows(folder: Path, summary: Record) -> Iterator[Chart]:
+def _charts_of_rows(tables: Tables, configuration: Record) -> Iterator[Chart]:
     """What is drawn from the tables of a result that has them: reports around the object, and the transition."""
-    files = {name: folder / f"{name}{SUFFIX}" for name in (ROWS, TRANSITION)}
-    if not all(file.is_file() for file in files.values()):
+    if len(tables) < 2:
         return
-    study, tables = study_of(summary["study"]), {name: read_rows(file) for name, file in files.items()}
-    around = by_azimuth(study, tables[ROWS]) if any(attack.azimuth is not None for attack in study.attack) else {}
+    study = study_of(configuration)
+    one_sided = any(attack.azimuth is not None for attack in study.attack)
+    around = cloak_rates.by_azimuth(study, tables[ROWS]) if one_sided else {}
     for detector in dict.fromkeys(detector for detector, _ in around):
-        bands = {low + SECTOR / 2: rates for (name, low), rates in around.items() if name == detector}
+        bands = {low + cloak_rates.SECTOR / 2: rates for (name, low), rates in around.items() if name == detector}
         yield Chart(
             title=f"Reported by {detector}, by azimuth",
             caption="Bands are 95 % intervals; cameras below all that is hidden from everywhere.",
@@ -335,8 +311,8 @@ def _charts_of_rows(folder: Path, summary: Record) -> Iterator[Chart]:
                 for name in next(iter(bands.values()))
             ),
         )
-    switches = {which: transition(study, tables, splat) for splat, which in NAMES.items()}
-    if (band := switches[CLOAKED]) is None:
+    switches = {which: cloak_rates.transition(study, tables, splat) for splat, which in cloak_rates.NAMES.items()}
+    if (band := switches[cloak_rates.CLOAKED]) is None:
         return
     ends = None if band.start is None or band.end is None else (band.start, band.end, "the switch")
     yield Chart(

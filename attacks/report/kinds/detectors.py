@@ -10,21 +10,12 @@ from typing import Any
 import polars as pl
 
 from attacks.bench.row import HEADS, row_of
+from attacks.observe import rates
 from attacks.observe.comparison import compare
-from attacks.observe.rates import (
-    CLUSTERS,
-    DEFAULT_OF_YOLO,
-    REPORTED,
-    Confidence,
-    Measures,
-    comparison_measures,
-    rates_at,
-    threshold_curve,
-    with_control,
-)
-from attacks.observe.rows import ROWS, SUFFIX, read_rows
+from attacks.observe.rates import DEFAULT_OF_YOLO, REPORTED, Confidence, comparison_measures
+from attacks.observe.rows import ROWS
 from attacks.rate import Rate, number, percent, pooled
-from attacks.report.checking import Tables
+from attacks.report.checking import Tables, read_tables
 from attacks.report.section import FEW, Chart, Figure, Line, Picture, Point, Role, Section, listed, settings
 from attacks.tables import Table, cell
 from mi_splat.errors import counted
@@ -57,9 +48,8 @@ def read_evaluation(folder: Path, record: Record) -> Section:
     detectors = record["detectors"]
     name, first = next(iter(detectors.items()))
     headline, control = _headline(name, first)
-    charts, tables = threshold_charts(
-        folder, partial(comparison_measures, targeted=first["target"] is not None), _CURVES
-    )
+    measured = partial(comparison_measures, targeted=first["target"] is not None)
+    charts, tables = threshold_charts(read_tables(folder, (ROWS,)).get(ROWS), measured, _CURVES)
     return Section(
         kind="a clean and an attacked splat, judged",
         title=f"{Path(record['attacked']).name} against {Path(record['clean']).name}",
@@ -101,13 +91,12 @@ def evaluation_figures(record: Record, tables: Tables) -> Record:
 
 
 def _headline(name: str, judged: Record) -> tuple[Figure, Figure]:
-    rates = {key: Rate.of(judged[key]) for key in _RATES if judged.get(key)}
     if judged.get("target"):
-        what = f"{name} reports {judged['target']} on the"
-        attacked, clean, note = rates["target_attacked"], rates["target_clean"], ""
+        what, note = f"{name} reports {judged['target']} on the", ""
+        attacked, clean = Rate.of(judged["target_attacked"]), Rate.of(judged["target_clean"])
     else:
         what = f"{name} misses the {judged['original'] or 'object'} on the"
-        attacked, clean = rates["missed"], rates["found_clean"].failures
+        attacked, clean = Rate.of(judged["missed"]), Rate.of(judged["found_clean"]).failures
         note = "of the views in which it is found in the clean one"
     return (
         Figure(label=f"{what} attacked splat", rate=attacked, note=note),
@@ -135,21 +124,20 @@ _AT = {f"{confidence:g}": confidence for confidence in (REPORTED, DEFAULT_OF_YOL
 
 
 def threshold_charts(
-    folder: Path,
-    measures: Callable[[Confidence], Measures],
+    rows: pl.DataFrame | None,
+    measures: Callable[[Confidence], rates.Measures],
     names: Mapping[str, tuple[str, Role]],
-    *,
-    part: Callable[[pl.DataFrame], pl.DataFrame] = lambda rows: rows,
     what: str = "",
 ) -> tuple[tuple[Chart, ...], tuple[Table, ...]]:
     """A chart for each detector with some rates over the confidence, and a table of them at two confidences."""
-    path = folder / f"{ROWS}{SUFFIX}"
     drawn = {name: names[name] for name in measures(REPORTED) if name in names}
-    rows = with_control(part(read_rows(path))) if path.is_file() and drawn else pl.DataFrame()
-    if rows.is_empty():
+    paired = rates.with_control(rows) if rows is not None and drawn else pl.DataFrame()
+    if paired.is_empty():
         return (), ()
-    clusters = CLUSTERS if set(CLUSTERS) <= set(rows.columns) else None
-    curves = {name: threshold_curve(rows, measures, name, by=("detector",), clusters=clusters) for name in drawn}
+    clusters = rates.CLUSTERS if set(rates.CLUSTERS) <= set(paired.columns) else None
+    curves = {
+        name: rates.threshold_curve(paired, measures, name, by=("detector",), clusters=clusters) for name in drawn
+    }
     detectors = list(dict.fromkeys(detector for (detector,) in next(iter(curves.values()))))
 
     def line(name: str, detector: str) -> Line:
@@ -167,7 +155,7 @@ def threshold_charts(
         )
         for detector in detectors
     )
-    at = rates_at(rows, measures, _AT, ("detector",), clusters=clusters)
+    at = rates.rates_at(paired, measures, _AT, ("detector",), clusters=clusters)
     lines = tuple(
         (detector, words, *(cell(at[confidence][detector,][name]) for confidence in _AT))
         for detector in detectors
