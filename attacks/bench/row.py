@@ -171,7 +171,8 @@ def defences(rows: Sequence[Record]) -> str:
 
 
 def check_row(path: Path) -> dict[str, Any]:
-    """A row that somebody hands in: what can be checked without its raw rows."""
+    """A row that somebody hands in, or the one in a folder: what can be checked without its raw rows."""
+    path = path / ROW if path.is_dir() else path
     row = READER.read_json(path)
     try:
         for what, (got, expected) in _stated(row).items():

@@ -56,7 +56,7 @@ class BenchOptions(JsonOptions):
     rescore: Folder | None = None
     """Derive the row of a finished folder again from its raw rows, and compare; nothing else is done."""
     check: tuple[Path, ...] = ()
-    """Check rows that somebody hands in; nothing else is done."""
+    """Check rows that somebody hands in, files or the folders that hold them; nothing else is done."""
 
 
 def run(options: BenchOptions) -> int:

@@ -216,7 +216,8 @@ def test_a_row_is_checked_by_itself(out: Path, suite: Path, tmp_path: Path, monk
     monkeypatch.chdir(tmp_path)
     (tmp_path / SUITES).mkdir(parents=True)
     (tmp_path / SUITES / "tiny").symlink_to(suite)
-    assert check_row(out / "row.json")["detector"]["name"] == "fake_colour"
+    assert check_row(out) == check_row(out / "row.json")
+    assert check_row(out)["detector"]["name"] == "fake_colour"
     row = read(out / "row.json")
     one = row["columns"]["one_view"]
     wrong: tuple[dict[str, Any], ...] = (
