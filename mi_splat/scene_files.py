@@ -205,6 +205,7 @@ def write_scene(loaded: SplatScene, scene: GaussianScene, path: Path) -> list[Pa
         raise InvalidValueError.of("scene", f"{len(loaded.scene):,} Gaussians", f"{len(scene):,}", do)
     from mi_splat.plugins.sensor import mitsuba_pose, sensor_dict
 
+    variant.use()
     root = ElementTree.Element("scene", version="3.0.0")
     settings = loaded.settings
     names = ["near", "background"] if settings.method == "tile" else ["background", "colour_to_mean", "linear"]
