@@ -21,7 +21,7 @@ from mi_splat.errors import counted
 Record = Mapping[str, Any]
 _ELSEWHERE = (
     *("story", "file", "verdict", "summary", "objects", "pictures", "cameras", "views", "lint", "cost", "against"),
-    "pictures_in_set",
+    *("pictures_in_set", "thresholds"),
     *("command", "versions", "variant", "commit", "torch"),
 )
 _PLAIN = {
