@@ -70,7 +70,7 @@ class Thresholds:
     room_edge: float = 0.01  # Share of its points beyond each side that do not count.
     room_gaussians: int = 100_000  # Gaussians that fill voxels, evenly taken of all.
     room_rays: int = 48  # From each free place that is tried.
-    room_places: int = 500
+    room_places: int = 500  # Free places that are tried.
     enclosed: float = 0.85  # Share of the rays from an enclosed place that end at something.
     enclosed_share: float = 0.2  # Share of the free places of a room that are enclosed,
     between: float = 0.005  # and of its filled voxels that stand between two of them: an empty shell has none.
@@ -93,15 +93,7 @@ class Thresholds:
 
     # Sets of directions, and gloss
     axes: int = 110  # Of cones all around.
-    half_widths: tuple[float, ...] = (
-        20.0,
-        27.0,
-        35.0,
-        43.0,
-        51.0,
-        60.0,
-        70.0,
-    )  # Degrees to its edge.
+    half_widths: tuple[float, ...] = (20.0, 27.0, 35.0, 43.0, 51.0, 60.0, 70.0)  # Degrees to its edge.
     inside: float = 3.0  # Degrees at the edge of a cone, on its inner side,
     outside: float = 8.0  # and on its outer side, that count as neither.
     cosines: tuple[float, ...] = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)  # Of the sets of angles of incidence.
@@ -166,14 +158,7 @@ class Thresholds:
     shows: float = 0.5  # Amount of an appearance from which an image counts as showing it.
 
     # Repair
-    margins: tuple[float, ...] = (
-        25.0,
-        20.0,
-        15.0,
-        10.0,
-        5.0,
-        0.0,
-    )  # Degrees; the first that leaves,
+    margins: tuple[float, ...] = (25.0, 20.0, 15.0, 10.0, 5.0, 0.0)  # Degrees off the others; the first that leaves,
     believed_share: float = 0.15  # this share of them,
     believed_cameras: int = 6  # and so many.
     margin_weight: float = 0.002  # Of a direction within the margin, where only such directions show a Gaussian.
@@ -189,9 +174,7 @@ class Thresholds:
     same_share: float = 0.5  # Of the smaller splat that has to be in its place for one to be made from the other.
     candidates: int = 8  # Neighbours among which a partner is looked for.
     spacing: int = 3  # The neighbour whose distance is the spacing.
-    rounding: float = (
-        1e-5  # Differences that files round away, in units of each attribute; of positions in the spacing.
-    )
+    rounding: float = 1e-5  # Differences that files round away, of positions in the spacing.
     quantiles: int = 512
     more_changed: float = 4.0  # Times the median from which a difference is masked, where every Gaussian differs.
     changed_margin: float = 1.2  # Radius of what is looked at, by that of what changed.
