@@ -2,7 +2,6 @@
 
 from mi_splat.datasets.dataset import Dataset, is_dataset, load_dataset
 from mi_splat.datasets.frames import DatasetError, DatasetWarning
-from mi_splat.datasets.writing import write_colmap, write_transforms
 from mi_splat.io.points import PointCloud
 
 __all__ = [
@@ -12,6 +11,4 @@ __all__ = [
     "PointCloud",
     "is_dataset",
     "load_dataset",
-    "write_colmap",
-    "write_transforms",
 ]

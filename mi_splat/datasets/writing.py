@@ -1,24 +1,18 @@
-"""Writers of picture sets: transforms files with OpenGL's camera axes, and COLMAP's text model.
+"""Writers of the files that list a picture set: transforms files with OpenGL's camera axes, and COLMAP's text model.
 
-Pictures are written one at a time. The files that list them are made from names and cameras alone, and appear whole or
-not at all, so a set can be listed when its pictures are there.
+They are made from names and cameras alone, and appear whole or not at all, so a set is listed when its pictures are
+there.
 """
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
-from numpy.typing import NDArray
-from torch import Tensor
-
-from mi_splat.cameras import Camera, View, angle_of
+from mi_splat.cameras import Camera, angle_of
 from mi_splat.datasets.colmap import TEST_LIST
 from mi_splat.datasets.transforms import OPENGL, PARTS, POINTS
-from mi_splat.errors import InvalidValueError
-from mi_splat.io.documents import save_json, save_png, save_text
+from mi_splat.io.documents import save_json, save_text
 from mi_splat.io.errors import from_os_error
 from mi_splat.io.points import PointCloud, save_points, to_bytes
 from mi_splat.rotation import from_matrix
@@ -28,41 +22,6 @@ IMAGES, MASKS = "images", "masks"
 
 Listing = Mapping[str, Sequence[tuple[str, Camera]]]
 """Of each split, train and test, the file name of every picture and its camera."""
-
-
-def write_transforms(
-    folder: str | os.PathLike[str],
-    views: Iterable[View],
-    *,
-    test: Iterable[View] = (),
-    alphas: Iterable[Tensor] | None = None,
-    masks: Iterable[Tensor | None] = (),
-    points: PointCloud | None = None,
-) -> None:
-    """Write a set as Blender and NeRF have it: PNG files, transforms_train.json, transforms_test.json, points3D.ply."""
-    root = make_folder(folder)
-    listing = _write_pictures(root, views, test, alphas)
-    for (name, _), mask in zip((entry for part in listing.values() for entry in part), masks, strict=False):
-        if mask is not None:
-            save_png(to_bytes(mask), make_folder(root / MASKS) / name)
-    list_transforms(root, listing, points)
-
-
-def write_colmap(
-    folder: str | os.PathLike[str],
-    views: Iterable[View],
-    *,
-    test: Iterable[View] = (),
-    alphas: Iterable[Tensor] | None = None,
-    points: PointCloud | None = None,
-) -> None:
-    """Write a set as COLMAP has it: PNG files in images/ and a text model of PINHOLE cameras in sparse/0.
-
-    A list of the pictures held out goes beside the model as test.txt.
-    """
-    root = make_folder(folder)
-    listing = _write_pictures(root, views, test, alphas)
-    list_colmap(root, listing, points)
 
 
 def list_transforms(
@@ -116,36 +75,6 @@ def make_folder(folder: str | os.PathLike[str]) -> Path:
 def picture_name(split: str, index: int) -> str:
     """File name of a picture: the order of names is that of indices, and splits do not mix."""
     return f"{split}_{index:05d}.png"
-
-
-def _write_pictures(
-    root: Path, views: Iterable[View], test: Iterable[View], alphas: Iterable[Tensor] | None
-) -> Listing:
-    images = make_folder(root / IMAGES)
-    listing: dict[str, list[tuple[str, Camera]]] = {"train": [], "test": []}
-    rest = None if alphas is None else iter(alphas)
-    for split, part in (("train", views), ("test", test)):
-        for view in part:
-            name = picture_name(split, len(listing[split]))
-            save_png(_pixels(view, rest), images / name)
-            listing[split].append((name, view.camera))
-    if rest is not None and next(rest, None) is not None:
-        raise InvalidValueError.of("alphas", "one for each view", "more", "pass one a picture")
-    if not listing["train"]:
-        raise InvalidValueError.of("views", "at least one", "none", "pass pictures to write")
-    return listing
-
-
-def _pixels(view: View, alphas: Iterator[Tensor] | None) -> NDArray[np.uint8]:
-    """8-bit pixels of a view, with the next alpha if there are any."""
-    if alphas is None:
-        return to_bytes(view.image)
-    alpha = next(alphas, None)
-    wanted = (view.camera.height, view.camera.width)
-    if alpha is None or tuple(alpha.shape) != wanted:
-        got = "too few" if alpha is None else tuple(alpha.shape)
-        raise InvalidValueError.of("alphas", f"one of shape {wanted} for each view", got, "pass one a picture")
-    return to_bytes(torch.cat([view.image, alpha[..., None].to(view.image)], dim=-1))
 
 
 def _document(entries: Sequence[tuple[str, Camera]], points: bool) -> dict[str, Any]:

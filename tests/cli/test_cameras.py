@@ -11,13 +11,12 @@ from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, look_at, project_points
 from mi_splat.cli.cameras import find_cameras, render_settings
 from mi_splat.cli.options import CameraOptions
-from mi_splat.datasets import write_colmap
 from mi_splat.datasets.frames import DatasetError
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.camera_records import describe, recorded_cameras, unique_names
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene_files import SplatScene
-from tests.datasets.sets import CLOUD, VIEWS, colmap_binary, view
+from tests.datasets.sets import CLOUD, VIEWS, colmap_binary, view, write_colmap
 from tests.fakes import camera, toy_scene
 from tests.training.sets import write_set
 

@@ -18,7 +18,7 @@ from PIL import Image
 from attacks import cli
 from attacks.cloak.own_pictures import turned
 from mi_splat.cameras import Camera, View
-from mi_splat.datasets import DatasetWarning, PointCloud, load_dataset, write_colmap
+from mi_splat.datasets import DatasetWarning, PointCloud, load_dataset
 from mi_splat.datasets.distortion import Intrinsics
 from mi_splat.io import load_splat
 from mi_splat.io.images import save_animation
@@ -29,6 +29,7 @@ from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.sh import sh_to_colour
 from tests.capture.trucks import truck, write_glb
 from tests.cloak.test_own_pictures import CAMERAS, ball_on_a_plane
+from tests.datasets.sets import write_colmap
 from tests.fakes import ColourDetector, register
 
 LENS = Intrinsics(

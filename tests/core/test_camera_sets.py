@@ -8,8 +8,8 @@ import torch
 
 from mi_splat.camera_sets import camera_set, framing, held_out_set, orbit
 from mi_splat.cameras import Camera, View, project_points
-from mi_splat.datasets import write_transforms
 from mi_splat.errors import InvalidValueError
+from tests.datasets.sets import write_transforms
 
 CENTRE = (1.0, 2.0, 3.0)
 

@@ -19,9 +19,9 @@ from attacks.objectives import relabel
 from attacks.optimisers.methods import SearchSettings
 from attacks.search import Evaluation, pgd
 from mi_splat.cameras import View, look_at
-from mi_splat.datasets import write_transforms
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
+from tests.datasets.sets import write_transforms
 from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, register, toy_scene
 
 FINE, COARSE = ColourDetector(), CoarseDetector()

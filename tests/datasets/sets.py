@@ -1,7 +1,8 @@
 """A small set of noisy pictures, and writers of it, for the tests of both formats."""
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +10,42 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from torch import Tensor
 
 from mi_splat.cameras import Camera, View, look_at, project_points
-from mi_splat.datasets import PointCloud, write_colmap, write_transforms
+from mi_splat.datasets import PointCloud
+from mi_splat.datasets.writing import IMAGES, MASKS, list_colmap, list_transforms, make_folder, picture_name
+from mi_splat.io.documents import save_png
+from mi_splat.io.points import to_bytes
 from mi_splat.rotation import from_matrix
 
+
+def write_set(
+    write_list: Callable[..., object],
+    folder: Path,
+    views: Iterable[View],
+    *,
+    test: Iterable[View] = (),
+    alphas: Sequence[Tensor] | None = None,
+    masks: Sequence[Tensor | None] = (),
+    points: PointCloud | None = None,
+) -> None:
+    """Write PNG files of views, and the files that list them."""
+    images, listing, rest = make_folder(folder / IMAGES), dict[str, list[tuple[str, Camera]]](), iter(alphas or ())
+    for split, part in (("train", views), ("test", test)):
+        listing[split] = []
+        for shot in part:
+            image = shot.image if alphas is None else torch.cat([shot.image, next(rest)[..., None]], -1)
+            name = picture_name(split, len(listing[split]))
+            save_png(to_bytes(image), images / name)
+            listing[split].append((name, shot.camera))
+    for (name, _), mask in zip((*listing["train"], *listing["test"]), masks, strict=False):
+        if mask is not None:
+            save_png(to_bytes(mask), make_folder(folder / MASKS) / name)
+    write_list(folder, listing, points)
+
+
+write_transforms, write_colmap = partial(write_set, list_transforms), partial(write_set, list_colmap)
 FORMATS: dict[str, Callable[..., None]] = {"transforms": write_transforms, "colmap": write_colmap}
 
 

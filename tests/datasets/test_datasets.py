@@ -13,10 +13,21 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from mi_splat.cameras import Camera, View, look_at, project_points
-from mi_splat.datasets import DatasetError, DatasetWarning, load_dataset, write_colmap, write_transforms
+from mi_splat.datasets import DatasetError, DatasetWarning, load_dataset
 from mi_splat.errors import MiSplatError
 from mi_splat.rotation import normalise, to_matrix
-from tests.datasets.sets import CLOUD, FORMATS, PROBES, TESTS, VIEWS, assert_same_camera, colmap_binary, view
+from tests.datasets.sets import (
+    CLOUD,
+    FORMATS,
+    PROBES,
+    TESTS,
+    VIEWS,
+    assert_same_camera,
+    colmap_binary,
+    view,
+    write_colmap,
+    write_transforms,
+)
 
 
 @pytest.mark.parametrize(("name", "tolerance"), [("transforms", 1e-9), ("colmap", 1e-6)])

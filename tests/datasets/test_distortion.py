@@ -12,12 +12,12 @@ import torch
 from PIL import Image
 
 from mi_splat.cameras import Camera, View, project_points
-from mi_splat.datasets import load_dataset, write_colmap
+from mi_splat.datasets import load_dataset
 from mi_splat.datasets.colmap import TWO_FOCALS
 from mi_splat.datasets.distortion import Intrinsics, undistorted
 from mi_splat.training.evaluation import MOST_PSNR, score
 from tests import oracle
-from tests.datasets.sets import CLOUD, LENSES, PROBES, VIEWS, lens_set, ramps
+from tests.datasets.sets import CLOUD, LENSES, PROBES, VIEWS, lens_set, ramps, write_colmap
 
 
 def where(model: str, parameters: list[float], x: float, y: float) -> tuple[float, float]:

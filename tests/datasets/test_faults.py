@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 
-from mi_splat.datasets import DatasetError, load_dataset, write_colmap, write_transforms
+from mi_splat.datasets import DatasetError, load_dataset
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io import load_splat
-from tests.datasets.sets import CLOUD, VIEWS, colmap_binary
+from tests.datasets.sets import CLOUD, VIEWS, colmap_binary, write_colmap, write_transforms
 
 Harm = Callable[[Path], object]
 
@@ -231,14 +230,3 @@ def test_arguments(words: dict[str, Any], says: str, tmp_path: Path) -> None:
     write_transforms(tmp_path, VIEWS)
     with pytest.raises(InvalidValueError, match=says):
         load_dataset(tmp_path, **words)
-
-
-def test_what_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(InvalidValueError, match="views: expected at least one"):
-        write_transforms(tmp_path / "a", [])
-    for alphas in ([], [torch.ones(13, 18)] * 2, [torch.ones(2, 2)]):
-        with pytest.raises(InvalidValueError, match="alphas"):
-            write_colmap(tmp_path / "b", VIEWS[:1], alphas=alphas)
-    (tmp_path / "file").write_text("")
-    with pytest.raises(MiSplatError, match="folder that can be made"):
-        write_transforms(tmp_path / "file", VIEWS)

@@ -8,13 +8,13 @@ from torch import Tensor
 
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, View, look_at
-from mi_splat.datasets import write_transforms
 from mi_splat.io.points import PointCloud
 from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import ClassicConfig, Step
 from tests import oracle
+from tests.datasets.sets import write_transforms
 
 SHORT = FitConfig(
     iterations=60,

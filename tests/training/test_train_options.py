@@ -13,7 +13,7 @@ from attacks import cli
 from attacks.cli import parse
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, View
-from mi_splat.datasets import load_dataset, write_transforms
+from mi_splat.datasets import load_dataset
 from mi_splat.io import load_splat
 from mi_splat.io.points import PointCloud
 from mi_splat.rendering import Renderer, RenderSettings
@@ -22,6 +22,7 @@ from mi_splat.training.config import FitConfig
 from mi_splat.training.loop import fit
 from mi_splat.training.strategies import FixedConfig
 from tests import oracle
+from tests.datasets.sets import write_transforms
 from tests.training.sets import views_of, watching, write_set
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import torch
 
-from mi_splat.datasets import Dataset, load_dataset, write_transforms
+from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.training.initialization import from_points
@@ -19,6 +19,7 @@ from mi_splat.viewer import live as module
 from mi_splat.viewer.live import SPLAT, LiveTraining, training_content
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.server import Page
+from tests.datasets.sets import write_transforms
 from tests.training.sets import views_of, watching
 from tests.training.test_resume import CONFIG
 from tests.viewer.contents import START

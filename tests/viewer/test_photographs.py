@@ -13,7 +13,7 @@ from PIL import Image
 from attacks import cli
 from attacks.report.viewer_content import open_content
 from mi_splat.cameras import Camera, View, orbit_pose
-from mi_splat.datasets import Dataset, load_dataset, write_colmap, write_transforms
+from mi_splat.datasets import Dataset, load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.io.camera_records import describe
@@ -24,6 +24,7 @@ from mi_splat.viewer.content import Photographs
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.session import Pace, Step, ViewState
 from tests import oracle
+from tests.datasets.sets import write_colmap, write_transforms
 from tests.fakes import blobs
 
 ROLLS = (0.0, 35.0, -120.0, 180.0, 90.0, 10.0)
