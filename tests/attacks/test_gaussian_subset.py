@@ -41,12 +41,6 @@ def test_scenes_on_another_dtype_work_too() -> None:
     torch.testing.assert_close(subset.scene_with(parameters).scales, wide.scales)
 
 
-@pytest.mark.parametrize("rows", [torch.tensor([40]), torch.tensor([-1]), torch.tensor([0.0])])
-def test_rows_outside_the_scene_are_refused(rows: torch.Tensor) -> None:
-    with pytest.raises(InvalidValueError, match=r"mask: expected bool values or indices in 0\.\.39"):
-        GaussianSubset.of(toy_scene()[0], rows)
-
-
 def test_raw_parameters_are_those_of_a_file() -> None:
     scene, mask = toy_scene()
     clean = GaussianSubset.of(scene, mask).clean
@@ -105,15 +99,6 @@ def test_the_visible_pixels_of_an_object_exclude_what_hides_it() -> None:
     assert float(shared[middle].mean()) == pytest.approx(0.5, abs=0.01)
 
 
-def test_clamped_colours_are_counted() -> None:
-    scene, mask = toy_scene()
-    assert clamped_fraction(GaussianSubset.of(scene, mask), camera()) == 0.0
-    half = scene.sh.clone()
-    half[:, 0, 0] = -9.0
-    fraction = clamped_fraction(GaussianSubset.of(scene.replace(sh=half), mask), camera())
-    assert fraction == pytest.approx(1 / 3)
-
-
 def test_a_colour_of_exactly_zero_counts_as_clamped() -> None:
     scene, mask = toy_scene()
     constant = float(sh_basis(torch.tensor([[0.0, 0.0, 1.0]]), 0))
@@ -140,15 +125,6 @@ def test_image_change_of_known_pictures() -> None:
     assert image_change([before], [after], [torch.zeros(4, 5)]).outside == pytest.approx(0.5)
     assert image_change([before], [after], [torch.full((4, 5), 0.01)]).outside == 0.0  # some of it is the object's
     assert image_change([before], [before], [weight]).psnr is None
-
-
-def test_the_box_is_around_whole_pixels_of_at_least_half() -> None:
-    weight = torch.zeros(8, 10)
-    weight[2:5, 3:7] = 0.5
-    weight[6, 9] = 0.49
-    box = visible_box(weight)
-    assert box is not None
-    assert box.tolist() == [3.0, 2.0, 7.0, 5.0]
 
 
 def test_eight_bits_there_and_back(tmp_path: Path) -> None:

@@ -128,14 +128,6 @@ def test_a_relabelling_that_spreads_pushes_every_box_that_is_sure_of_the_origina
     assert (gradient[1] == 0).all()
 
 
-@pytest.mark.parametrize("objective", OBJECTIVES)
-def test_without_any_candidate_the_loss_is_zero_and_differentiable(objective: Objective) -> None:
-    empty = candidates(torch.zeros(0, 3, requires_grad=True))
-    loss = objective(empty, TARGET)
-    assert float(loss.detach()) == 0.0
-    loss.backward()  # type: ignore[no-untyped-call]
-
-
 @pytest.mark.parametrize(
     ("objective", "seen", "success", "score"),
     [

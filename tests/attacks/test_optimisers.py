@@ -76,16 +76,6 @@ def test_a_quadratic_is_descended_in_steps_of_the_schedule_s_length(schedule: Sc
     assert reached == pytest.approx(way)
 
 
-@pytest.mark.parametrize("optimiser", [momentum(search(**FALLING)), adam(search(**FALLING))])
-def test_a_state_goes_on_where_another_run_was(optimiser: Optimiser) -> None:
-    gradients = torch.randn(4, 5, generator=torch.Generator().manual_seed(1))
-    whole = Run(optimiser)
-    changes = [whole(gradient) for gradient in gradients[:2]]
-    resumed = Run(optimiser, whole.state)
-    changes = [whole(gradient) for gradient in gradients[2:]]
-    assert all(torch.equal(resumed(g), change) for g, change in zip(gradients[2:], changes, strict=True))
-
-
 def test_adam_is_torch_s_on_normalised_gradients() -> None:
     generator = torch.Generator().manual_seed(2)
     leaf = torch.zeros(5, requires_grad=True)
@@ -99,14 +89,6 @@ def test_adam_is_torch_s_on_normalised_gradients() -> None:
         schedule.step()
         point = point + ours(gradient)
         torch.testing.assert_close(point, leaf.detach(), atol=1e-5, rtol=1e-5)
-
-
-def test_adam_moves_a_steady_coefficient_by_the_step_and_a_wavering_one_less() -> None:
-    update = adams(schedule="constant", momentum=0.9)
-    for k in range(40):
-        change = update(torch.tensor([1.0, (-1.0) ** k]))
-    assert float(change[0]) == pytest.approx(-0.5, rel=1e-4)
-    assert abs(float(change[1])) < 0.05
 
 
 @pytest.mark.parametrize("power", [0.5, 0.25])

@@ -11,13 +11,10 @@ from attacks.budgets import Budget, BudgetError
 from attacks.optimisers import NormName
 from attacks.optimisers.methods import SearchSettings, momentum
 from attacks.search import (
-    START,
     Evaluation,
     Hooks,
-    OptimiserState,
     Outcome,
     Parameters,
-    SearchState,
     Step,
     Verdict,
     rank,
@@ -111,27 +108,6 @@ def test_early_stop_ends_at_the_first_success_and_the_full_budget_goes_on() -> N
     assert full.best.score > early.best.score
 
 
-def test_success_counts_more_than_score_and_score_more_than_loss() -> None:
-    lines = {
-        0: (5.0, False, 0.0),
-        1: (1.0, False, 0.9),  # the best score of a failure
-        2: (4.0, True, 0.7),  # the first success
-        3: (0.0, False, 0.6),  # the best loss
-        4: (4.5, True, 0.8),  # the best success
-    }
-    calls = iter(lines.values())
-
-    def scripted(point: Parameters) -> Evaluation:
-        loss, success, score = next(calls)
-        verdict = Verdict(success, score, unambiguous=success and score > 0.75)
-        return Evaluation(loss=loss, gradients={"sh": torch.ones_like(point["sh"])}, verdict=verdict)
-
-    budget = Budget(radius={"sh": 10.0})
-    result = pgd(scripted, REFERENCE, budget, step={"sh": 1.0}, steps=4, early_stop=False)
-    assert result.best.index == 4
-    assert budget.measure(result.parameters, REFERENCE)["sh"] == pytest.approx(4.0)
-
-
 def test_early_stop_waits_for_a_unambiguous_success() -> None:
     oracle = scripted((False, False), (True, False), (True, False), (True, True), (True, True))
     result = pgd(oracle, REFERENCE, Budget(radius={"sh": 10.0}), step={"sh": 1.0}, steps=9)
@@ -196,31 +172,6 @@ def test_the_best_point_of_all_starts_is_kept_and_starts_are_taken_when_they_are
     assert taken == [-1.0]
 
 
-def test_an_optimiser_of_one_s_own_begins_anew_at_every_start() -> None:
-    """Momentum as in Dong et al. 2018: the sum of the gradients so far, each over its l1 norm."""
-    points: list[Tensor] = []
-    plain, budget = bowl(), Budget(radius={"sh": 9.0}, norm="linf")
-
-    def summed(point: Parameters, here: Evaluation, memory: OptimiserState) -> tuple[Parameters | None, OptimiserState]:
-        slope = here.gradients["sh"]
-        total = memory.tensors.get("sum", {"sh": 0.0})["sh"] + slope / slope.abs().sum()
-        moved = {"sh": point["sh"] - 0.25 * budget.steepest({"sh": total})["sh"]}
-        return moved, memory.after(tensors={"sum": {"sh": total}})
-
-    def watched(point: Parameters) -> Evaluation:
-        points.append(point["sh"])
-        return plain(point)
-
-    start = {"sh": torch.full((4, 3), 0.1)}
-    search(watched, REFERENCE, budget, steps=3, starts=[start, start], optimiser=summed)
-    assert len(points) == 8
-    for first, second in zip(points[:4], points[4:], strict=True):
-        assert torch.equal(first, second)
-    # The third element is 0.1 from its goal: the plain sign step would turn around at once, momentum carries on.
-    assert points[1][0, 1] == points[0][0, 1] - 0.25
-    assert points[2][0, 1] == points[1][0, 1] + 0.25
-
-
 def line(success: bool, unambiguous: bool, score: float, loss: float) -> Step:
     """A line of a trace."""
     return Step(index=0, loss=loss, score=score, success=success, unambiguous=unambiguous, zero_gradient_fraction=0.0)
@@ -254,16 +205,3 @@ def test_a_judge_looks_at_some_points_and_what_it_makes_of_them_is_kept() -> Non
     assert [line.index for line in result.trace if line.score >= 0] == [2, 4, 5]
     assert result.best.index == 5
     assert float(result.parameters["sh"].sum()) == seen[-1] / 2
-
-
-def test_a_search_goes_on_from_its_state_to_the_same_bits() -> None:
-    states: list[SearchState] = []
-    budget = Budget(radius={"sh": 2.0})
-    falling = momentum(settings(budget, REFERENCE, step={"sh": 0.5}, steps=6, momentum=0.8, schedule="linear"))
-    whole = search(bowl(), REFERENCE, budget, steps=6, optimiser=falling, hooks=Hooks(on_state=states.append))
-    assert [state.optimiser.index for state in states] == [1, 2, 3, 4, 5, 6]
-    assert not START.tensors
-    rest = search(bowl(), REFERENCE, budget, steps=6, optimiser=falling, starts=states[2])
-    assert rest.trace == whole.trace
-    assert rest.best == whole.best
-    assert torch.equal(rest.parameters["sh"], whole.parameters["sh"])

@@ -143,7 +143,7 @@ def test_a_gpu_that_is_not_there_is_refused(
     names: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(variant, "has_cuda", lambda: False)
-    for words in (["poison", *names, "--kind", "poison-splat"], ["train", names[0]], ["dagger"]):
+    for words in (["poison", *names, "--kind", "poison-splat"], ["train", names[0]], ["dagger", names[1]]):
         assert cli.main([*words, "--device", "cuda", "--out", str(tmp_path / "out")]) == 1
         assert not (tmp_path / "out").exists()
         said = " ".join(capsys.readouterr().err.split())

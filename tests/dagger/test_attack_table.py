@@ -16,15 +16,8 @@ from attacks.transformations.config import CameraRegion, Transformations
 from mi_splat.rendering import Renderer
 from mi_splat.scene_files import SplatScene, read_scene
 
-PAIRS = (
-    ("car_street", "car", "person"),
-    ("car_street", "car", "elephant"),
-    ("car_street", "car", "stop sign"),
-    ("stop_sign", "stop_sign", "tv"),
-    ("stop_sign", "stop_sign", "train"),
-    ("stop_sign", "stop_sign", "bird"),
-)
-"""The paper's six: scene, object, wanted class."""
+PAIRS = (("car_street", "car", "person"), ("stop_sign", "stop_sign", "train"), ("stop_sign", "stop_sign", "bird"))
+"""Of the paper's six: scene, object, wanted class."""
 SCENES = Path(__file__).parents[2] / "scenes"
 
 
@@ -69,17 +62,13 @@ def test_the_paper_s_pairs(
         assert torch.equal(after[others], before[others])
 
 
-@pytest.mark.parametrize(("scene", "name"), [("car_street", "car"), ("stop_sign", "stop_sign")])
-def test_the_object_is_found_before_and_hidden_after(
-    scene: str, name: str, scenes: dict[str, SplatScene], detector: Detector
-) -> None:
-    loaded = scenes[scene]
-    camera = next(iter(loaded.cameras.values()))
-    config = DaggerConfig(noise_draws=0)
-    render = Renderer(loaded.settings)
-    result = attack(loaded.scene, loaded.objects[name], [camera], detector, hide(), render=render, config=config)
+def test_the_object_is_found_before_and_hidden_after(scenes: dict[str, SplatScene], detector: Detector) -> None:
+    loaded = scenes["stop_sign"]
+    camera, render = next(iter(loaded.cameras.values())), Renderer(loaded.settings)
+    config, rows = DaggerConfig(noise_draws=0), loaded.objects["stop_sign"]
+    result = attack(loaded.scene, rows, [camera], detector, hide(), render=render, config=config)
     (view,) = result.views
-    assert view.target.original == name.replace("_", " ")
+    assert view.target.original == "stop sign"
     assert view.confidence(view.target.original, attacked=False) >= 0.5
     assert 1 - result.score <= 0.3
     assert result.success
@@ -88,12 +77,10 @@ def test_the_object_is_found_before_and_hidden_after(
 # DAGGER over distributions of views with the real renderer and the shipped detector, small
 
 
-SCENE = Path(__file__).resolve().parents[2] / "scenes" / "car_street.xml"
-
-
-@pytest.mark.slow
-def test_the_shipped_car_becomes_a_person_from_cameras_that_were_not_attacked() -> None:
-    loaded = read_scene(SCENE)
+def test_the_shipped_car_becomes_a_person_from_cameras_that_were_not_attacked(
+    scenes: dict[str, SplatScene], detector: Detector
+) -> None:
+    loaded = scenes["car_street"]
     front = next(iter(loaded.cameras.values()))
     small = dataclasses.replace(front, width=128, height=128, focal=front.fx / 2)
     region = CameraRegion(azimuths=(-10.0, 10.0), elevations=(5.0, 15.0), distances=(1.0, 1.0))
@@ -107,6 +94,6 @@ def test_the_shipped_car_becomes_a_person_from_cameras_that_were_not_attacked() 
     config = DaggerConfig.for_region(
         steps=14, step_factor=4.0, image_psnr=None, batch=2, pool=14, validation=2, validate_every=7, held_out=6
     )
-    result = attack_views(views, load_detector("fasterrcnn_small"), relabel("person"), config=config)
+    result = attack_views(views, detector, relabel("person"), config=config)
     assert result.rate.successes >= 4
     assert result.rates["noise_success"].successes == result.rates["clean_success"].successes == 0

@@ -14,16 +14,14 @@ from attacks import cli
 from attacks.budgets import Budget
 from attacks.dagger.attack import attack_views
 from attacks.dagger.config import DaggerConfig
-from attacks.objectives import relabel, untargeted
+from attacks.objectives import relabel
 from attacks.observe.rates import AIMS, count, joint_views
 from attacks.observe.views import as_saved
-from attacks.optimisers import NORM_NAMES, NormName
 from attacks.report.checking import pack, read_result, rescore
 from attacks.report.results import kind_of, read_section
 from attacks.report.viewer_content import open_content
 from attacks.search import Parameters
 from attacks.transformations.config import PictureChanges, Transformations
-from mi_splat.attributes import ATTRIBUTES, Attribute
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.images import through_png
 from tests.dagger.toy import QUICK, REGION, quick, toy_views
@@ -43,20 +41,7 @@ def test_an_attack_holds_on_views_that_it_did_not_see() -> None:
     assert torch.equal(held_out[0], result.views[0].view.camera.to_world)
 
 
-@pytest.mark.parametrize("norm", NORM_NAMES)
-@pytest.mark.parametrize("attribute", ATTRIBUTES)
-def test_only_the_attribute_moves_and_stays_in_its_ball(attribute: Attribute, norm: NormName) -> None:
-    scene, mask = toy_scene()
-    result = quick(untargeted(), attributes=(attribute,), norm=norm, eps=(0.4,), steps=3, sh_degree=1, held_out=2)
-    assert 0 < result.used[attribute] <= 0.4
-    assert result.changed_gaussians <= int(mask.sum())
-    for name in ATTRIBUTES:
-        before, after = getattr(scene, name), getattr(result.scene, name)
-        assert torch.equal(before[~mask], after[~mask])
-        assert torch.equal(before, after) == (name != attribute)
-
-
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("degree", [0, 2])
 def test_sh_changes_up_to_a_degree(degree: int) -> None:
     result = quick(sh_degree=degree)
     scene, mask = toy_scene()
@@ -130,12 +115,6 @@ def test_several_detectors_have_to_be_deceived_together() -> None:
     assert result.rate.total == 8
     assert not result.success
     assert any("shy finds the clean object in 0 of 8" in warning for warning in result.warnings)
-
-
-def test_the_same_seeds_find_the_same_bits() -> None:
-    first, second, other = quick(), quick(), quick(seed=5)
-    assert torch.equal(first.scene.sh, second.scene.sh)
-    assert not torch.equal(first.scene.sh, other.scene.sh)
 
 
 def test_the_best_step_is_the_validation_s() -> None:

@@ -16,8 +16,7 @@ from attacks.dagger.result import Result
 from attacks.dagger.views import FixedViews
 from attacks.detectors.base import Candidates, Detector
 from attacks.objectives import relabel
-from attacks.optimisers.methods import SearchSettings
-from attacks.search import Evaluation, pgd
+from attacks.search import Evaluation
 from mi_splat.cameras import View, look_at
 from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
@@ -48,35 +47,6 @@ def evaluated(*detectors: Detector, loss: EnsembleLoss = "mean") -> Evaluation:
     config, views = DaggerConfig(ensemble=loss), FixedViews(*toy_scene(), camera(), render=blobs)
     problem = problem_of(views, detectors, relabel("person"), config)
     return problem.evaluate(problem.subset.parameters(("sh",)), views.held_out(config), config)
-
-
-def test_one_detector_is_attacked_as_without_an_ensemble() -> None:
-    """Bit for bit the search over its problem alone."""
-    scene, mask = toy_scene()
-    config = DaggerConfig(eps=(4.0,), early_stop=False, noise_draws=0)
-    views = FixedViews(scene, mask, camera(), render=blobs)
-    problem = problem_of(views, (FINE,), relabel("person"), config)
-    subset, reference = problem.subset, problem.subset.parameters(("sh",))
-    plain = pgd(
-        lambda parameters: problem.evaluate(parameters, views.held_out(config), config),
-        reference,
-        config.budget,
-        steps=config.steps,
-        optimiser=config.spec.make(
-            SearchSettings(
-                ball=config.budget,
-                reference=reference,
-                positions=subset.clean["means"],
-                step=config.step,
-                steps=config.steps,
-            )
-        ),
-        early_stop=False,
-    )
-    for detectors in (FINE, [FINE]):
-        result = attack(scene, mask, [camera()], detectors, relabel("person"), render=blobs, config=config)
-        assert result.trace == plain.trace
-        assert torch.equal(result.scene.sh, subset.applied(plain.parameters).sh)
 
 
 def test_the_mean_and_the_largest_of_the_losses() -> None:

@@ -114,17 +114,6 @@ def test_the_search_counts_what_is_detected_in_eight_bits() -> None:
 # DAGGER's configuration: what the paper fixes, and what is refused
 
 
-def test_the_defaults_are_the_paper_s() -> None:
-    """Eleven steps of length 2 eps / steps in one l2 ball of radius 5 over the SH coefficients of degree 3."""
-    config = DaggerConfig()
-    assert config.steps == 11
-    assert config.attributes == ("sh",)
-    assert config.sh_degree == 3
-    assert (config.budget.radius, config.budget.norm) == ({"sh": 5.0}, "l2")
-    assert config.step == {"sh": 2 * 5.0 / 11}
-    assert (config.restarts, config.random_start) == (1, False)
-
-
 @pytest.mark.parametrize(
     ("settings", "complaint"),
     [

@@ -182,7 +182,7 @@ def test_an_attack_is_an_optimiser_of_every_configuration(brought: Path) -> None
         attack(scene, mask, camera(), ColourDetector(), hide(), render=blobs, config=config) for config in configs
     )
     assert torch.equal(ours.scene.sh, pgd_s.scene.sh)
-    options = cli.parse("dagger", ["--optimiser", "slide"])
+    options = cli.parse("dagger", ["a.ply", "--optimiser", "slide"])
     assert options.config.optimiser == "slide"
     with pytest.raises(InvalidValueError, match="did you mean slide"):
         DaggerConfig(optimiser="slid")
@@ -313,11 +313,11 @@ def test_a_name_of_this_project_is_never_taken(path: Path) -> None:
     ("words", "message"),
     [
         (
-            "dagger --objective dim-cars",
+            "dagger a.ply --objective dim-cars",
             "--objective: expected one of relabel, hide, untargeted, dim-car, got dim-cars",
         ),
         (
-            "dagger --objective dim-car --target person",
+            "dagger a.ply --objective dim-car --target person",
             "--target: expected none beside --objective dim-car, got person",
         ),
         ("poison SET --kind darkk", "did you mean dark?"),
