@@ -56,7 +56,6 @@ def run(config: PhotographedConfig, inputs: Mapping[str, Path], out: Out) -> Non
 
 
 def _expose(folder: Path, deviation: float) -> None:
-    """Give each picture an exposure of its own."""
     rng = np.random.default_rng(0)
     for path in sorted(folder.rglob("*.png")):
         values = np.asarray(load_picture(path).convert("RGBA"), np.float64)

@@ -83,7 +83,6 @@ def _score_of(row: Record) -> dict[str, Any] | None:
 
 
 def _column(attacks: Record, rows: pl.DataFrame, column: str) -> dict[str, Any]:
-    """The figures of a column."""
     mine = {name: attack for name, attack in attacks.items() if attack["column"] == column}
     blind = rows.filter(pl.col("attack").is_in([name for name, attack in mine.items() if not attack["knows"]]))
     looked = judged(blind)
@@ -132,6 +131,12 @@ def _rates(rows: pl.DataFrame, wanted: Mapping[str, str], condition: str = "") -
 
 
 def markdown(rows: Sequence[Record]) -> str:
+    """Rows as Markdown."""
+    table = table_of(rows)
+    return tables.markdown(table.head, table.rows) + "\n"
+
+
+def table_of(rows: Sequence[Record]) -> Table:
     """A table of rows, the highest score first; those without one are below, and have no rank."""
     ranked = sorted((row for row in rows if row["score"]), key=lambda row: -row["score"]["mean"])
     others = sorted((row for row in rows if not row["score"]), key=lambda row: str(row["detector"]["name"]))
@@ -145,8 +150,7 @@ def markdown(rows: Sequence[Record]) -> str:
     ).short()
     heads["warnings"] = lambda line: " ".join(line[1]["warnings"]) or "-"
     heads["CPU minutes"] = lambda line: f"{line[1]['cpu_seconds']['all'] / 60:.1f}"
-    table = Table.of("", heads, lines)
-    return tables.markdown(table.head, table.rows) + "\n"
+    return Table.of("Robustness", heads, lines)
 
 
 def defences(rows: Sequence[Record]) -> str:
@@ -220,7 +224,6 @@ def _score_words(score: Record | None) -> str:
 
 
 def _rate(rate: Record | None) -> str:
-    """A rate in few letters, since a row has many."""
     return "-" if rate is None else Rate.of(rate).short(interval=True)
 
 

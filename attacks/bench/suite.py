@@ -76,7 +76,6 @@ def _secret(path: Path) -> bytes:
 
 
 def _whole(folder: Path, path: Path) -> Settings:
-    """The table of a study file, with what its base says below it."""
     table = _READER.read_toml(path)
     if "base" not in table:
         return table
@@ -87,7 +86,6 @@ def _whole(folder: Path, path: Path) -> Settings:
 
 
 def _scenes(table: Any) -> Iterator[str]:
-    """Every scene file that a table names."""
     if isinstance(table, Mapping):
         for value in table.values():
             yield from _scenes(value)
@@ -99,7 +97,6 @@ def _scenes(table: Any) -> Iterator[str]:
 
 
 def _files_of(scenes: Mapping[str, Path]) -> dict[str, Path]:
-    """The scene files and all that they name, by their names."""
     from attacks.studies.attack import scene_files
 
     return {path.name: path for scene in scenes.values() for path in scene_files(scene).values()}

@@ -9,7 +9,7 @@ from typing import Any
 
 import polars as pl
 
-from attacks.bench.row import DEFENDED, KNOWS, ROW, STORY, figures, markdown, row_of
+from attacks.bench.row import DEFENDED, KNOWS, ROW, STORY, figures, row_of, table_of
 from attacks.bench.suite import ALL_VIEWS, CLOAK, COLUMNS, ONE_VIEW, TRANSFER, Suite
 from attacks.cloak.steps import Look, StudySteps
 from attacks.detectors.registry import detector_spec, load_detector, use_weights
@@ -19,6 +19,7 @@ from attacks.studies.cloak import CloakJudge, config_of
 from attacks.studies.dagger import DaggerWork
 from attacks.studies.running import Attempt, Observed, Work
 from attacks.studies.study_file import Settings, Study, merged, study_of
+from attacks.tables import Table
 from mi_splat.errors import MiSplatError
 from mi_splat.fields import check_choice
 from mi_splat.io.documents import save_json, sha256
@@ -96,7 +97,6 @@ class BenchWork(Work[Entry]):
                 self._add(column, suite.studies[column])
 
     def _add(self, column: str, table: Settings) -> None:
-        """Add the entries of a column; without the surrogates there are none of transfer."""
         try:
             self.attempts += [*(self._hidden(table) if column == CLOAK else self._attacked(column, table))]
         except MiSplatError as error:
@@ -169,9 +169,9 @@ class BenchWork(Work[Entry]):
         """A record with its columns and score."""
         return record | figures(record, rows)
 
-    def page(self, record: Mapping[str, Any]) -> str:
+    def tables(self, record: Mapping[str, Any]) -> list[Table]:
         """The row as a table."""
-        return markdown([row_of(record)])
+        return [table_of([record])]
 
     def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
         """Write the result, and what of it is the row."""

@@ -203,6 +203,5 @@ def mask_of(masks: Masks | None, index: int, camera: Camera) -> Tensor:
 
 
 def _digest(image: Tensor) -> str:
-    """SHA-256 of a picture's values."""
     values = image.detach().to("cpu").float().contiguous().numpy().astype("<f4")
     return hashlib.sha256(values.tobytes()).hexdigest()

@@ -90,7 +90,6 @@ class MIFGSM:
         return poisoned(views, pictures, {**about, **who})
 
     def _mask(self, index: int, view: View) -> Tensor:
-        """(H, W, 1) bool, on the device of the picture."""
         mask = mask_of(self.masks, index, view.camera)
         if not mask.any():
             do = "leave the view out, or correct the mask"
@@ -117,7 +116,6 @@ class MIFGSM:
         return decoy.learn(views, target, steps=self.config.decoy_steps, seed=seed, on_step=on_step)
 
     def _confidence(self, picture: Tensor, number: int) -> float:
-        """Confidence in a class."""
         with torch.no_grad():
             return float(torch.softmax(self.classifier.scores(picture[None])[0].double(), 0)[number])
 

@@ -76,7 +76,7 @@ class Decoy:
             state.iteration += 1
             if state.iteration % every == 0:
                 state.descend()
-                state.optimiser.zero_grad(set_to_none=True)
+                state.optimiser.zero_grad()
             if state.iteration < steps:
                 densify(state, screen_gradients)
             if on_step is not None:
@@ -89,7 +89,6 @@ class Decoy:
             return self._renderer()(decoy, camera)
 
     def _begun(self, views: Sequence[View], steps: int, strategy: StrategyConfig, seed: int) -> TrainState:
-        """The decoy before its first step."""
         check_scene("start", self.start)
         fit = replace(
             self.victim,
@@ -113,7 +112,6 @@ class Decoy:
 
 
 def _is_seen(scene: GaussianScene, camera: Camera, near: float) -> bool:
-    """Whether a mean lies inside a camera's picture."""
     pixels, depths = project_points(scene.means.detach().cpu(), camera)
     inside = ((pixels >= 0) & (pixels <= pixels.new_tensor([camera.width, camera.height]))).all(1)
     return bool((inside & (depths > near)).any())
@@ -247,5 +245,4 @@ def _about(
 
 
 def _through(config: FilterConfig | None) -> Callable[[Tensor], Tensor]:
-    """What a victim sees of a picture."""
     return (lambda image: image) if config is None else (lambda image: filtered(image, config))

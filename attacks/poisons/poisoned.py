@@ -47,7 +47,6 @@ class CloakConfig:
 
 
 def _cloak(config: CloakConfig, given: Given) -> PicturePoison:
-    """CLOAK of appearances whose pictures are files."""
     assert given.setup is not None
     setup = replace(given.setup, attacks=config.attack)
 
@@ -104,7 +103,6 @@ def run(config: PoisonedConfig, inputs: Mapping[str, Path], out: Out) -> None:
 
 
 def _given(config: PoisonedConfig, inputs: Mapping[str, Path]) -> Given:
-    """What the attacker has."""
     setup = None if config.scene is None else config.scene.setup(inputs)
     decoy = classifier = masks = None
     if "splat" in inputs:

@@ -104,7 +104,6 @@ def difference_sheet(done: Poisoned) -> NDArray[np.uint8]:
 
 
 def _part(changed: Tensor) -> slice:
-    """What is shown along an axis of a picture."""
     count, indices = len(changed), changed.nonzero().flatten().tolist()
     middle = (indices[0] + indices[-1]) // 2 if indices else count // 2
     start = max(0, min(middle - _LARGEST // 2, count - _LARGEST))

@@ -90,7 +90,6 @@ def _detector(name: str, state: object) -> Detector:
 
 
 def _state(file: Path) -> tuple[str, int, int]:
-    """What changes when a file does."""
     status = file.stat()
     return str(file), status.st_mtime_ns, status.st_size
 

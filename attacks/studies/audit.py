@@ -7,8 +7,6 @@ clean splat; `capture`, a Mitsuba scene that is photographed and trained as that
 scenes/studies/audit.toml.
 """
 
-import re
-import shutil
 import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,9 +27,9 @@ from attacks.cloak.study import check_study, detectors_of
 from attacks.observe.rows import CLEAN, DEPTH, ROWS, SUFFIX, read_rows
 from attacks.rate import Rate, number
 from attacks.studies.cloak import config_of
-from attacks.studies.running import Attempt, Observed, Work
+from attacks.studies.running import Attempt, Observed, Work, copied
 from attacks.studies.study_file import Point
-from attacks.tables import Column, Table, cell, markdown, number_at, sections
+from attacks.tables import Column, Table, cell, markdown, number_at
 from mi_splat.audit.files import PAIR
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.folders import RECORD
@@ -85,9 +83,7 @@ class Audited:
         """Copy the two pictures that speak against the splat, if there are any, under its name."""
         audit = done.get(self.job.identity)
         if audit is not None and (audit.folder / PAIR).is_file():
-            name = re.sub(r"[^0-9A-Za-z.]+", "-", f"{self.part} {self.value} {self.splat}")
-            folder.mkdir(exist_ok=True)
-            yield Path(shutil.copyfile(audit.folder / PAIR, folder / f"{name}.png"))
+            yield copied(audit.folder / PAIR, folder, f"{self.part} {self.value} {self.splat}")
 
 
 def missed_of(clean: Done, cloaked: Done) -> Rate:
@@ -202,9 +198,9 @@ class AuditWork(Work[AuditAttempt]):
         files = [{key: value for key, value in row.items() if key != "attributes"} for row in record["files"]]
         return {**record, "files": files, "figures": figures(record["files"], record["chosen_on"])}
 
-    def page(self, record: Mapping[str, Any]) -> str:
-        """The tables of a result."""
-        return sections(tables(record))
+    def tables(self, record: Mapping[str, Any]) -> Iterator[Table]:
+        """How well kinds are told apart, then every file."""
+        return tables(record)
 
 
 def positives(rows: Sequence[Row]) -> list[Row]:
@@ -246,7 +242,7 @@ def figures(rows: Sequence[Row], chosen_on: Sequence[str]) -> dict[str, Any]:
         "honest": len(honest),
         "false_alarms": Rate(successes=sum(value >= 1 for value in honest), total=len(honest)).as_dict(),
         "parts": {name: _figures(group, honest) for name, group in hiding.items() if group and honest},
-        "rivals": rivals_of(rows, chosen_on) if hiding["all"] and honest else {},
+        "rivals": rivals_of(rows, chosen_on),
     }
 
 
@@ -255,16 +251,12 @@ def rivals_of(rows: Sequence[Row], chosen_on: Sequence[str]) -> dict[str, float]
 
     The classifier is trained on what the method was chosen on: the contents named, and their first kind of attack.
     """
-    held = [row for row in rows if row["content"] not in chosen_on and not row["derived"]]
     known = [row for row in rows if row["content"] in chosen_on]
-    names = list(held[0].get("scores", ()))
-    told = {
-        name: ranked_above(*([row["scores"][name] for row in kind(held)] for kind in (positives, negatives)))
-        for name in names
-    }
+    told = {row["audit"]: row["auroc"] for row in ranked(rows, chosen_on) if row["audit"] != AUDIT}
     hiding, honest = positives(known), negatives(known)
     hiding = [row for row in hiding if row["part"] == hiding[0]["part"]]
-    if names and hiding and honest:
+    if told and hiding and honest:
+        held = _held(rows, chosen_on)
         odds = fit_attributes(_attributes([*hiding, *honest]), [True] * len(hiding) + [False] * len(honest))
         told["classifier of attributes"] = ranked_above(
             *(odds(_attributes(kind(held))).tolist() for kind in (positives, negatives))
@@ -273,7 +265,6 @@ def rivals_of(rows: Sequence[Row], chosen_on: Sequence[str]) -> dict[str, float]
 
 
 def _attributes(rows: Sequence[Row]) -> torch.Tensor:
-    """(N, F) attributes of splats."""
     return torch.tensor([row["attributes"] for row in rows], dtype=torch.float64)
 
 
@@ -326,7 +317,6 @@ def _failed(rows: Sequence[Row]) -> list[Row]:
 
 
 def _area(row: Row) -> str:
-    """An area under the ROC curve with its interval."""
     return "{:.3f} ({:.3f} to {:.3f})".format(row["auroc"], *row["interval"])
 
 
@@ -341,13 +331,21 @@ def audit_rows(path: Path) -> list[dict[str, Any]]:
     record = _READER.read_json(path / RECORD if path.is_dir() else path)
     if record.get("story") != STORY:
         raise InvalidValueError.of(str(path), "a study of the audit", str(record.get("story")), "pass another result")
-    held = [row for row in record["files"] if row["content"] not in record["chosen_on"] and not row["derived"]]
-    hiding, honest = positives(held), negatives(held)
-    if not hiding or not honest:
-        got = f"{len(hiding)} that hide something, {len(honest)} honest ones"
-        raise InvalidValueError.of(str(path), "splats of both kinds", got, "run all parts of the study")
-    rows = [_audit_row(name, hiding, honest) for name in (AUDIT, *held[0].get("scores", ()))]
+    if not (rows := ranked(record["files"], record["chosen_on"])):
+        raise InvalidValueError.of(str(path), "splats of both kinds", "one kind or none", "run all parts of the study")
     return sorted(rows, key=lambda row: -row["auroc"])
+
+
+def _held(rows: Sequence[Row], chosen_on: Sequence[str]) -> list[Row]:
+    return [row for row in rows if row["content"] not in chosen_on and not row["derived"]]
+
+
+def ranked(rows: Sequence[Row], chosen_on: Sequence[str]) -> list[dict[str, Any]]:
+    """How well the audit and each other way rank splats of contents that the audit was not chosen on."""
+    held = _held(rows, chosen_on)
+    hiding, honest = positives(held), negatives(held)
+    names = (AUDIT, *held[0].get("scores", ())) if hiding and honest else ()
+    return [_audit_row(name, hiding, honest) for name in names]
 
 
 def _audit_row(name: str, hiding: Sequence[Row], honest: Sequence[Row]) -> dict[str, Any]:

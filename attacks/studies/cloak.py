@@ -24,7 +24,7 @@ from attacks.observe.rows import ROWS, by_camera
 from attacks.studies.attack import street_of
 from attacks.studies.running import Attempt, Observed, Work, check_apart, names_of
 from attacks.studies.study_file import Point, Settings, Study, merged, with_none
-from attacks.tables import Column, Table, cell, number_at, sections
+from attacks.tables import Column, Table, cell, number_at
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import at_least, check, decode
 from mi_splat.io.folders import RECORD
@@ -202,9 +202,10 @@ class CloakWork(Work[CloakAttempt]):
         studies = {attempt.title: attempt.steps.study for attempt in self.attempts}
         return {**record, **(pooled(record["points"], studies, rows[ROWS]) if record["points"] else {})}
 
-    def page(self, record: Mapping[str, Any]) -> str:
+    def tables(self, record: Mapping[str, Any]) -> Iterator[Table]:
         """The tables of each part."""
-        return sections([*tables(by_part(record)), *pooled_tables(record)])
+        yield from tables(by_part(record))
+        yield from pooled_tables(record)
 
 
 class CloakReport(CloakWork):
@@ -221,7 +222,6 @@ class CloakReport(CloakWork):
 
 
 def _is_trained(steps: StudySteps, store: Path) -> bool:
-    """Whether all splats of a study are in a store."""
     jobs = [steps.trained(*name) for name in steps.names()]
     done = {job.identity for job, _, done in looked_up(jobs, Store(store)) if done is not None}
     return all(job.identity in done for job in jobs)

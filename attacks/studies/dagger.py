@@ -12,7 +12,7 @@ pictures that judge are others. [judge] has the fields of `Judge`.
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,9 +28,10 @@ from attacks.observe.rows import ROWS, column_of, frame_of
 from attacks.optimisers import OPTIMISERS
 from attacks.studies.attack import SPLAT, WHOLE_SPLAT, DrawnAttack, FixedAttack, check_scene, scene_files, street_of
 from attacks.studies.look import Look
-from attacks.studies.result import figures, markdown, shared_apart
+from attacks.studies.result import figures, shared_apart, tables
 from attacks.studies.running import Attempt, Observed, Work, check_apart
 from attacks.studies.study_file import Point, Settings, Study, label_of, with_none
+from attacks.tables import Table
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import FieldError, check_choice, decode
 from mi_splat.io.folders import RECORD
@@ -224,9 +225,9 @@ class DaggerWork(Work[DaggerAttempt]):
         attacks = {name: {**attack, **derived["attacks"].get(name, {})} for name, attack in record["attacks"].items()}
         return {**record, **derived, "attacks": attacks}
 
-    def page(self, record: Mapping[str, Any]) -> str:
-        """All tables under what was asked."""
-        return markdown(record)
+    def tables(self, record: Mapping[str, Any]) -> Iterator[Table]:
+        """What attacks have reached, the smallest that suffices, and what others see."""
+        return tables(record)
 
 
 def _stated(attempt: DaggerAttempt, result: Done, record: Mapping[str, Any]) -> dict[str, Any]:
@@ -255,7 +256,6 @@ def _whole(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _record_of(done: Done) -> dict[str, Any]:
-    """What an attack says of itself."""
     return read_json(done.folder / RECORD)
 
 

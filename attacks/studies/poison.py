@@ -8,8 +8,6 @@ are the fields of `PoisonPoint`; see scenes/studies/poison_splat.toml.
 from __future__ import annotations
 
 import math
-import re
-import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
@@ -36,9 +34,9 @@ from attacks.poisons.measured import CENTRES, COUNT, SPEED, MeasuredConfig
 from attacks.poisons.poisoned import CLOAK, SHEET, PoisonedConfig
 from attacks.poisons.specs import ChosenPoison
 from attacks.studies.poison_figures import figures, summary_tables
-from attacks.studies.running import OWN_NAME, Attempt, Observed, Work, names_of
+from attacks.studies.running import OWN_NAME, Attempt, Observed, Work, copied, names_of
 from attacks.studies.study_file import Point, Settings, with_none
-from attacks.tables import sections
+from attacks.tables import Table
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point as Position
 from mi_splat.directions import direction_of
@@ -220,7 +218,6 @@ class PoisonAttempt(Attempt):
         return Job(kind=POISONED_KIND, config=poisoning, inputs=inputs)
 
     def _deceived(self, target: str | None) -> dict[str, Any]:
-        """The classifier that is to be deceived."""
         name = self.options.deceive
         if not name:
             do = 'write deceive = "prototypes"'
@@ -345,13 +342,12 @@ class PoisonWork(Work[PoisonAttempt]):
         """A record with what victims pay, see and lose."""
         return record | figures(record, rows)
 
-    def page(self, record: Mapping[str, Any]) -> str:
+    def tables(self, record: Mapping[str, Any]) -> Iterator[Table]:
         """The tables of costs, and of what is seen."""
-        return sections(summary_tables(record))
+        return summary_tables(record)
 
 
 def _cost(attempt: PoisonAttempt, victim: TrainedVictim, done: Mapping[str, Done]) -> dict[str, Any]:
-    """What is known of a victim, its rows apart."""
     trained, measured = done[victim.trained.identity], done[victim.measured.identity]
     named = {"part": attempt.part, "value": attempt.value, "seed": attempt.options.seed, "splat": victim.splat}
     counted = {**named, "defended": victim.defended, **read_json(measured.folder / COUNT)}
@@ -382,7 +378,6 @@ def _seen(attempt: PoisonAttempt, look: Look, done: Done) -> Iterable[Mapping[st
 
 
 def _camera_cells(camera: Camera, centre: Position) -> dict[str, Any]:
-    """Where a camera is, as rows of detectors say it."""
     distance = math.dist(camera.position.tolist(), centre)
     return {**camera_cells(camera, None, direction_of(camera, centre)), "distance": distance}
 
@@ -397,10 +392,8 @@ def _pictures(attempt: PoisonAttempt, done: Mapping[str, Done], folder: Path) ->
     }
     if attempt.poisoned is not None:
         shown["poisoned"] = (attempt.poisoned, SHEET)
-    paths = []
-    for name, (job, file) in shown.items():
-        if job.identity in done and (done[job.identity].folder / file).is_file():  # CLOAK leaves no sheet
-            folder.mkdir(exist_ok=True)
-            to = folder / (re.sub(r"[^0-9A-Za-z.]+", "-", f"{attempt.title} {name}") + ".png")
-            paths.append(Path(shutil.copyfile(done[job.identity].folder / file, to)))
-    return paths
+    return [
+        copied(done[job.identity].folder / file, folder, f"{attempt.title} {name}")
+        for name, (job, file) in shown.items()
+        if job.identity in done and (done[job.identity].folder / file).is_file()  # CLOAK leaves no sheet
+    ]

@@ -23,7 +23,7 @@ from attacks.observe.rows import ATTACKED, ROWS
 from attacks.optimisers import OPTIMISERS
 from attacks.rate import Rate, number, pooled
 from attacks.studies.study_file import merged
-from attacks.tables import Column, Table, cell, number_at, sections, short_rate
+from attacks.tables import Column, Table, cell, number_at, short_rate
 
 AXIS = "attack.optimiser"
 """The axis over which attacks are compared."""
@@ -112,7 +112,6 @@ Group = tuple[str, dict[str, Any], list[str]]
 
 
 def _grouped(attacks: Record, pooled: Sequence[str]) -> list[Group]:
-    """Attacks that differ in nothing but some axes."""
     groups: dict[tuple[Any, ...], Group] = {}
     for name, attack in attacks.items():
         labels = {axis: label for axis, label in attack["labels"].items() if axis not in pooled}
@@ -219,12 +218,6 @@ def _looks(attacks: Record, looks: pl.DataFrame) -> list[dict[str, Any]]:
     return lines
 
 
-def markdown(record: Record) -> str:
-    """All tables of a study as a page."""
-    head = [f"# {record.get('question') or record['name']}", "", *_introduction(record), ""]
-    return "\n".join(head) + f"\n{sections(tables(record))}"
-
-
 def tables(record: Record) -> Iterator[Table]:
     """All tables of a study: what its attacks have reached, the smallest that suffices, and what others see."""
     for title, groups in by_part(record["groups"]).items():
@@ -269,21 +262,6 @@ KINDS = {
 }
 
 
-def _introduction(record: Record) -> list[str]:
-    attacks = list(attacks_of(record).values())
-    seeds = ", ".join(str(seed) for seed in sorted({attack["seed"] for attack in attacks}))
-    weights = "; ".join(f"{name} {mark}" for name, mark in record["detectors"].items())
-    versions = ", ".join(f"{name} {version}" for name, version in record["versions"].items())
-    variants = ", ".join(dict.fromkeys(str(attack.get("variant")) for attack in attacks))
-    return [
-        f"{len(attacks)} attacks, seeds {seeds}. Every attack is judged on the saved file, in pictures of 8 bits. "
-        "Strictly: the object's own class is gone, too (below 0.5). Medians are over seeds; noise is random noise of "
-        "the size of the attack in the same norm; intervals are of 95 %.",
-        "",
-        f"Weights: {weights}. Versions: {versions}; variant {variants}; commit {record['commit']}.",
-    ]
-
-
 def attacks_of(record: Record) -> dict[str, Any]:
     """Every attack of a study with all that is stated of it, by its name."""
     return {name: merged(record.get(SHARED, {}), attack) for name, attack in record["attacks"].items()}
@@ -298,7 +276,6 @@ def by_part(lines: Sequence[Record]) -> dict[str, list[Record]]:
 
 
 def _axes(lines: Sequence[Record]) -> dict[str, Column[Any]]:
-    """A column for each axis."""
     names = dict.fromkeys(name for line in lines for name in line["labels"])
     return {title_of(name): lambda line, name=name: line["labels"].get(name) for name in names}  # type: ignore[misc]
 
@@ -419,7 +396,6 @@ def doubts(groups: Sequence[Record]) -> Iterator[str]:
 
 
 def _doubts(many: Sequence[Record], others: Sequence[Record]) -> Iterator[str]:
-    """What speaks against attacks that follow gradients."""
     for group in others if many else ():
         if all(_beats(group, other) for other in many):
             name = group["labels"][AXIS]
@@ -435,13 +411,11 @@ def _is_comparable(group: Record) -> bool:
 
 
 def _beats(group: Record, other: Record) -> bool:
-    """Whether a group has more successes than another; where neither has any, whether its loss is lower."""
     mine, theirs = group["success"]["successes"], other["success"]["successes"]
     return bool(mine > theirs or (mine == theirs == 0 and group["loss"] < other["loss"]))
 
 
 def _elsewhere(group: Record) -> str:
-    """What a group is besides its optimiser."""
     return ", ".join(str(label) for axis, label in group["labels"].items() if axis != AXIS)
 
 

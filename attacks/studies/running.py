@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import re
+import shutil
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +15,7 @@ import polars as pl
 
 from attacks.observe.rows import SUFFIX, write_rows
 from attacks.studies.study_file import KINDS, Point, Study, read_study
+from attacks.tables import Table, sections
 from mi_splat import provenance
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.documents import save_json, save_text
@@ -88,8 +91,8 @@ class Work(Generic[_Attempt]):
         """A record with every figure that follows from it and from its rows."""
         raise NotImplementedError
 
-    def page(self, record: Mapping[str, Any]) -> str:
-        """The tables of a result in Markdown."""
+    def tables(self, record: Mapping[str, Any]) -> Iterable[Table]:
+        """The tables of a result."""
         raise NotImplementedError
 
     def jobs(self) -> dict[str, Job]:
@@ -117,7 +120,8 @@ class Work(Generic[_Attempt]):
         record = {"story": self.story, **self.study.named, **facts, **provenance.origin()}
         record = self.with_figures(record, frames)
         paths += [write_rows(table, out / f"{name}{SUFFIX}") for name, table in frames.items()]
-        save_text(self.page(record), out / TABLE)
+        title = self.study.question or self.study.name
+        save_text(f"# {title}\n\n{sections(self.tables(record))}", out / TABLE)
         save_text(self.study.text, out / STUDY_FILE)
         save_json(record, out / RECORD, indent=None)
         return [*paths, *(out / name for name in (TABLE, STUDY_FILE, RECORD))]
@@ -138,6 +142,12 @@ def bisection(attempts: Sequence[_Attempt], suffices: Callable[[_Attempt, Mappin
         if enough is None:
             return
         low, high = (low, middle) if enough else (middle, high)
+
+
+def copied(file: Path, folder: Path, name: str) -> Path:
+    """A picture of a job, beside the result under a name of its own."""
+    folder.mkdir(exist_ok=True)
+    return Path(shutil.copyfile(file, folder / (re.sub(r"[^0-9A-Za-z.]+", "-", name) + ".png")))
 
 
 def check_apart(where: str, looks: Iterable[str]) -> None:

@@ -97,7 +97,6 @@ def study_of(table: Settings, name: str, text: str = "") -> Study:
 
 
 def _parts(table: Settings, name: str) -> dict[str, list[Point]]:
-    """The cases, or the study as a whole; and the ablations."""
     settings, axes = _without(table, *PARTS), _axes(_table(table, "matrix", name), name)
     cases = _tables(table, "case", name)
     parts = [_case({"bisect": table.get("bisect"), **case}, settings, axes, name) for case in cases or [{}]]
