@@ -31,7 +31,7 @@ from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger import Done, Store
 from mi_splat.ledger.plans import Result
-from mi_splat.ledger.running import looked_up
+from mi_splat.ledger.running import lookup
 
 STORY = "cloak-study"
 
@@ -223,7 +223,7 @@ class CloakReport(CloakWork):
 
 def _is_trained(steps: StudySteps, store: Path) -> bool:
     jobs = [steps.trained(*name) for name in steps.names()]
-    done = {job.identity for job, _, done in looked_up(jobs, Store(store)) if done is not None}
+    done = {job.identity for job, _, done in lookup(jobs, Store(store)) if done is not None}
     return all(job.identity in done for job in jobs)
 
 

@@ -58,7 +58,7 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, up: 
     if cameras is None:
         jobs, in_room = _looks_at(frame, up)
     else:
-        jobs, in_room = [(whole(frame.scene), given(frame, cameras, LIMITS.given_size))], False
+        jobs, in_room = [(whole(frame.scene), cameras_in_frame(frame, cameras, LIMITS.given_size))], False
     objects, heats = [], []
     for target, around in jobs:
         if (judged := judged_object(frame, target, around)) is not None:
@@ -75,7 +75,7 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, up: 
         mask[frame.order] = heat > split_of(heat[heat > 0])
     unsorted = torch.zeros(len(scene))
     unsorted[frame.order] = heat
-    return Audit(objects=tuple(objects), heat=unsorted, mask=mask, near=looked_at(frame, jobs), up=up)
+    return Audit(objects=tuple(objects), heat=unsorted, mask=mask, near=seen_share(frame, jobs), up=up)
 
 
 def _looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
@@ -91,7 +91,7 @@ def _looks_at(frame: Frame, up: Point | None) -> tuple[list[Job], bool]:
     return jobs, True
 
 
-def given(frame: Frame, cameras: Sequence[Camera], longer_side: int | None) -> tuple[Camera, ...]:
+def cameras_in_frame(frame: Frame, cameras: Sequence[Camera], longer_side: int | None) -> tuple[Camera, ...]:
     """Cameras of the world in the frame, not too many of them, and small unless `longer_side` is None."""
     cameras = as_cameras(cameras)
     if len(cameras) < LIMITS.least_cameras:
@@ -99,15 +99,15 @@ def given(frame: Frame, cameras: Sequence[Camera], longer_side: int | None) -> t
         raise InvalidValueError.of("cameras", f"at least {LIMITS.least_cameras}", len(cameras), do)
     numbers = torch.linspace(0, len(cameras) - 1, min(len(cameras), LIMITS.most_cameras)).round().long().tolist()
     rotation, world = frame.to_world.rotation.double(), frame.to_world
-    placed = []
+    moved = []
     for camera in (cameras[number] for number in numbers):
         factor = 1.0 if longer_side is None else longer_side / max(camera.width, camera.height)
         size = max(8, round(camera.width * factor)), max(8, round(camera.height * factor))
         pose = torch.eye(4, dtype=torch.float64)
         pose[:3, :3] = rotation.T @ camera.to_world[:3, :3]
         pose[:3, 3] = rotation.T @ (camera.position - world.translation.double()) / world.scale
-        placed.append(dataclasses.replace(resized(camera, size), to_world=pose))
-    return tuple(placed)
+        moved.append(dataclasses.replace(resized(camera, size), to_world=pose))
+    return tuple(moved)
 
 
 Heat = tuple[Tensor, Tensor]  # rows of M Gaussians in sight, and (M,) their heat
@@ -198,7 +198,7 @@ def _heat(heats: list[Heat | None], count: int) -> Tensor:
     return most
 
 
-def looked_at(frame: Frame, jobs: list[Job]) -> float:
+def seen_share(frame: Frame, jobs: list[Job]) -> float:
     """Share of the solid Gaussians around one of the objects, and in the pictures of enough of its cameras."""
     points = frame.scene.means[frame.scene.opacities > LIMITS.solid].double()
     points = points[:: math.ceil(len(points) / LIMITS.near_sample)]

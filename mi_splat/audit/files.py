@@ -172,7 +172,7 @@ def write_pictures(
     shown = dataclasses.replace(views, downscale=views.downscale * max(1, longer // PICTURE))
 
     def show(pair: Pair) -> NDArray[np.uint8]:
-        return beside([shown[int(judged.numbers[number])].image for number in pair.numbers])
+        return side_by_side([shown[int(judged.numbers[number])].image for number in pair.numbers])
 
     target = Path(folder)
     with new_folder(target, force=force) as temporary:
@@ -267,19 +267,19 @@ def pair_picture(scene: GaussianScene, pair: Pair) -> NDArray[np.uint8]:
     cameras = [_enlarged(camera) for camera in (pair.inside, pair.outside)]
     render = Renderer(RenderSettings(background=SKY, near=near_plane(scene, cameras)))
     with torch.no_grad():
-        return beside([render(scene, camera) for camera in cameras])
+        return side_by_side([render(scene, camera) for camera in cameras])
 
 
 def changes_picture(changes: Changes, scene: GaussianScene) -> NDArray[np.uint8]:
     """(H, W, 3) the clean splat on the left, another on the right, a row for each camera."""
     render = Renderer(RenderSettings(background=SKY, near=near_plane(scene, changes.cameras)))
     with torch.no_grad():
-        rows = [beside([render(item, camera) for item in (changes.clean, scene)]) for camera in changes.cameras]
+        rows = [side_by_side([render(item, camera) for item in (changes.clean, scene)]) for camera in changes.cameras]
     gap = np.full((_GAP, rows[0].shape[1], 3), 255, np.uint8)
     return np.concatenate([part for row in rows for part in (gap, row)][1:])
 
 
-def beside(pictures: Sequence[Tensor]) -> NDArray[np.uint8]:
+def side_by_side(pictures: Sequence[Tensor]) -> NDArray[np.uint8]:
     """(H, W, 3) pictures beside each other, white between them and below lower ones."""
     pixels = [to_bytes(picture.clamp(0, 1)) for picture in pictures]
     height = max(map(len, pixels))

@@ -321,7 +321,7 @@ def _finite(item: object) -> bool:
     return isinstance(item, int | float) and not isinstance(item, bool) and abs(item) <= sys.float_info.max
 
 
-FILL = 1000.0  # `fillRatio` from which a splat is told: healthy ones have ones to hundreds, says splat-transform
+FILL = 1000.0  # `fillRatio` from which there is a finding: healthy ones have ones to hundreds, says splat-transform
 
 
 _RENDER_MODE = (

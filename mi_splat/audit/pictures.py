@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from mi_splat.audit.auditing import given, judged_object, looked_at
+from mi_splat.audit.auditing import cameras_in_frame, judged_object, seen_share
 from mi_splat.audit.results import Audit, ObjectAudit
 from mi_splat.audit.surfaces import Target, frame_of, targets
 from mi_splat.audit.thresholds import LIMITS
@@ -68,8 +68,8 @@ def quick_surface(views: Dataset, *, steps: int = LIMITS.surface_steps, on_step:
         iterations=steps, strategy=FixedConfig(), sh_degree_interval=steps // 6, lambda_dssim=0.0, eval_interval=0
     )
     render = Renderer(RenderSettings(background=views.background, near=near_plane(start, views.cameras)))
-    told = None if on_step is None else (lambda line: on_step(line.iteration, steps))
-    return fit(views, start, render=render, config=config, on_step=told).scene
+    report = None if on_step is None else (lambda line: on_step(line.iteration, steps))
+    return fit(views, start, render=render, config=config, on_step=report).scene
 
 
 def compare_pictures(
@@ -77,7 +77,7 @@ def compare_pictures(
 ) -> PictureAudit:
     """Compare pictures on a surface that is known."""
     frame = frame_of(surface)
-    cameras, pictures = given(frame, cameras_of(views), None), [view.image for view in views]
+    cameras, pictures = cameras_in_frame(frame, cameras_of(views), None), [view.image for view in views]
     standing = targets(frame.scene, None if up is None else frame.own(up))
     objects = [dataclasses.replace(target, cells=_cells(target, cameras)) for target in standing]
     judgements = [judged_object(frame, target, cameras, pictures) for target in objects]
@@ -92,7 +92,7 @@ def compare_pictures(
         objects=tuple(judged),
         heat=nothing,
         mask=nothing > 0,
-        near=looked_at(frame, [(target, cameras) for target in objects]),
+        near=seen_share(frame, [(target, cameras) for target in objects]),
         up=up,
     )
     amounts = torch.stack([_amounts(item, len(views)) for item in judged]).amax(0)
@@ -112,7 +112,7 @@ def _amounts(item: ObjectAudit, count: int) -> Tensor:
     amounts = torch.zeros(count)
     for look in item.looks:
         if look.evidence >= LIMITS.suspicion:
-            told = look.amounts != 0
-            side = 1 - look.amounts if 2 * int(look.shown.sum()) > int(told.sum()) else look.amounts
-            amounts = torch.maximum(amounts, torch.where(told, side, 0.0))
+            known = look.amounts != 0
+            side = 1 - look.amounts if 2 * int(look.shown.sum()) > int(known.sum()) else look.amounts
+            amounts = torch.maximum(amounts, torch.where(known, side, 0.0))
     return amounts

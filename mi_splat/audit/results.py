@@ -46,7 +46,7 @@ def headline(audit: Audit) -> str:
     """The verdict and where it is from, in one sentence."""
     item = audit.strongest
     if item.evidence < LIMITS.suspicion and item.edit is not None and item.edited:
-        return f"{audit.verdict}: colours of an object look edited{_aim(item.edit)}"
+        return f"{audit.verdict}: colours of an object look edited{_attacked_camera(item.edit)}"
     if audit.verdict == "nothing found":
         seen = f" in the {audit.near:.0%} of its solid Gaussians that were looked at"
         part = "" if audit.near >= LIMITS.all_near else seen
@@ -59,7 +59,7 @@ def headline(audit: Audit) -> str:
     return f"{audit.verdict}: an object has other colours {where}{room}"
 
 
-def _aim(edit: Edit) -> str:
+def _attacked_camera(edit: Edit) -> str:
     if not edit.camera_known:
         return ""
     return f", aimed at a camera towards ({' '.join(f'{value + 0.0:.2f}' for value in edit.direction)})"
@@ -104,9 +104,8 @@ def _of_object(item: ObjectAudit) -> list[str]:
     if item.occluder is not None and item.covered:
         lines.append(f"{item.occluder.transparent:.0%} of the looks from other directions pass what covers it")
     if item.edit is not None and item.edited:
-        lines.append(
-            f"its colours look like an attack on a detector{_aim(item.edit)}: {item.edit.score:.1f} times the bound"
-        )
+        camera = _attacked_camera(item.edit)
+        lines.append(f"its colours look like an attack on a detector{camera}: {item.edit.score:.1f} times the bound")
     open_share = item.uncontradicted / max(item.uncontradicted + item.area, 1e-12)
     lines.append(f"{open_share:.0%} of what shows is seen from one side or by few cameras: nothing contradicts it")
     return lines

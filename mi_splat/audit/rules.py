@@ -182,7 +182,7 @@ def _partial_degree(stored: Stored, share: float) -> Mask:
     return few[0] if few else np.zeros_like(stored.valid)
 
 
-COLOUR_SHARE = 0.01  # of all Gaussians, from which colours out of range are told
+COLOUR_SHARE = 0.01  # of all Gaussians, from which colours out of range are a finding
 
 RULES = (
     Rule(

@@ -98,7 +98,7 @@ class Processes:
 
     def __init__(self, folder: Path, *, workers: int, limits: Limits | None = None, on_event: OnEvent = nobody) -> None:
         self.window = workers
-        self._told, self._on_event, self._caches = threading.Lock(), on_event, contextlib.ExitStack()
+        self._reporting, self._on_event, self._caches = threading.Lock(), on_event, contextlib.ExitStack()
         self._idle: queue.SimpleQueue[Child] = queue.SimpleQueue()
         numbers = itertools.count()
         self._children = [
@@ -133,7 +133,7 @@ class Processes:
             self._idle.put(child)
 
     def _tell(self, event: Event) -> None:
-        with self._told:
+        with self._reporting:
             self._on_event(event)
 
     def close(self) -> None:
@@ -194,7 +194,7 @@ class Child:
                 failures.append(event.text)
             on_event(event)
 
-        begun = time.monotonic()
+        started = time.monotonic()
         try:
             self._pipe.send((task, tuple(cores)))
         except OSError:  # it was killed while it had nothing to do
@@ -207,7 +207,7 @@ class Child:
         if self._stopped is not None:
             return Outcome(state="stopped", text="the engine was closed")
         if not failures:
-            seconds = round(time.monotonic() - begun, 3)
+            seconds = round(time.monotonic() - started, 3)
             tries = self._store.note_failure(task, answer, seconds)
             text = f"try {tries}: {answer}"
             tell(Event(state="failed", key=task.key, kind=task.kind, text=text, seconds=seconds))
@@ -249,7 +249,7 @@ class Child:
 
     def _answer(self, process: subprocess.Popen[bytes], limits: Limits, tell: OnEvent) -> Outcome | str:
         """What the process says at the end of a task; or how it ended, or which limit it broke."""
-        begun = looked = time.monotonic()
+        started = looked = time.monotonic()
         while True:
             try:
                 if self._pipe.poll(_LOOK):
@@ -263,7 +263,7 @@ class Child:
                 process.kill()
             if time.monotonic() - looked > _LOOK:
                 looked = time.monotonic()
-                if broken := limits.broken(process.pid, looked - begun):
+                if broken := limits.broken(process.pid, looked - started):
                     return broken
 
     def _end(self, process: subprocess.Popen[bytes]) -> str:
@@ -278,7 +278,7 @@ class Child:
 # Tasks on many machines, by Dask distributed (`pip install -e '.[cluster]'`).
 #
 # Each thread of a Dask worker watches a child process, as on one machine: no job can end a worker, and signals and
-# limits are told by name. All machines see the store at the same path, and have the same code.
+# limits are named. All machines see the store at the same path, and have the same code.
 
 
 class Cluster:
@@ -335,7 +335,7 @@ class Cluster:
             outcome.set_exception(error or EngineError(f"{ended.status} at Dask"))
 
     def close(self) -> None:
-        """Make the scheduler forget what no worker has begun; the cluster stays."""
+        """Make the scheduler forget what no worker has started; the cluster stays."""
         self._futures.clear()
         self._client.close()
 

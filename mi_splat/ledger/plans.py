@@ -15,7 +15,7 @@ from mi_splat.io.documents import save_text
 from mi_splat.io.parsing import DocumentReader
 from mi_splat.ledger.engines import Engine
 from mi_splat.ledger.job import Done, EngineError, Event, Job, OnEvent, Outcome, Task, nobody
-from mi_splat.ledger.running import looked_up, task_for
+from mi_splat.ledger.running import lookup, task_for
 from mi_splat.ledger.store import TRIES, Store, checked_key
 
 STATES = ("waiting", "ready", "running", "done", "failed")
@@ -40,7 +40,7 @@ def status(store: Store, jobs: Mapping[str, Job]) -> list[Entry]:
     for label, job in jobs.items():
         labels.setdefault(job.identity, []).append(label)
     entries, failed = [], store.failed()
-    for job, task, done in looked_up(jobs.values(), store):
+    for job, task, done in lookup(jobs.values(), store):
         state = "waiting" if task is None else "ready"
         if done is not None:
             state = "done"
@@ -155,10 +155,10 @@ class Driver:
         results: dict[str, Result] | None = None
         while True:
             try:
-                asked = plan.send(results)
+                wanted = plan.send(results)
             except StopIteration:
                 return
-            jobs = {label: self._job(job) for label, job in asked.items()}
+            jobs = {label: self._job(job) for label, job in wanted.items()}
             results = dict(zip(jobs, await asyncio.gather(*jobs.values()), strict=True))
             self._results.update(results)
 

@@ -60,7 +60,7 @@ def task_for(job: Job, store: Store, finished: Mapping[str, Done]) -> Task:
     return Task(kind=job.kind, config=job.config_json, inputs=inputs, code=code_digest(job.kind))
 
 
-def looked_up(jobs: Iterable[Job], store: Store) -> Iterator[tuple[Job, Task | None, Done | None]]:
+def lookup(jobs: Iterable[Job], store: Store) -> Iterator[tuple[Job, Task | None, Done | None]]:
     """Jobs, after all before them: each with its task if its inputs are done, and with its result if it is there."""
     finished: dict[str, Done] = {}
     for job in (job for level in by_depth(jobs) for job in level):
@@ -74,7 +74,7 @@ def looked_up(jobs: Iterable[Job], store: Store) -> Iterator[tuple[Job, Task | N
 
 def forgive(jobs: Iterable[Job], store: Store) -> None:
     """Forget that jobs, or those before them, have failed earlier."""
-    for _, task, _ in looked_up(jobs, store):
+    for _, task, _ in lookup(jobs, store):
         if task is not None:
             store.forgive(task.key)
 
@@ -100,17 +100,17 @@ def input_paths(store: Store, task: Task) -> dict[str, Path]:
 def _make(store: Store, task: Task, on_event: OnEvent) -> None:
     """Do a job, and write down a failure."""
     on_event(Event(state="running", key=task.key, kind=task.kind))
-    begun = time.monotonic()
+    started = time.monotonic()
     try:
         _run(store, task, on_event)
     except Exception as error:
         if not is_disk_full(error):  # which is no fault of the job's, and could not hold it
-            seconds, text = time.monotonic() - begun, "".join(traceback.format_exception(error))
+            seconds, text = time.monotonic() - started, "".join(traceback.format_exception(error))
             tries = store.note_failure(task, text, round(seconds, 3))
             text = f"try {tries} of {TRIES}: {error}"
             on_event(Event(state="failed", key=task.key, kind=task.kind, text=text, seconds=seconds))
         raise
-    on_event(Event(state="done", key=task.key, kind=task.kind, seconds=time.monotonic() - begun))
+    on_event(Event(state="done", key=task.key, kind=task.kind, seconds=time.monotonic() - started))
 
 
 def _run(store: Store, task: Task, on_event: OnEvent) -> None:
@@ -131,12 +131,12 @@ def _run(store: Store, task: Task, on_event: OnEvent) -> None:
         on_event(Event(state="note", key=task.key, kind=task.kind, text=text))
 
     with store.making(task.key) as (temporary, partial):
-        begun, cpu = time.monotonic(), time.process_time()
+        started, cpu = time.monotonic(), time.process_time()
         out = Out(files=temporary / "files", kept=partial, progress=progress, note=note)
         rows: Sequence[Row] | None = kind.run(config, inputs, out)
         record = {
             **{"kind": task.kind, "config": task.config, "inputs": task.inputs, "code": task.code},
-            **{"seconds": round(time.monotonic() - begun, 3), **origin()},
+            **{"seconds": round(time.monotonic() - started, 3), **origin()},
             **{"cpu_seconds": round(time.process_time() - cpu, 3)},
             **{"varies": list(getattr(kind, "VARIES", ())), "rows": _checked(rows or (), task.kind)},
         }

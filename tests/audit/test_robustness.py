@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 import torch
 
-from mi_splat.audit.auditing import audit, looked_at
+from mi_splat.audit.auditing import audit, seen_share
 from mi_splat.audit.results import summary
 from mi_splat.audit.surfaces import cameras_around, frame_of, free_positions, targets, whole
 from mi_splat.audit.thresholds import LIMITS
@@ -53,6 +53,6 @@ def test_cameras_that_see_a_part_vouch_for_that_part_only(suitcase: Made) -> Non
     around = cameras_around(target)
     half_turn = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0], dtype=torch.float64))
     away = tuple(dataclasses.replace(camera, to_world=camera.to_world @ half_turn) for camera in around)
-    assert looked_at(scene, [(target, around)]) > 0.5
-    assert looked_at(scene, [(target, away)]) == 0.0
-    assert looked_at(scene, [(target, around[:7])]) == 0.0
+    assert seen_share(scene, [(target, around)]) > 0.5
+    assert seen_share(scene, [(target, away)]) == 0.0
+    assert seen_share(scene, [(target, around[:7])]) == 0.0
