@@ -67,7 +67,7 @@ def lookup(jobs: Iterable[Job], store: Store) -> Iterator[tuple[Job, Task | None
         task = done = None
         if all(needed.identity in finished for needed in job.before):
             task = task_for(job, store, finished)
-            if (done := store.done(task.key)) is not None:
+            if (done := store.recorded(task.key)) is not None:
                 finished[job.identity] = done
         yield job, task, done
 

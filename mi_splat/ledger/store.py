@@ -72,15 +72,17 @@ class Store:
             raise InvalidValueError.of(str(path), f"the record of job {key}", "another one", AGAIN)
         return record
 
+    def recorded(self, key: str) -> Done | None:
+        """A finished job, without a look at its files; None if there is none."""
+        return Done(key=key, folder=self.folder_of(key) / FILES, record=self.record(key)) if self.has(key) else None
+
     def done(self, key: str) -> Done | None:
         """A finished job, whose files are what it wrote; None if there is none."""
-        if not self.has(key):
-            return None
-        record, folder = self.record(key), self.folder_of(key) / FILES
-        if (present := hashes(folder)) != record["files"]:
-            got = f"another {', '.join(_different(present, record['files'])[:3])}"
+        done = self.recorded(key)
+        if done is not None and (present := hashes(done.folder)) != done.record["files"]:
+            got = f"another {', '.join(_different(present, done.record['files'])[:3])}"
             raise InvalidValueError.of(f"job {self.folder_of(key)}", "the files that it wrote", got, AGAIN)
-        return Done(key=key, folder=folder, record=record)
+        return done
 
     def existing(self, key: str) -> Done:
         """A finished job that has to be there; see `done`."""
