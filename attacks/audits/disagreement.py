@@ -13,7 +13,7 @@ import torch
 from torch.nn import functional
 
 from attacks.detectors.base import Detector
-from attacks.observe.look import report_cells
+from attacks.observe.observations import report_cells
 from attacks.observe.views import detect_views
 from mi_splat.audit.surfaces import basis, frame_of, targets
 from mi_splat.cameras import Camera, focal_of, look_at, project_box

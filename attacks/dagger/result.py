@@ -13,7 +13,7 @@ from attacks.dagger.problem import Problem
 from attacks.dagger.views import Reports, View, detected
 from attacks.detectors.base import Detections
 from attacks.objectives import Objective, Target, confidence, reached_by
-from attacks.observe.look import Looked, camera_cells, detection_rows, report_cells, verdict_cells
+from attacks.observe.observations import Observations, camera_cells, detection_rows, report_cells, verdict_cells
 from attacks.observe.rates import AIMS, REPORTED_AS_ORIGINAL, STRICT, aim_figures, count, joint_views
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS, Cell, Row, frame_of
 from attacks.observe.views import ImageChange, ViewDetections, image_change
@@ -70,7 +70,7 @@ class Judgement:
     image: ImageChange
     noise_images: tuple[ImageChange, ...]
 
-    def looked(self, **ids: Cell) -> Looked:
+    def looked(self, **ids: Cell) -> Observations:
         """What was seen as rows, clean, attacked and with noise."""
         rows, detections = list[Row](), list[Row]()
         for judged in self.views:
@@ -84,7 +84,7 @@ class Judgement:
                 cells = report_cells(seen.detections, target.box, original=target.original, target=target.label)
                 rows.append({**of, **where, **cells, **verdict_cells(seen.verdict), "psnr": change})
                 detections += detection_rows(of, seen.detections, target.box)
-        return Looked(rows=frame_of(rows), detections=frame_of(detections))
+        return Observations(rows=frame_of(rows), detections=frame_of(detections))
 
 
 def judge(
@@ -272,7 +272,7 @@ class Result(Previewed):
 
     scene: GaussianScene
     judgement: Judgement
-    looked: Looked
+    looked: Observations
     figures: dict[str, Any]
     fingerprints: dict[str, str]
     trace: tuple[Step, ...]

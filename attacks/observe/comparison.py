@@ -15,7 +15,7 @@ from torch import Tensor
 from attacks.detectors.base import Detector
 from attacks.gaussian_subset import Mask
 from attacks.observe.drawing import annotated, stacked
-from attacks.observe.look import Looked, report_cells, tabled
+from attacks.observe.observations import Observations, observations_of, report_cells
 from attacks.observe.rates import REPORTED, Confidence, Group, Measure, comparison_measures, count, with_control
 from attacks.observe.rows import ATTACKED, CLEAN, Cell
 from attacks.observe.views import ViewDetections, evaluate
@@ -152,7 +152,7 @@ def compared_rows(
     original: str | None = None,
     target: str | None = None,
     min_confidence: float = REPORTED,
-) -> Looked:
+) -> Observations:
     """What detectors report on a clean and an attacked splat, row by row."""
     clean = {(view.detector, view.view): view for view in seen[CLEAN]}
     shown = {
@@ -166,7 +166,7 @@ def compared_rows(
         known = report_cells(view.detections, view.box, original=originals[view.detector], target=target)
         return {**known, "psnr": change}
 
-    return tabled((({"splat": splat}, view) for splat, views in seen.items() for view in views), cells)
+    return observations_of((({"splat": splat}, view) for splat, views in seen.items() for view in views), cells)
 
 
 def compare(rows: pl.DataFrame, *, confidence: Confidence = REPORTED) -> list[Comparison]:

@@ -9,7 +9,7 @@ from typing import Any
 import polars as pl
 
 from attacks.detectors.base import Detector
-from attacks.observe.look import ON_OBJECT
+from attacks.observe.observations import ON_OBJECT
 from attacks.observe.rows import DETECTIONS, ROWS, SUFFIX, TABLES, Row, frame_of, read_rows
 from attacks.observe.views import CAMERAS, ResultCameras, ViewDetections, result_cameras
 from attacks.rate import Rate

@@ -15,7 +15,7 @@ from attacks.dagger.views import View, fixed_views
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Hide, Relabel, Target, Untargeted
 from attacks.observe.conditions import OWN, Condition, SunTable, Viewing, condition_of
-from attacks.observe.look import look, report_cells, seen_from, verdict_cells
+from attacks.observe.observations import observe, report_cells, seen_from, verdict_cells
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE
 from attacks.observe.views import ViewDetections
 from attacks.optimisers import NormName
@@ -87,7 +87,7 @@ def run(config: Look, inputs: Mapping[str, Path], out: Out) -> list[dict[str, An
         return {**directions(seen), **reported, **verdict_cells(wanted.verdict(seen.detections, target))}
 
     unmoved = replace(condition, move=lambda camera: camera)
-    looked = look([unmoved], splats, list(boxes), detectors, boxes=boxes.__getitem__, cells=cells)
+    looked = observe(unmoved, splats, list(boxes), detectors, boxes=boxes.__getitem__, cells=cells)
     shown = config.condition or (OWN if config.transformations is None else HELD_OUT)
     return [{**row, "condition": shown} for row in looked.rows.iter_rows(named=True)]
 

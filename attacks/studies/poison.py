@@ -25,7 +25,7 @@ from attacks.cloak.kinds.trained import COST
 from attacks.cloak.setup import Pose
 from attacks.cloak.steps import PICTURES as SET_FILES
 from attacks.cloak.steps import POISONED_KIND, Look, StudySteps
-from attacks.observe.look import camera_cells
+from attacks.observe.observations import camera_cells
 from attacks.observe.rates import reported
 from attacks.observe.rows import ATTACKED, CLEAN, DETECTIONS, FIDELITY, ROWS, by_camera, frame_of
 from attacks.poisons.classified import ClassifiedConfig

@@ -1,5 +1,7 @@
 """The conditions under which splats are judged."""
 
+from typing import Any
+
 import pytest
 import torch
 
@@ -14,7 +16,7 @@ from attacks.observe.conditions import (
     rendered,
     through_file,
 )
-from attacks.observe.look import look, report_cells
+from attacks.observe.observations import observe, report_cells
 from attacks.observe.views import object_boxes
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, look_at
@@ -138,21 +140,19 @@ def test_every_detector_looks_at_every_splat_under_every_condition() -> None:
     cameras = [camera(), camera(offset=0.2)]
     boxes = dict(zip(cameras, object_boxes(scene, mask, cameras, render=blobs), strict=True))
     dark = rendered("dark", lambda scene, camera: 0.05 * blobs(scene, camera))
-    seen = look(
-        [rendered("plain", blobs), dark],
-        {"clean": scene, "attacked": scene.replace(sh=-scene.sh)},
-        cameras,
-        [ColourDetector()],
-        boxes=boxes.__getitem__,
-        cells=lambda view: report_cells(view.detections, view.box, original="car"),
+    splats = {"clean": scene, "attacked": scene.replace(sh=-scene.sh)}
+    where: dict[str, Any] = {
+        "boxes": boxes.__getitem__,
+        "cells": lambda view: report_cells(view.detections, view.box, original="car"),
+    }
+    plain, black = (
+        observe(condition, splats, cameras, [ColourDetector()], **where)
+        for condition in (rendered("plain", blobs), dark)
     )
-    assert seen.rows.select("condition", "splat", "view").rows() == [
-        (condition, splat, view)
-        for condition in ("plain", "dark")
-        for splat in ("clean", "attacked")
-        for view in (0, 1)
+    assert plain.rows.select("condition", "splat", "view").rows() == [
+        ("plain", splat, view) for splat in ("clean", "attacked") for view in (0, 1)
     ]
-    assert (seen.rows.filter(condition="plain", splat="clean")["original_score"] > 0.5).all()
-    assert (seen.rows.filter(condition="dark")["score"] == 0).all()
-    best = seen.detections.filter(condition="plain", splat="clean", view=0).sort("score", descending=True)
-    assert best["score"][0] == seen.rows["score"][0]
+    assert (plain.rows.filter(splat="clean")["original_score"] > 0.5).all()
+    assert (black.rows.filter(splat="clean")["score"] == 0).all()
+    best = plain.detections.filter(splat="clean", view=0).sort("score", descending=True)
+    assert best["score"][0] == plain.rows["score"][0]

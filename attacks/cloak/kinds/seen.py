@@ -22,7 +22,7 @@ from attacks.cloak.triggers import Trigger
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector
 from attacks.observe.conditions import Condition, Shown, SunTable, Viewing, condition_of, rendered
-from attacks.observe.look import look, report_cells, seen_from
+from attacks.observe.observations import observe, report_cells, seen_from
 from attacks.observe.rows import (
     DEPTH,
     DETECTION_BOX,
@@ -106,7 +106,7 @@ def _held_out(
         row = cells(seen, len(cameras))
         return {**row, "psnr": errors[seen.camera]} if errors else row
 
-    looked = look([condition], {"": splat}, cameras, [detector], boxes=setup.box, cells=of_view)
+    looked = observe(condition, {"": splat}, cameras, [detector], boxes=setup.box, cells=of_view)
     detections = pl.concat([_NO_DETECTIONS, looked.detections], how="diagonal")
     for name, table in ((ROWS, looked.rows), (DETECTIONS, detections)):
         kept = table.drop("splat", *(() if config.condition else ("condition",)), strict=False)
@@ -142,7 +142,7 @@ def _training(
         row = {**cells(seen, len(looking)), "view": view, "condition": owners.get(view)}
         return {**row, "appearance_psnr": errors[view]} if errors else row
 
-    looked = look([condition], {"": splat}, looking, [detector], boxes=setup.box, cells=of_view)
+    looked = observe(condition, {"": splat}, looking, [detector], boxes=setup.box, cells=of_view)
     write_rows(looked.rows.drop("splat"), out / f"{TRAINING}{SUFFIX}")
 
 

@@ -13,7 +13,7 @@ from attacks.cloak.config import StudyConfig, knowledge_for
 from attacks.cloak.steps import ROW_NAMES
 from attacks.cloak.study import CONTACT, POISONED_PICTURES, study_toml
 from attacks.detectors.base import Detector
-from attacks.observe.look import report_cells
+from attacks.observe.observations import report_cells
 from attacks.observe.rates import Confidence, Measures
 from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, PERFECT, ROWS, TARGET_SCORE, TRANSITION, TRUE, Row
 from attacks.observe.views import BATCH, ViewDetections

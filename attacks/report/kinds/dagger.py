@@ -11,7 +11,7 @@ import polars as pl
 from attacks.aims import PluggedObjective
 from attacks.detectors.base import Detector
 from attacks.objectives import Hide, Objective, Relabel, Target, Untargeted
-from attacks.observe.look import verdict_cells
+from attacks.observe.observations import verdict_cells
 from attacks.observe.rates import Measure, count
 from attacks.observe.rows import ATTACKED, Row
 from attacks.observe.views import CAMERAS, ViewDetections

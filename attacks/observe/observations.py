@@ -1,4 +1,4 @@
-"""Runs detectors over conditions, splats and views, and writes a row for each report.
+"""Runs detectors over splats and views, and writes a row for each report.
 
 A row is put together from its parts: what it is of (`ids`), where the camera is (`camera_cells`), what is reported on
 the object (`report_cells`), and whether that reaches an aim (`verdict_cells`).
@@ -83,10 +83,10 @@ def detection_rows(ids: Mapping[str, Cell], detections: Detections, box: Tensor 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Looked:
+class Observations:
     """What detectors reported, as two tables."""
 
-    rows: pl.DataFrame  # a row for each condition, splat, view and detector
+    rows: pl.DataFrame  # a row for each splat, view and detector
     detections: pl.DataFrame  # a row for each detection
 
     def write(self, folder: Path) -> list[Path]:
@@ -95,8 +95,8 @@ class Looked:
         return [write_rows(table, folder / f"{name}{SUFFIX}") for name, table in tables.items()]
 
 
-def look(
-    conditions: Iterable[Condition],
+def observe(
+    condition: Condition,
     splats: Mapping[str, GaussianScene],
     cameras: Sequence[Camera],
     detectors: Sequence[Detector],
@@ -104,37 +104,36 @@ def look(
     boxes: Callable[[Camera], Tensor | None],
     cells: Callable[[ViewDetections], Mapping[str, Cell]],
     batch: int = BATCH,
-) -> Looked:
-    """Run every detector on every splat from every camera, under every condition."""
+) -> Observations:
+    """Run every detector on every splat from every camera under a condition."""
+    numbers = [view for view, camera in enumerate(cameras) if condition.holds(camera)]
+    moved = [condition.move(cameras[view]) for view in numbers]
+    where = [boxes(camera) for camera in moved]
 
     def views() -> Iterator[tuple[dict[str, Cell], ViewDetections]]:
-        for condition in conditions:
-            numbers = [view for view, camera in enumerate(cameras) if condition.holds(camera)]
-            moved = [condition.move(cameras[view]) for view in numbers]
-            where = [boxes(camera) for camera in moved]
-            for name, splat in splats.items():
-                shown, render = condition.show(splat)
-                for seen in detect_views(shown, moved, detectors, render=render, boxes=where, batch=batch):
-                    yield {"condition": condition.name, "splat": name}, replace(seen, view=numbers[seen.view])
+        for name, splat in splats.items():
+            shown, render = condition.show(splat)
+            for seen in detect_views(shown, moved, detectors, render=render, boxes=where, batch=batch):
+                yield {"condition": condition.name, "splat": name}, replace(seen, view=numbers[seen.view])
 
-    return tabled(views(), cells)
+    return observations_of(views(), cells)
 
 
-def tabled(
+def observations_of(
     views: Iterable[tuple[Mapping[str, Cell], ViewDetections]],
     cells: Callable[[ViewDetections], Mapping[str, Cell]],
-) -> Looked:
+) -> Observations:
     """A row for each view, with what it is of and with further cells, and one for each of its detections."""
     rows, detections = list[Row](), list[Row]()
     for of, seen in views:
         ids = {**of, "detector": seen.detector, "view": seen.view}
         rows.append({**ids, **camera_cells(seen.camera, seen.box), **cells(seen)})
         detections += detection_rows(ids, seen.detections, seen.box)
-    return Looked(rows=frame_of(rows), detections=frame_of(detections))
+    return Observations(rows=frame_of(rows), detections=frame_of(detections))
 
 
 def seen_from(centre: Point) -> Callable[[ViewDetections], dict[str, Any]]:
-    """Angles and distance of a view's camera from a centre (3,), world units: a part of the `cells` of `look`."""
+    """Angles and distance of a view's camera from a centre (3,), world units: a part of the `cells` of `observe`."""
 
     def cells(seen: ViewDetections) -> dict[str, Any]:
         direction = direction_of(seen.camera, centre)
