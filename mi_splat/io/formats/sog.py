@@ -237,13 +237,7 @@ def codebook(values: Array) -> tuple[Array, NDArray[np.uint8]]:
         even = np.linspace(book[0], book[-1], half)
         often = np.quantile(plain, (np.arange(half) + 0.5) / half, method="nearest")
         book = np.unique(np.concatenate([even, often]).astype(np.float32).astype(np.float64))
-    if not len(book):
-        book = np.zeros(1)
-    after = np.searchsorted(book, plain).clip(1, max(1, len(book) - 1))
-    nearest = (
-        after - 1 if len(book) == 1 else np.where(plain - book[after - 1] <= book[after] - plain, after - 1, after)
-    )
-    return book, np.asarray(nearest).astype(np.uint8)
+    return book, np.searchsorted((book[1:] + book[:-1]) / 2, plain).astype(np.uint8)
 
 
 def palette(rows: Array) -> tuple[Array, NDArray[np.int64]]:

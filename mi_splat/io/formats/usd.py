@@ -27,12 +27,8 @@ from mi_splat.sh import degree_of
 
 _ANSWER_LIMIT = 1 << 22
 _Y_UP = {"Y": np.eye(4), "Z": np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])}
-_ONE_THREAD = {
-    "PXR_WORK_THREAD_LIMIT": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "OMP_NUM_THREADS": "1",
-    "MALLOC_ARENA_MAX": "1",
-}
+_THREADS = ("PXR_WORK_THREAD_LIMIT", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MALLOC_ARENA_MAX")
+_ONE_THREAD = dict.fromkeys(_THREADS, "1")
 """Threads take address space, which the child has little of."""
 
 
