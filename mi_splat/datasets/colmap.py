@@ -88,20 +88,11 @@ class Pose:
     name: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Model:
-    """What the files of a model say."""
-
-    lenses: dict[int, Lens]
-    poses: dict[int, Pose]
-    points: PointCloud | None
-
-
 Entry = TypeVar("Entry", Lens, Pose)
 
 
-def read_model(cameras_file: Path) -> Model:
-    """The model of which a cameras file is part; it may lack points."""
+def read_model(cameras_file: Path) -> tuple[list[Pose], dict[int, Intrinsics], PointCloud | None]:
+    """The poses of a model in the order of names, the lenses that they have by their numbers, and points if it has."""
     suffix = cameras_file.suffix
     read = _Binary if suffix == ".bin" else _Text
     images, points3d = cameras_file.with_name(f"images{suffix}"), cameras_file.with_name(f"points3D{suffix}")
@@ -114,11 +105,16 @@ def read_model(cameras_file: Path) -> Model:
     except OSError as error:
         got = error.strerror or str(error)
         raise DatasetError.of(str(cameras_file), "a file that can be read", got, "check the path") from error
+    if not poses:
+        raise DatasetError.of(str(images), "at least one picture", "none", "register pictures first")
+    ordered = sorted(poses.values(), key=lambda pose: pose.name)
+    refuse_doubles((pose.name for pose in ordered), images)
+    used = {number: _intrinsics(lenses, number, cameras_file) for number in {pose.lens for pose in ordered}}
     if rows is None:
-        return Model(lenses, poses, None)
+        return ordered, used, None
     points, colours = torch.from_numpy(rows.reshape(-1, 6)).tensor_split(2, dim=1)
     try:
-        return Model(lenses, poses, PointCloud(points, colours / 255))
+        return ordered, used, PointCloud(points, colours / 255)
     except InvalidValueError as error:
         raise DatasetError(f"{points3d}: {error}") from error
 
@@ -269,9 +265,8 @@ def read_colmap(
     if folder.name == "0" and others and root != folder:
         do = f"{folder} is read; to read another, pass its folder"
         warnings.warn(f"{folder.parent} has {len(others) + 1} models: {do}", DatasetWarning, stacklevel=3)
-    model = read_model(cameras_file)
-    poses, source = _poses(model, cameras_file), _images_file(cameras_file)
-    images, lenses = _images_folder(root, folder), _lenses(model, cameras_file)
+    poses, lenses, points = read_model(cameras_file)
+    source, images = _images_file(cameras_file), _images_folder(root, folder)
     frames: dict[str, Frame] = {}
     for pose in poses:
         picture = within(images, pose.name, str(source))
@@ -283,14 +278,13 @@ def read_colmap(
     missing = [images / pose.name for pose in poses if pose.name not in frames]
     report_missing(missing, len(poses), source)
     read_poses = [pose for pose in poses if pose.name in frames]
-    return [frames[pose.name] for pose in _split(read_poses, folder / TEST_LIST, split, every)], model.points
+    return [frames[pose.name] for pose in _split(read_poses, folder / TEST_LIST, split, every)], points
 
 
 def read_model_cameras(cameras_file: Path, split: Split | None = None) -> dict[str, Camera]:
     """The cameras of a model by the names of their pictures, which need not be there."""
-    model = read_model(cameras_file)
-    lenses, source = _lenses(model, cameras_file), _images_file(cameras_file)
-    poses, images = _poses(model, cameras_file), _images_folder(cameras_file.parent, cameras_file.parent)
+    poses, lenses, _ = read_model(cameras_file)
+    source, images = _images_file(cameras_file), _images_folder(cameras_file.parent, cameras_file.parent)
     if split is not None:
         poses = [pose for pose in poses if (images / pose.name).is_file()] or poses
     cameras = {}
@@ -298,22 +292,6 @@ def read_model_cameras(cameras_file: Path, split: Split | None = None) -> dict[s
         where = f"{source}, {pose.name}"
         cameras[pose.name] = pinhole_camera(_to_world(pose, where), lenses[pose.lens], where)
     return cameras
-
-
-def _poses(model: Model, cameras_file: Path) -> list[Pose]:
-    source = _images_file(cameras_file)
-    if not model.poses:
-        raise DatasetError.of(str(source), "at least one picture", "none", "register pictures first")
-    poses = sorted(model.poses.values(), key=lambda pose: pose.name)
-    refuse_doubles((pose.name for pose in poses), source)
-    return poses
-
-
-def _lenses(model: Model, cameras_file: Path) -> dict[int, Intrinsics]:
-    """The lenses that poses have, by their numbers."""
-    return {
-        number: _intrinsics(model.lenses, number, cameras_file) for number in {p.lens for p in model.poses.values()}
-    }
 
 
 def _images_file(cameras_file: Path) -> Path:
