@@ -177,10 +177,6 @@ def _search(record: Record) -> Chart:
     for line in record["trace"]:
         if "score" in line:
             runs.setdefault(line["restart"], []).append(Point(float(line["index"]), line["score"]))
-    if max(map(len, runs.values()), default=0) < 2:
-        runs = {}
-    confidence = record["config"]["objective"].get("confidence")
-    is_confidence = record["story"] == "dagger" and record["objective"] == "relabel" and confidence is not None
     return Chart(
         title="The search",
         caption="Score at each step that was judged.",
@@ -189,8 +185,8 @@ def _search(record: Record) -> Chart:
         lines=tuple(
             Line(name=f"run {run}" if len(runs) > 1 else "score", role="attack", points=tuple(points))
             for run, points in list(runs.items())[:6]
+            if len(points) > 1
         ),
-        level=(confidence, "enough for success") if is_confidence else None,
     )
 
 
@@ -217,10 +213,10 @@ def _objective_of(record: Record) -> Objective:
             do = "score it again in the program that made it, or bring the objective as a plug-in"
             raise InvalidValueError.of(f"objective {name[:40]}", "one that is known by its name", "functions", do)
         objective: Objective = _AIMS.get(name, (PluggedObjective,))[0](**values)
+        return objective
     except (KeyError, TypeError) as error:
-        expected, do = f"the settings of one of {', '.join(_AIMS)}", "get the result again"
-        raise InvalidValueError.of("objective", expected, repr(error), do) from error
-    return objective
+        do = "get the result again"
+        raise InvalidValueError.of("objective", "its name and its settings", repr(error), do) from error
 
 
 def _cells(record: Record, seen: ViewDetections, row: Record, detector: Detector) -> Row:
@@ -400,22 +396,12 @@ def _labels(look: Record) -> str:
 
 
 def _charts(record: Record) -> Iterator[Chart]:
-    """The success of every line of a table, and what each judge reports, with noise beside it."""
+    """The success of every line of a table, with noise beside it."""
     for title, groups in by_part(record["groups"]).items():
         key, ticks, below = _key(groups[0]), tuple(map(str, range(1, len(groups) + 1))), "line of the table"
         what = "views with success" if key == "rate" else "attacks with the aim reached"
         if compared := by_attack(groups):
             groups, ticks, below = [together(of_one) for of_one in compared.values()], tuple(compared), "attack"
-        yield _chart(title or "The attacks", (below, what), groups, key, ticks)
-    for title, looks in by_part(record["looks"]).items():
-        names = tuple(f"{look['detector']}, {_labels(look)}" for look in looks)
-        for kind, meaning in KINDS.items():
-            if kind in looks[0]:
-                yield _chart(f"{meaning}{f': {title}' if title else ''}", ("look", "rate"), looks, kind, names)
-
-
-def _chart(title: str, labels: tuple[str, str], lines: Sequence[Record], key: str, ticks: tuple[str, ...]) -> Chart:
-    """Rates of groups or looks beside each other, and those of noise."""
-    attacked = Line.of("attack", "attack", [line[key] for line in lines])
-    noise = Line.of("random noise", "control", [_noise(line, key) for line in lines])
-    return Chart.bars(title, labels, ticks, attacked, noise)
+        attacked = Line.of("attack", "attack", [group[key] for group in groups])
+        noise = Line.of("random noise", "control", [_noise(group, key) for group in groups])
+        yield Chart.bars(title or "The attacks", (below, what), ticks, attacked, noise)
