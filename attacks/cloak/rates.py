@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import polars as pl
-from scipy.optimize import isotonic_regression
 
 from attacks.cloak.config import StudyConfig, switching
 from attacks.observe.rates import (
@@ -462,6 +461,8 @@ def fit_transition(angles: Sequence[float], fractions: Sequence[float]) -> Trans
     for angle, value in zip(angles, fractions, strict=True):
         groups[angle].append(value)
     means = [sum(values) / len(values) for values in groups.values()]
+    from scipy.optimize import isotonic_regression  # half a second
+
     fitted = isotonic_regression(means, weights=[len(values) for values in groups.values()]).x.tolist()
     start, end = (_crossing(list(groups), fitted, level) for level in LEVELS)
     return Transition(angles=tuple(groups), fractions=tuple(means), fitted=tuple(fitted), start=start, end=end)

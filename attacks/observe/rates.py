@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
 
 from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, NOISE, TARGET_SCORE
 from attacks.rate import Rate, wilson
@@ -92,6 +91,8 @@ def _resampled(sums: NDArray[np.float64]) -> tuple[float, float]:
         drawn = np.einsum("kdn...,dn->kd...", np.broadcast_to(drawn, (2, DRAWS, *drawn.shape[2:])), weights)
     fractions = (drawn[0] / np.maximum(drawn[1], 1.0))[drawn[1] > 0]
     if few:
+        from scipy.special import ndtri, stdtrit  # a fifth of a second
+
         quantiles = float(ndtri(0.975)) / float(stdtrit(first - 1, 0.975))
         worth = fraction * (1 - fraction) / max(float(fractions.var()), 1e-12) * quantiles**2
         return wilson(fraction, min(max(worth, first), total))

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import polars as pl
-from scipy.special import stdtrit
 
 from attacks.observe.rates import Measure, count
 from attacks.observe.rows import CLEAN, FIDELITY, ROWS
@@ -93,6 +92,8 @@ def _spread(values: Sequence[float | None]) -> dict[str, Any] | None:
         return None
     mean, interval = statistics.fmean(known), None
     if len(known) > 1:
+        from scipy.special import stdtrit
+
         half = float(stdtrit(len(known) - 1, 0.975)) * statistics.stdev(known) / math.sqrt(len(known))
         interval = [mean - half, mean + half]
     return {"mean": mean, "least": min(known), "most": max(known), "interval": interval, "count": len(known)}

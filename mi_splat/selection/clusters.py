@@ -4,9 +4,6 @@ import math
 
 import numpy as np
 import torch
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 from torch import Generator, Tensor
 
 from mi_splat.scene import GaussianScene
@@ -20,6 +17,8 @@ def nearest_neighbours(points: Tensor, count: int) -> tuple[Tensor, Tensor]:
     if count < 1:
         return torch.zeros(size, 0, dtype=torch.float64), torch.zeros(size, 0, dtype=torch.int64)
     positions = points.detach().cpu().double().numpy()
+    from scipy.spatial import cKDTree  # a third of a second
+
     distances, rows = cKDTree(positions).query(positions, count + 1)
     others = rows != np.arange(size)[:, None]
     others[others.all(axis=1), -1] = False  # so many points in one place that the point itself is not among the nearest
@@ -32,6 +31,8 @@ def nearest_neighbours(points: Tensor, count: int) -> tuple[Tensor, Tensor]:
 def nearest_of(points: Tensor, every: int) -> Tensor:
     """Index of the nearest of every so many-th point to each point."""
     positions = points.detach().cpu().double().numpy()
+    from scipy.spatial import cKDTree
+
     _, rows = cKDTree(positions[::every]).query(positions)
     return torch.from_numpy(rows.astype(np.int64) * every)
 
@@ -86,6 +87,9 @@ def _planes(points: Tensor, spacing: Tensor, count: int) -> Tensor:
 def components(count: int, first: Tensor, second: Tensor) -> Tensor:
     """The connected component of each node of a graph, numbered in the order of their first nodes."""
     edges = (np.ones(len(first), np.bool_), (first.numpy(), second.numpy()))
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     _, labels = connected_components(coo_array(edges, shape=(count, count)), directed=False)
     return torch.from_numpy(labels.astype(np.int64))
 
