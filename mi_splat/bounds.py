@@ -42,12 +42,7 @@ def bounds(scene: GaussianScene) -> tuple[tuple[float, float, float], float]:
 
 
 def near_plane(scene: GaussianScene, cameras: Sequence[Camera] = ()) -> float:
-    """The near plane that suits a scene, in world units: the 0.2 of 3DGS, or less where scene or cameras are small.
-
-    3DGS culls Gaussians nearer than 0.2 world units whatever the scene. An object of 5 cm in metres would be culled
-    whole. So near is a tenth of the scene's radius, or of the usual distance of the cameras where that is less, but at
-    least a thousandth of the radius and at most 0.2.
-    """
+    """The near plane that suits a scene, in world units: the 0.2 of 3DGS, or less where scene or cameras are small."""
     return near_plane_of(*bounds(scene), cameras) if len(scene) else REFERENCE_NEAR
 
 

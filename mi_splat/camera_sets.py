@@ -98,11 +98,7 @@ def tiers(
     start: float = 0.0,
     offset: float = 0.5,
 ) -> list[Camera]:
-    """`count` cameras on a hemisphere, or on rings of it, each at a distance of its own.
-
-    Multiples of the distance follow the additive recurrence of sqrt(2), so that they are spread evenly over the range
-    whichever way the cameras are cut: near and far ones stand at all azimuths and elevations.
-    """
+    """`count` cameras on a hemisphere, or on rings of it, each at a distance of its own."""
     lens: dict[str, Any] = {"distance": distance, "focal": focal, "size": size}
     if elevations:
         cameras = CameraList()
@@ -136,10 +132,7 @@ def grid(
     size: tuple[int, int],
     elevation: tuple[float, float] = (0.0, 90.0),
 ) -> list[Camera]:
-    """Cameras at every pair of an azimuth and an elevation, row by row from the lowest.
-
-    The range of elevations is cut into equal parts with a row of cameras in the middle of each, so none is at a pole.
-    """
+    """Cameras at every pair of an azimuth and an elevation, row by row from the lowest."""
     low, high = elevation
     cameras = CameraList()
     for row in range(elevations):

@@ -74,10 +74,7 @@ def direction_of(camera: Camera, centre: Point, up: Point = UP) -> Direction:
 
 
 def depth_in_band(direction: Direction, least: float, most: float) -> float:
-    """Depth between two elevations; a limit of -90 or 90 degrees is none.
-
-    The shortest way to a parallel runs along the meridian.
-    """
+    """Depth between two elevations; a limit of -90 or 90 degrees is none."""
     above = direction.elevation - least if least > -90 else math.inf
     below = most - direction.elevation if most < 90 else math.inf
     return min(above, below)

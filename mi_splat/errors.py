@@ -59,10 +59,7 @@ _UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
 def printable(text: str) -> str:
-    """A text as a terminal may be given it: what a terminal would obey is written as Python writes it in a string.
-
-    Names in files may hold anything. New lines and tabs stay.
-    """
+    """A text as a terminal may be given it: what a terminal would obey is written as Python writes it in a string."""
     return "\n".join(
         line
         if line.isascii() and line.isprintable()

@@ -66,7 +66,6 @@ class FrozenView:
         device = variant.device_of(self.variant)
         if self._device.type != device:
             raise InvalidValueError.of("scene", f"tensors on {device}", self._device, f'call scene.to("{device}")')
-        self._everything = rows is None
         self.rows = _indices(rows, len(scene)).to(self._device)
         fixed = torch.ones(len(scene), dtype=torch.bool, device=self._device)
         fixed[self.rows] = False
@@ -114,21 +113,6 @@ class FrozenView:
         if self.settings.linear:
             picture = _linear(picture)
         return torch.cat([picture, self._alpha[..., None]], dim=2) if self.settings.alpha else picture
-
-    def render(self, scene: GaussianScene, camera: Camera) -> Tensor:
-        """The same as a `RenderFn`: the picture of a scene that differs from the view's in the SH of `rows` only."""
-        check_scene("scene", scene)
-        if camera is not self.camera and not _same_camera(camera, self.camera):
-            raise InvalidValueError.of("camera", "that of the FrozenView", camera, "make a FrozenView for it")
-        names = ("means", "scales", "rotations", "opacities", "sh of Gaussians that are not in rows")
-        do = "make a new FrozenView, or use a Renderer"
-        if len(scene) != len(self._kept[0]):
-            raise InvalidValueError.of("scene", f"{len(self._kept[0])} Gaussians", len(scene), do)
-        others = scene.sh.detach()[self._fixed] if len(self._fixed) else self._kept[4]
-        for name, old, new in zip(names, self._kept, (*scene.tensors()[:4], others), strict=True):
-            if not torch.equal(old, new.detach().to(torch.float32)):
-                raise InvalidValueError.of(name, "the values of the FrozenView's scene", "others", do)
-        return self(scene.sh if self._everything else scene.sh[self.rows])
 
     def _freeze(self, max_bytes: int, held: int) -> tuple[Any, Tensor, Tensor, int]:
         """The weights (None where nothing free is visible), the constant part of the picture, its alpha, `nbytes`."""
@@ -195,12 +179,6 @@ def _indices(rows: Tensor | slice | None, count: int) -> Tensor:
         got = f"{len(indices) - different} that are there before"
         raise InvalidValueError.of("rows", "each Gaussian once", got, "call rows.unique()")
     return indices
-
-
-def _same_camera(first: object, second: Camera) -> bool:
-    """Whether two cameras make the same picture."""
-    keys = [Pinhole(camera=camera, near=1.0).key() for camera in (first, second) if isinstance(camera, Camera)]
-    return len(keys) == 2 and keys[0] == keys[1]
 
 
 def _linear(value: Tensor) -> Tensor:

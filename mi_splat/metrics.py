@@ -52,12 +52,7 @@ def _windowed(planes: Tensor) -> Tensor:
 
 
 def load_lpips() -> Perceptual:
-    """Learned perceptual image patch similarity (Zhang et al. 2018) of AlexNet, as torchmetrics has it.
-
-    The network's weights come from torchvision's hub when they are first used, and stay in torch's cache.
-
-    Pictures have to be at least 32 pixels wide.
-    """
+    """Learned perceptual image patch similarity (Zhang et al. 2018) of AlexNet, as torchmetrics has it."""
     from torchmetrics.image.lpip import LearnedPerceptualImagePatchSimilarity  # takes seconds
 
     try:

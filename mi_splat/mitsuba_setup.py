@@ -88,10 +88,7 @@ def prepare_llvm() -> Path | None:
 
 
 def set_up_mitsuba() -> None:
-    """Send what Mitsuba logs to stderr, and take its plugins from its own folder, not from the working directory.
-
-    Mitsuba writes to stdout by itself, which is for results. A log that the caller has set up is kept.
-    """
+    """Send what Mitsuba logs to stderr, and take its plugins from its own folder, not from the working directory."""
     import mitsuba as mi
 
     _search_own_folder_first()

@@ -14,10 +14,7 @@ INTERRUPTED, TERMINATED = 130, 143
 
 @contextmanager
 def sigterm_as_interrupt() -> Iterator[Callable[[], bool]]:
-    """SIGTERM inside the block does what Ctrl-C would do; gives what says whether it came.
-
-    Schedulers, service managers and containers send it before they kill a process.
-    """
+    """SIGTERM inside the block does what Ctrl-C would do; gives what says whether it came."""
     came: list[int] = []
 
     def interrupt(number: int, frame: FrameType | None) -> None:

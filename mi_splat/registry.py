@@ -25,11 +25,7 @@ _OURS = "mi_splat."
 
 
 class Registry(Mapping[str, _Value]):
-    """Values of one kind by their names: first the project's own and those registered, then those of other packages.
-
-    A name of the first two is never taken by another package. `expected` and `what` are the words of errors for a value
-    and for its name, `fits` tells whether something is such a value.
-    """
+    """Values of one kind by their names: first the project's own and those registered, then those of other packages."""
 
     def __init__(
         self,

@@ -83,10 +83,7 @@ class ScreenGradients:
 
 
 class _Job:
-    """What a render call needs besides tensors; an opaque leaf to `dr.wrap`, which would walk through a dataclass.
-
-    With `side_outputs` a picture has its opacity, and the expected and median depths follow it as two more outputs.
-    """
+    """What a render call needs besides tensors; an opaque leaf to `dr.wrap`, which would walk through a dataclass."""
 
     def __init__(self, cameras: Sequence[Camera], renderer: Renderer, *, side_outputs: bool = False) -> None:
         self.cameras = tuple(cameras)

@@ -138,11 +138,7 @@ def _reason(error: RuntimeError, path: Path) -> MiSplatError:
 
 
 def open_scene(path: Path, device: str = "cpu", *, stored: Loaded | None = None) -> SplatScene:
-    """The scene in `path`, to be rendered as detectors and PNG files want it: three channels, sRGB.
-
-    A bare splat file becomes a scene of one object without cameras, in front of black, drawn in the mode (plain or
-    antialiased) that the file says it was trained in. What it holds may have been read already.
-    """
+    """The scene in `path`, to be rendered as detectors and PNG files want it: three channels, sRGB."""
     if path.suffix.lower() == ".xml":
         loaded = read_scene(path)
         loaded = replace(loaded, settings=replace(loaded.settings, alpha=False, linear=False))

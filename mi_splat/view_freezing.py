@@ -29,11 +29,7 @@ def freeze_views(
     rows: Tensor | None = None,
     max_bytes: int = MAX_BYTES,
 ) -> dict[Camera, FrozenView]:
-    """A view for each camera from which it pays, as far as the memory reaches; `render` is there for all others.
-
-    The pictures are those of `render` but for rounding. Which cameras have a view depends on the arguments alone, so
-    that a run that was interrupted goes on with the same pictures to the bit.
-    """
+    """A view for each camera from which it pays, as far as the memory reaches; `render` is there for all others."""
     views: dict[Camera, FrozenView] = {}
     if pictures < MIN_PICTURES:
         return views
@@ -47,10 +43,7 @@ def freeze_views(
 
 
 class RecentViews:
-    """Views of one scene from cameras that come as they like: made when they are asked for, the last ones kept.
-
-    A picture of a camera has the same bits whether its view was kept or is made again.
-    """
+    """Views of one scene from cameras that come as they like: made when they are asked for, the last ones kept."""
 
     def __init__(
         self, scene: GaussianScene, *, render: RenderFn, rows: Tensor | None = None, max_bytes: int = MAX_BYTES

@@ -26,11 +26,7 @@ class Light:
 
 
 def sky_map(light: Light) -> Floats:
-    """(h, w, 3) linear latitude-longitude picture of the sky, zenith first, ground below the horizon.
-
-    It follows no measured model (such as that of Preetham et al. 1999): the horizon's colour fades into the zenith's by
-    exp(-elevation / 22 degrees), and clouds are value noise over a threshold.
-    """
+    """(h, w, 3) linear latitude-longitude picture of the sky, zenith first, ground below the horizon."""
     height, width = 96, 192
     elevation = np.linspace(90, -90, height, dtype=np.float64)[:, None, None]
     blend = np.exp(-np.maximum(elevation, 0) / 22)

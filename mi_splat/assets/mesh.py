@@ -20,58 +20,40 @@ Indices = NDArray[np.uint32]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """One textured triangle mesh; its arrays are immutable by convention.
+    """One textured triangle mesh; its arrays are immutable by convention."""
 
-    Attributes:
-        vertices: (V, 3) float32, metres.
-        faces: (F, 3) uint32, counter-clockwise seen from outside.
-        uvs: (V, 2) float32, v up.
-        texture: (h, w, 3) float32, sRGB reflectance in [0, 1]; (1, 1, 3) for a plain colour.
-        roughness: None for a diffuse surface, otherwise the roughness of a plastic coat (paint, glass, screens).
-        smooth: Whether shading normals are interpolated across edges that are not sharp.
-
-    Raises:
-        InvalidValueError: shapes do not agree, values are not finite, or an index is out of range.
-    """
-
-    vertices: Floats
-    faces: Indices
-    uvs: Floats
-    texture: Floats
-    roughness: float | None = None
-    smooth: bool = True
+    vertices: Floats  # (V, 3) float32, metres
+    faces: Indices  # (F, 3) uint32, counter-clockwise seen from outside
+    uvs: Floats  # (V, 2) float32, v up
+    texture: Floats  # (h, w, 3) float32, sRGB reflectance in [0, 1]; (1, 1, 3) for a plain colour
+    roughness: float | None = None  # None for a diffuse surface, otherwise that of a plastic coat
+    smooth: bool = True  # whether shading normals are interpolated across edges that are not sharp
 
     def __post_init__(self) -> None:
-        vertices = np.ascontiguousarray(self.vertices, np.float32)
-        faces = np.ascontiguousarray(self.faces, np.uint32)
-        uvs = np.ascontiguousarray(self.uvs, np.float32)
-        texture = np.ascontiguousarray(self.texture, np.float32)
-        shapes = (vertices.shape, faces.shape, uvs.shape, texture.shape)
-        right = vertices.ndim == faces.ndim == uvs.ndim == 2 and texture.ndim == 3
-        if not (right and vertices.shape[1] == faces.shape[1] == texture.shape[2] == 3 and uvs.shape[1] == 2):
+        shapes = []
+        for name in ("vertices", "faces", "uvs", "texture"):
+            array = np.ascontiguousarray(getattr(self, name), np.uint32 if name == "faces" else np.float32)
+            object.__setattr__(self, name, array)
+            shapes.append(array.shape)
+        count, faces, texture = len(self.vertices), len(self.faces), self.texture.shape[:2]
+        if shapes != [(count, 3), (faces, 3), (count, 2), (*texture, 3)]:
             raise InvalidValueError.of("mesh", "(V, 3), (F, 3), (V, 2), (h, w, 3)", shapes, "check the arrays")
-        if len(vertices) != len(uvs) or (faces.size and int(faces.max()) >= len(vertices)):
-            raise InvalidValueError.of("mesh", "indices and uvs for its vertices", shapes, "check the faces")
-        if not all(np.isfinite(a).all() for a in (vertices, uvs, texture)):
+        if self.faces.size and int(self.faces.max()) >= count:
+            raise InvalidValueError.of("mesh", "faces of its vertices", int(self.faces.max()), "check the faces")
+        if not all(np.isfinite(array).all() for array in (self.vertices, self.uvs, self.texture)):
             raise InvalidValueError.of("mesh", "finite values", "nan or inf", "check the construction")
-        for name, value in (("vertices", vertices), ("faces", faces), ("uvs", uvs), ("texture", texture)):
-            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Asset:
     """A named object: meshes in a common frame, on the ground at the origin, facing +x.
 
-    Attributes:
-        name: COCO name of the object, or any other word for surroundings.
-        meshes: The parts.
-        supports: How many of the last parts only hold the object up. COCO's boxes leave them out: a stop sign is its
-            plate, not its post.
+    COCO's boxes leave out what only holds an object up: a stop sign is its plate, not its post.
     """
 
-    name: str
+    name: str  # COCO name of the object, or any other word for surroundings
     meshes: tuple[Mesh, ...]
-    supports: int = 0
+    supports: int = 0  # how many of the last meshes only hold the object up
 
     @property
     def body(self) -> Asset:

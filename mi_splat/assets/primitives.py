@@ -168,10 +168,7 @@ def extrude(
     roughness: float | None = None,
     smooth: bool = False,
 ) -> Mesh:
-    """A prism over a simple (P, 2) polygon (concave allowed) in the x-y plane, from z = 0 to `depth`.
-
-    The texture covers the polygon's bounding box on the two ends; the sides take the colour at the outline.
-    """
+    """A prism over a simple (P, 2) polygon (concave allowed) in the x-y plane, from z = 0 to `depth`."""
     outline = np.asarray(polygon, np.float64)
     x, y = outline.T
     if np.dot(x, np.roll(y, -1)) < np.dot(y, np.roll(x, -1)):

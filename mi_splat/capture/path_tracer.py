@@ -140,10 +140,7 @@ def _shape(name: str, meshes: Sequence[Mesh]) -> mi.Mesh:
 
 
 def shapes(asset: Asset, prefix: str) -> dict[str, Any]:
-    """Mitsuba meshes of an asset by id (prefix_0, prefix_1, ...), its parts gathered by material.
-
-    They belong to the variant that is set, which has to be that of the scene they go into.
-    """
+    """Mitsuba meshes of an asset by id (prefix_0, prefix_1, ...), its parts gathered by material."""
     groups: dict[tuple[bytes | None, tuple[int, ...], float | None], list[Mesh]] = {}
     for mesh in asset.meshes:
         texture = None if _is_plain(mesh) else mesh.texture.tobytes()
@@ -267,11 +264,7 @@ def _picture(
     integrator: mi.Integrator | None = None,
     near: float = NEAR,
 ) -> Tensor:
-    """One picture; the mean of passes that are clipped on their own, so that no single bright path leaves a speck.
-
-    With an `integrator`, which has to hide emitters, a fourth channel is the fraction of paths that met a surface.
-    The colours are then those of the surfaces alone.
-    """
+    """One picture; the mean of passes that are clipped on their own, so that no single bright path leaves a speck."""
     channels = 3 if integrator is None else 4
     total = np.zeros((camera.height, camera.width, channels))
     given = {} if integrator is None else {"integrator": integrator}

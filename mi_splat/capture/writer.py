@@ -260,10 +260,7 @@ def write_capture(
     inputs: Inputs | None = None,
     on_step: OnStep | None = None,
 ) -> WrittenCapture:
-    """Take pictures of a source and write them as a set that `mi_splat.datasets.load_dataset` reads.
-
-    Pictures that are in the folder from an earlier call with the same arguments are kept. The layout may change.
-    """
+    """Take pictures of a source and write them as a set that `mi_splat.datasets.load_dataset` reads."""
     settings = settings or CaptureSettings()
     listing = _listing(cameras, test)
     frame = source.frame

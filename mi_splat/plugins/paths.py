@@ -31,10 +31,7 @@ class Mixed:
 
 
 class MixedCache:
-    """The last scene that was prepared; it is prepared again as soon as an array of one of its shapes is another one.
-
-    Dr.Jit's arrays never change under a given index while someone holds them, so the indices are a safe key.
-    """
+    """The last scene that was prepared, by the indices of its arrays: held ones never change under a given index."""
 
     def __init__(self) -> None:
         self._splats: tuple[Any, Any, Splats | None] | None = None
@@ -258,10 +255,7 @@ def _alone(
     settings: PathSettings,
     gradient: Adjoint | None,
 ) -> Any:
-    """Radiance in a scene without surfaces: the splats on the ray, and what is behind everything.
-
-    `first` is colour and transmittance of the splats; `gathered`, in a replay, the radiance of a first call.
-    """
+    """Radiance in a scene without surfaces: the splats on the ray, and what is behind everything."""
     behind = _behind_everything(mixed, ray, settings)
     if gradient is None:
         return layer(*first, linear=settings.linear) + first[1] * behind
@@ -291,11 +285,7 @@ def _paths(
     settings: PathSettings,
     gradient: Adjoint | None,
 ) -> Any:
-    """Radiance in a scene with surfaces, from the preliminary intersections of camera rays.
-
-    `first` is colour and transmittance of the splats up to there. In a replay, what this call meets is taken from the
-    radiance `gathered` by a first call.
-    """
+    """Radiance in a scene with surfaces, from the preliminary intersections of camera rays."""
     scene, surfaces = mixed.scene, cast(Any, mixed.surfaces)
     replay = gradient is not None
     context = mi.BSDFContext()

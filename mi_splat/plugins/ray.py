@@ -120,10 +120,7 @@ def integrator_class(variant: str) -> Any:
             return light, mi.Bool(True), [alpha] if self.alpha else [], state
 
         def sample_rays(self, scene: Any, sensor: Any, sampler: Any) -> Any:
-            """Camera rays; with alpha, their weight is one number, since Mitsuba's gradient multiplies it to alpha.
-
-            They come in blocks of pixels and not row by row, so that the lanes of a packet take the same way.
-            """
+            """Camera rays; with alpha, their weight is one number, since Mitsuba's gradient multiplies it to alpha."""
             ray, weight, position = super().sample_rays(scene, sensor, sampler)
             samples = sampler.sample_count()
             if samples < TILE * TILE:  # else all lanes of a packet are in one pixel

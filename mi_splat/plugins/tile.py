@@ -95,10 +95,7 @@ def integrator_class(variant: str) -> Any:
             return self._camera[2]
 
         def _picture(self, shapes: GaussianShapes, sensor: Any) -> CachedPicture:
-            """The picture from a sensor; the last few are cached for their gradients.
-
-            Dr.Jit's arrays never change under a given index while someone holds them, so the indices are a safe key.
-            """
+            """The picture from a sensor; the last few are cached for their gradients."""
             camera, held = self._camera_of(sensor), shapes.detached()
             key = tuple(array.index for array in held), camera.key(), self.background
             if key not in self._pictures:

@@ -50,10 +50,7 @@ def by_block(variant: str, columns: int, rows: int, side: int = BLOCK) -> Any:
 
 
 def length_key(length: Any) -> Any:
-    """UInt32 keys that sort tiles by the length of their lists (UInt32), the longest first.
-
-    Steps grow with the square root of the length, so that few keys tell lists of 10 and of 1,000 apart.
-    """
+    """UInt32 keys that sort tiles by the length of their lists (UInt32), the longest first."""
     return _LAST_KEY - dr.minimum(mi.UInt32(8.0 * dr.sqrt(mi.Float(length))), _LAST_KEY)
 
 

@@ -21,11 +21,7 @@ _PIXELS = range(TILE * TILE)
 
 
 class Record:
-    """The numbers of a Gaussian as seen from a tile's first pixel centre: (x, y) is the offset from its centre.
-
-    Args:
-        values: What `read_record` returned: nine, and the depth where the records have a third array.
-    """
+    """The numbers of a Gaussian as seen from a tile's first pixel centre: (x, y) is the offset from its centre."""
 
     def __init__(self, values: list[Any]) -> None:
         self.x, self.y, self.u0, self.u1, self.v1, self.level = values[:6]
@@ -98,10 +94,7 @@ def first_of_list(gaussians: Any, pair_range: tuple[Any, Any]) -> tuple[Any, Any
 
 
 def next_of_list(gaussians: Any, pair_range: tuple[Any, Any], pair: Any) -> tuple[Any, Any]:
-    """The next pair and the Gaussian of it, if there is one.
-
-    A loop asks for it before it needs it: what it knows of a Gaussian is then not waited for twice in turn.
-    """
+    """The next pair and the Gaussian of it, if there is one."""
     return pair + 1, dr.gather(mi.UInt32, gaussians, pair + 1, pair + 1 < pair_range[1])
 
 

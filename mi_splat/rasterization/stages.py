@@ -180,10 +180,7 @@ def blend_backward(
 def rows_by_gaussian(
     depth_order: Any, row_ranges: tuple[Any, Any], pairs: tuple[Any, Any], scratch: tuple[Any, Any]
 ) -> tuple[Any, tuple[Any, Any]]:
-    """Stage 7: rows for the moments, in the order of the Gaussians and not of their depths.
-
-    So that stage 9, whose lanes are the Gaussians in their order, reads all of its memory from one end to the other.
-    """
+    """Stage 7: rows for the moments, in the order of the Gaussians and not of their depths."""
     first, last = row_ranges
     count, shift = scratch
     dr.scatter(count, last - first, depth_order)

@@ -123,10 +123,7 @@ def _slots(picture: Picture, before: Any) -> tuple[Any, tuple[Any, Any], int]:
 
 
 def _pack(picture: Picture, directions: Any, columns: Any, slots: tuple[Any, tuple[Any, Any], int]) -> FrozenPairs:
-    """Fill the places that `_slots` has made, with Float directions, 3 a free Gaussian.
-
-    `columns` are UInt32, the free Gaussian of each pair of the picture, or `_FIXED`.
-    """
+    """Fill the places that `_slots` has made, with Float directions, 3 a free Gaussian."""
     tiles, ranges, slots_needed = slots
     gaussians = len(directions) // 3
     weights, owners = buffer(PIXELS * slots_needed, value=0.0), buffer(slots_needed, mi.UInt32, _FIXED)
@@ -155,10 +152,7 @@ def _pack(picture: Picture, directions: Any, columns: Any, slots: tuple[Any, tup
 
 
 def _rows(owners: Any, gaussians: int) -> tuple[Any, tuple[Any, Any]]:
-    """The row of each place, and the first and one-past-last row of each free Gaussian.
-
-    Gaussians have their rows in the order of their first places: what neighbouring tiles write then lies together.
-    """
+    """The row of each place, and the first and one-past-last row of each free Gaussian."""
     index = dr.arange(mi.UInt32, len(owners))
     used = owners != _FIXED
     earliest = buffer(gaussians, mi.UInt32, _FIXED)
@@ -193,11 +187,7 @@ def _walk(
     kept: Any | None = None,
     packed: tuple[Any, Any, Any] | None = None,
 ) -> None:
-    """Walk the lists of tiles as the picture did, and find the pairs to keep.
-
-    `columns` are UInt32, the free Gaussian of each pair, or `_FIXED`. `kept` has a UInt32 a pair, which becomes 1 for
-    those to keep. `packed`: first place of each tile, and buffers for weights (16 a place) and columns of kept pairs.
-    """
+    """Walk the lists of tiles as the picture did, and find the pairs to keep."""
     state = picture.state
     assert state is not None
     width, height = width_and_height(state.buffers.size)

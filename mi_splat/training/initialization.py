@@ -66,11 +66,7 @@ def from_points(
 
 
 def with_outliers(cloud: PointCloud, views: Sequence[View], count: int, *, seed: int = 0) -> PointCloud:
-    """A cloud with points in the air, as false matches leave them in one from structure from motion.
-
-    Each lies on the line of sight from a camera to a point of the cloud, whose colour it has, between a tenth and nine
-    tenths of the way, and in the picture of three cameras or more, as a point matched over several pictures is.
-    """
+    """A cloud with points in the air, as false matches leave them in one from structure from motion."""
     if count < 0 or not len(views) or not len(cloud.points):
         got = (count, len(views), len(cloud.points))
         raise InvalidValueError.of("count, views and points", "0 or more, and some of each", got, "check the set")

@@ -51,7 +51,7 @@ class Adam:
             mean, square, steps = ([self.state[tensor][key] for tensor in moved] for key in MOMENTS)
             gradients = [tensor.grad for tensor in moved]
             rates = {"lr": group["lr"], "beta1": 0.9, "beta2": 0.999, "eps": 1e-15, "weight_decay": 0.0}
-            ways = {"foreach": False, "fused": self._fused, "amsgrad": False, "maximize": False}
+            ways: dict[str, Any] = {"foreach": False, "fused": self._fused, "amsgrad": False, "maximize": False}
             adam(moved, gradients, mean, square, [], steps, **rates, **ways)
 
     def zero_grad(self) -> None:
@@ -135,25 +135,7 @@ class Progress:
 
 
 class TrainState:
-    """Everything that the rest of a training run depends on.
-
-    Attributes:
-        config: How it is trained.
-        scene_extent: Size of the scene, world units.
-        seed: Seed of everything random.
-        parameters: Trained tensors as a splat file holds them, SH in two parts: `sh0` (N, 1, 3), `shN` (N, K - 1, 3).
-        trained: Names of those that change.
-        optimiser: Adam, with one group for each of them.
-        strategy: How Gaussians are added and removed.
-        strategy_state: What the strategy remembers from step to step.
-        iteration: Steps done.
-        generator: Source of everything random, on the CPU wherever the tensors are, so that it gives the same numbers.
-        view_queue: Numbers of the views still to come in this pass.
-        settings: What else the pictures depend on, the near plane for instance; kept in the checkpoint.
-        data_digest: Stands for what it is trained on, so that a run does not go on with something else.
-        history: Every evaluation so far, and the last step.
-        exposures: Of the pictures, once the first was looked at, if they are trained.
-    """
+    """Everything that the rest of a training run depends on."""
 
     def __init__(self, start: GaussianScene, config: FitConfig, *, scene_extent: float, seed: int) -> None:
         self.config, self.scene_extent, self.seed, self.data_digest = config, scene_extent, seed, ""

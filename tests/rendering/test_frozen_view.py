@@ -132,32 +132,6 @@ def test_memory_is_bounded_before_it_is_taken() -> None:
         FrozenView(scene, where, max_bytes=view.nbytes - 1)
 
 
-def test_render_takes_scenes_with_other_colours_only() -> None:
-    scene, where = oracle.random_scene(60, degree=1, seed=1), camera(21, 18)
-    rows = torch.arange(20)
-    view, partial = FrozenView(scene, where), FrozenView(scene, where, rows=rows)
-    painted = scene.replace(sh=other_colours(scene.sh))
-    same = Camera(to_world=where.to_world, focal=where.focal, width=21, height=18)
-    assert torch.equal(view.render(painted, same), view(painted.sh))
-    partly = scene.sh.clone()
-    partly[rows] += 0.1
-    assert torch.equal(partial.render(scene.replace(sh=partly), where), partial(partly[rows]))
-    for name, bad in {
-        "means": scene.replace(means=scene.means + 1),
-        "opacities": scene.replace(opacities=scene.opacities * 0.5),
-        "scene": scene.select(torch.arange(30)),
-    }.items():
-        with pytest.raises(InvalidValueError, match=f"{name}: expected"):
-            view.render(bad, where)
-    with pytest.raises(InvalidValueError, match="sh of Gaussians that are not in rows"):
-        partial.render(painted, where)
-    with pytest.raises(InvalidValueError, match="camera: expected"):
-        view.render(scene, camera(21, 19))
-    scene.means[0] += 1.0  # the view has its own copy
-    with pytest.raises(InvalidValueError, match="means: expected"):
-        view.render(scene, where)
-
-
 def test_bad_input() -> None:
     scene, where = oracle.random_scene(10, degree=1, seed=1), camera(20, 18)
     view = FrozenView(scene, where)
