@@ -15,13 +15,10 @@ from typing import TYPE_CHECKING
 from mi_splat import _lazy
 
 if TYPE_CHECKING:
-    from attacks.testing.attacks import check_attack
-    from attacks.testing.detectors import check_detector
-    from attacks.testing.objectives import check_objective
-    from attacks.testing.poisons import check_poison
+    from attacks.testing.attacks import check_attack, check_poison
+    from attacks.testing.detectors import check_detector, check_objective
     from attacks.testing.promises import ContractError
-    from attacks.testing.renderers import check_condition, check_renderer
-    from attacks.testing.rules import check_rule
+    from attacks.testing.renderers import check_condition, check_renderer, check_rule
 
 __all__ = [
     "ContractError",
@@ -37,12 +34,9 @@ __all__ = [
 __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
-        "attacks.testing.attacks": ("check_attack",),
-        "attacks.testing.detectors": ("check_detector",),
-        "attacks.testing.objectives": ("check_objective",),
-        "attacks.testing.poisons": ("check_poison",),
+        "attacks.testing.attacks": ("check_attack", "check_poison"),
+        "attacks.testing.detectors": ("check_detector", "check_objective"),
         "attacks.testing.promises": ("ContractError",),
-        "attacks.testing.renderers": ("check_condition", "check_renderer"),
-        "attacks.testing.rules": ("check_rule",),
+        "attacks.testing.renderers": ("check_condition", "check_renderer", "check_rule"),
     },
 )

@@ -16,7 +16,6 @@ from attacks.objectives import relabel
 from attacks.transformations.config import Transformations
 from mi_splat import rendering
 from mi_splat.cameras import Camera, RenderFn
-from mi_splat.rasterization import pipeline
 from mi_splat.rendering import Renderer
 from mi_splat.view_freezing import RecentViews, freeze_views
 from tests.dagger.toy import QUICK, REGION
@@ -86,14 +85,13 @@ def test_what_does_not_fit_is_rendered(frozen: list[Camera], monkeypatch: pytest
 
 def test_a_search_over_drawn_views_makes_few_pictures_of_whole_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[object] = []
-    rasterize = pipeline.rasterize
+    rasterize = rendering.rasterize  # type: ignore[attr-defined]
 
     def noted(*arguments: Any, **settings: Any) -> Any:
         made.append(arguments[2])
         return rasterize(*arguments, **settings)
 
-    monkeypatch.setattr(pipeline, "rasterize", noted)
-    monkeypatch.setattr(rendering, "_bridge", functools.cache(rendering._bridge.__wrapped__))
+    monkeypatch.setattr(rendering, "rasterize", noted)
     scene, mask = toy_scene()
     settings = {**QUICK, "image_psnr": 24.0, "held_out": 2, "noise_draws": 0, "sh_degree": 2}
     results, counts = [], []

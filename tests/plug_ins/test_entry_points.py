@@ -28,7 +28,7 @@ from attacks.report.results import read_section
 from attacks.studies.attack import FixedAttack
 from attacks.studies.dagger import _objective
 from attacks.studies.look import Look
-from attacks.testing.poisons import _views
+from attacks.testing.attacks import _views
 from attacks.testing.promises import cloud
 from attacks.testing.renderers import _camera
 from mi_splat.audit.linting import lint_scene
