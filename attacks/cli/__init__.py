@@ -231,7 +231,6 @@ def _take_max_pixels(words: list[str]) -> int | None:
 
 
 def _versions() -> str:
-    """The text of `mi-splat --version`."""
     from mi_splat.provenance import commit, versions
 
     packages = versions()
@@ -241,7 +240,6 @@ def _versions() -> str:
 
 
 def _completion(words: Sequence[str]) -> int:
-    """Write a script that completes commands and options in a shell."""
     import argparse
 
     import shtab
@@ -259,7 +257,6 @@ def _completion(words: Sequence[str]) -> int:
 
 
 def _help() -> str:
-    """The text of `mi-splat --help`."""
     width = max(map(len, COMMANDS))
     commands = "\n\n".join(
         "\n".join([f"{task}:", *(f"  {name:{width}}  {summary}" for name, summary in group.items())])

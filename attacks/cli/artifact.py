@@ -132,7 +132,6 @@ def _checked(folder: Path, manifest: str | None, options: ArtifactCheckOptions) 
 
 
 def _rescored(result: Result, story: ResultKind, options: ArtifactCheckOptions) -> list[Check]:
-    """What detectors say today."""
     from attacks.cli.options import load_detectors
     from attacks.report.checking import fingerprints, rescore
 

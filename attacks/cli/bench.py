@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from attacks.cli.options import Workers, chosen_workers
-from mi_splat.cli.console import limit_threads, progress, show, show_json, warn
+from attacks.cli.study import JobOptions, run_in
+from mi_splat.cli.console import limit_threads, show, show_json, show_result
 from mi_splat.cli.flags import Positional
-from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Folder, Metavar
 
@@ -24,7 +23,7 @@ EXAMPLES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class BenchOptions(JsonOptions):
+class BenchOptions(JobOptions):
     """Do a suite of attacks, the same for everybody, and write one row: how often a detector still names the object.
 
     Columns: DAGGER from one view, DAGGER for all views, CLOAK, and attacks that were made on other detectors. Only
@@ -51,8 +50,6 @@ class BenchOptions(JsonOptions):
     out: Folder | None = None
     """Folder for the row and its raw rows; None is out/bench/SUITE/NAME, and another one beside it with
     --weights or --defence."""
-    workers: Workers | None = None
-    """Processes that do jobs side by side; None is one for each core if memory allows; 0 does them in this one."""
     rescore: Folder | None = None
     """Derive the row of a finished folder again from its raw rows, and compare; nothing else is done."""
     check: tuple[Path, ...] = ()
@@ -66,32 +63,22 @@ def run(options: BenchOptions) -> int:
 
     if options.audit:
         audits = audit_rows(options.audit)
-        if options.json:
-            show_json({"rows": audits})
-        else:
-            show(audit_table(audits))
-        return 0
-    if options.check or options.rescore:
+        show_result({"rows": audits}, audit_table(audits), as_json=options.json)
+    elif options.check or options.rescore:
         rows = [check_row(path) for path in options.check]
         rows += [rescored(options.rescore)] if options.rescore else []
-        if options.json:
-            show_json({"rows": rows})
-        else:
-            show(markdown(rows))
-        return 0
-    return _bench(options)
+        show_result({"rows": rows}, markdown(rows), as_json=options.json)
+    else:
+        return _bench(options)
+    return 0
 
 
 def _bench(options: BenchOptions) -> int:
-    """Do the jobs of a suite, and write the row."""
     from attacks.bench.row import ROW
     from attacks.bench.suite import read_suite
     from attacks.bench.work import BenchWork
-    from attacks.cli.study import follow
-    from attacks.studies.running import TABLE, run_with
-    from mi_splat.io.folders import check_own_folder, own_folder
+    from attacks.studies.running import TABLE
     from mi_splat.io.parsing import read_json
-    from mi_splat.ledger.engines import InProcess, Processes
 
     limit_threads(1)
     suite = read_suite(options.suite, options.secret)
@@ -99,15 +86,7 @@ def _bench(options: BenchOptions) -> int:
         suite, options.detector, weights=options.weights, defence=options.defence or "", columns=options.columns
     )
     out = options.out or usual_folder(options)
-    check_own_folder(out, ROW)
-    workers = chosen_workers(options.workers)
-    with own_folder(out, ROW), progress("preparing", total=work.size) as advance:
-        told = follow(advance)
-        store = options.store
-        engine = Processes(store, workers=workers, on_event=told) if workers else InProcess(store, on_event=told)
-        done = run_with(engine, work.study, work, store=store, out=out, on_event=told)
-    for label, text in done.failed.items():
-        warn(f"{label}: {text.strip().splitlines()[-1]}")
+    done = run_in(out, ROW, work, options)
     if options.json:
         show_json({"failed": done.failed, "out": str(out), "row": read_json(out / ROW) if done.files else None})
     elif done.files:

@@ -189,7 +189,6 @@ def chosen_object(loaded: SplatScene, selection: Selection) -> Selection:
 
 
 def _opened(options: AttackOptions, *, split: Split | None = None) -> tuple[SplatScene, Selection, Chosen]:
-    """The scene, what is selected in it, and the object with its cameras."""
     from mi_splat.cli.cameras import choose
     from mi_splat.io.folders import check_new_folder
     from mi_splat.scene_files import open_scene
@@ -203,7 +202,6 @@ def _opened(options: AttackOptions, *, split: Split | None = None) -> tuple[Spla
 
 
 def _loaded(options: AttackOptions) -> tuple[Sequence[Detector], Objective]:
-    """The detectors and the objective."""
     from attacks.cli.options import load_detectors
 
     targeted = OBJECTIVES.chosen(options.objective).targeted

@@ -94,7 +94,6 @@ def run(options: DaggerSanityOptions) -> int:
 
 
 def _case(options: DaggerSanityOptions) -> tuple[Case, dict[str, Any]]:
-    """What the options ask to check, and what the record has to say of it."""
     from attacks.cli.dagger import chosen_object
     from attacks.dagger.sanity import Case
     from attacks.objectives import relabel
@@ -128,7 +127,6 @@ def _case(options: DaggerSanityOptions) -> tuple[Case, dict[str, Any]]:
 
 
 def _surrogate(options: DaggerSanityOptions) -> Detector | None:
-    """The detector that attacks are transferred from; None if there is none."""
     if options.surrogate != "auto":
         return None if options.surrogate == "none" else load_detector(options.surrogate)
     for name, spec in DETECTORS.items():

@@ -88,7 +88,6 @@ def _reported(row: Mapping[str, Any]) -> str:
 
 
 def _reports(source: Path, detectors: Callable[[], list[Detector]], view: CameraOptions) -> Iterator[Report]:
-    """What every detector reports on a picture, or on a scene from every camera."""
     import torch
 
     from attacks.observe.views import detect_views

@@ -70,7 +70,6 @@ def _lines(entry: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _get(options: DetectorsOptions) -> None:
-    """Get what is named, or what the files hold."""
     wheels = [file for file in options.packages if file.suffix == ".whl"]
     archives = [file for file in options.packages if file not in wheels]
     names = [name for name in options.get if name != PROTOTYPES]

@@ -114,7 +114,6 @@ def run(options: EvaluateOptions) -> None:
 
 
 def _doubts(comparisons: Sequence[Comparison], cameras: Sequence[Camera], attacked: Path) -> Iterator[str]:
-    """Reasons to look twice before the rates are believed."""
     import torch
 
     from mi_splat.io.camera_records import recorded_cameras

@@ -197,7 +197,6 @@ def run(options: PoisonOptions) -> None:
 
 
 def _changes(done: Poisoned) -> str:
-    """How many pictures are changed, and how much."""
     changes = [change for change in done.changes if change.pixels_changed]
     if not changes:
         return f"none of {len(done.views)} pictures is changed"

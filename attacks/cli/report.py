@@ -88,7 +88,6 @@ def run(options: ReportOptions) -> None:
 
 
 def _looked_at(folder: Path, section: Section, names: Sequence[str]) -> Section:
-    """The section of an audit with what detectors report on its splat along paths."""
     from attacks.audits.disagreement import seen_along_paths
     from attacks.cli.options import load_detectors
     from attacks.report.kinds.audit import along_paths

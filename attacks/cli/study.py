@@ -30,7 +30,23 @@ EXAMPLES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class StudyOptions(JsonOptions):
+class JobOptions(JsonOptions):
+    """What a command takes that does many jobs."""
+
+    store: Folder = Path("out/store")
+    """Folder of finished jobs."""
+    workers: Workers | None = None
+    """Processes that do jobs side by side; None is one for each core if memory allows; 0 does them in this one."""
+    scheduler: Annotated[str, Metavar("ADDRESS")] | None = None
+    """Address of a Dask scheduler, as tcp://host:8786, whose workers do the jobs; it needs TLS or a trusted network."""
+    seconds: Annotated[float, at_least(1, "seconds")] | None = None
+    """Most seconds that a job may take; it is ended then, which counts as a failure. Not with --workers 0."""
+    megabytes: Annotated[float, at_least(1, "MB")] | None = None
+    """Most memory that a job may use, likewise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyOptions(JobOptions):
     """Do a study: a TOML file that says what is attacked, and what of it varies.
 
     plan: what is to be done, and how long it takes by what was measured. run: do what is not done yet, and write
@@ -46,20 +62,10 @@ class StudyOptions(JsonOptions):
     """What to do."""
     study: Positional[Path]
     """TOML file of the study."""
-    store: Folder = Path("out/store")
-    """Folder of finished jobs."""
     out: Folder | None = None
     """Folder for the result; None is out/studies/NAME."""
     parts: tuple[str, ...] = ()
     """Names of cases to do; all if none is named."""
-    workers: Workers | None = None
-    """Processes that do jobs side by side; None is one for each core if memory allows; 0 does them in this one."""
-    scheduler: Annotated[str, Metavar("ADDRESS")] | None = None
-    """Address of a Dask scheduler, as tcp://host:8786, whose workers do the jobs; it needs TLS or a trusted network."""
-    seconds: Annotated[float, at_least(1, "seconds")] | None = None
-    """Most seconds that a job may take; it is ended then, which counts as a failure. Not with --workers 0."""
-    megabytes: Annotated[float, at_least(1, "MB")] | None = None
-    """Most memory that a job may use, likewise."""
     sbatch: Annotated[tuple[str, ...], Metavar("OPTION")] = ()
     """Options of each array without their dashes, as time=02:00:00 (export)."""
 
@@ -83,7 +89,6 @@ def _work(study: Study) -> Work[Any]:
 
 
 def _plan(options: StudyOptions, study: Study) -> None:
-    """Count the jobs, and forecast."""
     from attacks.report.section import duration
     from mi_splat.ledger import Store
     from mi_splat.ledger.plans import forecast, plan
@@ -107,7 +112,6 @@ def _plan(options: StudyOptions, study: Study) -> None:
 
 
 def _run(options: StudyOptions, study: Study) -> int:
-    """Do the jobs, and write the result."""
     from attacks.cli.summary import show_summary
 
     done = run_work(options, _work(study))
@@ -122,23 +126,34 @@ def run_work(
     options: StudyOptions, work: Work[Any], *, begin: Callable[[], object] = lambda: None, again: str = ""
 ) -> Run:
     """Do the jobs of a study, write the result, and say which have failed; `begin` comes first."""
-    from attacks.studies.running import STUDY_FILE, run_with
-    from mi_splat.io.folders import check_own_folder, check_unlocked, own_folder
+    from attacks.studies.running import STUDY_FILE
+    from mi_splat.io.folders import check_unlocked
 
     out = options.folder(work.study)
-    check_own_folder(out, STUDY_FILE)
     check_unlocked(out)
     work.check_room(options.store)
-    with own_folder(out, STUDY_FILE), progress("preparing", total=None if work.searches else work.size) as advance:
+    done = run_in(out, STUDY_FILE, work, options, begin=begin)
+    if done.failed and not options.json:
+        again = again or f"mi-splat study retry {options.study}"
+        warn(f"{len(done.failed)} jobs have failed; mend the cause, then: {again}")
+    return done
+
+
+def run_in(
+    out: Path, record: str, work: Work[Any], options: JobOptions, *, begin: Callable[[], object] = lambda: None
+) -> Run:
+    """Do jobs, and write their result into a folder that is known by its record."""
+    from attacks.studies.running import run_with
+    from mi_splat.io.folders import check_own_folder, own_folder
+
+    check_own_folder(out, record)
+    with own_folder(out, record), progress("preparing", total=None if work.searches else work.size) as advance:
         begin()
-        engine = _engine(options, follow(advance))
-        done = run_with(engine, work.study, work, store=options.store, out=out, on_event=follow(advance))
-    if not options.json:
-        for label, text in done.failed.items():
-            warn(f"{label}: {_last_line(text)}")
-        if done.failed:
-            again = again or f"mi-splat study retry {options.study}"
-            warn(f"{len(done.failed)} jobs have failed; mend the cause, then: {again}")
+        on_event = follow(advance)
+        engine = _engine(options, on_event)
+        done = run_with(engine, work.study, work, store=options.store, out=out, on_event=on_event)
+    for label, text in done.failed.items() if not options.json else ():
+        warn(f"{label}: {_last_line(text)}")
     return done
 
 
@@ -146,13 +161,11 @@ def _last_line(text: str) -> str:
     return text.strip().splitlines()[-1]
 
 
-def _engine(options: StudyOptions, on_event: Callable[[Event], None]) -> Engine:
-    from mi_splat.ledger.engines import InProcess, Limits, Processes
+def _engine(options: JobOptions, on_event: Callable[[Event], None]) -> Engine:
+    from mi_splat.ledger.engines import Cluster, InProcess, Limits, Processes
 
     limits = Limits(seconds=options.seconds, megabytes=options.megabytes)
     if options.scheduler is not None:
-        from mi_splat.ledger.engines import Cluster
-
         return Cluster(options.store, options.scheduler, limits=limits, on_event=on_event)
     if (workers := chosen_workers(options.workers)) == 0:
         return InProcess(options.store, on_event=on_event)
@@ -187,7 +200,6 @@ def _export(options: StudyOptions, study: Study) -> None:
 
 
 def _status(options: StudyOptions, study: Study) -> None:
-    """How far the study is."""
     from mi_splat.ledger import Store
     from mi_splat.ledger.plans import STATES, status
 
@@ -205,7 +217,6 @@ def _title(entry: Entry) -> str:
 
 
 def _retry(options: StudyOptions, study: Study) -> None:
-    """Forget what has failed."""
     from mi_splat.ledger import Store
     from mi_splat.ledger.plans import status
 

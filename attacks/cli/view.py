@@ -201,7 +201,6 @@ def available() -> Iterator[tuple[str, tuple[str, ...]]]:
 
 
 def _summary(result: Path) -> Iterator[str]:
-    """The conclusion, the figures and the warnings of a result's report."""
     from attacks.cli.summary import figure_rows, plain
     from attacks.report.results import read_section
 

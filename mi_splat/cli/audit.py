@@ -116,7 +116,6 @@ def _verdicts(document: dict[str, Any]) -> set[str]:
 
 
 def _folders(options: AuditOptions) -> dict[Path, Path]:
-    """The folder of each file's result, if they are wanted."""
     if options.out is None:
         return {}
     if len(options.files) == 1:
@@ -196,7 +195,6 @@ def _repair(
 
 
 def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str, Any]:
-    """Audit one file and write its result, if that is wanted."""
     from mi_splat.audit.files import document, write
     from mi_splat.audit.linting import lint_file, lint_scene
     from mi_splat.datasets import is_dataset
@@ -230,7 +228,6 @@ def _audited(path: Path, folder: Path | None, options: AuditOptions) -> dict[str
 
 
 def _audited_pictures(path: Path, folder: Path | None, options: AuditOptions) -> dict[str, Any]:
-    """Audit a set of pictures, and say what it found."""
     from mi_splat.audit.files import document_of_pictures, write_pictures
     from mi_splat.audit.pictures import audit_pictures
     from mi_splat.datasets import load_dataset
@@ -258,7 +255,6 @@ def _stored(path: Path) -> Loaded | None:
 def _with_looks(
     path: Path, stored: Loaded | None, options: AuditOptions
 ) -> tuple[GaussianScene, Audit, Sequence[Camera] | None]:
-    """A scene, its hidden looks, and the cameras that were given."""
     from mi_splat.audit.against import changes
     from mi_splat.audit.auditing import audit
     from mi_splat.cli.cameras import find_cameras
@@ -274,7 +270,6 @@ def _with_looks(
 
 
 def _lines(document: dict[str, Any]) -> Iterator[str]:
-    """A result for a human."""
     first, *rest = document["summary"]
     yield f"{document['file']}: {first}"
     if "up" in document:

@@ -118,7 +118,6 @@ def renderer_of(loaded: SplatScene, options: CameraOptions, cameras: dict[str, C
 
 
 def _unique(named: Iterable[tuple[str, Camera]]) -> dict[str, Camera]:
-    """Cameras by name, as `unique_names` has it."""
     pairs = list(named)
     return dict(zip(unique_names(name for name, _ in pairs), (camera for _, camera in pairs), strict=True))
 
@@ -166,7 +165,6 @@ def _named(
 
 
 def _listed(path: Path, options: CameraOptions) -> list[tuple[str, Camera]]:
-    """The cameras in a JSON file, of this program or a transforms file."""
     recorded = recorded_cameras(path)
     if recorded is not None:
         return list(recorded.items())
@@ -206,7 +204,6 @@ def _placement(target: GaussianScene, options: CameraOptions) -> tuple[tuple[flo
 
 
 def _orbit(target: GaussianScene, options: CameraOptions, azimuth: float, elevation: float) -> Camera:
-    """One camera that looks at the target."""
     centre, distance, focal = _placement(target, options)
     width, height = options.size or SIZE
     pose = orbit_pose(centre, azimuth=azimuth, elevation=elevation, distance=distance, roll=options.camera_roll)

@@ -84,7 +84,6 @@ def run(options: CaptureOptions) -> None:
 
 
 def _capture(options: CaptureOptions) -> None:
-    """As `run`, in a folder that is this process's own."""
     from mi_splat.bounds import no_surface_in_view
     from mi_splat.camera_sets import camera_set, framing, held_out_set
     from mi_splat.capture.sources import open_source
@@ -158,7 +157,6 @@ def _in_coordinates_of(source: CaptureSource, cameras: list[Camera], path: Path)
 
 
 def _inputs(options: CaptureOptions, *, is_file: bool) -> Inputs:
-    """What was asked for, for the record."""
     scene = {"scene": options.scene, **asdict(options.mesh), **asdict(options.surroundings)}
     environment = options.surroundings.environment
     scene["environment"] = None if environment is None else str(environment)
@@ -174,7 +172,6 @@ def _inputs(options: CaptureOptions, *, is_file: bool) -> Inputs:
 
 
 def _lines(done: WrittenCapture, source: CaptureSource, out: Path, size: str) -> Iterator[str]:
-    """What was written and what to do with it."""
     total = done.train + done.test
     kept = f", {total - done.rendered} were there before" if done.rendered < total else ""
     held_out = f" ({done.test} of them held out)" if done.test else ""

@@ -74,7 +74,6 @@ def _file_facts(path: Path, up: Up) -> dict[str, object]:
 
 
 def _scene_file_facts(path: Path, up: Up) -> dict[str, object]:
-    """Facts about a scene XML: its parts, its cameras, and all its Gaussians together."""
     import_at_once("torch")
     from mi_splat.scene_files import read_scene
 
@@ -135,7 +134,6 @@ def _unit(direction: tuple[float, float, float]) -> NDArray[np.float32]:
 
 
 def _colours(sh: NDArray[np.float32]) -> dict[str, float]:
-    """How bright the Gaussians are over all directions."""
     from mi_splat.sh import colours_by_direction, even_directions
 
     means, most = colours_by_direction(sh, even_directions())
@@ -143,7 +141,6 @@ def _colours(sh: NDArray[np.float32]) -> dict[str, float]:
 
 
 def _text(value: object) -> str:
-    """One fact for a human."""
     if isinstance(value, Mapping):
         return ", ".join(f"{name}: {_text(part)}" for name, part in value.items())
     if isinstance(value, list):

@@ -26,7 +26,6 @@ _AXES = {
 
 
 def _size(word: str) -> tuple[int, int]:
-    """Width and height of a word."""
     parts = word.lower().split("x")
     if len(parts) > 2 or not all(part.isdecimal() for part in parts):
         raise ValueError(f"expected pixels as 256 or 256x192, got {word!r}")
@@ -59,7 +58,6 @@ def _colour(word: str) -> tuple[float, float, float]:
 
 
 def _direction(word: str) -> tuple[float, float, float]:
-    """A direction, by its axis or as three numbers."""
     direction = _AXES.get(word, _three(word))
     if direction is None:
         raise ValueError(f"expected an axis such as y or -y, or three numbers, got {word!r}")

@@ -72,6 +72,5 @@ def run(options: PrepareOptions) -> None:
 
 
 def _named(pictures: Sequence[str]) -> str:
-    """The first of some pictures, and how many more there are."""
     more = f", and {len(pictures) - LISTED} more" if len(pictures) > LISTED else ""
     return f"{', '.join(pictures[:LISTED])}{more}"

@@ -178,7 +178,6 @@ def _pixels(render: RenderFn, scene: GaussianScene, camera: Camera, options: Ren
 
 
 def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
-    """Raise, before anything is rendered, unless --out can take these pictures."""
     from mi_splat.io.folders import check_new_folder, check_writable
     from mi_splat.io.images import check_animation, is_animation, is_floats, is_picture
 
@@ -207,7 +206,6 @@ def _check_out(options: RenderOptions, cameras: Mapping[str, Camera]) -> None:
 
 
 def _save(pictures: Mapping[str, Pixels], cameras: Mapping[str, Camera], options: RenderOptions) -> list[Path]:
-    """Write what --out says, and name the files."""
     from mi_splat.io.camera_records import describe
     from mi_splat.io.documents import file_name, save_json
     from mi_splat.io.folders import new_folder

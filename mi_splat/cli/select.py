@@ -106,7 +106,6 @@ def run(options: SelectOptions) -> None:
 
 
 def _save(path: Path, loaded: SplatScene, mask: Tensor, weight: Tensor, camera: Camera, render: RenderFn) -> None:
-    """Write one of the files, of the kind that its name says."""
     from mi_splat.io import save_splat
     from mi_splat.io.images import save_picture
     from mi_splat.selection.select import save_mask

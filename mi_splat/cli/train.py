@@ -188,7 +188,6 @@ def _train(options: TrainOptions) -> None:
 
 
 def _show(options: TrainOptions, count: int, seconds: float) -> None:
-    """Say what came of the training."""
     from mi_splat.training.resume import METRICS, SPLAT
 
     figures = read_json(options.out / METRICS)
@@ -207,7 +206,6 @@ def _show(options: TrainOptions, count: int, seconds: float) -> None:
 def _page(
     options: TrainOptions, sets: Sequence[Dataset], start: GaussianScene, near: float
 ) -> Iterator[LiveTraining | None]:
-    """The page that follows the training, with --live."""
     if not options.live:
         yield None
         return
@@ -226,7 +224,6 @@ def _page(
 
 
 def _renderer(options: TrainOptions, near: float) -> Renderer:
-    """The renderer that the training needs."""
     from mi_splat.rendering import Renderer, RenderSettings, ScreenGradients
 
     config = options.fit
@@ -250,7 +247,6 @@ def _warn_of_culled(start: GaussianScene, views: Dataset, near: float) -> None:
 
 
 def _start(views: Dataset, options: TrainOptions) -> GaussianScene:
-    """The Gaussians to begin with."""
     from mi_splat.io import load_splat
     from mi_splat.training.initialization import from_points, random_points, thinned, with_outliers
 

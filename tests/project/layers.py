@@ -5,6 +5,7 @@ others. `python -m tests.project.layers` writes the picture of it, docs/structur
 """
 
 import ast
+import graphlib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -132,27 +133,15 @@ def layer_of(name: str) -> tuple[int, str] | None:
 
 def circle() -> list[str]:
     """Modules that import each other in a circle; empty if there are none."""
+    known = {name for package in PACKAGES for name in modules(package)}
     graph: dict[str, set[str]] = {}
-    for package in PACKAGES:
-        for name, other in edges(package):
-            if other in modules(package) or other in modules(PACKAGES[0]):
-                graph.setdefault(name, set()).add(other)
-    done: set[str] = set()
-
-    def visit(name: str, trail: list[str]) -> list[str]:
-        if name in trail:
-            return [*trail[trail.index(name) :], name]
-        if name in done:
-            return []
-        for other in sorted(graph.get(name, ())):
-            if trail_back := visit(other, [*trail, name]):
-                return trail_back
-        done.add(name)
-        return []
-
-    for name in sorted(graph):
-        if trail_back := visit(name, []):
-            return trail_back
+    for name, other in (edge for package in PACKAGES for edge in edges(package)):
+        if other in known:
+            graph.setdefault(name, set()).add(other)
+    try:
+        graphlib.TopologicalSorter(graph).prepare()
+    except graphlib.CycleError as error:
+        return list(error.args[1])
     return []
 
 
