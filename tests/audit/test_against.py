@@ -9,7 +9,7 @@ import torch
 from PIL import Image
 
 from attacks import cli
-from mi_splat.audit import Audit
+from mi_splat.audit import Audit, linting
 from mi_splat.audit.against import Changes, changes
 from mi_splat.audit.files import document, sarif
 from mi_splat.audit.thresholds import LIMITS
@@ -88,6 +88,7 @@ def test_the_command_writes_what_changed(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.setattr(linting, "SIZE", 256)
     monkeypatch.setitem(vars(LIMITS), "image_size", 64)
     monkeypatch.setitem(vars(LIMITS), "cameras", 30)
     monkeypatch.setitem(vars(LIMITS), "least_pieces", 5)
