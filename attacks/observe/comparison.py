@@ -129,6 +129,12 @@ class Comparison:
     rates: Mapping[str, Rate]  # those of `comparison_measures`, by name; none of the target without one
     psnr: float | None  # mean dB between the clean and the attacked pictures that differ; None where all are the same
 
+    @classmethod
+    def of(cls, detector: str, values: Mapping[str, Any]) -> Comparison:
+        """What `as_dict` has made."""
+        rates = {name: Rate.of(value) for name, value in values.items() if isinstance(value, Mapping)}
+        return cls(detector=detector, rates=rates, **{name: values[name] for name in values if name not in rates})
+
     def as_dict(self) -> dict[str, Any]:
         """As JSON can hold it."""
         numbers = {"original": self.original, "target": self.target, "views": self.views, "psnr": self.psnr}

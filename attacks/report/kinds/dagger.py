@@ -9,6 +9,7 @@ from typing import Any
 import polars as pl
 
 from attacks.aims import PluggedObjective
+from attacks.dagger.sanity import Finding
 from attacks.detectors.base import Detector
 from attacks.objectives import Hide, Objective, Relabel, Target, Untargeted
 from attacks.observe.observations import verdict_cells
@@ -249,13 +250,13 @@ _WORDS = {True: "holds", False: "does not hold", None: "not checked"}
 
 def read_sanity(folder: Path, record: Record) -> Section:
     """The section of `mi-splat dagger --sanity`: whether an attack that fails may be believed."""
-    checks = record["checks"]
-    passed, red, skipped = ([check for check in checks if check["passed"] is state] for state in _WORDS)
-    columns: dict[str, Column[Record]] = {
-        "a sane attack": "claim",
-        "here": lambda check: _WORDS[check["passed"]],
-        "measured": "figures",
-        "if it does not hold": "meaning",
+    checks = [Finding(**{key: check[key] for key in check if key != "colour"}) for check in record["checks"]]
+    passed, red, skipped = ([check for check in checks if check.passed is state] for state in _WORDS)
+    columns: dict[str, Column[Finding]] = {
+        "a sane attack": lambda check: check.claim,
+        "here": lambda check: _WORDS[check.passed],
+        "measured": lambda check: check.figures,
+        "if it does not hold": lambda check: check.meaning,
     }
     return Section(
         kind="sanity of DAGGER",
@@ -275,10 +276,10 @@ def read_sanity(folder: Path, record: Record) -> Section:
             words=f"{len(passed)} of {len(passed) + len(red)}",
             note=f"{len(skipped)} not made" if skipped else "",
         ),
-        figures=(Figure(label="checks that do not hold", words=listed([check["check"] for check in red]) or "none"),),
+        figures=(Figure(label="checks that do not hold", words=listed([check.check for check in red]) or "none"),),
         warnings=(
-            *(f"{check['claim']}: {check['figures']}. {check['meaning']}" for check in red),
-            *(f"Not checked: {check['claim']}" for check in skipped),
+            *(f"{check.claim}: {check.figures}. {check.meaning}" for check in red),
+            *(f"Not checked: {check.claim}" for check in skipped),
         ),
         tables=(Table.of("Every check", columns, checks),),
         configuration=settings({key: value for key, value in record.items() if key not in _ELSEWHERE}),

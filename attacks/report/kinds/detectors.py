@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
-from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import polars as pl
 
 from attacks.bench.row import HEADS, row_of
 from attacks.observe import rates
-from attacks.observe.comparison import compare
+from attacks.observe.comparison import Comparison, compare
 from attacks.observe.rates import DEFAULT_OF_YOLO, REPORTED, Confidence, comparison_measures
 from attacks.observe.rows import ROWS
 from attacks.rate import Rate, number, percent, pooled
@@ -41,36 +40,32 @@ _CURVES: dict[str, tuple[str, Role]] = {
     "target_clean": ("taken for the target, clean", "control"),
 }
 """Rates that are drawn over the confidence."""
+_SIDES = "clean on the left, attacked on the right."
 
 
 def read_evaluation(folder: Path, record: Record) -> Section:
     """The section of an evaluation."""
-    detectors = record["detectors"]
-    name, first = next(iter(detectors.items()))
-    headline, control = _headline(name, first)
-    measured = partial(comparison_measures, targeted=first["target"] is not None)
+    judged = [Comparison.of(name, values) for name, values in record["detectors"].items()]
+    headline, control = _headline(judged[0])
+    measured = partial(comparison_measures, targeted=judged[0].target is not None)
     charts, tables = threshold_charts(read_tables(folder, (ROWS,)).get(ROWS), measured, _CURVES)
     return Section(
         kind="a clean and an attacked splat, judged",
         title=f"{Path(record['attacked']).name} against {Path(record['clean']).name}",
         done=(
-            f"{listed(list(detectors))} looked at the clean splat {record['clean']} and at the attacked one "
-            f"{record['attacked']} from {counted(len(record['cameras']), 'camera')}, in 8-bit pictures. A detection "
+            f"{listed([one.detector for one in judged])} looked at the clean splat {record['clean']} and at the "
+            f"attacked one {record['attacked']} from {counted(len(record['cameras']), 'camera')}, in 8-bit pictures. A detection "
             f"counts from {record['min_confidence']:g}. Views count in which the object shows "
             f"({record['object_gaussians']:,} Gaussians)."
         ),
-        conclusion=" ".join(
-            [*starmap(_conclusion, detectors.items()), "This says nothing of other cameras or detectors."]
-        ),
+        conclusion=" ".join([*map(_conclusion, judged), "This says nothing of other cameras or detectors."]),
         headline=headline,
         control=control,
-        figures=tuple(figure for name, judged in detectors.items() for figure in _figures(name, judged)),
+        figures=tuple(figure for one in judged for figure in _figures(one)),
         warnings=record["warnings"],
         pictures=tuple(
-            Picture(
-                path=folder / f"{name}.png", caption=f"{name}: clean on the left, attacked on the right.", wide=True
-            )
-            for name in detectors
+            Picture(path=folder / f"{one.detector}.png", caption=f"{one.detector}: {_SIDES}", wide=True)
+            for one in judged
         ),
         charts=charts,
         tables=tables,
@@ -90,13 +85,13 @@ def evaluation_figures(record: Record, tables: Tables) -> Record:
     return {"detectors": {judged.detector: judged.as_dict() for judged in compared}}
 
 
-def _headline(name: str, judged: Record) -> tuple[Figure, Figure]:
-    if judged.get("target"):
-        what, note = f"{name} reports {judged['target']} on the", ""
-        attacked, clean = Rate.of(judged["target_attacked"]), Rate.of(judged["target_clean"])
+def _headline(judged: Comparison) -> tuple[Figure, Figure]:
+    if judged.target:
+        what, note = f"{judged.detector} reports {judged.target} on the", ""
+        attacked, clean = judged.rates["target_attacked"], judged.rates["target_clean"]
     else:
-        what = f"{name} misses the {judged['original'] or 'object'} on the"
-        attacked, clean = Rate.of(judged["missed"]), Rate.of(judged["found_clean"]).failures
+        what = f"{judged.detector} misses the {judged.original or 'object'} on the"
+        attacked, clean = judged.rates["missed"], judged.rates["found_clean"].failures
         note = "of the views in which it is found in the clean one"
     return (
         Figure(label=f"{what} attacked splat", rate=attacked, note=note),
@@ -104,17 +99,17 @@ def _headline(name: str, judged: Record) -> tuple[Figure, Figure]:
     )
 
 
-def _conclusion(name: str, judged: Record) -> str:
-    attacked, clean = _headline(name, judged)
+def _conclusion(judged: Comparison) -> str:
+    attacked, clean = _headline(judged)
     return f"{attacked.label}: {attacked.counts}; {clean.label}: {clean.counts}."
 
 
-def _figures(name: str, judged: Record) -> Iterator[Figure]:
+def _figures(judged: Comparison) -> Iterator[Figure]:
     """What one detector makes of both splats."""
-    for key, words in _RATES.items():
-        if judged.get(key):
-            yield Figure(label=f"{name}: {words}", rate=Rate.of(judged[key]))
-    yield Figure(label=f"{name}: pictures, attacked against clean", words=number(judged["psnr"], unit="dB"))
+    for key, rate in judged.rates.items():
+        yield Figure(label=f"{judged.detector}: {_RATES[key]}", rate=rate)
+    label = f"{judged.detector}: pictures, attacked against clean"
+    yield Figure(label=label, words=number(judged.psnr, unit="dB"))
 
 
 # Rates over the confidence from which a detection counts, of any result whose folder holds rows

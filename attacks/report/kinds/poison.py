@@ -1,11 +1,13 @@
 """What `mi-splat poison` and studies of it leave behind: which pictures were changed, and what a victim pays."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from attacks.cloak.own_pictures import BEFORE_AND_AFTER
+from attacks.cloak.poisoning import CloakChange
 from attacks.observe.rows import ATTACKED, CLEAN
+from attacks.poisons.base import Change
 from attacks.rate import Rate, percent, pooled
 from attacks.report.section import Chart, Figure, Line, Picture, Point, Section, listed, settings
 from attacks.studies.poison import HELD_OUT, PICTURES
@@ -13,6 +15,7 @@ from attacks.studies.poison_figures import summary_tables
 from attacks.tables import Column, Table
 from mi_splat.datasets.writing import picture_name
 from mi_splat.errors import counted
+from mi_splat.fields import decode
 
 Record = Mapping[str, Any]
 
@@ -45,22 +48,24 @@ _WAYS = {
 
 def read_poisoned(folder: Path, record: Record) -> Section:
     """The section of a poisoned set."""
-    changes = [change for change in record["changes"] if change["pixels_changed"]]
+    is_cloak = record["kind"] == "cloak"
+    every = [decode(CloakChange if is_cloak else Change, values, "change") for values in record["changes"]]
+    changes = [change for change in every if change.pixels_changed]
     shares = [_share(change) for change in changes] or [0.0]
-    most, idle = max((change["largest"] for change in changes), default=0.0), len(record["changes"]) - len(changes)
+    most, idle = max((change.largest for change in changes), default=0.0), len(every) - len(changes)
     figures = {
         "of each changed picture": f"{percent(min(shares))} to {percent(max(shares))}",
         "largest change of a channel": _steps(most),
         "kind": record["kind"],
     }
-    if is_cloak := record["kind"] == "cloak":
+    if is_cloak:
         what = (
             f"those from {listed(record['hide_from'])}, and from {record['margin']:g} degrees around it. They show "
             "something else in the object's place."
         )
         outcome = "may hide the object from there; mi-splat audit says whether the splat gives it away"
         unchanged, why = idle, "from there did not show the object, and stayed as they were"
-        heights = [change["elevation"] for change in changes] or [0.0]
+        heights = [change.elevation for change in changes if isinstance(change, CloakChange)] or [0.0]
         figures["elevation of their cameras"] = f"{min(heights):.0f} to {max(heights):.0f} degrees"
         figures["what is shown"] = str(record["poisonings"][0]["appearance"])
     else:
@@ -73,12 +78,12 @@ def read_poisoned(folder: Path, record: Record) -> Section:
         if "decoy_gaussians" in record:
             grown = f"{record['decoy_gaussians']:,}, from {record['start_gaussians']:,}"
             figures["Gaussians of the attacker's model"] = grown
-    columns: dict[str, Column[Record]] = {"picture": lambda change: picture_name("train", change["index"])}
+    columns: dict[str, Column[Any]] = {"picture": lambda change: picture_name("train", change.index)}
     if is_cloak:
-        columns["azimuth"] = lambda change: f"{change['azimuth']:.1f}"
-        columns["elevation"] = lambda change: f"{change['elevation']:.1f}"
+        columns["azimuth"] = lambda change: f"{change.azimuth:.1f}"
+        columns["elevation"] = lambda change: f"{change.elevation:.1f}"
     columns["of its pixels changed"] = lambda change: percent(_share(change))
-    columns["a channel by at most"] = lambda change: _steps(change["largest"])
+    columns["a channel by at most"] = lambda change: _steps(change.largest)
     return Section(
         kind="poisoned pictures",
         title=folder.name,
@@ -95,7 +100,7 @@ def read_poisoned(folder: Path, record: Record) -> Section:
         figures=Figure.each(figures),
         warnings=(f"{counted(unchanged, 'picture')} {why}",) * (unchanged > 0),
         pictures=(Picture(path=folder / BEFORE_AND_AFTER, caption="Some pictures, before and after.", wide=True),),
-        charts=(_dome(record),) if is_cloak else (),
+        charts=(_dome(record, {change.index for change in changes}),) if is_cloak else (),
         tables=(Table.of("Every changed picture", columns, changes),),
         configuration=settings({name: value for name, value in record.items() if name not in _NO_SETTINGS}),
     )
@@ -106,13 +111,12 @@ def _steps(largest: float) -> str:
     return f"{round(255 * largest)} of 255"
 
 
-def _share(change: Record) -> float:
-    return float(change["pixels_changed"] / change["pixels"])
+def _share(change: Change) -> float:
+    return change.pixels_changed / change.pixels
 
 
-def _dome(record: Record) -> Chart:
+def _dome(record: Record, changed: Collection[int]) -> Chart:
     """Which cameras' pictures were changed."""
-    changed = {change["index"] for change in record["changes"] if change["pixels_changed"]}
     numbered = list(enumerate(record["directions"]))
     return Chart.directions(
         "From where pictures were changed",
