@@ -54,8 +54,8 @@ def read_evaluation(folder: Path, record: Record) -> Section:
         title=f"{Path(record['attacked']).name} against {Path(record['clean']).name}",
         done=(
             f"{listed([one.detector for one in judged])} looked at the clean splat {record['clean']} and at the "
-            f"attacked one {record['attacked']} from {counted(len(record['cameras']), 'camera')}, in 8-bit pictures. A detection "
-            f"counts from {record['min_confidence']:g}. Views count in which the object shows "
+            f"attacked one {record['attacked']} from {counted(len(record['cameras']), 'camera')}, in 8-bit pictures. "
+            f"A detection counts from {record['min_confidence']:g}. Views count in which the object shows "
             f"({record['object_gaussians']:,} Gaussians)."
         ),
         conclusion=" ".join([*map(_conclusion, judged), "This says nothing of other cameras or detectors."]),
