@@ -83,7 +83,7 @@ SLACK = {"splat": {"rotations": 0.95}}
 """They read bytes of a quaternion as b / 127.5 - 1, the viewer that the format comes from as (b - 128) / 128."""
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("degree", [0, 3])
 @pytest.mark.parametrize(("suffix", "version"), WRITTEN)
 @pytest.mark.parametrize("decode", [by_transform, by_forge])
 def test_they_read_what_we_write(
@@ -94,7 +94,7 @@ def test_they_read_what_we_write(
     decoded_alike(path, tmp_path, decode, **SLACK.get(suffix, {}))
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("degree", [0, 3])
 @pytest.mark.parametrize("words", [["a.compressed.ply"], ["a.sog"], ["--spz-version", "3", "a.spz"], ["a.spz"]])
 def test_we_read_what_splat_transform_writes(words: list[str], degree: int, tmp_path: Path) -> None:
     save_splat(tame_scene(300, degree), tmp_path / "in.ply")
@@ -103,7 +103,7 @@ def test_we_read_what_splat_transform_writes(words: list[str], degree: int, tmp_
     decoded_alike(tmp_path / name, tmp_path, by_transform)
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("degree", [0, 3])
 @pytest.mark.parametrize("decode", [by_transform, by_forge])
 @pytest.mark.parametrize("suffix", ["compressed.ply", "splat", "sog", "spz", "ksplat"])
 def test_we_read_what_gaussforge_writes(suffix: str, decode: Decode, degree: int, tmp_path: Path) -> None:
@@ -117,7 +117,7 @@ def test_we_read_what_gaussforge_writes(suffix: str, decode: Decode, degree: int
     decoded_alike(path, tmp_path, decode, **SLACK.get(suffix, {}))
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+@pytest.mark.parametrize("degree", [0, 3])
 def test_gltf_of_splat_transform(degree: int, tmp_path: Path) -> None:
     """It writes glTF and does not read it: its file and ours have to load as the scene from which they were made."""
     scene = tame_scene(300, degree)
@@ -146,19 +146,6 @@ def test_converting_what_was_turned_is_turning_what_was_converted(decode: Decode
             before = decoded
     assert_close(before.transform(move), decoded, means=0.01, scales=0.08, rotations=2.5, opacities=0.003,
                  colours=0.02, sh=0.07)  # fmt: skip
-
-
-def test_splat_transform_turns_sh_as_we_do(tmp_path: Path) -> None:
-    """Its own rotation of all bands; it turns in glTF's axes, where our x and y point the other way."""
-    scene = tame_scene(200, 3)
-    save_splat(scene, tmp_path / "in.ply")
-    transform(tmp_path / "in.ply", "-r", "0,0,90", tmp_path / "about_z.ply")
-    transform(tmp_path / "in.ply", "-r", "90,0,0", tmp_path / "about_x.ply")
-    about_z = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    about_x = torch.tensor([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-    for name, turn in (("about_z", about_z), ("about_x", about_x)):
-        turned = scene.transform(Similarity(rotation=turn, translation=torch.zeros(3)))
-        assert_close(load_splat(tmp_path / f"{name}.ply"), turned, means=1e-4, sh=1e-4)
 
 
 def test_trimesh_draws_our_gltf_as_points(tmp_path: Path) -> None:

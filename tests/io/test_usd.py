@@ -1,13 +1,11 @@
 """OpenUSD: exact there and back, files by hand as the schema says, transforms, and files that mean harm."""
 
-import json
 import struct
 from pathlib import Path
 
 import pytest
 import torch
 
-from attacks import cli
 from mi_splat.io import SplatFileError, SplatFileWarning, load_splat, save_splat
 from mi_splat.scene import GaussianScene, Similarity
 from tests.gaussians import random_scene
@@ -159,13 +157,3 @@ def test_claims_of_binary_files_do_not_fill_the_memory(tmp_path: Path) -> None:
     layer.Export(str(tmp_path / "b.usdc"))
     with pytest.raises(SplatFileError, match="Gaussians, got 10000: this may be a decompression bomb"):
         load_splat(tmp_path / "b.usdc")
-
-
-def test_commands_take_openusd(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    save_splat(random_scene(30, 2), tmp_path / "a.ply")
-    for source, out in (("a.ply", "b.usda"), ("b.usda", "c.ply")):
-        assert cli.main(["convert", str(tmp_path / source), str(tmp_path / out)]) == 0
-    assert (tmp_path / "c.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
-    capsys.readouterr()
-    assert cli.main(["info", str(tmp_path / "b.usda"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["gaussians"] == 30
