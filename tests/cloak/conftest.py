@@ -1,24 +1,19 @@
 """What tests of CLOAK share: a finished tiny study, and the objects."""
 
-from functools import cache
 from pathlib import Path
 
 import pytest
 
 from attacks.cloak import setup
 from attacks.detectors import registry
-from mi_splat.assets import build
-from tests.cloak.tiny_study import KNOWN
+from tests.cloak.tiny_study import KNOWN, asset
 from tests.project.layers import ROOT
 from tests.warm import Warm
 
-built = cache(build)
-
 
 @pytest.fixture(autouse=True)
-def _objects_are_built_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A car takes 0.2 s, each study asks for it many times, and nobody changes one."""
-    monkeypatch.setattr(setup, "build", built)
+def _a_car_is_a_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(setup, "_asset", asset)
 
 
 @pytest.fixture(autouse=True)
