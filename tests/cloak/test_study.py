@@ -6,13 +6,16 @@ import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import polars as pl
 import pytest
 import torch
 
 from attacks import cli
-from attacks.cloak.config import StudyConfig, read_study
+from attacks.cloak import layers
+from attacks.cloak.config import LayersConfig, StudyConfig, SurrogateConfig, read_study
+from attacks.cloak.layers import Layering
 from attacks.cloak.rates import RATES
 from attacks.cloak.setup import SET
 from attacks.cloak.steps import StudySteps
@@ -24,7 +27,9 @@ from attacks.report.results import kind_of, read_section
 from mi_splat.datasets import load_dataset
 from mi_splat.errors import InvalidValueError
 from mi_splat.import_closure import closure
+from mi_splat.io import load_splat
 from mi_splat.ledger import Done, Job
+from mi_splat.scene import GaussianScene
 from tests.cloak.test_jobs import KINDS
 from tests.cloak.tiny_study import MODULES, STUDY, Redness, done, summary
 from tests.ledger.drive import Ledger
@@ -107,19 +112,26 @@ def test_nothing_is_done_twice(finished: Path) -> None:
     assert done(finished) == ({**before, "command": summary(finished)["command"]}, [])
 
 
+def copied(finished: Path, out: Path, *missing: Job) -> None:
+    """The jobs of the finished study but for some."""
+    shutil.copytree(finished / "stages", out / "stages")
+    for job in missing:
+        key = made(finished, job).key
+        shutil.rmtree(out / "stages" / "jobs" / key[:2] / key)
+
+
 def test_a_study_that_is_interrupted_again_and_again_ends_as_if_nothing_had_happened(
     finished: Path, tmp_path: Path
 ) -> None:
+    """Whoever looks at its splats has nothing to do again, as these are the same to the bit."""
     steps, out = steps_of(), tmp_path / "out"
-    for job in (steps.pictures(), steps.splat("clean", 0)):  # which would take long
-        key = made(finished, job).key
-        shutil.copytree(finished / "stages" / "jobs" / key[:2] / key, out / "stages" / "jobs" / key[:2] / key)
-    for stop_at in (("pictures", 2), ("poisoned", 2), ("trained", 40)):
+    copied(finished, out, steps.appearance(STUDY.attack[0]), steps.poisoned(0), steps.splat("cloaked", 0))
+    for stop_at in (("pictures", 2), ("trained", 40)):
         with pytest.raises(KeyboardInterrupt):
             done(out, stop_at=stop_at)
         assert not (out / "result.json").exists()
     after, kinds = done(out)
-    assert kinds.count("trained") == 1
+    assert kinds == ["trained"]
     assert [splat["hash"] for splat in after["splats"]] == [splat["hash"] for splat in summary(finished)["splats"]]
     assert not list((out / "stages" / "partial").iterdir())
 
@@ -150,13 +162,13 @@ def test_its_figures_follow_from_its_rows_and_its_splats_are_scored_again(finish
         rescore(copy, story.rescoring, [Redness()])
 
 
-def test_a_splat_that_was_edited_is_made_again(tmp_path: Path) -> None:
-    study = replace(STUDY, training=replace(STUDY.training, iterations=2))
-    steps, ledger = steps_of(study), Ledger(tmp_path)
-    splat = ledger.do(steps.splat("clean", 0)).folder / "splat.ply"
+def test_a_splat_that_was_edited_is_not_looked_at(finished: Path, tmp_path: Path) -> None:
+    steps = steps_of()
+    copied(finished, tmp_path)
+    splat = Ledger(tmp_path / "stages").do(steps.splat("clean", 0)).folder / "splat.ply"
     splat.write_bytes(splat.read_bytes() + b"\0")
     with pytest.raises(InvalidValueError, match="expected the files that it wrote"):
-        Ledger(tmp_path).do(steps.seen(steps.splat("clean", 0), Redness()))
+        Ledger(tmp_path / "stages").do(steps.seen(steps.splat("clean", 0), Redness(), every=2))
 
 
 def test_the_command_forecasts_does_and_reports(
@@ -177,3 +189,75 @@ def test_the_command_forecasts_does_and_reports(
     words[3] = tmp_path
     assert cli.main([*map(str, words)]) == 1
     assert "expected a new or an empty folder" in capsys.readouterr().err
+
+
+# An attacker who changes the finished file, or trains surrogates
+
+
+LAYERS = LayersConfig(attacks=("overhead",), iterations=40)
+
+
+def splats(finished: Path, study: StudyConfig) -> list[GaussianScene]:
+    """The clean and the cloaked splat; jobs are shared with the finished study."""
+    jobs = [steps_of(study).splat(name, 0) for name in ("clean", "cloaked")]
+    return [load_splat(made(finished, job).folder / "splat.ply") for job in jobs]
+
+
+def layering(finished: Path, config: LayersConfig, clean: GaussianScene) -> tuple[Layering, int]:
+    """The layers before their training, all black, and the number of poisoned pictures."""
+    steps = steps_of()
+    views = load_dataset(made(finished, steps.poisoned(0)).folder / SET, background=STUDY.scene.background)
+    with patch.object(layers, "fit_switches", lambda directions, *fit, **how: torch.zeros(len(directions), 16)):
+        return layers.layer_object(steps.setup, config, clean, views, render=steps.renderer()), len(views)
+
+
+@pytest.fixture
+def _switches_are_coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(layers, "DIRECTIONS", 150)
+    monkeypatch.setattr(layers, "_ROUNDS", 6)
+
+
+@pytest.mark.usefixtures("_switches_are_coarse")
+def test_layers_are_made_of_the_clean_splat_s_object_and_hide_it(finished: Path) -> None:
+    """The pictures and the clean splat are those of the study without layers: its jobs are shared."""
+    study = replace(STUDY, name="layers", layers=LAYERS)
+    out = finished.with_name("layers")
+    _, kinds = done(out, study=study, store=finished / "stages")
+    assert not {"pictures", "trained"} & set(kinds)
+    before, after = splats(finished, study)
+    assert len(before) < len(after) <= 2 * len(before)
+    other = ~layers.object_rows(LAYERS, before, steps_of().setup.target)
+    for name in ("means", "sh"):
+        assert torch.equal(getattr(before, name)[other], getattr(after, name)[: len(before)][other])
+    for config in (LAYERS, replace(LAYERS, surroundings=True)):
+        made_of_it, count = layering(finished, config, before)
+        assert bool(made_of_it.trained.all()) == config.surroundings
+        assert len(made_of_it.views) < count  # those from where the look changes are left out
+    rows = read_rows(out / "rows.csv.xz").filter(pl.col("elevation") >= 50)
+    control, hidden = (rows.filter(splat=splat)["original_score"].to_list() for splat in ("clean", "attacked"))
+    assert sum(hidden) < 0.5 * sum(control)
+
+
+@pytest.mark.usefixtures("_switches_are_coarse")
+def test_the_geometry_of_layers_is_trained_and_made_finer(finished: Path) -> None:
+    config = replace(LAYERS, geometry=True, iterations=310)
+    clean, cloaked = splats(finished, replace(STUDY, layers=config))
+    begun, _ = layering(finished, config, clean)
+    assert begun.geometry
+    assert bool(begun.trained.all())
+    assert len(cloaked) > len(begun.scene)
+    assert torch.dist(cloaked.means[: len(clean)], clean.means) > 0
+    with pytest.raises(InvalidValueError, match=r"layers.max_gaussians: expected room for the layers, got"):
+        layering(finished, replace(config, max_gaussians=len(clean)), clean)
+
+
+def test_a_surrogate_of_the_attacker_s_own_corrects_the_poison(finished: Path) -> None:
+    """It overdoes what the surrogate lacks; pictures that were not poisoned stay as they are."""
+    study = replace(STUDY, surrogate=SurrogateConfig(rounds=2, iterations=30))
+    plain, corrected = (made(finished, steps_of(one).poisoned(0)) for one in (STUDY, study))
+    manifest = json.loads((corrected.folder / MANIFEST).read_text())
+    assert all(change["appearance"].count("corrected by 1 times") == 2 for change in manifest["changes"])
+    changed = {change["index"] for change in manifest["changes"]}
+    sets = [load_dataset(one.folder / SET) for one in (plain, corrected)]
+    for index, (one, other) in enumerate(zip(*(views.paths for views in sets), strict=True)):
+        assert filecmp.cmp(one, other, shallow=False) == (index not in changed)
