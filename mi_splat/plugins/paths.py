@@ -180,25 +180,16 @@ def replay_stretch(
     grad_colour, grad_through = layer_backward(*seen, gradient.radiance * throughput, linear=settings.linear)
     grad_through += dr.select(seen[1] > 0.0, dr.dot(gradient.radiance, behind) / seen[1], 0.0)
     grad_through -= dr.select((depth == 0) & ~si.is_valid(), gradient.alpha, 0.0)
-    far = dr.select(si.is_valid(), si.t, math.inf)
-    segments.blend_backward(
-        mixed.splats,
-        stretch_of(ray, dr.minimum(far, ray.maxt)),
-        active,
-        seen,
-        (grad_colour, grad_through),
-        gradient.sums,
-        to_mean=settings.to_mean,
-    )
+    far = dr.minimum(dr.select(si.is_valid(), si.t, math.inf), ray.maxt)
+    stretch, of_seen, to_mean = stretch_of(ray, far), (grad_colour, grad_through), settings.to_mean
+    segments.blend_backward(mixed.splats, stretch, active, seen, of_seen, gradient.sums, to_mean=to_mean)
 
 
 def replay_shadow(mixed: Mixed, shadow: Any, shade: Any, product: Any, active: Any, gradient: Any) -> None:
     """Add what the splats on a shadow ray get."""
     if mixed.splats is not None:
-        unshaded = dr.select(shade > 0.0, product / shade, 0.0)
-        segments.transmittance_backward(
-            mixed.splats, stretch_of(shadow, shadow.maxt), active, shade, unshaded, gradient.sums
-        )
+        unshaded, stretch = dr.select(shade > 0.0, product / shade, 0.0), stretch_of(shadow, shadow.maxt)
+        segments.transmittance_backward(mixed.splats, stretch, active, shade, unshaded, gradient.sums)
 
 
 def _mis_weight(pdf: Any, other_pdf: Any) -> Any:
@@ -262,15 +253,9 @@ def _alone(
     if mixed.splats is not None:
         grad_colour, grad_through = layer_backward(*first, gradient.radiance, linear=settings.linear)
         grad_through += dr.dot(gradient.radiance, behind) - gradient.alpha
-        segments.blend_backward(
-            mixed.splats,
-            stretch_of(ray, far),
-            mi.Bool(True),
-            first,
-            (grad_colour, grad_through),
-            gradient.sums,
-            to_mean=settings.to_mean,
-        )
+        stretch, on, of_seen = stretch_of(ray, far), mi.Bool(True), (grad_colour, grad_through)
+        sums, to_mean = gradient.sums, settings.to_mean
+        segments.blend_backward(mixed.splats, stretch, on, first, of_seen, sums, to_mean=to_mean)
     return gathered
 
 

@@ -97,26 +97,14 @@ def integrator_class(variant: str) -> Any:
                 hide_emitters=self._hide,
             )
 
-        def sample(
-            self,
-            mode: Any,
-            scene: Any,
-            sampler: Any,
-            ray: Any,
-            depth: Any = None,
-            δL: Any = None,
-            δaovs: Any = None,
-            state_in: Any = None,
-            active: Any = True,
-        ) -> Any:
+        def sample(self, mode: Any, scene: Any, sampler: Any, ray: Any, **given: Any) -> Any:
             """Radiance along rays, or its gradient; see Mitsuba's `ADIntegrator.sample`."""
-            gradient = None
+            mixed, settings = self._mixed(scene), self._path_settings()
+            total = gradient = None
             if mode == dr.ADMode.Backward:
-                gradient = Adjoint(mi.Color3f(δL), mi.Float(δaovs[0]) if self.alpha else mi.Float(0.0), self._sums)
-            mixed = self._mixed(scene)
-            light, alpha, state = radiance(
-                mixed, sampler, ray, self._path_settings(), total=state_in if gradient else None, gradient=gradient
-            )
+                on_alpha = mi.Float(given["δaovs"][0]) if self.alpha else mi.Float(0.0)
+                gradient, total = Adjoint(mi.Color3f(given["δL"]), on_alpha, self._sums), given["state_in"]
+            light, alpha, state = radiance(mixed, sampler, ray, settings, total=total, gradient=gradient)
             return light, mi.Bool(True), [alpha] if self.alpha else [], state
 
         def sample_rays(self, scene: Any, sensor: Any, sampler: Any) -> Any:

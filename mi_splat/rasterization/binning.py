@@ -124,12 +124,8 @@ def count_tiles(splat: Splat, extent: Any, visible: Any, width: Any, height: Any
         left, right = tiles_of_row(splat, row, height, width)
         return row + 1, total + mi.UInt32(dr.maximum(right - left + 1, 0))
 
-    _, total = dr.while_loop(
-        (mi.Int32(first), mi.UInt32(0)),
-        lambda row, _: visible & (row <= last),
-        body,
-        label="count tiles",
-    )
+    start = (mi.Int32(first), mi.UInt32(0))
+    _, total = dr.while_loop(start, lambda row, _: visible & (row <= last), body, label="count tiles")
     return total
 
 
@@ -148,20 +144,13 @@ def emit_pairs(splat: Splat, gaussian: Any, slots: tuple[Any, Any], size: tuple[
             return slot + 1, column + 1
 
         slot, _ = dr.while_loop(
-            (slot, left),
-            lambda slot, column: (slot < stop) & (column <= right),
-            write,
-            label="emit pairs of a row",
+            (slot, left), lambda slot, column: (slot < stop) & (column <= right), write, label="row"
         )
         return slot, row + 1
 
     start, stop = slots
-    used, _ = dr.while_loop(
-        (mi.UInt32(start), mi.Int32(first)),
-        lambda slot, row: (slot < stop) & (row <= last),
-        write_row,
-        label="emit pairs",
-    )
+    begin = (mi.UInt32(start), mi.Int32(first))
+    used, _ = dr.while_loop(begin, lambda slot, row: (slot < stop) & (row <= last), write_row, label="emit pairs")
     return used
 
 
@@ -173,12 +162,7 @@ def lower_bound(sorted_keys: Any, count: Any, key: Any) -> Any:
         smaller = dr.gather(mi.UInt32, sorted_keys, middle) < key
         return dr.select(smaller, middle + 1, low), dr.select(smaller, high, middle)
 
-    low, _ = dr.while_loop(
-        (mi.UInt32(0), mi.UInt32(count)),
-        lambda low, high: low < high,
-        body,
-        label="tile bounds",
-    )
+    low, _ = dr.while_loop((mi.UInt32(0), mi.UInt32(count)), lambda low, high: low < high, body, label="tile bounds")
     return low
 
 

@@ -57,13 +57,7 @@ def colour_forward(terms: int, sh: Any, frozen: FrozenPairs, colours: Any) -> An
     return frozen.base + dr.gather(mi.Float, frozen.canvas, frozen.where)
 
 
-def colour_backward(
-    terms: int,
-    grad_picture: Any,
-    frozen: FrozenPairs,
-    colours: Any,
-    grad_sh: Any,
-) -> None:
+def colour_backward(terms: int, grad_picture: Any, frozen: FrozenPairs, colours: Any, grad_sh: Any) -> None:
     """Gradient of SH from that of the picture. Each pair sums into its own row: no atomics, one order."""
     dr.scatter(frozen.gradients, grad_picture, frozen.where)
     dr.eval(frozen.gradients)

@@ -49,9 +49,8 @@ def rasterize(
     if number == 0:
         return _nothing_visible(buffers, layout, arrays)
     if number > MAX_PAIRS:
-        raise MiSplatError.of(
-            "picture", f"at most {MAX_PAIRS} tile touches", number, "render it smaller or shrink the Gaussians"
-        )
+        do = "render it smaller or shrink the Gaussians"
+        raise MiSplatError.of("picture", f"at most {MAX_PAIRS} tile touches", number, do)
     pairs = buffer(2 * number, mi.UInt32, NO_TILE)
     used = run(stages.write_pairs, records[0], depth_order, first, last, buffers.size, pairs)
     tiles = len(buffers.tiles)
@@ -61,16 +60,8 @@ def rasterize(
     order, walked = binning.by_length(length_key), buffer(tiles, mi.UInt32)
     canvas = tuple(buffer(width * TILE * TILE * tiles) for width in ((4, 3) if depths else (4,)))
     run(stages.blend_tiles, records, (gaussians, *ranges), order, buffers, canvas, walked)
-    state = BackwardState(
-        buffers=buffers,
-        camera=stage_camera,
-        records=records,
-        depth_order=depth_order,
-        row_ranges=(first, used),
-        pairs=(gaussians, rows),
-        pair_ranges=ranges,
-        walked=walked,
-    )
+    lists = (first, used), (gaussians, rows), ranges
+    state = BackwardState(buffers, stage_camera, records, depth_order, *lists, walked)
     return Picture(buffers.colour, buffers.opacity, buffers.depths, layout, arrays, state)
 
 
@@ -103,16 +94,7 @@ def rasterize_backward(
     rows, row_ranges = run(stages.rows_by_gaussian, state.depth_order, state.row_ranges, state.pairs, scratch)
     lists, order = (state.pairs[0], rows, *state.pair_ranges), binning.by_length(state.walked)
     run(stages.blend_backward, state.records, lists, order, state.buffers, grad_tiles, moments)
-    index = numbers(mi.variant(), gaussians)
-    run(
-        stages.project_backward,
-        picture.layout,
-        sh_terms(arrays),
-        arrays,
-        state.camera,
-        (index, *row_ranges),
-        moments,
-        gradients,
-        screen,
-    )
+    terms, ranges = sh_terms(arrays), (numbers(mi.variant(), gaussians), *row_ranges)
+    given = picture.layout, terms, arrays, state.camera, ranges
+    run(stages.project_backward, *given, moments, gradients, screen)
     return gradients

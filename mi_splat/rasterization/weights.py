@@ -180,22 +180,15 @@ def _slots_of_pixels(picture: Picture, tiles: Any) -> Any:
 
 
 def _walk(
-    picture: Picture,
-    tiles: Any,
-    columns: Any,
-    *,
-    kept: Any | None = None,
-    packed: tuple[Any, Any, Any] | None = None,
+    picture: Picture, tiles: Any, columns: Any, *, kept: Any | None = None, packed: tuple[Any, Any, Any] | None = None
 ) -> None:
     """Walk the lists of tiles as the picture did, and find the pairs to keep."""
     state = picture.state
     assert state is not None
     width, height = width_and_height(state.buffers.size)
     corner = first_pixel(mi.Int32(tiles), tile_columns(width))
-    inside = [
-        (corner[0] + float(p % TILE) < mi.Float(width)) & (corner[1] + float(p // TILE) < mi.Float(height))
-        for p in range(PIXELS)
-    ]
+    right, below = mi.Float(width), mi.Float(height)
+    inside = [(corner[0] + float(p % TILE) < right) & (corner[1] + float(p // TILE) < below) for p in range(PIXELS)]
     ranges = [dr.gather(mi.UInt32, edge, tiles) for edge in state.pair_ranges]
     begin = packed[0] if packed else mi.UInt32(0)
 

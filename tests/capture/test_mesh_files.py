@@ -1,7 +1,6 @@
 """Mesh files: geometry, axes, textures the right way up, colours, and what is wrong with a file."""
 
 import io
-import json
 import random
 import re
 import struct
@@ -16,6 +15,7 @@ from mi_splat.assets.mesh import Asset
 from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.capture.settings import MeshSettings
 from mi_splat.errors import InvalidValueError, MiSplatError
+from tests.capture.trucks import packed
 
 pytest.importorskip("trimesh")
 
@@ -49,7 +49,7 @@ def write_obj(folder: Path, *, material: str = "map_Kd t.png") -> Path:
     return folder / "m.obj"
 
 
-def write_glb(folder: Path, *, factor: list[float] | None = None, move: float = 0.0, texture: bool = True) -> Path:
+def write_glb(folder: Path, *, move: float = 0.0) -> Path:
     """A GLB written by hand: in glTF, v runs down from the top of the picture."""
     buffer = io.BytesIO()
     picture().save(buffer, format="PNG")
@@ -63,9 +63,6 @@ def write_glb(folder: Path, *, factor: list[float] | None = None, move: float = 
     for part in parts:
         views.append({"buffer": 0, "byteOffset": len(data), "byteLength": len(part)})
         data += part + b"\0" * (-len(part) % 4)
-    physical: dict[str, object] = {"baseColorTexture": {"index": 0}} if texture else {}
-    if factor:
-        physical["baseColorFactor"] = factor
     accessors = [
         {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [0, 0, -1], "max": [0, 1, 0]},
         {"bufferView": 1, "componentType": 5126, "count": 4, "type": "VEC2"},
@@ -76,15 +73,11 @@ def write_glb(folder: Path, *, factor: list[float] | None = None, move: float = 
         "nodes": [{"mesh": 0, "translation": [move, 0, 0]}],
         "meshes": [{"primitives": [
             {"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0}]}],
-        "materials": [{"pbrMetallicRoughness": physical}],
+        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
         "textures": [{"source": 0}], "images": [{"bufferView": 3, "mimeType": "image/png"}],
         "accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(data)}],
     }  # fmt: skip
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    total = 12 + 8 + len(text) + 8 + len(data)
-    head = struct.pack("<4sII", b"glTF", 2, total) + struct.pack("<I4s", len(text), b"JSON")
-    (folder / "m.glb").write_bytes(head + text + struct.pack("<I4s", len(data), b"BIN\0") + data)
+    (folder / "m.glb").write_bytes(packed(document, struct.pack("<I4s", len(data), b"BIN\0") + data))
     return folder / "m.glb"
 
 

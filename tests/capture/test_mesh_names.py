@@ -11,7 +11,7 @@ from mi_splat.capture.mesh_files import load_mesh
 from mi_splat.capture.settings import MeshSettings
 from mi_splat.errors import MiSplatError
 from tests.capture.test_mesh_files import write_glb
-from tests.capture.trucks import TEXTURE, truck, write_obj
+from tests.capture.trucks import TEXTURE, packed, truck, write_obj
 
 pytest.importorskip("trimesh")
 
@@ -89,25 +89,13 @@ def parts(path: Path) -> tuple[dict[str, Any], bytes]:
     return json.loads(data[20 : 20 + length]), data[20 + length :]
 
 
-def write(path: Path, document: object, rest: bytes) -> None:
-    """A GLB of a document and what follows it."""
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    head = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON")
-    path.write_bytes(head + text + rest)
-
-
 @pytest.mark.parametrize(
     ("keys", "value", "says"),
     [
         ((*PRIMITIVE, "attributes", "POSITION"), 99, ""),
-        ((*PRIMITIVE, "indices"), 99, ""),
         ((*PRIMITIVE, "attributes"), {}, ""),
         (("nodes", 0, "mesh"), 7, ""),
-        (("scenes", 0, "nodes"), [7], ""),
-        (("accessors", 0, "bufferView"), 9, ""),
         (("accessors", 0, "count"), 4000, ""),
-        (("accessors", 0, "componentType"), 7, ""),
         (("accessors", 0), {"componentType": 5126, "type": "VEC3", "count": 10**9}, "1000000000 zeros"),
         (("bufferViews", 0, "byteLength"), 10**7, ""),
         (("materials", 0, "pbrMetallicRoughness", "baseColorTexture", "index"), 7, ""),
@@ -123,7 +111,7 @@ def test_parts_that_do_not_fit_are_refused(keys: tuple[Any, ...], value: object,
     for key in keys[:-1]:
         node = node[key]
     node[keys[-1]] = value
-    write(path, document, rest)
+    path.write_bytes(packed(document, rest))
     with pytest.raises(MiSplatError, match=rf"m\.glb: expected .*{says}"):
         load_mesh(path)
 

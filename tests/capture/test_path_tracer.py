@@ -37,9 +37,7 @@ def camera(
     return Camera(to_world=pose, focal=60.0, width=size[0], height=size[1], principal=principal)
 
 
-@pytest.mark.parametrize(
-    ("size", "principal"), [((64, 48), None), ((64, 48), (40.5, 15.0)), ((51, 37), (20.25, 22.0)), ((33, 70), None)]
-)
+@pytest.mark.parametrize(("size", "principal"), [((64, 48), (40.5, 15.0)), ((33, 70), None)])
 def test_points_land_on_projected_pixels(size: tuple[int, int], principal: tuple[float, float] | None) -> None:
     spots = torch.tensor([[0.8, 0.0, 0.2], [-0.5, 0.7, 0.9], [0.0, -0.6, 1.1], [0.1, 0.1, 0.0]])
     view = camera(size=size, principal=principal)

@@ -6,24 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from mi_splat.assets.daylight import Light
-from mi_splat.assets.mesh import Asset, translation
+from mi_splat.assets.mesh import Asset
 from mi_splat.assets.primitives import box, quad
 from mi_splat.camera_sets import orbit
 from mi_splat.cameras import Camera, View, look_at
-from mi_splat.capture.path_tracer import scene_dict
 from mi_splat.capture.writer import SurfaceSamples, fit_colours, nearness, surface_samples
-from mi_splat.rotation import to_matrix
 from mi_splat.sh import sh_to_colour
-from scenes.recipes.disc_splats import disc_splat
-from scenes.recipes.mesh_views import capture, depth_maps
 
 CUBE = Asset("cube", (box((1, 1, 1), (0.7, 0.2, 0.1), centre=(0, 0, 0.5)),))
 PLANE = Asset("plane", (quad([[-8, -8, 0], [8, -8, 0], [8, 8, 0], [-8, 8, 0]], (0.5, 0.5, 0.5)),))
-
-
-def ring() -> list[Camera]:
-    return orbit((0, 0, 0.5), count=8, elevation=30, distance=4, focal=90, size=(64, 64))
 
 
 def test_samples_lie_on_the_surface_evenly() -> None:
@@ -50,24 +41,6 @@ def test_density_follows_the_cameras() -> None:
     expected = (math.log(5 / 4) / 1) / (math.log(53 / 29) / 24)
     assert near / far == pytest.approx(expected, rel=0.2)
     assert samples.spacing[radius < 1].mean() < samples.spacing[radius > 5].mean()
-
-
-def test_discs_are_flat_and_coloured_as_seen() -> None:
-    light = Light(sun_strength=0.0, sky_strength=1.0, zenith=(1, 1, 1), horizon=(1, 1, 1), clouds=0.0)
-    raised = CUBE.transformed(translation(0, 0, 0.4))
-    description = scene_dict([raised], light=light, backdrop=PLANE)
-    views, depths = capture(description, ring(), samples=16), depth_maps(description, ring())
-    samples = surface_samples(raised, 600, seed=0)
-    splat = disc_splat(samples, views, depths)
-    assert 0.75 * 600 < len(splat) < 0.9 * 600
-    assert (splat.means[:, 2] < 0.401).sum() < 0.5 * 100  # the underside is hidden and left out but for its edges
-    normal = to_matrix(splat.rotations)[:, :, 2]
-    centred = splat.means - torch.tensor([0.0, 0.0, 0.9])
-    assert torch.allclose((normal * centred).sum(1).abs(), torch.full((len(splat),), 0.5), atol=1e-4)
-    assert (splat.scales[:, 2] < 0.2 * splat.scales[:, 0]).all()
-    top = splat.means[:, 2] > 1.399
-    colours = sh_to_colour(splat.sh[top], torch.tensor([[0.0, 0.6, -0.8]]).expand(int(top.sum()), 3))
-    assert torch.allclose(colours.mean(0), torch.tensor([0.7, 0.2, 0.1]), atol=0.05)
 
 
 def test_colour_fit_recovers_a_gradient_over_direction() -> None:

@@ -106,15 +106,10 @@ def test_near_cuts_what_is_near(tmp_path: Path) -> None:
 OPTIONS: dict[str, tuple[list[str], str]] = {
     "rotate": (["--rotate", "0", "0", "30"], "rotate [0.0, 0.0, 0.0], now [0.0, 0.0, 30.0]"),
     "front": (["--front", "-x"], "front None, now '-x'"),
-    "scale": (["--scale", "2"], "scale 1.0, now 2.0"),
-    "up": (["--up", "y"], "up None, now 'y'"),
     "ground": (["--ground", "road"], "ground 'none', now 'road'"),
-    "sun": (["--sun", "-50,52"], "sun None, now '-50,52'"),
     "near": (["--near", "0.5"], "near None, now 0.5"),
     "cameras": (["--cameras", "orbit:2@30"], "cameras 'orbit:2@20', now 'orbit:2@30'"),
-    "fov": (["--fov", "50"], "fov 45.0, now 50.0"),
     "distance": (["--distance", "9"], "distance None, now 9.0"),
-    "size": (["--size", "20"], "size [16, 16], now [20, 20]"),
 }
 
 

@@ -20,15 +20,10 @@ COLOURS = {"cab": (200, 30, 30), "bed": (30, 60, 180), "tyre": (25, 25, 25), "gl
 
 @dataclass(frozen=True, eq=False)
 class Truck:
-    """z up, facing +x; triangles do not share vertices.
+    """z up, facing +x; triangles do not share vertices."""
 
-    Attributes:
-        vertices: (V, 3) float64.
-        uvs: (V, 2), v up.
-    """
-
-    vertices: NDArray[np.float64]
-    uvs: NDArray[np.float64]
+    vertices: NDArray[np.float64]  # (V, 3)
+    uvs: NDArray[np.float64]  # (V, 2), v up
 
     @property
     def faces(self) -> NDArray[np.int64]:
@@ -180,9 +175,13 @@ def write_glb(
         "accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(data)}],
         **({"extensionsRequired": list(required), "extensionsUsed": list(required)} if required else {}),
     }  # fmt: skip
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    head = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + len(data), len(text), b"JSON")
-    (folder / "truck.glb").write_bytes(head + text + struct.pack("<I4s", len(data), b"BIN\0") + data)
+    (folder / "truck.glb").write_bytes(packed(document, struct.pack("<I4s", len(data), b"BIN\0") + data))
     save_texture(folder)
     return folder / "truck.glb"
+
+
+def packed(document: object, rest: bytes) -> bytes:
+    """A GLB of a document and the chunks after it."""
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON") + text + rest

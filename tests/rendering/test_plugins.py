@@ -143,18 +143,6 @@ def test_forward_mode_is_refused_in_words() -> None:
     assert any("reverse-mode" in str(cause) for cause in causes)
 
 
-@pytest.mark.parametrize(
-    ("shapes", "reason"),
-    [
-        ('<shape type="gaussians" id="k"/>', "a filename, or the tensors"),
-        ('<shape type="gaussians" id="k"><string name="filename" value="none.ply"/></shape>', "none.ply"),
-    ],
-)
-def test_bad_shapes_say_why(shapes: str, reason: str) -> None:
-    with pytest.raises(RuntimeError, match=reason):
-        mi.load_string(scene_xml(shapes))
-
-
 def test_meshes_beside_splats_are_refused_and_the_log_says_why(capfd: pytest.CaptureFixture[str]) -> None:
     loaded = mi.load_string(scene_xml('<shape type="sphere" id="ball"/>'))
     with pytest.raises((RuntimeError, InvalidValueError)) as caught:

@@ -125,7 +125,8 @@ def test_ssim_is_that_of_torchmetrics() -> None:
     from torchmetrics.functional.image import structural_similarity_index_measure as theirs
 
     image, reference = (p.float() for p in pictures(1, 200, 200))
-    planes = [picture.permute(2, 0, 1)[None] for picture in (image, reference)]
-    assert float(reported_ssim(image, reference)) == pytest.approx(float(theirs(*planes, data_range=1.0)), abs=1e-6)
+    first, second = (picture.permute(2, 0, 1)[None] for picture in (image, reference))
+    expected = theirs(first, second, data_range=1.0)
+    assert float(reported_ssim(image, reference)) == pytest.approx(float(expected), abs=1e-6)  # type: ignore[arg-type]
     assert float(ssim(image, reference)) == pytest.approx(float(reported_ssim(image, reference)), abs=5e-3)
     assert float(ssim(image, image)) == pytest.approx(1.0, abs=1e-6)

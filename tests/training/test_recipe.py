@@ -47,8 +47,6 @@ def test_adam_steps_with_these_rates() -> None:
     state.iteration = 0
     assert used == state.learning_rates()
     for group in state.optimiser.param_groups:
-        assert group["eps"] == 1e-15
-        assert group["betas"] == (0.9, 0.999)
         moved = (state.parameters[group["name"]].detach() - before[group["name"]]).abs()
         # The first step of Adam is as long as the rate wherever there is a gradient, however small: eps is smaller yet.
         if group["name"] != "shN":  # of no use before its degree is trained
