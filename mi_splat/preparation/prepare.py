@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
@@ -68,10 +68,6 @@ class Reconstruction:
     overlaps: Mapping[str, int]  # how many others each picture has enough of them in common with
     points: Mapping[str, int] = field(default_factory=dict)  # how many points of the model each of its pictures shows
     made_by: str = ""  # the program, and its version
-
-
-Reconstruct = Callable[[Path, Sequence[Picture], bool, int, OnProgress], Reconstruction]
-"""Writes the largest model of a set's pictures into sparse/0: see `by_colmap`."""
 
 
 def check_colmap() -> None:
@@ -238,13 +234,7 @@ SHEET = "contact_sheet.png"
 
 
 def prepare(
-    source: Path,
-    out: Path,
-    config: PrepareConfig,
-    *,
-    force: bool = False,
-    on_progress: OnProgress,
-    reconstruct: Reconstruct | None = None,
+    source: Path, out: Path, config: PrepareConfig, *, force: bool = False, on_progress: OnProgress
 ) -> dict[str, Any]:
     """Write a set of pictures with cameras, whole or not at all: images/, sparse/0, the sheet and the record.
 
@@ -257,8 +247,7 @@ def prepare(
         check_video(source)
     else:
         pictures_in(source, config.max_pictures)
-    if reconstruct is None:
-        check_colmap()
+    check_colmap()
     with new_folder(out, force=force, record=RECORD) as root:
         images = root / IMAGES
         images.mkdir()
@@ -267,7 +256,7 @@ def prepare(
             pictures = take_frames(source, images, config, on_progress)
         else:
             pictures, broken = take_photographs(source, images, config, on_progress)
-        done = (reconstruct or by_colmap)(root, pictures, is_video, config.features, on_progress)
+        done = by_colmap(root, pictures, is_video, config.features, on_progress)
         if not done.models:
             raise _nothing_placed(source, pictures, done)
         shutil.rmtree(root / "colmap", ignore_errors=True)

@@ -5,7 +5,6 @@ import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -62,12 +61,19 @@ def all_but_the_last(
     )
 
 
+@pytest.fixture(autouse=True)
+def _placed_without_colmap(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if "nightly" not in request.keywords:
+        monkeypatch.setattr("mi_splat.preparation.prepare.by_colmap", all_but_the_last)
+        monkeypatch.setattr("mi_splat.preparation.prepare.check_colmap", lambda: None)
+
+
 def test_what_is_placed_is_a_set_and_the_rest_is_listed(tmp_path: Path) -> None:
     source = photographs(tmp_path / "photos", 11)
     (source / "IMG 4.png").write_bytes(b"no picture")
     (source / "notes.txt").write_text("no picture either")
     out = tmp_path / "set"
-    record = prepare(source, out, PrepareConfig(), on_progress=silent, reconstruct=all_but_the_last)
+    record = prepare(source, out, PrepareConfig(), on_progress=silent)
 
     train, test = (load_dataset(out, split=split) for split in ("train", "test"))
     assert [path.name for path in test.paths] == ["IMG_0.png", "IMG_8.png"]  # every eighth
@@ -177,44 +183,37 @@ def test_pictures_with_few_points_leave_their_models_and_small_models_go() -> No
 
 
 @pytest.mark.parametrize(
-    ("count", "reconstruct", "change", "says"),
+    ("count", "says"),
     [
-        (0, all_but_the_last, {}, "at least 3 pictures .* got none"),
-        (2, None, {}, "at least 3 pictures .* got 2"),  # before pycolmap is looked for
-        (5, all_but_the_last, {"max_pictures": 4}, "at most 4 pictures, got 5"),
-        (
-            4,
-            lambda *words: Reconstruction(models=(), features={}, overlaps={}),
-            {},
-            "4 pictures that can be placed, got none",
-        ),
+        (0, "at least 3 pictures .* got none"),
+        (2, "at least 3 pictures .* got 2"),
+        (9, "at most 8 pictures, got 9"),
+        (4, "4 pictures that can be placed, got none"),
     ],
 )
 def test_sources_that_are_no_data_set_are_refused_and_leave_nothing(
-    count: int, reconstruct: Any, change: dict[str, Any], says: str, tmp_path: Path
+    count: int, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    nothing = Reconstruction(models=(), features={}, overlaps={})
+    monkeypatch.setattr("mi_splat.preparation.prepare.by_colmap", lambda *_: nothing)
     source, out = photographs(tmp_path / "photos", count), tmp_path / "set"
     with pytest.raises(PreparationError, match=says):
-        prepare(source, out, PrepareConfig(**change), on_progress=silent, reconstruct=reconstruct)
+        prepare(source, out, PrepareConfig(max_pictures=8), on_progress=silent)
     assert [path.name for path in tmp_path.iterdir()] == ["photos"]
 
 
 def test_only_a_prepared_set_is_replaced(tmp_path: Path) -> None:
     source, out = photographs(tmp_path / "photos", 5), tmp_path / "set"
-    prepare(source, out, PrepareConfig(), on_progress=silent, reconstruct=all_but_the_last)
+    prepare(source, out, PrepareConfig(), on_progress=silent)
     with pytest.raises(MiSplatError, match="a new or an empty folder"):
-        prepare(source, out, PrepareConfig(), on_progress=silent, reconstruct=all_but_the_last)
-    prepare(source, out, PrepareConfig(), on_progress=silent, reconstruct=all_but_the_last, force=True)
+        prepare(source, out, PrepareConfig(), on_progress=silent)
+    prepare(source, out, PrepareConfig(), on_progress=silent, force=True)
     (tmp_path / "a.txt").write_text("")
     with pytest.raises(MiSplatError, match=r"\.mp4.*got \.txt"):
-        prepare(tmp_path / "a.txt", tmp_path / "b", PrepareConfig(), on_progress=silent, reconstruct=all_but_the_last)
+        prepare(tmp_path / "a.txt", tmp_path / "b", PrepareConfig(), on_progress=silent)
 
 
-def test_the_command_says_what_was_placed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("mi_splat.preparation.prepare.by_colmap", all_but_the_last)
-    monkeypatch.setattr("mi_splat.preparation.prepare.check_colmap", lambda: None)
+def test_the_command_says_what_was_placed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = photographs(tmp_path / "photos", 10)
     assert cli.main(["prepare", str(source), "--out", str(tmp_path / "set")]) == 0
     captured = capsys.readouterr()
@@ -271,4 +270,4 @@ def test_pictures_of_many_kinds_are_refused_in_words(tmp_path: Path) -> None:
     source = photographs(tmp_path / "photos", 2)
     (source / "IMG_1.HEIC").write_bytes(b"\0\0\0\x18ftypheic" + bytes(20))
     with pytest.raises(PreparationError, match=r"IMG_1\.HEIC for instance: .*convert it"):
-        prepare(source, tmp_path / "set", PrepareConfig(), on_progress=silent, reconstruct=all_but_the_last)
+        prepare(source, tmp_path / "set", PrepareConfig(), on_progress=silent)
