@@ -5,7 +5,7 @@ import importlib.metadata
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, get_args
 from urllib.parse import quote
 
 import numpy as np
@@ -17,6 +17,7 @@ from mi_splat.audit.against import Changes
 from mi_splat.audit.linting import Lint, overdraw_picture
 from mi_splat.audit.pictures import PictureAudit
 from mi_splat.audit.results import Audit, Look, ObjectAudit, Pair, directions_in_words, summary
+from mi_splat.audit.rules import Severity
 from mi_splat.audit.surfaces import SKY
 from mi_splat.audit.thresholds import LIMITS
 from mi_splat.bounds import near_plane
@@ -34,12 +35,9 @@ from mi_splat.scene_files import resized
 from mi_splat.selection.select import save_mask
 from mi_splat.sh import colour_to_dc, dc_to_colour
 
-Level = Literal["error", "warning", "note"]
-
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 ENDINGS = (".sarif", ".json")
-_LEVELS: tuple[Level, ...] = ("error", "warning", "note")
-_RULES: dict[str, tuple[Level, str, str]] = {
+_RULES: dict[str, tuple[Severity, str, str]] = {
     "hidden-look": (
         "error",
         "An object has other colours from some directions than from others, and gloss does not explain it.",
@@ -63,7 +61,7 @@ _RULES: dict[str, tuple[Level, str, str]] = {
 }
 """Level, what is wrong, and what to do, by the name of the rule. Rules of lint bring their own."""
 
-_Finding = tuple[str, Level, str, dict[str, Any]]  # rule, level, what was found, and numbers of it
+_Finding = tuple[str, Severity, str, dict[str, Any]]  # rule, level, what was found, and numbers of it
 
 
 def sarif(documents: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
@@ -118,14 +116,14 @@ def _findings(document: Mapping[str, Any]) -> Iterator[_Finding]:
         yield f"lint/{finding['rule']}", _level(finding["severity"]), text, {"rows": finding["rows"]}
 
 
-def _rule(name: str, level: Level, what: str, do: str) -> dict[str, Any]:
+def _rule(name: str, level: Severity, what: str, do: str) -> dict[str, Any]:
     default = {"level": level}
     return {"id": name, "shortDescription": {"text": what}, "help": {"text": do}, "defaultConfiguration": default}
 
 
-def _level(severity: str) -> Level:
+def _level(severity: str) -> Severity:
     """The level of a severity; what is of none of these is a warning."""
-    return next((level for level in _LEVELS if level == severity), "warning")
+    return next((level for level in get_args(Severity) if level == severity), "warning")
 
 
 def _address(file: str) -> str:
