@@ -2,14 +2,14 @@
 
 import shutil
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from torch import Tensor
 
-from attacks.cloak.appearances import name_of
+from attacks.cloak.appearances import Inpaint, name_of
 from attacks.cloak.config import (
     AttackConfig,
     CameraConfig,
@@ -17,13 +17,11 @@ from attacks.cloak.config import (
     LayersConfig,
     SceneConfig,
     StudyConfig,
-    TrainingConfig,
     read_study,
 )
 from attacks.cloak.poisoning import assign
 from attacks.cloak.setup import Setup, nearest
 from attacks.cloak.study import check_disk, check_study, forecast
-from mi_splat.cameras import View
 from mi_splat.errors import InvalidValueError, MiSplatError
 from tests.capture.trucks import TEXTURE, truck, write_ply
 from tests.cloak.tiny_study import STUDY
@@ -80,15 +78,12 @@ ONE = "name = 'x'\n[[attack]]\nname = 'a'\n"
     [
         ("nmae = 'x'", "did you mean name"),
         ("seeds = [0]", "expected the key name"),
-        ("name = 3", "expected a text, got 3"),
         ("name = 'x'\n[scene]\nobject = 'bird'\ncolour = [0, 0, 1]", "scene.object with a colour: expected one of car"),
-        ("name = 'x'\nseeds = { first = 1 }", "a list"),
         ("name = 'x'\n[cameras]\ntrian = 3", "did you mean train"),
         ("name = 'x'\n[cameras]\ntrain = 3.5", "cameras, train: expected a whole number >= 1 (pictures), got 3.5"),
         ("name = 'x'\n[scene]\nobject = 'lorry'", "scene.object"),
         (ONE + "appearance = 'paint'\ntexture = 'raod'", "did you mean road"),
         (ONE + "appearance = 'pant'", "did you mean paint"),
-        (ONE + "elevation = [10]", "a list of 2"),
         (ONE + "poison_fraction = 0.0", "in (0, 1]"),
         (ONE + "elevation = [60, 90]\n[[attack]]\nname = 'a'\nelevation = [60, 90]", "names of attacks: expected one"),
         ("name = [", "a TOML file"),
@@ -118,18 +113,15 @@ SIGN = AttackConfig(name="flank", elevation=(0, 40), appearance="paint", texture
         (SIGN, True),
         (AttackConfig(name="door", elevation=(0, 40), appearance="mount", other_object="bird"), True),
         (AttackConfig(name="roof", elevation=(50, 90), appearance="paint", texture="road"), False),
-        (OVERHEAD, False),
     ],
 )
 def test_an_attack_from_one_side_has_to_know_where_a_mesh_faces(
     attack: AttackConfig, sided: bool, tmp_path: Path
 ) -> None:
     scene = SceneConfig(object=str(written(tmp_path, "")), label="truck")
-    if sided:
-        with pytest.raises(InvalidValueError, match=r"scene\.front: expected which way.*add front = "):
-            StudyConfig(name="own", attack=(attack,), scene=scene)
-    for known in (*([] if sided else [scene]), replace(scene, front="+x"), SceneConfig()):
-        StudyConfig(name="own", attack=(attack,), scene=known)
+    with pytest.raises(InvalidValueError, match=r"scene\.front: expected which way") if sided else nullcontext():
+        StudyConfig(name="own", attack=(attack,), scene=scene)
+    StudyConfig(name="own", attack=(attack,), scene=replace(scene, front="+x"))
 
 
 def test_a_study_turns_and_scales_its_own_mesh(tmp_path: Path) -> None:
@@ -196,24 +188,22 @@ def test_what_cannot_be_done_is_refused(study: StudyConfig, message: str) -> Non
     ("make", "says"),
     [
         (lambda: AttackConfig(name="all"), "all cameras"),
-        (lambda: replace(OVERHEAD, poison_margin=91.0), "poison_margin"),
-        (lambda: CameraConfig(fov=0.0), "fov"),
-        (lambda: CameraConfig(train=0), "train"),
-        (lambda: EvaluationConfig(detectors=()), "detectors"),
         (lambda: EvaluationConfig(detectors=("a", "a")), "each once"),
-        (lambda: EvaluationConfig(meridian_step=0.0), "meridian_step"),
-        (lambda: TrainingConfig(sh_degree=4), "sh_degree"),
-        (lambda: TrainingConfig(point_deviations=-0.5), "point_deviations"),
         (lambda: AttackConfig(name="a", appearance="occluder", elevation=(40, 90)), "a.*texture"),
         (lambda: AttackConfig(name="a", appearance="remove", elevation=(40, 90), reach=-1), "reach: expected a number"),
         (lambda: replace(OCCLUDER, reach=1), "reach.*no occluder"),
         (lambda: replace(SMALL, seeds=(0, 0)), "seeds"),
-        (lambda: replace(SMALL, seeds=(-1,)), "seeds"),
     ],
 )
 def test_values_out_of_range_are_refused(make: Callable[[], object], says: str) -> None:
     with pytest.raises(InvalidValueError, match=says):
         make()
+
+
+def test_emphasis_wraps_the_cached_appearance() -> None:
+    study = replace(SMALL, attack=(replace(OVERHEAD, emphasis=2.0),))
+    (poisoning,) = Setup.of(study).poisonings(cached=lambda appearance, attack: Inpaint(name="kept"))
+    assert name_of(poisoning.appearance) == "kept, 2 times at the edge to once 20 degrees inside"
 
 
 def test_an_occluder_lies_between_the_object_and_the_cameras() -> None:
@@ -227,16 +217,3 @@ def test_a_disk_that_is_too_small_is_refused(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=0.9e6 * needed))
     with pytest.raises(InvalidValueError, match="make room"):
         check_disk(needed, tmp_path / "stages")
-
-
-class Kept:
-    name = "kept"
-
-    def __call__(self, view: View, mask: Tensor) -> Tensor:
-        return view.image
-
-
-def test_emphasis_wraps_the_cached_appearance() -> None:
-    study = replace(SMALL, attack=(replace(OVERHEAD, emphasis=2.0),))
-    (poisoning,) = Setup.of(study).poisonings(cached=lambda appearance, attack: Kept())
-    assert getattr(poisoning.appearance, "name", "") == "kept, 2 times at the edge to once 20 degrees inside"

@@ -1,18 +1,25 @@
-"""Which pictures a rate of a CLOAK study counts."""
+"""Which pictures a rate of a CLOAK study counts, and the transition."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import Tensor
 
 from attacks.cloak.config import AttackConfig
+from attacks.cloak.kinds.compared import differ, transition_fraction
 from attacks.cloak.rates import (
     RATES,
     Tables,
     by_elevation,
     figures,
+    fit_transition,
     in_region,
     margin_rates,
     over_objects,
@@ -71,7 +78,8 @@ def test_rates_have_the_denominators_that_they_say() -> None:
         *seen(0, 10, 0.9, 0.1, other=0.8),
         *seen(1, 10, 0.9, 0.9),
         *seen(2, 10, 0.2, 0.1),  # the control is not found
-        *seen(3, 2, 0.9, 0.1),  # near the edge
+        *seen(3, 1.8, 0.9, 0.1),  # near the edge, and at the lower end of a band
+        *seen(7, STUDY.evaluation.well_inside, 0.2, 0.1),  # which is inside
         *seen(4, -5, 0.9, 0.9),
         *seen(5, -5, 0.9, 0.3),
         *seen(6, -5, 0.3, 0.3),
@@ -83,11 +91,11 @@ def test_rates_have_the_denominators_that_they_say() -> None:
         assert rate is not None
         return rate.successes, rate.total
 
-    assert numbers("control_recall") == (3, 4)
+    assert numbers("control_recall") == (3, 5)
     assert numbers("trigger_miss_rate") == (1, 2)
     assert numbers("nothing_reported") == (0, 2)  # what is no car any more is something else
     assert numbers("trigger_miss_rate_all") == (2, 3)
-    assert numbers("trigger_miss_rate_unconditional") == (2, 3)
+    assert numbers("trigger_miss_rate_unconditional") == (3, 4)
     assert numbers("benign_recall") == (1, 2)
     assert numbers("control_benign_recall") == (2, 3)
     assert numbers("target_rate") == (0, 0)
@@ -95,7 +103,7 @@ def test_rates_have_the_denominators_that_they_say() -> None:
         low: (clean.successes, cloaked.successes, clean.total)
         for low, clean, cloaked in by_elevation(STUDY, frame_of(observed))["redness"]
     }
-    assert rows == {30.0: (2, 1, 3), 40.0: (1, 0, 1), 45.0: (2, 1, 3)}
+    assert rows == {30.0: (2, 1, 3), 40.0: (1, 0, 2), 45.0: (2, 1, 3)}
 
 
 def test_figures_are_counted_in_each_detector_s_own_region() -> None:
@@ -131,47 +139,33 @@ def test_figures_are_counted_in_each_detector_s_own_region() -> None:
 
 def test_the_class_wanted_counts_on_the_cloaked_splat() -> None:
     pictures = [*seen(0, -20, 0.9, 0.1, sign=0.8), *seen(1, -20, 0.9, 0.1, sign=0.4)]
-    observed = [{**row, "depth: overhead": -20.0, "depth: rear": 3.0} for row in pictures]
-    counted = rates(STUDY, frame_of(observed))[()]
-    assert counted["target_rate"] is not None
-    assert counted["control_target_rate"] is not None
-    assert (counted["target_rate"].successes, counted["target_rate"].total) == (1, 2)
-    assert (counted["control_target_rate"].successes, counted["control_target_rate"].total) == (0, 2)
+    counted = rates(STUDY, frame_of({**row, "depth: overhead": -20.0, "depth: rear": 3.0} for row in pictures))[()]
+    counts = [rate.counts for name, rate in counted.items() if rate is not None and name.endswith("target_rate")]
+    assert counts == ["1 of 2", "0 of 2"]
+
+
+SECTOR = AttackConfig(name="sector", appearance="remove", elevation=(0, 30), azimuth=(100, 30))
 
 
 def test_arcs_into_a_sector_come_from_beside_it() -> None:
     """Depths in the trigger rise along each, from well outside to the middle; a sign that is shown has none."""
-    sector = AttackConfig(name="sector", appearance="remove", elevation=(0, 30), azimuth=(100, 30))
-    study = replace(STUDY, attack=(sector,))
+    study = replace(STUDY, attack=(SECTOR,))
     arcs = Setup.of(study).arcs
     assert len(arcs) == study.evaluation.meridians
     for arc in arcs:
-        depths = [sector.cone.angle_to_edge(camera, centre=study.centre) for camera in arc]
+        depths = [SECTOR.cone.angle_to_edge(camera, centre=study.centre) for camera in arc]
         assert depths == sorted(depths)
         assert depths[0] < -30
         assert 10 < depths[-1] <= 30
-    assert Setup.of(replace(STUDY, attack=(replace(sector, target_class="stop sign"),))).arcs == []
+    assert Setup.of(replace(STUDY, attack=(replace(SECTOR, target_class="stop sign"),))).arcs == []
 
 
 def test_the_transition_into_a_sector_is_one_of_depth() -> None:
-    sector = AttackConfig(name="sector", appearance="remove", elevation=(0, 30), azimuth=(100, 30))
-    study = replace(STUDY, attack=(sector,))
     arc = along_the_meridian(ATTACKED, *((depth, 30.0, 30.0) for depth in (-20.0, -10.0, 0.0, 10.0)), name="sector")
-    parts = (0.0, 0.0, 1.0, 1.0)
-    rows = [{**one, "elevation": 10.0, "fraction": part} for one, part in zip(arc, parts, strict=True)]
-    band = transition(study, study_rows(transition=rows))
+    rows = [{**one, "elevation": 10.0, "fraction": float(one["depth: sector"] >= 0)} for one in arc]
+    band = transition(replace(STUDY, attack=(SECTOR,)), study_rows(transition=rows))
     assert band is not None
-    assert band.start == pytest.approx(-9.0)
-    assert band.end == pytest.approx(-1.0)
-
-
-def test_edges_belong_to_what_lies_inside_them() -> None:
-    """A camera just at the depth that counts as well inside, and one at the lower end of a band of elevations."""
-    observed = [*seen(0, STUDY.evaluation.well_inside, 0.9, 0.1), *seen(1, 1.8, 0.9, 0.1)]
-    miss = rates(STUDY, frame_of(observed))[()]["trigger_miss_rate"]
-    assert miss is not None
-    assert (miss.successes, miss.total) == (1, 1)
-    assert {low: clean.total for low, clean, _ in by_elevation(STUDY, frame_of(observed))["redness"]} == {40.0: 2}
+    assert (band.start, band.end) == pytest.approx((-9.0, -1.0))
 
 
 def along_the_meridian(
@@ -187,15 +181,21 @@ def along_the_meridian(
     ]
 
 
-@pytest.mark.parametrize(("lost", "stealthy"), [(1.0, True), (2.0, False)])
-def test_stealth_is_what_the_surroundings_lose_inside_the_trigger(lost: float, stealthy: bool) -> None:
+@pytest.mark.parametrize(("around", "on_object", "stealthy"), [(1.0, 2.0, True), (2.0, 2.0, False), (1.0, 4.0, False)])
+def test_stealth_is_what_pictures_lose_beside_the_object_and_on_it_beside_a_trigger(
+    around: float, on_object: float, stealthy: bool
+) -> None:
     clean = along_the_meridian(CLEAN, (10.0, 34.0, 12.0), (20.0, 36.0, 12.0), (-10.0, 99.0, 9.0))
-    cloaked = along_the_meridian(ATTACKED, (10.0, 34.0 - lost, 30.0), (20.0, 36.0 - lost, 32.0), (-10.0, 9.0, 9.0))
-    losses = stealth(STUDY, study_rows(transition=[*clean, *cloaked]))
+    cloaked = along_the_meridian(ATTACKED, (10.0, 34.0 - around, 30.0), (20.0, 36.0 - around, 32.0), (-10.0, 9.0, 9.0))
+    fidelity = [
+        {"splat": splat, "psnr": 30.0, "ssim": 0.9, "object_psnr": psnr}
+        for splat, psnr in ((CLEAN, None), (CLEAN, 32.0), (ATTACKED, None), (ATTACKED, 32.0 - on_object))
+    ]
+    losses = stealth(STUDY, study_rows(transition=[*clean, *cloaked], fidelity=fidelity))
     assert losses is not None
-    assert losses["surroundings_psnr_drop"] == pytest.approx(lost)
-    assert losses["surroundings_psnr"]["clean"] == 35.0
-    assert losses["appearance_psnr"]["cloaked"] == 31.0
+    assert losses["surroundings_psnr_drop"] == pytest.approx(around)
+    assert losses["object_psnr_drop"] == pytest.approx(on_object)
+    assert (losses["surroundings_psnr"]["clean"], losses["appearance_psnr"]["cloaked"]) == (35.0, 31.0)
     assert losses["stealthy"] is stealthy
     assert stealth(STUDY, study_rows(transition=clean)) is None
 
@@ -218,19 +218,6 @@ def test_rates_over_objects_draw_objects_anew() -> None:
     other = replace(STUDY, scene=replace(STUDY.scene, object="bird"))
     assert over_objects({**studies, titles[4]: other}, frame_of(observed)) is None
     assert over_objects(dict.fromkeys(titles, STUDY), frame_of(observed)) is None
-
-
-@pytest.mark.parametrize(("lost", "stealthy"), [(2.0, True), (4.0, False)])
-def test_what_the_object_loses_beside_a_trigger_counts_too(lost: float, stealthy: bool) -> None:
-    arcs = [row for splat in (CLEAN, ATTACKED) for row in along_the_meridian(splat, (10.0, 34.0, 12.0))]
-    fidelity = [
-        {"splat": splat, "psnr": 30.0, "ssim": 0.9, "object_psnr": on_object}
-        for splat, on_object in ((CLEAN, None), (CLEAN, 32.0), (ATTACKED, None), (ATTACKED, 32.0 - lost))
-    ]
-    losses = stealth(STUDY, study_rows(transition=arcs, fidelity=fidelity))
-    assert losses is not None
-    assert losses["object_psnr_drop"] == pytest.approx(lost)
-    assert losses["stealthy"] is stealthy
 
 
 def test_the_margin_counts_as_elsewhere_and_is_shown_apart() -> None:
@@ -277,3 +264,64 @@ def test_a_poisoned_picture_is_told_by_its_error_and_by_what_is_reported() -> No
         **{"found_clean": 3, "found": 1, "something_else": 1, "nothing": 1}
     }
     assert told["training_cameras"]["redness"]["missed_cloaked"]["successes"] == 2
+
+
+# The transition on blends with known answers
+
+
+def appearances(seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
+    """Two pictures and a mask."""
+    generator = torch.Generator().manual_seed(seed)
+    benign, hidden = torch.rand(2, 6, 7, 3, generator=generator)
+    return benign, hidden, torch.rand(6, 7, generator=generator) > 0.4
+
+
+@given(st.floats(-0.5, 1.5), st.integers(0, 99))
+def test_the_fraction_of_a_blend_is_known(fraction: float, seed: int) -> None:
+    benign, hidden, mask = appearances(seed)
+    blend = (1 - fraction) * benign + fraction * hidden
+    blend[~mask] = 0.5  # elsewhere does not count
+    assert transition_fraction(blend, benign, hidden, mask) == pytest.approx(fraction, abs=1e-5)
+
+
+def test_a_linear_ramp_has_its_width() -> None:
+    angles = [5.0 * i for i in range(19)]
+    band = fit_transition(angles, [min(max((angle - 40) / 20, 0), 1) for angle in angles])
+    assert (band.start, band.end, band.width) == pytest.approx((42, 58, 16))
+
+
+def test_a_logistic_has_its_width_also_under_noise() -> None:
+    angles = np.arange(0, 90.5, 0.5)
+    truth = 1 / (1 + np.exp(-(angles - 52) / 2.5))
+    width = 2 * 2.5 * math.log(9)
+    exact = fit_transition(angles.tolist(), truth.tolist())
+    assert exact.width == pytest.approx(width, abs=0.02)
+    noisy = truth + np.random.default_rng(0).normal(0, 0.03, len(angles))
+    fitted = fit_transition(angles.tolist(), noisy.tolist())
+    assert fitted.width == pytest.approx(width, abs=1.5)
+    assert fitted.start == pytest.approx(52 - width / 2, abs=1.0)
+
+
+def test_bands_that_are_not_seen_have_no_width() -> None:
+    never = fit_transition([0, 10, 20], [0.0, 0.3, 0.6])
+    assert never.start == pytest.approx(10 / 3)
+    assert (never.end, never.width) == (None, None)
+    at_once = fit_transition([0, 10, 20], [0.5, 0.95, 1.0])
+    assert (at_once.start, at_once.width) == (None, None)
+    assert at_once.end == pytest.approx(10 * 0.4 / 0.45)
+    nothing = fit_transition([0, 10, 20], [0.02, 0.0, 0.01])
+    assert (nothing.start, nothing.end) == (None, None)
+    assert fit_transition([0, 10], [0.1, 0.9]).width == 10
+    assert fit_transition([0, 10, 20, 30], [0, 0, 1, 1]).width == pytest.approx(8)
+
+
+def test_cameras_at_one_angle_are_averaged_and_weigh_more() -> None:
+    band = fit_transition([10, 0, 0, 0, 20], [0.0, 0.2, 0.4, 0.6, 1.0])
+    assert band.fractions == pytest.approx((0.4, 0.0, 1.0))
+    assert band.fitted == pytest.approx((0.3, 0.3, 1.0))
+
+
+def test_appearances_differ_from_one_step_of_8_bits_on() -> None:
+    plain, mask = torch.full((4, 4, 3), 0.5), torch.ones(4, 4, dtype=torch.bool)
+    assert differ(plain, plain + 1.01 / 255, mask)
+    assert not differ(plain, plain + 0.99 / 255, mask)

