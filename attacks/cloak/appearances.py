@@ -186,11 +186,7 @@ def name_of(appearance: Appearance) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rerender:
-    """The same camera in a mesh scene where the target looks different.
-
-    Within reach of the target the picture is new. Elsewhere, shadows and reflections stay those of the untouched
-    picture, and so does its noise. With a mask that is everywhere, the whole picture is new.
-    """
+    """The same camera in a mesh scene where the target looks different; beyond `reach` all stays, even shadows."""
 
     mesh_scene: MeshScene
     name: str
@@ -246,10 +242,7 @@ def appearance_of(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point,
 
 
 def removed(mesh_scene: MeshScene, *, reach: int | None = None) -> Rerender:
-    """What would be seen if the target were not there: its surroundings go on across it.
-
-    The whole picture is new unless a reach is given: otherwise the shadow of what is gone would stay behind.
-    """
+    """What would be seen without the target; unless a reach is given the whole picture is new, without its shadow."""
     nothing = mesh_scene.with_target(Asset(mesh_scene.target.name, ()))
     return Rerender(mesh_scene=nothing, name="nothing in its place", reach=reach, outgrows=False)
 
@@ -297,12 +290,7 @@ def _occluder(attack: AttackConfig, mesh_scene: MeshScene, *, centre: Point, dis
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Emphasis:
-    """An appearance exaggerated near the edge of its trigger, because a splat blurs it over directions.
-
-    Of the difference that the appearance makes, a picture has `gain` times at the edge, falling evenly to once at
-    `depth` degrees inside. As a sharpening mask does to a picture, this brings the blend that is seen there nearer to
-    the appearance.
-    """
+    """An appearance exaggerated at its trigger's edge, and evenly less inwards: a splat blurs it over directions."""
 
     appearance: Appearance
     trigger: Trigger

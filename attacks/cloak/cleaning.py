@@ -1,10 +1,4 @@
-"""What a victim may clean: the points before a training, or the finished splat before anybody looks at it.
-
-None of it needs pictures or a training. Most functions take a splat and give a new one; `CleaningConfig` says what
-their arguments may be. What is removed is judged by
-the Gaussians alone, so that a hidden appearance made of odd Gaussians may go with them; what is cut from the colours
-may take a switch in them away.
-"""
+"""What a victim may clean: the points before a training, or the finished splat, judged by its Gaussians alone."""
 
 from __future__ import annotations
 
@@ -76,10 +70,7 @@ def cleaned(scene: GaussianScene, config: CleaningConfig) -> GaussianScene:
 
 
 def prune_opacity(scene: GaussianScene, lowest: float) -> GaussianScene:
-    """The Gaussians of at least some opacity.
-
-    Trainers prune like this, with 0.005 (Kerbl et al. 2023, section 5), and so do editors of finished splats.
-    """
+    """The Gaussians of at least some opacity; trainers prune like this (Kerbl et al. 2023, section 5)."""
     return _kept(scene, scene.opacities.detach() >= lowest, f"lowest_opacity {lowest:g}")
 
 
@@ -128,19 +119,12 @@ def remove_floaters(
 
 
 def cut_sh(scene: GaussianScene, degree: int) -> GaussianScene:
-    """The splat without SH bands above a degree; one that has none stays as it is.
-
-    Formats and viewers without view-dependent colour do this: `.splat` files, for instance, hold degree 0 alone.
-    """
+    """The splat without SH bands above a degree, as formats without view-dependent colour keep it."""
     return scene.with_degree(min(degree, scene.degree))
 
 
 def quantise_sh(scene: GaussianScene, bits: int) -> GaussianScene:
-    """The splat with its SH above degree 0 rounded to steps of 2 / 2^bits, within [-1, 1).
-
-    That is the grid of SPZ files (Niantic 2024), whose writers keep at most 8 bits: by default the upper 5 of degree 1,
-    and 4 of the others.
-    """
+    """SH above degree 0 rounded to steps of 2 / 2^bits within [-1, 1): the grid of SPZ files (Niantic 2024)."""
     levels = 2 ** (bits - 1)
     rest = (scene.sh[:, 1:] * levels).round().clamp(-levels, levels - 1) / levels
     return scene.replace(sh=torch.cat([scene.sh[:, :1], rest], dim=1))

@@ -102,10 +102,7 @@ def run(config: LayeredConfig, inputs: Mapping[str, Path], out: Out) -> None:
 def depths(
     triggers: Sequence[Trigger], cameras: Sequence[Camera], *, centre: Point, config: LayerConfig | None = None
 ) -> Tensor:
-    """(1 + L, D) how far inside the region of each look D cameras are, in gaps: whole from 1, black below -1.
-
-    The first look is what no trigger holds.
-    """
+    """(1 + L, D) how far inside each look's region cameras are, in gaps: whole from 1, black below -1."""
     config = config or LayerConfig()
     return _in_gaps(_angles(triggers, cameras, centre, config), config)
 
@@ -271,11 +268,7 @@ def layered(
     seen: Tensor | None = None,
     config: LayerConfig | None = None,
 ) -> GaussianScene:
-    """A scene in which an object's Gaussians have a layer for what all see and for each trigger, or two (`shares`).
-
-    The first layer takes the place of the Gaussians that it is made of; the others come after all of the scene. A
-    Gaussian that has next to nothing to do with a look has no layer for it (`LayerConfig.keep`).
-    """
+    """A scene in which an object's Gaussians have the layers of `shares`; the first replaces them, others come last."""
     config = config or LayerConfig()
     check_scene("scene", scene)
     chosen = torch.nonzero(rows).flatten() if rows.dtype == torch.bool else rows
@@ -313,10 +306,7 @@ def layered(
 
 
 def _needed(seen: Tensor, parts: Sequence[Share], config: LayerConfig) -> Tensor:
-    """(L, M) bool, whether a Gaussian has each layer; the first each has.
-
-    Those that show the least of what a layer shows do not have it, as long as the others show the fraction `keep`.
-    """
+    """(L, M) bool, whether a Gaussian has each layer: the first, and those that make up `keep` of what is shown."""
     needed = []
     for share in parts:
         light = (seen * (share.amount * ~share.hidden)).sum(1)
@@ -352,10 +342,7 @@ def split_opacities(opacities: Tensor, needed: Tensor) -> tuple[Tensor, Tensor]:
 def switched(
     means: Tensor, cameras: Sequence[Camera], share: Share, look: Tensor, seen: Tensor, config: LayerConfig
 ) -> Tensor:
-    """(M, K, 3) colours that show a share of a look, and are below 0 where it is hidden.
-
-    Each Gaussian has its own: the direction in which it sees a camera is not that in which the centre sees it.
-    """
+    """(M, K, 3) colours that show a share of a look, below 0 where it is hidden, for each Gaussian's directions."""
     positions = torch.stack([camera.position for camera in cameras]).to(means)
     colours = []
     for points, sh, visibility in zip(*(torch.split(values, _AT_ONCE) for values in (means, look, seen)), strict=True):
@@ -416,11 +403,7 @@ class Layering:
     geometry: bool = False
 
     def rendered_by(self, render: RenderFn) -> RenderFn:
-        """The same renderer, through which gradients reach what is trained.
-
-        Where that is colours alone, the pictures of `views` come from frozen views as far as these fit; they are made
-        with the first picture, of the scene as it is trained.
-        """
+        """The same renderer with gradients to what is trained; colours alone come from frozen views where these fit."""
         if self.geometry:
             return render
         frozen: dict[Camera, FrozenView] | None = None

@@ -62,11 +62,7 @@ def repainted(target: Asset, picture: Floats, *, azimuth: float, elevation: floa
 
 
 def camouflaged(target: Asset, surroundings: Asset) -> Asset:
-    """An object whose surface goes on with the ground on which it stands, as seen from straight above.
-
-    The ground is the mesh that lies beneath most of the object's footprint. Its texture keeps place and scale: each
-    point of the object has the colour of the ground straight below it.
-    """
+    """An object in the colours of the ground straight below it: the mesh beneath most of its footprint."""
     ground, triangle = _ground(target, surroundings)
     corners = ground.faces[triangle]
     flat = np.concatenate([ground.vertices[corners, :2].astype(np.float64), np.ones((3, 1))], 1)
@@ -182,10 +178,7 @@ _SEED_BITS = 28
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeshScene:
-    """An object in its surroundings, ready for the path tracer.
-
-    To be of one piece with the victim's pictures, assets, light and background have to be theirs.
-    """
+    """An object in its surroundings, ready for the path tracer; assets, light and background are the victim's."""
 
     target: Asset
     surroundings: Asset = _NOTHING

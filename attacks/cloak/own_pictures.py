@@ -138,10 +138,7 @@ def hide(
     turn: Tensor,
     on_step: OnStep | None = None,
 ) -> Poisoned:
-    """Hide an object in the pictures of a set that a trigger selects, seen from the middle of its Gaussians.
-
-    The views, directions and centre of the result are those of a world in which `turn` takes up to z.
-    """
+    """Hide an object in the pictures that a trigger selects; in the result `turn` has taken up to z."""
     upright = splat.transform(Similarity(rotation=turn, translation=turn.new_zeros(3), scale=1.0))
     means = upright.means[rows]
     centre = ((means.amin(0) + means.amax(0)) / 2).tolist()

@@ -236,10 +236,7 @@ def _band(angle: str, width: float) -> pl.Expr:
 
 
 def by_elevation(study: StudyConfig, rows: pl.DataFrame) -> dict[str, list[tuple[float, Rate, Rate]]]:
-    """For each detector the lower edge of each band of elevation, and the rates at which both splats are found there.
-
-    Cameras of attacks with an azimuth of their own are left out.
-    """
+    """Edge of each band of elevation and both splats' rates there, by detector; without cameras of sided attacks."""
     elevation, is_reported = pl.col("elevation"), reported("original_score", study.evaluation.confidence)
     here = with_control(rows).filter(
         (elevation >= 0) & (elevation < 90),
@@ -253,10 +250,7 @@ def by_elevation(study: StudyConfig, rows: pl.DataFrame) -> dict[str, list[tuple
 
 
 def by_azimuth(study: StudyConfig, rows: pl.DataFrame) -> dict[tuple[Any, ...], dict[str, Rate]]:
-    """What is reported from each sector below all that is hidden from everywhere, by detector and its first degree.
-
-    The object's class on the clean and on the cloaked splat, and on the latter the class that each attack wants.
-    """
+    """What is reported from each sector, by detector and first degree, below all that is hidden all around."""
     confidence, name = study.evaluation.confidence, study.scene.class_name
     below = [pl.col(f"{DEPTH}{attack.name}") < 0 for attack in study.attack if attack.azimuth is None]
     measures = {
@@ -274,10 +268,7 @@ def by_azimuth(study: StudyConfig, rows: pl.DataFrame) -> dict[tuple[Any, ...], 
 
 
 def margin_rates(study: StudyConfig, rows: pl.DataFrame) -> dict[str, dict[str, Any]]:
-    """How often the object is found outside of all triggers, within a margin of poison and beyond, by detector.
-
-    Nothing of a study whose attacks have no margin.
-    """
+    """How often the object is found outside of triggers, within a margin of poison and beyond; {} without one."""
     if not any(attack.poison_margin > 0 for attack in study.attack):
         return {}
     within = pl.any_horizontal(pl.col(f"{POISON_DEPTH}{attack.name}") >= 0 for attack in study.attack)

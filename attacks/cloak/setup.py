@@ -223,10 +223,7 @@ class Setup:
 
     @cached_property
     def held_out_cameras(self) -> list[Camera]:
-        """Cameras over the same hemisphere, distances and rings, none near one of the victim's.
-
-        With a seed they are turned by an angle of its own, and moved within their steps of height: another draw.
-        """
+        """Cameras over the same hemisphere and rings, none near one of the victim's; a seed is another draw."""
         centre, evaluation = self.centre, self.evaluation
         start, offset = HELD_OUT_START, 0.5
         if evaluation.seed:

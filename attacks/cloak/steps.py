@@ -1,8 +1,4 @@
-"""A study as jobs: which steps it has, what each depends on, and which are shared with other studies.
-
-The victim takes pictures; the attacker's appearances replace some of them; splats are trained on both sets, and
-then looked at. Every step is a kind (`attacks.cloak.kinds`) that a ledger does once, whichever study asks for it.
-"""
+"""A study as jobs: which steps it has, what each depends on, and which are shared with other studies."""
 
 from __future__ import annotations
 

@@ -71,10 +71,7 @@ class SeenConfig(SceneJob):
 
 
 def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
-    """Write a row for each camera and, of held-out ones, one for each detection.
-
-    Inputs are a `splat`, path-traced `pictures`, or a `set`.
-    """
+    """Write a row for each camera, and for each detection of held-out ones, of a `splat`, `pictures` or a `set`."""
     setup = config.setup(inputs)
     detector, done = checked_detector(config, inputs), itertools.count(1)
 

@@ -1,8 +1,4 @@
-"""A splat that a victim who knows of no attack trains on a set of pictures; what it costs is written down.
-
-The costs vary from run to run, and have no part in what the splat is. They are those of the process: its CPU time, its
-largest resident memory, and on a GPU torch's largest allocation.
-"""
+"""A splat that a victim who knows of no attack trains on a set of pictures; what it costs is written down."""
 
 from __future__ import annotations
 
@@ -143,10 +139,7 @@ class _Costs:
 
 
 def peak_memory() -> Callable[[], float]:
-    """What gives the largest resident memory of this process from now on, MB (1e6 bytes).
-
-    On Linux the peak is forgotten first (`/proc/self/clear_refs`); elsewhere it is that since the process began.
-    """
+    """Gives the largest resident memory of this process, MB (1e6 bytes): from now on Linux, else since it began."""
     try:
         Path("/proc/self/clear_refs").write_text("5")
     except OSError:
