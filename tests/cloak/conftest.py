@@ -1,25 +1,19 @@
 """What tests of CLOAK share: a finished tiny study, and the objects."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from attacks.cloak import setup
-from attacks.detectors import registry
-from tests.cloak.tiny_study import KNOWN, asset
+from tests.cloak.tiny_study import known
 from tests.project.layers import ROOT
 from tests.warm import Warm
 
 
 @pytest.fixture(autouse=True)
-def _a_car_is_a_block(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(setup, "_asset", asset)
-
-
-@pytest.fixture(autouse=True)
-def _jobs_know_the_detector(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, spec in KNOWN.items():
-        monkeypatch.setitem(registry.DETECTORS.own, name, spec)
+def _tiny() -> Iterator[None]:
+    with known():
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -5,6 +5,8 @@
 
 import json
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -85,6 +87,13 @@ KNOWN = {
 """What makes a job find the detector by its name, where it is put into the registry."""
 
 
+@contextmanager
+def known() -> Iterator[None]:
+    """While jobs know the detector, and a car is a block."""
+    with patch.dict(registry.DETECTORS.own, KNOWN), patch.object(setup, "_asset", asset):
+        yield
+
+
 MODULES = "modules.txt"
 """Names of all modules of this project that the study has loaded, in a file beside its folder."""
 
@@ -113,7 +122,7 @@ def done(
     torch.set_num_threads(1)
     folder.mkdir(parents=True, exist_ok=True)
     store = store or folder / "stages"
-    with patch.dict(registry.DETECTORS.own, KNOWN), patch.object(setup, "_asset", asset):
+    with known():
         work = work_of(study)
         run_with(InProcess(store, on_event=told), work.study, work, store=store, out=folder, on_event=told)
     return summary(folder), kinds
