@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from mi_splat import provenance
 from mi_splat.cli.console import progress, warn
-from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions
 from mi_splat.errors import MiSplatError, install
 from mi_splat.fields import Folder, Metavar, Seed, between
@@ -43,7 +43,7 @@ class CompareOptions(ResultOptions):
     """A splat file, or a scene XML made of splats."""
     methods: Annotated[tuple[str, ...], Metavar("METHOD")] = ("tile", "ray")
     """Two or more of these methods, with commas or spaces between them."""
-    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    view: CameraOptions = field(default_factory=CameraOptions)
     """Where from."""
     out: Folder = Path("out/compare")
     gradients: bool = True

@@ -13,7 +13,7 @@ from attacks.cli.options import DEFAULT_OBJECT, DEFAULT_TARGET, ClassName, Confi
 from attacks.dagger.config import DaggerConfig
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from mi_splat.cli.console import Advance, limit_threads, progress, warn
-from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions, check_no_input_in
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Folder, Metavar
@@ -53,9 +53,9 @@ class AttackOptions(DetectorOptions, ResultOptions):
 
     scene: Positional[Path]
     """Scene XML made of splats, a splat file, or example:car_street or example:stop_sign."""
-    selection: Unprefixed[Selection] = field(default_factory=Selection)
+    selection: Selection = field(default_factory=Selection)
     """The object whose Gaussians are attacked; all others stay as they are. If nothing is said, the part called car."""
-    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    view: CameraOptions = field(default_factory=CameraOptions)
     """Where the object is looked at from."""
     objective: Annotated[str, Metavar("relabel|hide|untargeted")] = "relabel"
     """The aim: another class (--target), no detection at all, any but the right class, or that of another package."""
@@ -76,10 +76,10 @@ class DaggerOptions(AttackOptions):
     attacked again. The exit status is 0 also when the attack fails: that is a result.
     """
 
-    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    view: CameraOptions = field(default_factory=CameraOptions)
     """The cameras attacked at once; without any flag it is one. Of the folder of a set it is those of the pictures for
     training that show the object, so that the others can judge."""
-    config: Unprefixed[DaggerConfig] = field(default_factory=DaggerConfig)
+    config: DaggerConfig = field(default_factory=DaggerConfig)
     """How to attack."""
     out: Folder = Path("out/dagger")
 
@@ -94,13 +94,13 @@ class DaggerRegionOptions(AttackOptions):
     again. The exit status is 0 also when the attack fails: that is a result.
     """
 
-    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    view: CameraOptions = field(default_factory=CameraOptions)
     """The reference camera, the first if there are several: size of the pictures, field of view, unit of distances."""
-    region: Unprefixed[CameraRegion] = field(default_factory=CameraRegion)
+    region: CameraRegion = field(default_factory=CameraRegion)
     """Where the object is looked at from."""
-    pictures: Unprefixed[PictureChanges] = field(default_factory=PictureChanges)
+    pictures: PictureChanges = field(default_factory=PictureChanges)
     """What happens to the pictures between renderer and detector; by default nothing."""
-    config: Unprefixed[DaggerConfig] = field(default_factory=DaggerConfig.for_region)
+    config: DaggerConfig = field(default_factory=DaggerConfig.for_region)
     """How to attack."""
     checkpoint: Path | None = None
     """File that keeps the search while it runs; None is one beside --out."""

@@ -11,7 +11,7 @@ from attacks.dagger.config import DaggerConfig
 from attacks.detectors import load_detector
 from attacks.detectors.registry import DETECTORS
 from mi_splat.cli.console import limit_threads, progress, show, show_json, warn
-from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions
 from mi_splat.fields import Folder, Metavar
 from mi_splat.io.parsing import read_json
@@ -39,9 +39,9 @@ class DaggerSanityOptions(ResultOptions):
 
     scene: Positional[Path]
     """Scene XML made of splats, a splat file, or example:car_street or example:stop_sign."""
-    selection: Unprefixed[Selection] = field(default_factory=Selection)
+    selection: Selection = field(default_factory=Selection)
     """The object whose Gaussians are attacked. If nothing is said, the part called car."""
-    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    view: CameraOptions = field(default_factory=CameraOptions)
     """The camera; of several, the first. Each seed but 0 moves it about the object."""
     target: ClassName = "person"
     """Class that the detector shall see there."""
@@ -56,7 +56,7 @@ class DaggerSanityOptions(ResultOptions):
     out."""
     seeds: Seeds = 3
     """Number of seeds; each but 0 moves the camera and starts at a random point of the ball."""
-    config: Unprefixed[DaggerConfig] = field(default_factory=lambda: DaggerConfig(steps=20))
+    config: DaggerConfig = field(default_factory=lambda: DaggerConfig(steps=20))
     """How to attack; the checks also take fractions and multiples of the radius, and seeds of their own."""
     out: Folder = Path("out/sanity")
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from attacks.cli.options import Confidence, DetectorOptions
 from mi_splat import provenance
 from mi_splat.cli.console import UsageError, progress, show_result
-from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions
 from mi_splat.fields import Folder
 
@@ -37,7 +37,7 @@ class DetectOptions(DetectorOptions, ResultOptions):
 
     inputs: Positional[tuple[Path, ...]] = ()
     """Pictures, splat files and scene XMLs; at least one."""
-    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    view: CameraOptions = field(default_factory=CameraOptions)
     """Where splats and scenes are looked at from."""
     min_confidence: Confidence = 0.3
     """Confidence from which a detection is drawn and listed."""

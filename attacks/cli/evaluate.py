@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from attacks.cli.options import ClassName, Confidence, DetectorOptions
 from mi_splat import provenance
 from mi_splat.cli.console import progress
-from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions, check_no_input_in
 from mi_splat.fields import Count, Folder
 from mi_splat.selection.config import Selection
@@ -36,9 +36,9 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
     """The splat or scene XML before the attack."""
     attacked: Positional[Path]
     """The splat or scene XML after it."""
-    selection: Unprefixed[Selection] = field(default_factory=Selection)
+    selection: Selection = field(default_factory=Selection)
     """The object in the clean splat; if nothing is said, the Gaussians that differ."""
-    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    view: CameraOptions = field(default_factory=CameraOptions)
     """Where both are looked at from."""
     original: ClassName | None = None
     """Class that the object is; None is what each detector calls it in most views of the clean splat."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 from attacks.poisons.config import MIFGSMConfig
 from attacks.poisons.specs import POISONS, Given
 from mi_splat.cli.console import UsageError, follow, progress, show_result, warn
-from mi_splat.cli.flags import Flag, Positional, Unprefixed, choice_among
+from mi_splat.cli.flags import Flag, Positional, choice_among
 from mi_splat.cli.options import Direction, ResultOptions, axis_name, check_no_input_in
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Metavar, Seed, at_least, between
@@ -45,7 +45,7 @@ class ObjectConfig:
         picture: Which of the pictures for training --click is on, in their order.
     """
 
-    selection: Unprefixed[Selection] = field(default_factory=Selection)
+    selection: Selection = field(default_factory=Selection)
     picture: Annotated[int, at_least(0), Metavar("NUMBER")] = 0
 
 
@@ -81,7 +81,7 @@ class MisreadingConfig(ObjectConfig):
 
     classifier: Annotated[str, Metavar("CLASSIFIER")] = "prototypes"
     label: Annotated[str | None, Metavar("CLASS")] = None
-    attack: Unprefixed[MIFGSMConfig] = field(default_factory=MIFGSMConfig)
+    attack: MIFGSMConfig = field(default_factory=MIFGSMConfig)
 
 
 class Outcome(NamedTuple):
@@ -132,7 +132,7 @@ class PoisonOptions(ResultOptions):
     """A splat that was trained on the set. By it an object is found in pictures, and poison-splat begins with it."""
     kind: Annotated[str, Metavar("|".join(kind_names()))] = "cloak"
     """Which attack. For the flags of one add --help."""
-    poison: Annotated[Any, Flag(prefixed=False)] = field(default_factory=HidingConfig)
+    poison: Any = field(default_factory=HidingConfig)
     """How the pictures are changed."""
     downscale: Annotated[int, at_least(1)] = 1
     """The pictures are made so many times smaller."""

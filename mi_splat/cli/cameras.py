@@ -192,13 +192,8 @@ def _sized(camera: Camera, options: CameraOptions) -> Camera:
 
 def _placement(target: GaussianScene, options: CameraOptions) -> tuple[tuple[float, float, float], float, float]:
     """Where cameras look, how far away they are, and their focal length."""
-    size = options.size or SIZE
-    if not 0 < options.fov < 180:
-        raise InvalidValueError.of("fov", "degrees between 0 and 180", options.fov, "45 is usual")
-    if min(size) < 1:
-        raise InvalidValueError.of("size", "positive numbers of pixels", size, "for instance 640x480")
     middle, radius = bounds(target)
-    distance, focal = framing(radius, fov=options.fov, size=size)
+    distance, focal = framing(radius, fov=options.fov, size=options.size or SIZE)
     centre = middle if options.centre is None else options.centre
     return centre, distance if options.distance is None else options.distance, focal
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from mi_splat import provenance
 from mi_splat.camera_forms import parse_form
 from mi_splat.capture.settings import CaptureSettings, MeshSettings, SurroundingsSettings
 from mi_splat.cli.console import progress, show_result, warn
-from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import FieldOfView, JsonOptions, Point, Size
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Folder, Length, Metavar, between
@@ -56,11 +57,11 @@ class CaptureOptions(JsonOptions):
     the scene or of its object."""
     distance: Length | None = None
     """World units between cameras and centre, more than 0; None is as near as shows the whole scene or its object."""
-    settings: Unprefixed[CaptureSettings] = field(default_factory=CaptureSettings)
+    settings: CaptureSettings = field(default_factory=CaptureSettings)
     """How pictures are taken."""
-    mesh: Unprefixed[MeshSettings] = field(default_factory=MeshSettings)
+    mesh: MeshSettings = field(default_factory=MeshSettings)
     """How a mesh file is read and turned."""
-    surroundings: Unprefixed[SurroundingsSettings] = field(default_factory=SurroundingsSettings)
+    surroundings: SurroundingsSettings = field(default_factory=SurroundingsSettings)
     """What is around a mesh file, or around an object of the project."""
 
 
@@ -157,18 +158,12 @@ def _in_coordinates_of(source: CaptureSource, cameras: list[Camera], path: Path)
 
 
 def _inputs(options: CaptureOptions, *, is_file: bool) -> Inputs:
-    scene = {"scene": options.scene, **asdict(options.mesh), **asdict(options.surroundings)}
-    environment = options.surroundings.environment
-    scene["environment"] = None if environment is None else str(environment)
-    names = ("cameras", "size", "fov", "centre", "distance")
-    cameras = {name: getattr(options, name) for name in names}
+    cameras = {name: getattr(options, name) for name in ("cameras", "size", "fov", "centre", "distance")}
     if not is_file:
         cameras |= {"size": options.size or SIZE, "fov": FOV if options.fov is None else options.fov}
-    values = {"scene": scene, "cameras": cameras}
-    return {
-        kind: {name: list(value) if isinstance(value, tuple) else value for name, value in part.items()}
-        for kind, part in values.items()
-    }
+    scene = {"scene": options.scene, **asdict(options.mesh), **asdict(options.surroundings)}
+    inputs: Inputs = json.loads(json.dumps({"scene": scene, "cameras": cameras}, default=str))
+    return inputs
 
 
 def _lines(done: WrittenCapture, source: CaptureSource, out: Path, size: str) -> Iterator[str]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from mi_splat.cli.console import progress, show_result
-from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError
 from mi_splat.placement import Placement
@@ -51,7 +51,7 @@ class ConvertOptions(JsonOptions):
     """Leave out Gaussians that are not valid, instead of an error."""
     add: tuple[Path, ...] = ()
     """Splats whose Gaussians come after those of the source, before all are put in place."""
-    placement: Unprefixed[Placement] = field(default_factory=Placement)
+    placement: Placement = field(default_factory=Placement)
     """Where the result is put."""
 
 

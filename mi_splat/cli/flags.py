@@ -51,13 +51,10 @@ class Flag:
     name: str = ""  # name of the flag; that of the field if empty
     aliases: tuple[str, ...] = ()  # other names for it
     positional: bool = False  # whether it is given without any flag, by its position
-    prefixed: bool = True  # whether the flags of a dataclass have its field's name before theirs
 
 
 Positional = Annotated[_Type, Flag(positional=True)]
 """A field that is given by its position."""
-Unprefixed = Annotated[_Type, Flag(prefixed=False)]
-"""A dataclass whose flags stand for themselves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +65,6 @@ class Option:
     hint: Any  # its type, with its marks
     default: Any  # `dataclasses.MISSING` if it is required
     text: str
-    prefix: str = ""  # what is before the name of its flag
 
     def mark(self, kind: type[_Type]) -> _Type | None:
         """What the field declares of itself."""
@@ -94,18 +90,16 @@ class Option:
     def flag(self) -> str:
         """The flag, or the name of a positional value."""
         no = "no-" if self.default is True else ""
-        name = f"--{self.prefix}{no}{self.given.name or self.name}".replace("_", "-")
+        name = f"--{no}{self.given.name or self.name}".replace("_", "-")
         return self.metavar if self.given.positional else name
 
     @property
     def fields(self) -> list[Option]:
-        """The options of a dataclass, whose flags begin with its name unless it is unprefixed or in one that is."""
+        """The options of a dataclass."""
         if not dataclasses.is_dataclass(self.default):
             return []
-        is_within = not self.prefix and "." in self.key
-        prefix = self.prefix if is_within or not self.given.prefixed else f"{self.prefix}{self.name}."
         values = {field.name: getattr(self.default, field.name) for field in dataclasses.fields(self.default)}
-        return _options(type(self.default), values, f"{self.key}.", prefix)
+        return _options(type(self.default), values, f"{self.key}.")
 
     @property
     def metavar(self) -> str:
@@ -262,10 +256,10 @@ def options_of(kind: type, defaults: Mapping[str, Any] | None = None) -> list[Op
     return _options(kind, {**values, **(defaults or {})})
 
 
-def _options(kind: type, values: Mapping[str, Any], key: str = "", prefix: str = "") -> list[Option]:
+def _options(kind: type, values: Mapping[str, Any], key: str = "") -> list[Option]:
     hints, texts = type_hints(kind), field_texts(kind)
     return [
-        Option(key=f"{key}{name}", hint=hints[name], default=default, text=texts.get(name, ""), prefix=prefix)
+        Option(key=f"{key}{name}", hint=hints[name], default=default, text=texts.get(name, ""))
         for name, default in values.items()
     ]
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from mi_splat.cli.console import follow, progress, show_result, warn
-from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions, check_no_input_in
 from mi_splat.fields import Folder
 from mi_splat.preparation.config import PreparationError, PrepareConfig
@@ -35,7 +35,7 @@ class PrepareOptions(JsonOptions):
     """Folder for the set: a new one, written whole at the end."""
     force: bool = False
     """Replace an older set in --out."""
-    config: Unprefixed[PrepareConfig] = field(default_factory=PrepareConfig)
+    config: PrepareConfig = field(default_factory=PrepareConfig)
     """How large the pictures are, and how many."""
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from mi_splat.cli.console import progress, show_result
-from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, JsonOptions, Rate, Samples
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Metavar
@@ -51,7 +51,7 @@ class RenderOptions(JsonOptions):
     """What to write: NAME.png or NAME.jpg; NAME.exr with linear values as 32-bit floats; NAME.gif, NAME.webp or
     NAME.mp4 (needs the extra `video`) of several cameras one after the other; a folder, or a name with {} for the
     camera's, for a picture from each."""
-    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    view: CameraOptions = field(default_factory=CameraOptions)
     """Where from."""
     fps: Rate = 24.0
     """Pictures a second of an animation."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mi_splat.cli.console import progress, show_result, warn
-from mi_splat.cli.flags import Positional, Unprefixed
+from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, JsonOptions
 from mi_splat.errors import InvalidValueError
 from mi_splat.selection.config import Selection
@@ -39,9 +39,9 @@ class SelectOptions(JsonOptions):
 
     scene: Positional[Path]
     """A splat file, or a scene XML made of splats."""
-    selection: Unprefixed[Selection] = field(default_factory=Selection)
+    selection: Selection = field(default_factory=Selection)
     """Which object."""
-    view: Unprefixed[CameraOptions] = field(default_factory=CameraOptions)
+    view: CameraOptions = field(default_factory=CameraOptions)
     """Where it is looked at from; the first camera's picture is the one that is clicked on and written."""
     out: tuple[Path, ...] = ()
     """Any of: a .png or .jpg of the scene with the object tinted, the mask as .npy, the object's Gaussians as .ply."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from mi_splat.cli.console import UsageError, limit_threads, progress, show_result, warn
-from mi_splat.cli.flags import Positional, Unprefixed, choice_among
+from mi_splat.cli.flags import Positional, choice_among
 from mi_splat.cli.options import Colour, JsonOptions
 from mi_splat.errors import InvalidValueError
 from mi_splat.fields import Folder, Length, Metavar, Seed, at_least, between
@@ -71,7 +71,7 @@ class TrainOptions(JsonOptions):
     strategy: Annotated[str, Metavar("|".join(strategy_names()))] = _STRATEGY
     """How Gaussians are added and removed: clone, split and prune (3DGS), MCMC relocation, or not at all. For the flags
     of one add --help."""
-    fit: Unprefixed[FitConfig] = field(default_factory=FitConfig)
+    fit: FitConfig = field(default_factory=FitConfig)
     """How the splat is trained."""
     start: Path | None = None
     """Splat to begin with; None takes the points of the set, or Gaussians anywhere if it has none."""

@@ -162,8 +162,6 @@ def test_cameras_of_the_trainer_of_3dgs(tmp_path: Path) -> None:
         (CameraOptions(cameras=("front",), azimuth=3), "have their places, got --cameras front and --azimuth"),
         (CameraOptions(cameras=("front",), distance=3, centre=(0, 0, 0)), "front and --distance, --centre"),
         (CameraOptions(cameras=("orbit:2@0",), distance=3, elevation=9), "orbit:2@0 and --elevation; leave one out"),
-        (CameraOptions(azimuth=3, fov=180), "fov"),
-        (CameraOptions(azimuth=3, size=(0, 3)), "size"),
         (CameraOptions(azimuth=3, up=(0, 0, 0)), "up: expected a direction"),
     ],
 )
