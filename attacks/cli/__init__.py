@@ -74,14 +74,18 @@ WITHOUT_TORCH = ("detectors", "doctor", "info", "rows", "study")
 """Commands that do without torch, or with most of what they are asked."""
 
 
-OTHER_MODULES = {"dagger --region": "dagger", "demo": "dagger", "artifact-check": "artifact", "rows": "report"}
+OTHER_MODULES = {
+    **dict.fromkeys(("dagger --region", "dagger --sanity", "demo"), "dagger"),
+    "artifact-check": "artifact",
+    "rows": "report",
+}
 """Commands in the module of another one, by its name; `run_region` does what `dagger --region` is to do."""
 
 
 def module_of(name: str) -> ModuleType:
     """The module of a command or of its mode."""
     package = "mi_splat" if name in OF_SPLATS else "attacks"
-    return importlib.import_module(f"{package}.cli.{OTHER_MODULES.get(name, name.replace(' --', '_'))}")
+    return importlib.import_module(f"{package}.cli.{OTHER_MODULES.get(name, name)}")
 
 
 def examples_of(name: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""`mi-splat dagger`: attack one object of a scene, from chosen cameras or, with `--region`, from all of a region."""
+"""`mi-splat dagger`: attack one object of a scene, from chosen cameras or all of a region, or check such attacks."""
 
 from __future__ import annotations
 
@@ -11,12 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from attacks.aims import OBJECTIVES, objective_of
 from attacks.cli.options import DEFAULT_OBJECT, DEFAULT_TARGET, ClassName, Confidence, DetectorOptions
 from attacks.dagger.config import DaggerConfig
+from attacks.detectors import load_detector
+from attacks.detectors.registry import DETECTORS
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
-from mi_splat.cli.console import Advance, limit_threads, progress, warn
+from mi_splat.cli.console import Advance, UsageError, limit_threads, progress, show, show_json, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions, check_no_input_in
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Folder, Metavar
+from mi_splat.fields import Folder, Metavar, at_least
+from mi_splat.io.parsing import read_json
 from mi_splat.processes import deferred_interrupt
 from mi_splat.selection.config import Selection
 
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from attacks.dagger.result import Result
+    from attacks.dagger.sanity import Case, Finding
     from attacks.detectors.base import Detector
     from attacks.objectives import Objective
     from attacks.search import Step
@@ -40,9 +44,13 @@ EXAMPLES = (
     "dagger desk.ply --mask mask.npy --cameras orbit:4@25 --target person --out out/desk",
     "dagger --region scenes/car_street.xml --object car --target person --out out/dagger-eot",
     "dagger --region scenes/car_street.xml --object car --elevations 10 30 --jpeg 50 --blur 1 --out out/photographed",
+    "dagger --sanity scenes/car_street.xml --object car --target person --out out/sanity",
+    "dagger --sanity desk.ply --mask mask.npy --azimuth 40 --detectors yolov8n_small --seeds 5 --out out/sanity",
     "demo",
     "demo --out out/first --force",
 )
+SANITY_ATTACKS = 15
+"""Attacks of the sanity checks for each seed."""
 EVALUATIONS = 3
 """Evaluations from a camera that a step takes as long as: what is seen, and the gradient."""
 
@@ -108,6 +116,27 @@ class DaggerRegionOptions(AttackOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
+class DaggerSanityOptions(AttackOptions):
+    """Check whether DAGGER is a sane attack on an object and a detector, so that its failures can be believed.
+
+    Success has to rise with the radius, many steps, white boxes and gradients have to do no worse than one step,
+    another detector and random search, gradients have to equal finite differences, and so on. Each check is a line,
+    green or red. Writes sanity.md and result.json into --out. The exit status is 1 if a line is red.
+    """
+
+    view: CameraOptions = field(default_factory=CameraOptions)
+    """The camera; of several, the first. Each seed but 0 moves it about the object."""
+    surrogate: Annotated[str, Metavar("DETECTOR")] = "auto"
+    """Name of another detector, from which attacks are transferred; auto takes one that can be loaded, none leaves it
+    out."""
+    seeds: Annotated[int, at_least(1)] = 3
+    """Number of seeds; each but 0 moves the camera and starts at a random point of the ball."""
+    config: DaggerConfig = field(default_factory=lambda: DaggerConfig(steps=20))
+    """How to attack; the checks also take fractions and multiples of the radius, and seeds of their own."""
+    out: Folder = Path("out/sanity")
+
+
+@dataclass(frozen=True, kw_only=True)
 class DemoOptions(ResultOptions):
     """Attack the car of the scene example:car_street, so that a small Faster R-CNN reports a person in its place.
 
@@ -132,7 +161,7 @@ def run(options: DaggerOptions) -> None:
         if any(Path(text).is_dir() for text in options.view.cameras):
             chosen, weights = _showing(chosen, weights)
         require_visible(weights)
-        detectors, objective = _loaded(options)
+        detectors, objective = _detectors_and_objective(options)
         if len(chosen.cameras) > 1:
             _forecast(loaded.scene, chosen, detectors, config)
         cameras = list(chosen.cameras.values())
@@ -161,7 +190,7 @@ def run_region(options: DaggerRegionOptions) -> None:
     with progress("loading the scene and the detectors", total=config.steps + 1) as advance:
         loaded, selection, chosen = _opened(options)
         name, camera = next(iter(chosen.cameras.items()))
-        detectors, objective = _loaded(options)
+        detectors, objective = _detectors_and_objective(options)
         drawn = Transformations(cameras=options.region, pictures=options.pictures)
         views = DrawnViews(loaded.scene, chosen.mask, camera, drawn, render=chosen.render, up=options.view.up)
         advance("drawing views", 0)
@@ -173,6 +202,75 @@ def run_region(options: DaggerRegionOptions) -> None:
     _show(options)
 
 
+def run_sanity(options: DaggerSanityOptions) -> int:
+    """Make the checks."""
+    from attacks.dagger.sanity import CHECKS, Runs, write_findings
+    from mi_splat.io.folders import RECORD, new_folder
+
+    findings: list[Finding] = []
+    with progress("loading the scene and the detectors", total=SANITY_ATTACKS * options.seeds) as advance:
+        case, conditions = _sanity_case(options)
+        runs = Runs(case, on_run=lambda: advance(f"check {len(findings) + 1} of {len(CHECKS)}"))
+        advance("attacking", 0)
+        for check in CHECKS.values():
+            findings.append(check(runs))
+        with new_folder(options.out, force=options.force) as folder:
+            write_findings(findings, runs, folder, **conditions)
+    red = sum(finding.passed is False for finding in findings)
+    if options.json:
+        show_json(read_json(options.out / RECORD))
+    else:
+        for finding in findings:
+            show(f"{finding.colour:5}  {finding.claim}: {finding.figures}")
+            if finding.passed is False:
+                show(f"{'':5}  -> {finding.meaning}")
+        show(f"{red} of {len(findings)} lines are red. The report is {options.out / 'sanity.md'}.")
+    return 1 if red else 0
+
+
+def _sanity_case(options: DaggerSanityOptions) -> tuple[Case, dict[str, Any]]:
+    """What is checked, and what the record says of it."""
+    from attacks.dagger.sanity import Case
+    from attacks.objectives import Relabel
+    from attacks.studies.attack import jittered
+    from mi_splat.io.camera_records import describe
+    from mi_splat.selection.select import require_visible
+
+    loaded, selection, chosen = _opened(options)
+    require_visible(chosen.weights(loaded))
+    detectors, objective = _detectors_and_objective(options)
+    if not isinstance(objective, Relabel):
+        raise UsageError.of("--objective", "relabel", options.objective, "leave it out")
+    if len(detectors) > 1:
+        raise UsageError.of("--detectors", "one detector", " ".join(options.detectors), "check them one by one")
+    name, camera = next(iter(chosen.cameras.items()))
+    centre = loaded.scene.means[chosen.mask].mean(0)
+    case = Case(
+        scene=loaded.scene,
+        mask=chosen.mask,
+        cameras=tuple(jittered(camera, centre, seed=seed) for seed in range(options.seeds)),
+        detector=detectors[0],
+        objective=objective,
+        render=chosen.render,
+        config=options.config,
+        surrogate=_surrogate(options),
+    )
+    record = {"scene": str(options.scene), "selection": selection.as_dict(), "cameras": [describe(name, camera)]}
+    return case, record
+
+
+def _surrogate(options: DaggerSanityOptions) -> Detector | None:
+    if options.surrogate != "auto":
+        return None if options.surrogate == "none" else load_detector(options.surrogate)
+    for name, spec in DETECTORS.items():
+        if name.endswith(("_small", "_coco")) and name not in options.detectors:
+            missing = spec.missing()
+            if not missing:
+                return load_detector(name)
+            warn(f"{name} is left out: {missing}")
+    return None
+
+
 def run_demo(options: DemoOptions) -> None:
     """Attack with the options of the demo."""
     from attacks.cli import parse
@@ -182,13 +280,8 @@ def run_demo(options: DemoOptions) -> None:
     run(parse("dagger", [*words, str(options.out), *flags]))
 
 
-def chosen_object(loaded: SplatScene, selection: Selection) -> Selection:
-    """What the options select; the part called car if they say nothing and there is one."""
-    nothing = selection.is_empty and DEFAULT_OBJECT in loaded.objects
-    return replace(selection, object=DEFAULT_OBJECT) if nothing else selection
-
-
 def _opened(options: AttackOptions, *, split: Split | None = None) -> tuple[SplatScene, Selection, Chosen]:
+    """The scene, what is selected in it, and the object with its cameras, if --out can be written."""
     from mi_splat.cli.cameras import choose
     from mi_splat.io.folders import check_new_folder
     from mi_splat.scene_files import open_scene
@@ -197,11 +290,13 @@ def _opened(options: AttackOptions, *, split: Split | None = None) -> tuple[Spla
     check_new_folder(options.out, force=options.force)
     limit_threads()
     loaded = open_scene(options.scene, options.device)
-    selection = chosen_object(loaded, options.selection)
+    selection = options.selection
+    if selection.is_empty and DEFAULT_OBJECT in loaded.objects:
+        selection = replace(selection, object=DEFAULT_OBJECT)
     return loaded, selection, choose(loaded, selection, options.view, split=split)
 
 
-def _loaded(options: AttackOptions) -> tuple[Sequence[Detector], Objective]:
+def _detectors_and_objective(options: AttackOptions) -> tuple[Sequence[Detector], Objective]:
     from attacks.cli.options import load_detectors
 
     targeted = OBJECTIVES.chosen(options.objective).targeted

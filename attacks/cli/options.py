@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from attacks.aims import OBJECTIVES
 from mi_splat.cli.console import UsageError
-from mi_splat.cli.flags import Flag
 from mi_splat.errors import InvalidValueError, nearest
-from mi_splat.fields import Fraction, Metavar, at_least, between, check_choice
+from mi_splat.fields import Fraction, Metavar, between, check_choice
 
 if TYPE_CHECKING:
     from attacks.detectors.base import Detector
@@ -93,11 +92,8 @@ def weights_of(names: Sequence[str], weights: Sequence[Path]) -> dict[str, Path]
 
 
 Detectors = Annotated[tuple[str, ...], Metavar("DETECTOR")]
-OneDetector = Annotated[str, Flag(name="detectors"), Metavar("DETECTOR")]
-"""A detector of a command that takes one; the flag is called as where there may be several."""
 ClassName = Annotated[str, Metavar("CLASS")]
 Confidence = Annotated[Fraction, Metavar("CONFIDENCE")]
-Seeds = Annotated[int, at_least(1), Metavar("COUNT")]
 Workers = Annotated[int, between(0, 1024, "processes")]
 _WORKER = 2e9
 """Bytes of memory that a process takes which trains or attacks."""

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from attacks import cli
-from attacks.cli import dagger_sanity
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
@@ -205,7 +204,6 @@ class TestCommand:
         np.save(tmp_path / "mask.npy", np.arange(10, 40))
         monkeypatch.chdir(tmp_path)
         known = {"fasterrcnn_small": ColourDetector(), "other": CoarseDetector(), "flipped": FlippedDetector()}
-        monkeypatch.setattr(dagger_sanity, "load_detector", lambda name, weights=None: known[name])
         register(monkeypatch, known)
         monkeypatch.setattr(cli_cameras, "Renderer", lambda settings: blobs)
 
