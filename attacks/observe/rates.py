@@ -8,10 +8,10 @@ and in seeds, each drawn anew with replacement (the pigeonhole bootstrap: Owen 2
 holds of one object need not hold of the next: a rate over several has them drawn anew, too.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import polars as pl
@@ -135,13 +135,12 @@ def banded(
 # its columns stand beside each row with `CONTROL` before their names.
 
 Measures = Mapping[str, Measure]
+Key = TypeVar("Key")
 Confidence = float | Mapping[str, float]
 """From which a detection counts: of all detectors, or by the name of each."""
 
 REPORTED, DEFAULT_OF_YOLO = 0.5, 0.25
 """Confidences from which the object's class counts as reported; the second is what YOLO's own programs take."""
-CURVE = tuple(round(0.05 * step, 2) for step in range(1, 20))
-"""Confidences of `threshold_curve`."""
 CONTROL = "clean."
 """What stands before the columns of the control."""
 CLUSTERS = ("block", "seed")
@@ -352,28 +351,10 @@ def cloak_measures(
 def rates_at(
     rows: pl.DataFrame,
     measures: Callable[[Confidence], Measures],
-    confidences: Mapping[str, Confidence],
+    confidences: Mapping[Key, Confidence],
     by: Sequence[str] = (),
     *,
     clusters: Sequence[str] | None = None,
-) -> dict[str, dict[Group, dict[str, Rate]]]:
-    """The same rates at several confidences."""
+) -> dict[Key, dict[Group, dict[str, Rate]]]:
+    """The same rates at several confidences, by their names."""
     return {name: count(rows, measures(least), by, clusters=clusters) for name, least in confidences.items()}
-
-
-def threshold_curve(
-    rows: pl.DataFrame,
-    measures: Callable[[Confidence], Measures],
-    name: str,
-    confidences: Iterable[float] = CURVE,
-    by: Sequence[str] = (),
-    *,
-    clusters: Sequence[str] | None = None,
-) -> dict[Group, list[tuple[float, Rate]]]:
-    """A rate over the confidence from which a detection counts, for each group: what a report draws."""
-    lines: dict[Group, list[tuple[float, Rate]]] = {}
-    for confidence in confidences:
-        counted = count(rows, {name: measures(confidence)[name]}, by, clusters=clusters)
-        for group, rates in counted.items():
-            lines.setdefault(group, []).append((confidence, rates[name]))
-    return lines

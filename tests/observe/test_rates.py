@@ -19,7 +19,6 @@ from attacks.observe.rates import (
     count,
     joint_views,
     rates_at,
-    threshold_curve,
     transfer_measures,
     with_control,
 )
@@ -218,13 +217,12 @@ def test_transfer_is_of_the_views_whose_clean_object_is_found_and_stands_beside_
     }
 
 
-def test_a_rate_is_given_at_several_confidences_and_as_a_curve() -> None:
+def test_a_rate_is_given_at_several_confidences() -> None:
     rows = with_control(LOOKS)
-    at = rates_at(rows, transfer_measures, {"0.25": 0.25, "equal": {"a": 0.85}}, ("detector",))
+    at = rates_at(rows, transfer_measures, {"0.25": 0.25, "equal": {"a": 0.85}, "sure": 0.95}, ("detector",))
     assert counts(at["0.25"]["a",])["targeted"] == (3, 3)
     assert counts(at["equal"]["a",])["targeted"] == (1, 3)
-    (curve,) = threshold_curve(rows, transfer_measures, "targeted", (0.25, 0.5, 0.95)).values()
-    assert [(at, rate.successes, rate.total) for at, rate in curve] == [(0.25, 3, 3), (0.5, 1, 2), (0.95, 0, 0)]
+    assert counts(at["sure"]["a",])["targeted"] == (0, 0)
 
 
 def seen(splat: str, depth: float, score: float, **further: Any) -> dict[str, Any]:

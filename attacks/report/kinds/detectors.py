@@ -114,8 +114,8 @@ def _figures(judged: Comparison) -> Iterator[Figure]:
 
 # Rates over the confidence from which a detection counts, of any result whose folder holds rows
 
-_AT = {f"{confidence:g}": confidence for confidence in (REPORTED, DEFAULT_OF_YOLO)}
-"""Confidences of the table."""
+_CURVE, _AT = tuple(round(0.05 * step, 2) for step in range(1, 20)), (REPORTED, DEFAULT_OF_YOLO)
+"""Confidences of the charts, and those of them that the table has."""
 
 
 def threshold_charts(
@@ -130,14 +130,18 @@ def threshold_charts(
     if paired.is_empty():
         return (), ()
     clusters = rates.CLUSTERS if set(rates.CLUSTERS) <= set(paired.columns) else None
-    curves = {
-        name: rates.threshold_curve(paired, measures, name, by=("detector",), clusters=clusters) for name in drawn
-    }
-    detectors = list(dict.fromkeys(detector for (detector,) in next(iter(curves.values()))))
+
+    def wanted(confidence: Confidence) -> rates.Measures:
+        return {name: measure for name, measure in measures(confidence).items() if name in drawn}
+
+    curve = rates.rates_at(paired, wanted, dict(zip(_CURVE, _CURVE, strict=True)), ("detector",), clusters=clusters)
+    detectors = [detector for (detector,) in curve[REPORTED]]
 
     def line(name: str, detector: str) -> Line:
         words, role = drawn[name]
-        points = (Point.of(at, rate) for at, rate in curves[name][detector,] if rate.total)
+        points = (
+            Point.of(at, counts[detector,][name]) for at, counts in curve.items() if counts[detector,][name].total
+        )
         return Line(name=words, role=role, points=tuple(points))
 
     charts = tuple(
@@ -150,13 +154,12 @@ def threshold_charts(
         )
         for detector in detectors
     )
-    at = rates.rates_at(paired, measures, _AT, ("detector",), clusters=clusters)
     lines = tuple(
-        (detector, words, *(cell(at[confidence][detector,][name]) for confidence in _AT))
+        (detector, words, *(cell(curve[confidence][detector,][name]) for confidence in _AT))
         for detector in detectors
         for name, (words, _) in drawn.items()
     )
-    head = ("detector", "rate", *(f"from {confidence}" for confidence in _AT))
+    head = ("detector", "rate", *(f"from {confidence:g}" for confidence in _AT))
     caption = f"By the confidence from which a detection counts{what}"
     return charts, (Table(caption=caption, head=head, rows=lines),)
 
