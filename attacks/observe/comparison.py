@@ -21,7 +21,6 @@ from attacks.observe.rows import ATTACKED, CLEAN, Cell
 from attacks.observe.views import ViewDetections, evaluate
 from attacks.rate import Rate
 from mi_splat._lazy import Previewed
-from mi_splat.attributes import ATTRIBUTES
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, listed
 from mi_splat.fields import between, checked_number
@@ -204,21 +203,22 @@ def usual_label(views: Sequence[ViewDetections], min_confidence: float = 0.5) ->
     return best if best is not None and counts[best] else None
 
 
-def changed_mask(clean: GaussianScene, attacked: GaussianScene) -> Tensor:
-    """(N,) bool, which Gaussians an attack changed."""
-    do = "say which Gaussians are the object, for instance by a box"
+def largest_changes(clean: GaussianScene, attacked: GaussianScene) -> Tensor:
+    """(N,) the largest change of any value of each Gaussian."""
     if len(clean) != len(attacked):
-        got = f"{len(clean):,} and {len(attacked):,}"
+        got, do = f"{len(clean):,} and {len(attacked):,}", "pass the scene that was attacked"
         raise InvalidValueError.of("the scenes", "the same Gaussians in both", got, do).hinted("--box")
     degree = max(clean.degree, attacked.degree)
-    changed = torch.zeros(len(clean), dtype=torch.bool, device=clean.means.device)
-    for name in ATTRIBUTES:
-        before, after = (getattr(scene.with_degree(degree), name) for scene in (clean, attacked))
-        changed |= (before != after).reshape(len(clean), -1).any(-1)
+    pairs = zip(clean.with_degree(degree).tensors(), attacked.with_degree(degree).tensors(), strict=True)
+    return torch.stack([(before - after).abs().reshape(len(before), -1).amax(1) for before, after in pairs]).amax(0)
+
+
+def changed_mask(clean: GaussianScene, attacked: GaussianScene) -> Tensor:
+    """(N,) bool, which Gaussians an attack changed."""
+    changed = largest_changes(clean, attacked) > 0
     if not bool(changed.any()):
-        raise InvalidValueError.of("the scenes", "one that differs from the other", "two that are the same", do).hinted(
-            "--box"
-        )
+        expected, do = "one that differs from the other", "say which Gaussians are the object, for instance by a box"
+        raise InvalidValueError.of("the scenes", expected, "two that are the same", do).hinted("--box")
     return changed
 
 

@@ -14,6 +14,7 @@ from attacks.cloak.config import AttackConfig, StudyConfig
 from attacks.cloak.own_pictures import RECORD as POISONED
 from attacks.cloak.setup import Setup
 from attacks.detectors.base import Detections, Detector
+from attacks.observe.comparison import largest_changes
 from attacks.observe.drawing import draw_detections
 from attacks.observe.views import CAMERAS
 from mi_splat.audit.files import HEAT
@@ -185,13 +186,7 @@ def _purpose(record: Record) -> str:
 
 def middle_of_change(clean: GaussianScene, attacked: GaussianScene) -> Point:
     """(3,) mean of the Gaussians that an attack has changed, world units: the middle of the attacked object."""
-    if len(clean) != len(attacked):
-        do = "pass the scene that was attacked"
-        raise InvalidValueError.of("attacked.ply", f"{len(clean)} Gaussians", len(attacked), do)
-    degree = max(clean.degree, attacked.degree)
-    pairs = zip(clean.with_degree(degree).tensors(), attacked.with_degree(degree).tensors(), strict=True)
-    rows = [(before - after).abs().reshape(len(before), -1).amax(1) for before, after in pairs]
-    changed = torch.stack(rows).amax(0) > 1e-4  # a file rounds
+    changed = largest_changes(clean, attacked) > 1e-4  # a file rounds
     if not bool(changed.any()):
         return bounds(clean)[0]
     x, y, z = clean.means[changed].double().mean(0).tolist()
