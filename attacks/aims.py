@@ -105,28 +105,16 @@ def objective_of(name: str, label: str | None = None, confidence: float | None =
     return plugged
 
 
-def _relabel(label: str | None, confidence: float | None) -> Objective:
-    from attacks.objectives import REPORTED, relabel
+def _own(name: str) -> Callable[[str | None, float | None], Objective]:
+    def make(label: str | None, confidence: float | None) -> Objective:
+        from attacks import objectives
 
-    assert label is not None  # as `objective_of` has seen to
-    return relabel(label, confidence=REPORTED if confidence is None else confidence)
+        settings = {} if confidence is None else {"confidence": confidence}
+        made: Objective = getattr(objectives, name)(*filter(None, (label,)), **settings)
+        return made
 
-
-def _hide(label: str | None, confidence: float | None) -> Objective:
-    from attacks.objectives import GONE, hide
-
-    return hide(confidence=GONE if confidence is None else confidence)
+    return make
 
 
-def _untargeted(label: str | None, confidence: float | None) -> Objective:
-    from attacks.objectives import GONE, untargeted
-
-    return untargeted(confidence=GONE if confidence is None else confidence)
-
-
-for _spec in (
-    ObjectiveSpec(name="relabel", make=_relabel, targeted=True),
-    ObjectiveSpec(name="hide", make=_hide),
-    ObjectiveSpec(name="untargeted", make=_untargeted),
-):
-    OBJECTIVES.add(_spec.name, _spec)
+for _name in ("relabel", "hide", "untargeted"):
+    OBJECTIVES.add(_name, ObjectiveSpec(name=_name, make=_own(_name), targeted=_name == "relabel"))

@@ -18,7 +18,7 @@ from torch import Generator
 
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.problem import Problem, check_detectors
-from attacks.dagger.result import Result, counted, judge
+from attacks.dagger.result import Result, counted, judge, observed
 from attacks.dagger.search import Checkpoint, OnStep, search
 from attacks.dagger.views import DrawnViews, FixedViews, ViewDistribution
 from attacks.detectors.base import Detector
@@ -161,16 +161,18 @@ def _judged(problem: Problem, config: DaggerConfig, outcome: Outcome, views: Fix
     generator = Generator().manual_seed(config.seed + 1)  # not the draws of the attack's own starting points
     attacked, drawn = subset.applied(outcome.parameters), views.transformations
     noise = [budget.noise(outcome.parameters, reference, generator) for _ in range(config.noise_draws)]
-    saved, *noisy = (as_saved(one) for one in (attacked, *(subset.applied(point) for point in noise)))
+    saved = [as_saved(one) for one in (attacked, *(subset.applied(point) for point in noise))]
     held_out = views.held_out(config)
     clean = (as_saved(views.scene), views.clean_reports(problem.detectors, held_out))
-    judgement = judge(problem, held_out, clean, saved, noisy)
-    in_file = GaussianSubset.of(saved, subset.rows, sh_degree=subset.sh_degree).parameters(config.attributes)
-    names, looked = [detector.name for detector in problem.detectors], judgement.looked(seed=config.seed)
+    judged, (image, *noise_images) = judge(problem, held_out, clean, saved)
+    in_file = GaussianSubset.of(saved[0], subset.rows, sh_degree=subset.sh_degree).parameters(config.attributes)
+    names, looked = [detector.name for detector in problem.detectors], observed(judged, seed=config.seed)
     elevations = None if drawn is None else drawn.cameras.elevations
     return Result(
         scene=attacked,
-        judgement=judgement,
+        views=judged,
+        image=image,
+        noise_images=tuple(noise_images),
         looked=looked,
         figures=counted(looked.rows, names, problem.objective.label, config, elevations),
         fingerprints={detector.name: detector.fingerprint for detector in problem.detectors},

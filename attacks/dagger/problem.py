@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     from mi_splat.frozen_view import FrozenView
     from mi_splat.view_freezing import RecentViews
 
-_LOOKED_AT_ONCE = 4
-"""Pictures that a detector gets together when nothing is differentiated."""
-
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Problem:
@@ -138,21 +135,11 @@ class Problem:
 
     def verdicts(self, parameters: Parameters, views: Sequence[View]) -> list[list[Verdict]]:
         """For each view the verdict of every detector, on 8-bit pictures."""
-        rows: list[list[Verdict]] = []
+        rows, scene = list[list[Verdict]](), self.subset.scene_with(parameters)
         with torch.no_grad():
-            scene = self.subset.scene_with(parameters)
-            for first in range(0, len(views), _LOOKED_AT_ONCE):
-                batch = views[first : first + _LOOKED_AT_ONCE]
-                rendered = [self.render(scene, view.camera).clamp(0, 1) for view in batch]
-                pictures = [quantise(view.changed(picture)) for picture, view in zip(rendered, batch, strict=True)]
-                reports = [detector.detect(torch.stack(pictures)) for detector in self.detectors]
-                rows += [
-                    [
-                        self.objective.verdict(seen[number], self.target(view, detector))
-                        for detector, seen in zip(self.detectors, reports, strict=True)
-                    ]
-                    for number, view in enumerate(batch)
-                ]
+            for view in views:
+                picture = view.changed(self.render(scene, view.camera).clamp(0, 1))
+                rows.append([self._reported(one, picture, self.target(view, one)) for one in self.detectors])
         return rows
 
 

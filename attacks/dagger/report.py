@@ -105,7 +105,7 @@ def summary(result: Result) -> dict[str, Any]:
         "image": dataclasses.asdict(image),
         "clamped_fraction": result.clamped_fraction,
         "zero_gradient_fraction": [line.zero_gradient_fraction for line in result.trace],
-        "noise_psnr": [change.psnr for change in result.judgement.noise_images],
+        "noise_psnr": [change.psnr for change in result.noise_images],
         "redraws": result.redraws,
         "warnings": list(result.warnings),
         "detectors": [{"detector": name, "detector_fingerprint": mark} for name, mark in result.fingerprints.items()],

@@ -38,7 +38,7 @@ class Seen:
     verdict: Verdict  # whether the attacker has the aim there
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class JudgedView:
     """One view as one detector sees it."""
 
@@ -55,79 +55,38 @@ class JudgedView:
         return confidence(detections, self.target.box, labels=None if label is None else [label])
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Judgement:
-    """What some views say of an attack.
-
-    Attributes:
-        views: Detector by detector, and for each view by view.
-        image: Change of the pictures before anything random happens to them; its PSNR is of the mean squared error over
-            all pixels of all views.
-        noise_images: The same for each draw of random noise.
-    """
-
-    views: tuple[JudgedView, ...]
-    image: ImageChange
-    noise_images: tuple[ImageChange, ...]
-
-    def looked(self, **ids: Cell) -> Observations:
-        """What was seen as rows, clean, attacked and with noise."""
-        rows, detections = list[Row](), list[Row]()
-        for judged in self.views:
-            view, target, clean = judged.view, judged.target, judged.clean.image
-            where = camera_cells(view.camera, target.box, view.direction)
-            splats = [(CLEAN, None, judged.clean), (ATTACKED, None, judged.attacked)]
-            for splat, draw, seen in (*splats, *((NOISE, draw, seen) for draw, seen in enumerate(judged.noise))):
-                of: dict[str, Cell] = {**ids, "splat": splat, "draw": draw}
-                of |= {"detector": judged.detector, "view": view.index}
-                change = None if torch.equal(clean, seen.image) else float(psnr(clean, seen.image))
-                cells = report_cells(seen.detections, target.box, original=target.original, target=target.label)
-                rows.append({**of, **where, **cells, **verdict_cells(seen.verdict), "psnr": change})
-                detections += detection_rows(of, seen.detections, target.box)
-        return Observations(rows=frame_of(rows), detections=frame_of(detections))
+def observed(views: Sequence[JudgedView], **ids: Cell) -> Observations:
+    """What was reported as rows: clean, attacked and with noise."""
+    rows, detections = list[Row](), list[Row]()
+    for judged in views:
+        view, target, clean = judged.view, judged.target, judged.clean.image
+        where = camera_cells(view.camera, target.box, view.direction)
+        splats = [(CLEAN, None, judged.clean), (ATTACKED, None, judged.attacked)]
+        for splat, draw, seen in (*splats, *((NOISE, draw, seen) for draw, seen in enumerate(judged.noise))):
+            of: dict[str, Cell] = {**ids, "splat": splat, "draw": draw}
+            of |= {"detector": judged.detector, "view": view.index}
+            change = None if torch.equal(clean, seen.image) else float(psnr(clean, seen.image))
+            cells = report_cells(seen.detections, target.box, original=target.original, target=target.label)
+            rows.append({**of, **where, **cells, **verdict_cells(seen.verdict), "psnr": change})
+            detections += detection_rows(of, seen.detections, target.box)
+    return Observations(rows=frame_of(rows), detections=frame_of(detections))
 
 
 def judge(
-    problem: Problem,
-    views: Sequence[View],
-    clean: tuple[GaussianScene, Reports],
-    attacked: GaussianScene,
-    noisy: Sequence[GaussianScene],
-) -> Judgement:
-    """Judge splats on the same views.
-
-    Args:
-        problem: The detectors, the aim and the renderer.
-        views: The views.
-        clean: The clean splat and what was reported on it.
-        attacked: The attacked splat, as its file holds it.
-        noisy: Splats with random noise in the place of the attack.
-
-    Returns:
-        Each view as each detector sees it, and how much the pictures change.
-    """
-    scenes = [clean[0], attacked, *noisy]
-    reports = [clean[1], *(detected(problem.detectors, scene, views, problem.render) for scene in scenes[1:])]
+    problem: Problem, views: Sequence[View], clean: tuple[GaussianScene, Reports], changed: Sequence[GaussianScene]
+) -> tuple[tuple[JudgedView, ...], list[ImageChange]]:
+    """The attacked splat and those with noise as each detector sees them in each view, and the change of the images."""
+    scenes = [clean[0], *changed]
+    reports = [clean[1], *(detected(problem.detectors, scene, views, problem.render) for scene in changed)]
     judged = []
     for detector in problem.detectors:
         for view in views:
             target = problem.target(view, detector)
-            control, after, *noise = (
-                _seen(problem, of_splat[view.index, detector.name], target) for of_splat in reports
-            )
-            judged.append(
-                JudgedView(
-                    view=view,
-                    detector=detector.name,
-                    target=target,
-                    clean=control,
-                    attacked=after,
-                    noise=tuple(noise),
-                )
-            )
+            before, after, *noise = (_seen(problem, one[view.index, detector.name], target) for one in reports)
+            names = (view, detector.name, target)
+            judged.append(JudgedView(*names, clean=before, attacked=after, noise=tuple(noise)))
     plain = [_plain_pictures(problem, scene, views, of_splat) for scene, of_splat in zip(scenes, reports, strict=True)]
-    changes = [image_change(plain[0], pictures, [view.weight for view in views]) for pictures in plain[1:]]
-    return Judgement(views=tuple(judged), image=changes[0], noise_images=tuple(changes[1:]))
+    return tuple(judged), [image_change(plain[0], one, [view.weight for view in views]) for one in plain[1:]]
 
 
 def _seen(problem: Problem, report: ViewDetections, target: Target) -> Seen:
@@ -247,7 +206,10 @@ class Result(Previewed):
 
     Attributes:
         scene: The attacked scene; Gaussians outside the object are bit for bit what they were.
-        judgement: Every view as every detector sees it, before and after.
+        views: Every view before and after, detector by detector.
+        image: Change of the images before anything random happens to them; its PSNR is of the mean squared error over
+            all pixels of all views.
+        noise_images: The same for each draw of random noise.
         looked: The same as rows, and every detection.
         figures: All that is counted from these rows, as in result.json (`attacks.dagger.result.counted`).
         fingerprints: What stands for the weights of each attacked detector, by its name.
@@ -271,7 +233,9 @@ class Result(Previewed):
     """
 
     scene: GaussianScene
-    judgement: Judgement
+    views: tuple[JudgedView, ...]
+    image: ImageChange
+    noise_images: tuple[ImageChange, ...]
     looked: Observations
     figures: dict[str, Any]
     fingerprints: dict[str, str]
@@ -302,19 +266,9 @@ class Result(Previewed):
         )
 
     @property
-    def views(self) -> tuple[JudgedView, ...]:
-        """Every view before and after, detector by detector."""
-        return self.judgement.views
-
-    @property
     def drawn(self) -> bool:
         """Whether views were drawn from a region."""
         return self.judged is not None
-
-    @property
-    def image(self) -> ImageChange:
-        """Size of the change in the pictures."""
-        return self.judgement.image
 
     @property
     def detectors(self) -> tuple[str, ...]:

@@ -50,36 +50,22 @@ Scored = Result | Verdict
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Case:
-    """An attack that is checked.
+    """An attack that is checked."""
 
-    Attributes:
-        scene: The clean splat.
-        mask: The object's Gaussians.
-        cameras: One for each seed, from 0; every seed is one attack in one view.
-        detector: The one attacked.
-        objective: The aim.
-        render: The renderer.
-        config: How to attack; its radii are those that the checks take fractions and multiples of.
-        surrogate: Another detector, whose attacks are judged by `detector`; None leaves that check out.
-    """
-
-    scene: GaussianScene
-    mask: Mask
-    cameras: tuple[Camera, ...]
-    detector: Detector
-    objective: Relabel
-    render: RenderFn
-    config: DaggerConfig
-    surrogate: Detector | None = None
+    scene: GaussianScene  # the clean splat
+    mask: Mask  # the object's Gaussians
+    cameras: tuple[Camera, ...]  # one for each seed, from 0; every seed is one attack in one view
+    detector: Detector  # the one attacked
+    objective: Relabel  # the aim
+    render: RenderFn  # the renderer
+    config: DaggerConfig  # how to attack; the checks take fractions and multiples of its radii
+    surrogate: Detector | None = None  # another one, whose attacks `detector` judges; None leaves that check out
 
 
 class Runs:
-    """The attacks on a case; the same one is made once.
+    """The attacks on a case; the same one is made once, and then `on_run` is called.
 
-    Args:
-        case: What is checked.
-        make: The attack; another one than the project's in the tests of the checks.
-        on_run: Called after each attack.
+    Tests of the checks give another attack than the project's to `make`.
     """
 
     def __init__(self, case: Case, make: Attack = attack, on_run: Callable[[], None] = lambda: None) -> None:

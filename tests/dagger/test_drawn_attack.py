@@ -70,7 +70,7 @@ def test_psnr_is_that_of_the_mean_squared_error_over_all_views() -> None:
         (through_png(blobs(clean, view.camera)) - through_png(blobs(attacked, view.camera))).double().square().mean()
         for view in views.views(1000, 8)
     ]
-    assert result.judgement.image.psnr == pytest.approx(-10 * math.log10(float(torch.stack(errors).mean())), abs=1e-3)
+    assert result.image.psnr == pytest.approx(-10 * math.log10(float(torch.stack(errors).mean())), abs=1e-3)
 
 
 def test_picture_changes_are_seen_by_the_detector_and_not_by_the_psnr() -> None:
@@ -85,7 +85,7 @@ def test_picture_changes_are_seen_by_the_detector_and_not_by_the_psnr() -> None:
     )
     plain = quick()
     assert result.rate.successes >= 6
-    assert judged.judgement.image.psnr == pytest.approx(plain.judgement.image.psnr)
+    assert judged.image.psnr == pytest.approx(plain.image.psnr)
     assert not torch.equal(judged.views[0].clean.image, plain.views[0].clean.image)
     assert judged.judged is not None
     assert judged.judged.pictures == changes

@@ -125,11 +125,11 @@ def test_a_point_is_stretched_to_the_limit_and_not_out_of_its_ball() -> None:
 
 def test_an_attack_keeps_the_psnr_that_an_attack_without_a_limit_does_not() -> None:
     free, limited = quick(), quick(image_psnr=35.0)
-    assert free.judgement.image.psnr is not None
-    assert limited.judgement.image.psnr is not None
-    assert free.judgement.image.psnr < 30
+    assert free.image.psnr is not None
+    assert limited.image.psnr is not None
+    assert free.image.psnr < 30
     # Held-out views are others than those that the limit is held on.
-    assert limited.judgement.image.psnr > 34
+    assert limited.image.psnr > 34
     assert max(limited.used.values()) > 0
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
-from attacks.dagger.result import JudgedView, Result, counted
+from attacks.dagger.result import JudgedView, Result, counted, observed
 from attacks.detectors.base import Detections
 from attacks.objectives import hide, relabel
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
@@ -80,10 +80,9 @@ def sound() -> Result:
 
 def of_views(result: Result, *views: JudgedView) -> Result:
     """The result with other views."""
-    judgement = dataclasses.replace(result.judgement, views=views)
-    looked = judgement.looked(seed=0)
+    looked = observed(views, seed=0)
     figures = counted(looked.rows, result.detectors, result.objective.label, result.config, None)
-    return dataclasses.replace(result, judgement=judgement, looked=looked, figures=figures)
+    return dataclasses.replace(result, views=views, looked=looked, figures=figures)
 
 
 def with_figures(result: Result, **figures: Any) -> Result:
