@@ -2,17 +2,14 @@
 
 import ast
 import json
-import math
 from pathlib import Path
 
 import pytest
-import torch
 
 from mi_splat.cameras import project_box
 from mi_splat.capture import sources
 from mi_splat.io import load_splat
-from mi_splat.scene import GaussianScene, merge
-from scenes.recipes.example_scenes import RECIPES, SIZE, belongs, make, scene_xml, sensors
+from scenes.recipes.example_scenes import RECIPES, SIZE, make, scene_xml, sensors
 
 SCENES = Path(__file__).parents[2] / "scenes"
 
@@ -42,28 +39,6 @@ def test_asset_seeds_are_kept_out_of_training() -> None:
     ]
     assert len(numbers) == 4
     assert all(isinstance(number, int) and number >= 900_000 for number in numbers)
-
-
-def _needles(means: list[list[float]], length: float = 0.01, *, upright: bool = False) -> GaussianScene:
-    count = len(means)
-    half = math.sqrt(0.5)
-    turned = [half, 0.0, half, 0.0] if upright else [1.0, 0.0, 0.0, 0.0]  # about y: x to z
-    return GaussianScene(
-        means=torch.tensor(means),
-        scales=torch.tensor([[length, 0.002, 0.002]]).expand(count, 3).contiguous(),
-        rotations=torch.tensor([turned]).expand(count, 4).contiguous(),
-        opacities=torch.full((count,), 0.5),
-        sh=torch.zeros(count, 1, 3),
-    )
-
-
-def test_what_reaches_over_belongs_to_the_surroundings() -> None:
-    plate = _needles([[0.1 * i, 0.0, 2.0] for i in range(5)])
-    post = _needles([[0.2, 0.0, 0.1 * i] for i in range(19)])
-    moved = merge(_needles([[0.13, 0.02, 1.99], [0.2, 0.01, 1.2]]), _needles([[0.2, 0.0, 1.93]], 0.2, upright=True))
-    assert belongs(moved, plate, post).tolist() == [True, False, False]
-    short = _needles([[0.2, 0.0, 1.93]], 0.02, upright=True)
-    assert belongs(short, plate, post).tolist() == [True]
 
 
 @pytest.mark.slow

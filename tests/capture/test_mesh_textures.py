@@ -135,11 +135,6 @@ def test_an_extension_that_changes_the_mesh_is_named(
         load_mesh(write_glb(tmp_path, truck(), required=(name,)))
 
 
-def test_fans_which_trimesh_leaves_out_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(MiSplatError, match="fan"):
-        load_mesh(write_glb(tmp_path, truck(), mode=6))
-
-
 def test_second_texture_coordinates_are_used(tmp_path: Path) -> None:
     down = (truck().uvs * (1, -1) + (0, 1)).astype("<f4")
     attributes = {"TEXCOORD_0": np.full_like(down, 0.1), "TEXCOORD_1": down}

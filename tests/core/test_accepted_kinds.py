@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from attacks import judge, relabel
+from attacks import relabel
 from attacks.cloak.config import LayerConfig, LayersConfig
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
@@ -59,16 +59,6 @@ def test_cameras_take_numbers_of_any_kind(values: dict[str, Any], expected: tupl
     assert (made.fx, made.fy, made.width, made.height) == expected
     assert type(made.width) is int
     assert torch.equal(made.to_world, POSE)
-
-
-def test_one_camera_in_the_place_of_several() -> None:
-    scene, mask = toy_scene()
-    (picture,) = Renderer().batch(scene, camera())
-    assert torch.equal(picture, Renderer()(scene, camera()))
-    config = DaggerConfig(steps=1, noise_draws=0)
-    result = attack(scene, mask, camera(), ColourDetector(), relabel("person"), render=blobs, config=config)
-    assert len(result.views) == 1
-    assert len(judge(scene, mask, camera(), ColourDetector(), render=blobs).views["clean"]) == 1
 
 
 def test_a_detector_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:

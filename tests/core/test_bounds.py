@@ -50,11 +50,6 @@ def test_a_sky_is_not_looked_at(scene: GaussianScene) -> None:
     assert bounds(scene)[1] == pytest.approx(2.5, rel=1e-5)
 
 
-def test_an_empty_scene_and_a_point_have_a_near_plane(scene: GaussianScene) -> None:
-    assert near_plane(scene.select(slice(0, 0))) == REFERENCE_NEAR
-    assert 0 < near_plane(scene.select(slice(0, 1))) <= REFERENCE_NEAR
-
-
 @pytest.mark.parametrize(("beside", "inside"), [((0.0, 0.08), True), ((0.08, 0.0), True), ((0.0, 0.12), False)])
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_only_what_is_in_the_picture_is_culled(beside: tuple[float, float], inside: bool, sign: int) -> None:

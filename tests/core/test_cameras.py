@@ -16,7 +16,6 @@ from mi_splat.cameras import (
     cameras_of,
     fingerprint_of,
     look_at,
-    project_box,
     project_points,
 )
 from mi_splat.errors import InvalidValueError
@@ -73,18 +72,6 @@ def test_projection_by_hand() -> None:
     pixels, depth = project_points(torch.tensor([[0.0, 0.0, 2.0], [1.0, 2.0, 4.0], [0.0, 0.0, -1.0]]), seen)
     torch.testing.assert_close(pixels[:2], torch.tensor([[30.0, 20.0], [55.0, 45.0]]))
     assert depth.tolist() == [2, 4, -1]
-
-
-def test_boxes_are_clipped_to_the_image() -> None:
-    seen = camera(to_world=torch.eye(4))
-    inside = project_box(torch.tensor([[-0.1, -0.1, 1.0], [0.1, 0.05, 1.0]]), seen)
-    assert inside is not None
-    torch.testing.assert_close(inside, torch.tensor([22.0, 14.0, 42.0, 29.0]))
-    over = project_box(torch.tensor([[-9.0, -9.0, 1.0], [0.0, 0.0, 1.0], [5.0, 5.0, -1.0]]), seen)
-    assert over is not None
-    assert over.tolist() == [0, 0, 32, 24]
-    assert project_box(torch.tensor([[-9.0, 0.0, 1.0], [-8.0, 0.0, 1.0]]), seen) is None
-    assert project_box(torch.tensor([[0.0, 0.0, -1.0]]), seen) is None
 
 
 def test_orbit_is_a_circle_from_plus_x_towards_plus_y() -> None:

@@ -8,7 +8,7 @@ import torch
 from hypothesis import strategies as st
 
 from mi_splat.cameras import Camera, orbit_pose
-from mi_splat.directions import Direction, azimuth_gap, depth_in_band, depth_in_wedge, direction_of, sun_direction
+from mi_splat.directions import Direction, azimuth_gap, depth_in_wedge, direction_of, sun_direction
 from mi_splat.errors import InvalidValueError
 
 CENTRE = (1.0, -2.0, 0.5)
@@ -38,15 +38,6 @@ def test_the_direction_of_an_orbit_camera(azimuth: float, elevation: float, dist
     assert not direction.pole
 
 
-@pytest.mark.parametrize(
-    ("elevation", "least", "most", "depth"),
-    [(30, 20, 60, 10), (55, 20, 60, 5), (10, 20, 60, -10), (70, 20, 60, -10), (85, 20, 90, 65), (-80, -90, 60, 140)],
-)
-def test_depth_in_a_band(elevation: float, least: float, most: float, depth: float) -> None:
-    direction = Direction(azimuth=123.0, elevation=elevation, pole=False)
-    assert depth_in_band(direction, least, most) == pytest.approx(depth)
-
-
 @hypothesis.given(
     azimuth=st.floats(0, 359), elevation=st.floats(-85, 85), middle=st.floats(0, 359), half=st.floats(5, 175)
 )
@@ -59,13 +50,6 @@ def test_depth_in_a_wedge_is_the_distance_to_the_nearest_point_of_its_edge(
     assert abs(depth) == pytest.approx(nearest_on(torch.stack(edges), direction), abs=0.15)
     if abs(depth) > 0.01:
         assert (depth > 0) == (azimuth_gap(direction, middle) < half)
-
-
-def test_wedges_at_their_limits() -> None:
-    pole = Direction(azimuth=0.0, elevation=90.0, pole=True)
-    assert depth_in_wedge(pole, 20.0, 30.0) == 0.0
-    assert depth_in_wedge(pole, 20.0, 180.0) == math.inf
-    assert depth_in_wedge(Direction(azimuth=50.0, elevation=0.0, pole=False), 20.0, 30.0) == pytest.approx(0.0)
 
 
 # Where the sun stands: closed forms at the equinoxes and at midsummer

@@ -11,7 +11,7 @@ from scipy.special import sph_harm_y
 from torch import Tensor
 
 from mi_splat.errors import InvalidValueError
-from mi_splat.rotation import from_matrix, is_rotation, multiply, normalise, to_matrix
+from mi_splat.rotation import from_matrix, multiply, normalise, to_matrix
 from mi_splat.sh import (
     coefficient_count,
     colours_by_direction,
@@ -119,13 +119,3 @@ def test_matrices_and_quaternions_go_there_and_back(q: Tensor) -> None:
 def test_products_of_quaternions_are_products_of_matrices(p: Tensor, q: Tensor) -> None:
     p, q = p / p.norm(), q / q.norm()
     torch.testing.assert_close(to_matrix(multiply(p, q)), to_matrix(p) @ to_matrix(q))
-
-
-def test_what_is_no_rotation() -> None:
-    assert is_rotation(torch.eye(3))
-    for wrong in (torch.eye(4), torch.zeros(3, 3), -torch.eye(3), 1.01 * torch.eye(3), torch.eye(3) * torch.inf):
-        assert not is_rotation(wrong)
-    assert is_rotation(1.00004 * torch.eye(3).double())  # orthonormal within 1e-4
-    assert not is_rotation(1.00006 * torch.eye(3).double())
-    with pytest.raises(InvalidValueError, match="matrices: expected shape"):
-        from_matrix(torch.eye(4))

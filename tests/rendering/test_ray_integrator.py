@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from mi_splat.cameras import Camera
-from mi_splat.plugins import ray
 from mi_splat.plugins.sensor import sensor_dict
 from mi_splat.rendering import Renderer, RenderSettings
 from tests import oracle
@@ -119,28 +118,3 @@ def test_a_surface_that_moves_is_seen_where_it_is() -> None:
     params.update()
     np.testing.assert_allclose(pixel(loaded), 0.7, rtol=1e-5)
     assert not np.allclose(with_splat, 0.7, rtol=0.05)
-
-
-# Camera rays of `splat_ray` come in blocks of pixels; the picture does not depend on it
-
-
-WIDTH, HEIGHT = 13, 6  # neither is a multiple of a block's side
-
-
-def loaded(**film: Any) -> Any:
-    film = {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT, "pixel_format": "rgb", **film}
-    pose = T().look_at(origin=[0, 0, -5], target=[0, 0, 0], up=[0, 1, 0])
-    sensor = {"type": "thinlens", "fov": 30.0, "aperture_radius": 0.1, "focus_distance": 5.0, "to_world": pose}
-    parts = {"lamp": {**wall(1.0), "emitter": area(0.7)}, "sensor": {**sensor, "film": film}}
-    return scene_of(gaussian((0.3, 0, 0), scale=0.3), **parts, integrator={"max_depth": 1})
-
-
-@pytest.mark.parametrize("film", [{"rfilter": {"type": "box"}}, {"sample_border": True}, {"crop_width": 7}])
-def test_the_picture_is_that_of_rays_row_by_row(film: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    """No light is reflected here, so that no random number matters that is drawn after the rays."""
-    settings = {"rfilter": {"type": "gaussian"}, **film}
-    picture = np.array(mi.render(loaded(**settings), spp=3, seed=5))
-    monkeypatch.setattr(ray, "TILE", 0)
-    expected = np.array(mi.render(loaded(**settings), spp=3, seed=5))
-    np.testing.assert_allclose(picture, expected, rtol=1e-5, atol=1e-6)
-    assert expected.std() > 0.01

@@ -1,6 +1,5 @@
 """Depths and the anti-aliased filter of the rasteriser against the float64 oracle; numbers that are not finite."""
 
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +9,13 @@ import torch
 from torch import Tensor
 
 from mi_splat import variant
-from mi_splat.attributes import ATTRIBUTES, Attribute
 from mi_splat.errors import InvalidValueError
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import SplatScene, read_scene, write_scene
 from tests import oracle
 from tests.rendering.test_plugins import dict_scene
-from tests.rendering.test_rasterization import BACKGROUND, GRADIENT_ERROR, PICTURE_ERROR, camera, smooth_scene
+from tests.rendering.test_rasterization import BACKGROUND, PICTURE_ERROR, agree, camera, gradients, smooth_scene
 from tests.rendering.test_specification import VIEW, blobs
 
 variant.use()
@@ -30,32 +28,6 @@ DEPTH_ERROR = 4e-6
 """Largest relative difference of an expected depth from the oracle's; 1.4e-6 was the largest measured."""
 
 ANTIALIASED = Renderer(RenderSettings(antialiased=True, background=BACKGROUND))
-
-Value = Callable[[GaussianScene], float]
-
-
-def gradients(scene: GaussianScene, loss: Callable[[GaussianScene], Tensor]) -> dict[str, Tensor]:
-    """Of a loss by each tensor of the scene."""
-    leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
-    loss(GaussianScene(*leaves)).backward()  # type: ignore[no-untyped-call]
-    return {
-        name: torch.zeros(0) if leaf.grad is None else leaf.grad for name, leaf in zip(ATTRIBUTES, leaves, strict=True)
-    }
-
-
-def agree(
-    scene: GaussianScene, gradients: dict[str, Tensor], value: Value, *, names: Sequence[Attribute] = ATTRIBUTES
-) -> None:
-    """Hold the largest entries of a gradient to central differences of the oracle."""
-    for name in names:
-        gradient = gradients[name].flatten()
-        for entry in gradient.abs().argsort(descending=True)[:4].tolist():
-            ends = []
-            for step in (1e-6, -1e-6):
-                tensors = {k: t.double().clone() for k, t in zip(ATTRIBUTES, scene.tensors(), strict=True)}
-                tensors[name].view(-1)[entry] += step
-                ends.append(value(GaussianScene.unchecked(*tensors.values())))
-            assert float(gradient[entry]) == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=GRADIENT_ERROR), name
 
 
 # ------------------------------------------------------------------------------------------------------------ depths
