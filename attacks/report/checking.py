@@ -65,7 +65,7 @@ class Result:
     tables: Tables  # its tables of rows by name
 
     @property
-    def story(self) -> str:
+    def kind(self) -> str:
         """Name of its kind."""
         return str(self.record.get("story"))
 
@@ -249,7 +249,7 @@ def rescore(
     """Render the splats of a result, let detectors look, and say how every rate moved."""
     if rescoring is None:
         do = "score one of its attacks again"
-        raise InvalidValueError.of(str(result.folder), "one attack, or a study of CLOAK", result.story, do)
+        raise InvalidValueError.of(str(result.folder), "one attack, or a study of CLOAK", result.kind, do)
     file = result.folder / CAMERAS
     cameras = result_cameras(DocumentReader(do="get the result again").read_json(file), str(file))
     scenes = _scenes(result, rescoring, splats)

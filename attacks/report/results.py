@@ -96,7 +96,7 @@ def kind_of(result: Result) -> ResultKind:
     """The kind of a result."""
     kind = _kind(result.record)
     if kind is None:
-        got, do = result.story[:40], "make the result again with this version"
+        got, do = result.kind[:40], "make the result again with this version"
         raise InvalidValueError.of(str(result.folder / RECORD), "a story of this version", got, do)
     return kind
 

@@ -106,6 +106,7 @@ def test_it_is_whole_and_in_order(text: str) -> None:
 @pytest.mark.parametrize("evil", [False, True])
 def test_nothing_is_asked_for_and_there_is_no_script(evil: bool, text: str) -> None:
     page = Reader(page_text([evil_section(), evil_section()], title=EVIL) if evil else text)
+    assert not evil or (page.words.count(EVIL) >= 30 and "49" not in page.words)  # shown as it is
     policy = next(one["content"] for one in page.all("meta") if one.get("http-equiv") == "Content-Security-Policy")
     assert policy is not None
     assert policy.startswith("default-src 'none'; img-src data:; style-src 'unsafe-inline'")
@@ -123,12 +124,6 @@ def test_what_a_terminal_would_obey_is_written_out() -> None:
     text = page_text([evil_section(hostile), evil_section(hostile)], title=hostile)
     assert text.count(r"\x1b[31mred\x07\u202edesrever\u2028\x9b") >= 30
     assert not {sign for sign in text if unicodedata.category(sign) in ("Cc", "Cf", "Cs", "Zl", "Zp")} - {"\n", "\t"}
-
-
-def test_what_a_result_says_is_shown_as_it_is() -> None:
-    page = Reader(page_text([evil_section()], title=EVIL))
-    assert page.words.count(EVIL) >= 15
-    assert "49" not in page.words
 
 
 def test_a_chart_keeps_to_the_page_s_colours_and_its_own_names() -> None:
@@ -149,28 +144,27 @@ def test_a_chart_keeps_to_the_page_s_colours_and_its_own_names() -> None:
     ]
 
 
-def test_a_few_views_are_counted_and_not_made_a_percentage() -> None:
-    assert Figure(label="", rate=Rate(successes=1, total=1)).value == "1 of 1"
-    assert Figure(label="", rate=Rate(successes=0, total=0)).value == "nothing counted"
-    assert Figure(label="", rate=Rate(successes=7, total=20)).value.replace("\u00a0", " ") == "35 %"
-
-
 @pytest.mark.parametrize(
-    ("attack", "control", "words"),
+    ("attack", "control", "value", "words"),
     [
-        ((1, 1), (0, 5), ["Few views: 1"]),
-        ((20, 40), None, ["no control"]),
-        ((20, 40), (0, 0), ["no control"]),
-        ((20, 40), (18, 40), ["overlap"]),
-        ((20, 40), (0, 40), []),
-        ((0, 40), (0, 40), []),
+        ((1, 1), (0, 5), "1 of 1", ["Few views: 1"]),
+        ((14, 40), None, "35\u00a0%", ["no control"]),
+        ((20, 40), (0, 0), "50\u00a0%", ["no control"]),
+        ((20, 40), (18, 40), "50\u00a0%", ["overlap"]),
+        ((20, 40), (0, 40), "50\u00a0%", []),
+        ((0, 40), (0, 40), "0\u00a0%", []),
+        ((0, 0), (0, 40), "nothing counted", ["Few views: 0"]),
     ],
 )
-def test_doubts(attack: tuple[int, int], control: tuple[int, int] | None, words: list[str]) -> None:
+def test_few_views_are_no_percentage_and_doubts_are_told(
+    attack: tuple[int, int], control: tuple[int, int] | None, value: str, words: list[str]
+) -> None:
     figure, other = (
         None if counts is None else Figure(label="", rate=Rate(successes=counts[0], total=counts[1]))
         for counts in (attack, control)
     )
+    assert figure is not None
+    assert figure.value == value
     doubts = evil_section(headline=figure, control=other).doubts()
     assert len(doubts) == len(words)
     assert all(part in text for part, text in zip(words, doubts, strict=True))

@@ -88,17 +88,6 @@ def test_what_is_broken_is_told_in_one_line(name: str, folders: dict[str, Path],
         read_section(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("path", "words"),
-    [("nothing", "nothing there"), ("empty", "one without a result"), ("file.json", "a file; pass ")],
-)
-def test_what_is_no_result_is_told(path: str, words: str, tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "file.json").write_text("{}")
-    with pytest.raises(InvalidValueError, match=words):
-        read_section(tmp_path / path)
-
-
 def test_an_attack_s_figures_and_settings(folders: dict[str, Path]) -> None:
     region = read_section(folders["dagger-eot"]).headline.rate
     assert region is not None
