@@ -57,7 +57,7 @@ def run(options: ArtifactOptions) -> None:
         result = pack(options.result, options.out, figures, whole=options.whole, force=options.force)
     rows = sum(map(len, result.tables.values()))
     count = sum(check.passed is True for check in check_figures(result, figures))
-    document = {"out": str(options.out), "story": result.story, "manifest": result.manifest.sha256}
+    document = {"out": str(options.out), "story": result.kind, "manifest": result.manifest.sha256}
     size = sum(path.stat().st_size for path in options.out.rglob("*") if path.is_file())
     show_result(
         {**document, "rows": rows, "figures": count},

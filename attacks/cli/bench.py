@@ -116,7 +116,7 @@ def rescored(folder: Path) -> dict[str, Any]:
     stated = READER.read_json(folder / ROW)
     again = json.loads(json.dumps(row_of({**result.record, **figures(result.record, result.tables)})))
     got = f"{red.name}: {red.words}" if red is not None else "another row" if again != stated else ""
-    if result.story != STORY or got:
+    if result.kind != STORY or got:
         expected, do = "the row that its rows give", "make it again: it was changed"
-        raise InvalidValueError.of(str(folder), expected, got or f"a {result.story}", do)
+        raise InvalidValueError.of(str(folder), expected, got or f"a {result.kind}", do)
     return stated
