@@ -19,7 +19,7 @@ copyright = "The mi-splat authors, Apache 2.0"
 version = release = installed("mi-splat")
 
 extensions = [
-    *("myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"),
+    *("myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"),
     *(
         "command_pages",
         "forge_links",
@@ -75,15 +75,17 @@ add_module_names = False
 smartquotes = False  # two hyphens are an option, not a dash
 
 html_theme = "sphinx_book_theme"
-html_title = "mi-splat"
+html_title = f"mi-splat {version}"
+html_logo = html_favicon = "static/logo.svg"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
-html_js_files = ["before-after.js"]
+html_js_files = ["site.js"]
 html_search_scorer = str(HERE / "static" / "search-scorer.js")
 html_copy_source = False
 html_show_sourcelink = False
 html_show_sphinx = False
 html_theme_options = {
+    "logo": {"text": html_title},
     "navbar_persistent": [],  # one search field is enough
     "show_navbar_depth": 0,  # the parts of the site can be folded; that of the page is open
     "collapse_navbar": True,

@@ -214,7 +214,7 @@ def test_the_site_asks_no_other_host(site: Path) -> None:
         assert requests.addresses
         foreign = [address for address in requests.addresses if re.match(r"(\w+:)?//", address)]
         assert not foreign, path.relative_to(site)
-    for path in (*site.rglob("*.css"), site / "_static" / "before-after.js"):
+    for path in (*site.rglob("*.css"), site / "_static" / "site.js"):
         assert not re.search(r"(@import|url\()\s*['\"]?(https?:)?//", path.read_text()), path.relative_to(site)
 
 
