@@ -19,11 +19,11 @@ import torch
 from torch import Generator
 
 from attacks.aims import PluggedObjective
-from attacks.dagger.attack import attack, attack_views
+from attacks.dagger.attack import attack_views
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.report import before_and_after, summary, write_files
 from attacks.dagger.search import Checkpoint
-from attacks.dagger.views import DrawnViews
+from attacks.dagger.views import DrawnViews, FixedViews
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector
 from attacks.objectives import Hide, Relabel, Untargeted
@@ -148,68 +148,51 @@ SPLAT, WHOLE_SPLAT, PICTURE = "object.ply", "attacked.ply", "detections.png"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attack:
-    """One attack."""
+    """One attack, from some of the scene's cameras or from all cameras of a region."""
 
     object: str  # id of the object
     objective: Relabel | Hide | Untargeted | PluggedObjective  # what the detectors shall see
     detectors: tuple[str, ...] = ("fasterrcnn_small",)  # attacked at once
     fingerprints: tuple[str, ...] = ()  # of the detectors whose weights are in no file
     packages: tuple[str, ...] = ()  # that bring the optimiser and the renderers; empty for this project
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FixedAttack(Attack):
-    """An attack from some of the scene's cameras."""
-
     attack: DaggerConfig = field(default_factory=DaggerConfig)  # its seed also moves the cameras, see `jittered`
     camera: int = 0  # position of the first camera that is attacked, in the order of the scene file
     views: int = 1  # cameras that are attacked together, from that one on; 0 is all of them
     renderer: str = ""  # whose pictures the attacker looks at; "" is the scene's own
     gradient: str = ""  # whose gradient the attacker follows; "" is that of the pictures
+    transformations: Transformations | None = None  # the views of a region that it is made for; None is cameras
+    judged: Transformations | None = None  # the views of a region that judge it, where these are others
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DrawnAttack(Attack):
-    """An attack from all cameras of a region."""
-
-    attack: DaggerConfig = field(default_factory=DaggerConfig.for_region)  # how to attack
-    transformations: Transformations = field(default_factory=Transformations)  # the views that it is made for
-    judged: Transformations | None = None  # the views that judge it, where these are others
-
-
-def run(config: FixedAttack | DrawnAttack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
+def run(config: Attack, inputs: Mapping[str, Path], out: Out) -> list[dict[str, Any]]:
     """Attack, and write what comes of it."""
-    scene = attack_scene(inputs["scene"])
+    scene, seed = attack_scene(inputs["scene"]), config.attack.seed
+    rows, fixed = scene.objects[config.object], config.transformations is None
+    if config.transformations is None:
+        cameras = scene.views(config.object, camera=config.camera, count=config.views, seed=seed)
+        render = attackers_renderer(scene, config.renderer, config.gradient)
+        views = FixedViews(scene.scene, rows, cameras, render=render)
+    else:
+        views = distribution(scene, config.object, config.transformations)
 
     def follow(step: Step) -> None:
         out.progress("attacking", step.index, config.attack.steps)
 
-    detectors = detectors_of(config.detectors, inputs)
-    if isinstance(config, FixedAttack):
-        result = attack(
-            scene.scene,
-            scene.objects[config.object],
-            scene.views(config.object, camera=config.camera, count=config.views, seed=config.attack.seed),
-            detectors,
-            config.objective,
-            render=attackers_renderer(scene, config.renderer, config.gradient),
-            config=config.attack,
-            on_step=follow,
-        )
+    result = attack_views(
+        views,
+        detectors_of(config.detectors, inputs),
+        config.objective,
+        config=config.attack,
+        judged=None if config.judged is None else distribution(scene, config.object, config.judged),
+        checkpoint=None if fixed else Checkpoint(path=out.partial / "search.checkpoint"),
+        on_step=follow,
+    )
+    if fixed:
         named = len(result.detectors) > 1
         save_png(np.concatenate([before_and_after(view, named=named) for view in result.views]), out / PICTURE)
-        save_splat(result.scene.select(scene.objects[config.object]), out / SPLAT)
+        save_splat(result.scene.select(rows), out / SPLAT)
         save_json(summary(result), out / RECORD)
     else:
-        result = attack_views(
-            distribution(scene, config.object, config.transformations),
-            detectors,
-            config.objective,
-            config=config.attack,
-            judged=None if config.judged is None else distribution(scene, config.object, config.judged),
-            checkpoint=Checkpoint(path=out.partial / "search.checkpoint"),
-            on_step=follow,
-        )
         write_files(result, out.files)
     return list(result.looked.rows.iter_rows(named=True))
 

@@ -5,10 +5,9 @@ region. Seed 0 looks from the scene's own cameras and starts at the clean splat;
 object by up to 6 degrees, moves them by up to 5 %, and starts at a random point of the ball. In a region the seed
 draws the views.
 
-Settings are the fields of `FixedAttack` or `DrawnAttack`, and in their place: `scene`, an XML file relative to the
-working folder; `aim` ("relabel", "hide" or "untargeted"), `target` (the class wanted, of the first aim) and `objective`
-(a table, see `attacks.objectives`); `seed`; and in a region `cameras`, `pictures`, and `judged_pictures` where the
-pictures that judge are others. [judge] has the fields of `Judge`.
+Settings are the fields of `Attack`, and in their place `scene`, `aim`, `target` and `objective`, `seed`, and in a
+region `cameras`, `pictures`, and `judged_pictures` where the pictures that judge are others. [judge] has those of
+`Judge`.
 """
 
 import dataclasses
@@ -26,7 +25,7 @@ from attacks.objectives import Hide, Relabel, Untargeted
 from attacks.observe.conditions import OWN, SunTable, package_of
 from attacks.observe.rows import ROWS, column_of, frame_of
 from attacks.optimisers import OPTIMISERS
-from attacks.studies.attack import SPLAT, WHOLE_SPLAT, DrawnAttack, FixedAttack, check_scene, scene_files, street_of
+from attacks.studies.attack import SPLAT, WHOLE_SPLAT, Attack, check_scene, scene_files, street_of
 from attacks.studies.look import Look
 from attacks.studies.result import figures, shared_apart, tables
 from attacks.studies.running import Attempt, Observed, Work, check_apart
@@ -46,6 +45,9 @@ _AIMS = {"relabel": Relabel, "hide": Hide, "untargeted": Untargeted}
 """Aims whose settings a table may have; those of other packages have a confidence alone."""
 _ELSEWHERE = ("fingerprints", "packages", "transformations", "judged")
 """Fields of attacks that are no settings."""
+_OF_CAMERAS = ("camera", "views", "renderer", "gradient")
+_OF_REGION = ("cameras", "pictures", "judged_pictures")
+"""Settings of attacks from cameras, and from a region, alone."""
 _UNBOUND = 1e9
 """A radius that binds nothing."""
 STORY, _NAME_DIGITS = "study", 12
@@ -68,15 +70,14 @@ class Judge:
 
     def looks(self, scene: Path, attacked: Job) -> list[Job]:
         """A look by each detector at the splat of an attack."""
-        config: FixedAttack | DrawnAttack = attacked.config
+        config: Attack = attacked.config
         attack, of = config.attack, dict[str, Any]()
-        if isinstance(config, FixedAttack):
+        if config.transformations is None:
             of = {"eps": attack.eps, "seed": attack.seed, "camera": config.camera, "views": config.views}
-            splat, renderer = SPLAT, config.renderer
         else:
-            of = {"eps": (_UNBOUND,), "seed": config.attack.judge_seed, "sh_degree": attack.sh_degree}
-            of |= {"views": min(self.views, config.attack.held_out), "transformations": config.transformations}
-            splat, renderer = WHOLE_SPLAT, ""
+            of = {"eps": (_UNBOUND,), "seed": attack.judge_seed, "sh_degree": attack.sh_degree}
+            of |= {"views": min(self.views, attack.held_out), "transformations": config.transformations}
+        splat, renderer = SPLAT if config.transformations is None else WHOLE_SPLAT, config.renderer
         condition = renderer if self.condition == AS_ATTACKED else self.condition
         sun, street = street_of(condition, self.sun)
         inputs: dict[str, Job | Part | Path] = {"attacked": attacked.part(splat), **street}
@@ -93,38 +94,34 @@ class Judge:
         ]
 
 
-def attack_of(kind: type[FixedAttack | DrawnAttack], settings: Settings, where: str) -> tuple[Path, Job]:
+def attack_of(settings: Settings, where: str, *, region: bool) -> tuple[Path, Job]:
     """The scene and the attack that settings ask for; "none" stands for None."""
     values: dict[str, Any] = with_none(settings)
-    region = ("cameras", "pictures", "judged_pictures") if kind is DrawnAttack else ()
-    known = [name for name in (entry.name for entry in dataclasses.fields(kind)) if name not in _ELSEWHERE]
+    names = {entry.name for entry in dataclasses.fields(Attack)} - {*_ELSEWHERE, *(_OF_CAMERAS if region else ())}
+    known = ("scene", "aim", "target", "seed", *sorted(names), *(_OF_REGION if region else ()))
     for key in values:
-        check_choice(f"key in {where}", key, ("scene", "aim", "target", "seed", *known, *region))
+        check_choice(f"key in {where}", key, known)
     scene, attack = values.pop("scene", None), {"seed": values.pop("seed", 0), **values.get("attack", {})}
     if not isinstance(scene, str):
         raise FieldError.of(where, "the key scene", scene or "none", "name an XML file")
     if "seed" in values.get("attack", {}):
         raise InvalidValueError.of(f"attack in {where}", "no seed", attack["seed"], "write seed above the tables")
     if region:
-        views = {name: values.pop(name) for name in region if name in values}
+        views = {name: values.pop(name) for name in _OF_REGION if name in values}
         judged = views.pop("judged_pictures", None)
         values["transformations"], attack = views, {**REGION, **attack}
         values["judged"] = None if judged is None else {**views, "pictures": judged}
+    elif attack["seed"] > 0:
+        attack["random_start"] = True
     values |= {"attack": attack, "objective": _objective(values, where)}
-    config = decode(kind, values, where)
+    config = decode(Attack, values, where)
     for name in config.detectors if config.objective.label is not None else ():
         check_choice(f"target: class of {name}", config.objective.label, detector_spec(name).classes)
-    if isinstance(config, FixedAttack) and config.attack.seed > 0:
-        config = dataclasses.replace(config, attack=dataclasses.replace(config.attack, random_start=True))
-    config = dataclasses.replace(config, fingerprints=fingerprints(config.detectors))
-    brought = [OPTIMISERS.package(config.attack.optimiser)]
-    brought += map(package_of, (config.renderer, config.gradient)) if isinstance(config, FixedAttack) else ()
-    config = dataclasses.replace(config, packages=tuple(filter(None, brought)))
+    brought = [OPTIMISERS.package(config.attack.optimiser), *map(package_of, (config.renderer, config.gradient))]
+    packages = tuple(filter(None, brought))
+    config = dataclasses.replace(config, fingerprints=fingerprints(config.detectors), packages=packages)
     path = Path(scene)
-    if isinstance(config, FixedAttack):
-        check_scene(path, config.object, camera=config.camera, renderers=(config.renderer, config.gradient))
-    else:
-        check_scene(path, config.object)
+    check_scene(path, config.object, camera=config.camera, renderers=(config.renderer, config.gradient))
     return path, Job(kind=ATTACK, config=config, inputs={**scene_files(path), **weights(config.detectors)})
 
 
@@ -185,8 +182,8 @@ class DaggerWork(Work[DaggerAttempt]):
 
     def attempt(self, point: Point) -> DaggerAttempt:
         """An attack, and the looks at it."""
-        name, kind = self.study.name, DrawnAttack if self.study.kind == "dagger-eot" else FixedAttack
-        scene, job = attack_of(kind, point.settings, f"{name}, {point.part}" if point.part else name)
+        name, region = self.study.name, self.study.kind == "dagger-eot"
+        scene, job = attack_of(point.settings, f"{name}, {point.part}" if point.part else name, region=region)
         label, looks = ": ".join(filter(None, (point.part, _named(point.labels)))) or name, dict[str, Job]()
         where = f"{name}, judge"
         for judge in self.study.judges:

@@ -93,7 +93,7 @@ def _of_attacks(attacks: Record, judged: pl.DataFrame) -> dict[str, dict[str, An
     for name, rows in ((str(name), rows) for (name,), rows in judged.group_by("attack", maintain_order=True)):
         config = attacks[name]["settings"]["attack"]
         attacked = rows.filter(splat=ATTACKED)
-        if "transformations" in attacks[name]["settings"]:
+        if attacks[name]["settings"].get("transformations"):
             rates = count(joint_views(rows), AIMS)[()]
             held = rates["success"].fraction >= config["required_views"] - 1e-9
             each[name] = {"success": held, **{key: rates[name].as_dict() for key, name in RATES.items()}}

@@ -25,7 +25,7 @@ from attacks.observe.conditions import CONDITIONS, Viewing, check_condition, con
 from attacks.optimisers import OPTIMISERS
 from attacks.poisons.specs import POISONS, ChosenPoison, Given
 from attacks.report.results import read_section
-from attacks.studies.attack import FixedAttack
+from attacks.studies.attack import Attack
 from attacks.studies.dagger import _objective
 from attacks.studies.look import Look
 from attacks.testing.attacks import _views
@@ -224,7 +224,7 @@ def test_jobs_of_a_study_name_the_package(brought: Path, tmp_path: Path, monkeyp
     table = settings(tmp_path, renderer="half", judge={"condition": "fog"})
     table["attack"] = {"eps": 12.0, "steps": 4, "optimiser": "slide"}
     jobs = work_of(table).jobs().values()
-    assert {job.config.packages for job in jobs if isinstance(job.config, FixedAttack)} == {("plugged 1.0",) * 2}
+    assert {job.config.packages for job in jobs if isinstance(job.config, Attack)} == {("plugged 1.0",) * 2}
     assert {job.config.package for job in jobs if isinstance(job.config, Look)} == {"plugged 1.0"}
     assert [package_of(name) for name in ("half", "fog", "tile", "noise 0.05", "")] == ["plugged 1.0"] * 2 + [""] * 3
 

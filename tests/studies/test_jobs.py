@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from attacks.studies.attack import FixedAttack
+from attacks.studies.attack import Attack
 from mi_splat.cameras import Camera
 from mi_splat.errors import InvalidValueError
 from mi_splat.io.folders import RECORD
@@ -118,7 +118,7 @@ def test_a_seed_moves_the_camera_and_the_start(tmp_path: Path) -> None:
     write_toy(tmp_path)
     for seed in (0, 2):
         config = the_job(tmp_path, seed=seed).config
-        assert isinstance(config, FixedAttack)
+        assert isinstance(config, Attack)
         assert (config.attack.seed, config.attack.random_start) == (seed, seed > 0)
     with pytest.raises(InvalidValueError, match="attack in toy: expected no seed"):
         the_job(tmp_path, attack={"seed": 1})
