@@ -31,7 +31,7 @@ from mi_splat.cameras import Camera, RenderFn
 from mi_splat.comparison.methods import RENDERERS, load_method, method_names
 from mi_splat.directions import Point, sun_direction
 from mi_splat.errors import InvalidValueError, nearest
-from mi_splat.fields import at_least, between, check
+from mi_splat.fields import Checked, at_least, between
 from mi_splat.io import SplatLossWarning, load_splat, save_splat
 from mi_splat.registry import Registry
 from mi_splat.rendering import Renderer, RenderSettings
@@ -49,7 +49,7 @@ Shown = tuple[GaussianScene, RenderFn]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SunTable:
+class SunTable(Checked):
     """A street of meshes under the sun of a day.
 
     Attributes:
@@ -59,9 +59,6 @@ class SunTable:
         latitude: Of the place, degrees north.
         declination: Of the sun, degrees; 0 at the equinoxes.
         samples: Paths a pixel.
-
-    Raises:
-        InvalidValueError: A number is out of its range.
     """
 
     scene: str
@@ -70,9 +67,6 @@ class SunTable:
     latitude: Annotated[float, between(-90, 90, "degrees")] = 45.0
     declination: Annotated[float, between(-90, 90, "degrees")] = 0.0
     samples: Annotated[int, at_least(1, "samples per pixel")] = SAMPLES
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
