@@ -22,14 +22,14 @@ _DISTRIBUTIONS = {"PIL": "pillow"}
 
 
 @functools.cache
-def code_digest(*modules: str, alone: tuple[str, ...] = ()) -> str:
+def code_digest(*modules: str) -> str:
     """16 hex digits that stand for the code of some modules and of all that they import.
 
     What a module loads by its name belongs to them where that name stands in it as a whole, as in a table of modules
     that are imported when they are needed.
     """
     total = hashlib.sha256(f"python {sys.version_info[0]}.{sys.version_info[1]}".encode())
-    for code in sorted(_module(name).code for name in {*closure(*modules), *alone}):
+    for code in sorted(_module(name).code for name in closure(*modules)):
         total.update(f"\n{code}".encode())
     for package, version in _versions(closure(*modules)):
         total.update(f"\n{package} {version}".encode())

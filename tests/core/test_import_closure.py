@@ -95,16 +95,6 @@ def test_a_module_that_is_moved_is_the_same_code(toy: Path) -> None:
     assert code_digest("toy.entry") == before
 
 
-def test_a_module_may_count_alone(toy: Path) -> None:
-    first = code_digest("toy.late", alone=("toy.entry",))
-    (toy / "helper.py").write_text("def double(number):\n    return 3 * number\n")
-    forget()
-    assert code_digest("toy.late", alone=("toy.entry",)) == first
-    (toy / "entry.py").write_text("")
-    forget()
-    assert code_digest("toy.late", alone=("toy.entry",)) != first
-
-
 def test_what_is_loaded_by_a_whole_name_in_a_table_is_followed() -> None:
     assert {"mi_splat.io.formats.ksplat", "mi_splat.io.formats.sog"} <= set(closure("mi_splat.io.splat_files"))
     assert "mi_splat.assets.elephant" in closure("mi_splat.assets")
