@@ -7,25 +7,21 @@ judged is counted and not guessed.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import polars as pl
 
 from attacks import tables
-from attacks.bench.suite import ALL_VIEWS, COLUMNS, HIDDEN, ONE_VIEW, TRANSFER, read_suite
 from attacks.observe.rates import REPORTED, Measure, blocks_of, count
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS
 from attacks.rate import Rate, pooled
 from attacks.tables import Table
-from mi_splat.errors import InvalidValueError
 from mi_splat.io.parsing import DocumentReader
 
-if TYPE_CHECKING:
-    pass
-
 STORY, ROW = "bench", "row.json"
+ONE_VIEW, ALL_VIEWS, CLOAK, TRANSFER = COLUMNS = ("one_view", "all_views", "cloak", "transfer")
+"""What a row has a rate for, each with a study file of its name."""
 DEFENDED = "defended"
 """What rows call the condition with the defence."""
 LEAST = 10
@@ -38,8 +34,6 @@ HEADS = {"one_view": "one view", "all_views": "all views", "cloak": "CLOAK", "tr
 """Columns in words."""
 NOT_IN_ROW = ("attacks", "command", "name", "question", "story", "study")
 """What the record of a result has, and its row has not."""
-_KEYS = ["columns", "commit", "cpu_seconds", "defence", "detector", "missing", "score", "suite", "torch"]
-_KEYS += ["variant", "versions", "warnings"]
 READER = DocumentReader(expected="a row of mi-splat bench", do="pass what mi-splat bench has written", most=1 << 20)
 """Reads rows."""
 Record = Mapping[str, Any]
@@ -54,7 +48,7 @@ def figures(record: Record, frames: Mapping[str, pl.DataFrame]) -> dict[str, Any
     """Every figure of a suite, of its rows."""
     attacks, rows = record["attacks"], frames[ROWS]
     columns = {name: _column(attacks, rows, name) for name in COLUMNS}
-    score = _score_of({"columns": columns, "missing": record["missing"]})
+    score = score_of({"columns": columns, "missing": record["missing"]})
     return {"columns": columns, "score": score, "warnings": warnings(columns)}
 
 
@@ -70,7 +64,7 @@ def warnings(columns: Mapping[str, Record]) -> list[str]:
     return told
 
 
-def _score_of(row: Record) -> dict[str, Any] | None:
+def score_of(row: Record) -> dict[str, Any] | None:
     """The mean of the columns, if none is missing; its interval takes them for independent."""
     rates = [column["robust"] for column in row["columns"].values() if column["robust"] is not None]
     if len(rates) < len(COLUMNS) or row["missing"]:
@@ -172,51 +166,6 @@ def defences(rows: Sequence[Record]) -> str:
     }
     table = Table.of("", heads, lines)
     return tables.markdown(table.head, table.rows) + "\n"
-
-
-def check_row(path: Path) -> dict[str, Any]:
-    """A row that somebody hands in, or the one in a folder: what can be checked without its raw rows."""
-    path = path / ROW if path.is_dir() else path
-    row = READER.read_json(path)
-    try:
-        for what, (got, expected) in _stated(row).items():
-            if got != expected:
-                do = "hand in row.json as mi-splat bench has written it"
-                raise InvalidValueError.of(f"{path}, {what}", str(expected), str(got), do)
-    except (LookupError, TypeError, ValueError, AttributeError) as error:
-        if isinstance(error, InvalidValueError):
-            raise
-        expected, got = "a row that mi-splat bench has written", f"{type(error).__name__}: {error}"
-        raise InvalidValueError.of(str(path), expected, got, "hand in row.json as it is") from error
-    return row
-
-
-def _stated(row: Record) -> dict[str, tuple[object, object]]:
-    """What a row states beside what follows from the rest of it."""
-    suite, columns = row["suite"], row["columns"]
-    name = str(suite["name"]).removesuffix(HIDDEN)
-    told: dict[str, tuple[object, object]] = {
-        "keys": (sorted(row), _KEYS),
-        "columns": ([*columns], [*COLUMNS]),
-        f"digest of the suite {name}": (suite["digest"], read_suite(name).digest),
-        "a secret": (bool(suite["secret"]), str(suite["name"]).endswith(HIDDEN)),
-    }
-    for column, counted in columns.items():
-        told |= {where: (rate["rate"], Rate.of(rate).as_dict()["rate"]) for where, rate in _rates_in(counted, column)}
-        parts, robust = pooled(counted["by"].values()), counted["robust"]
-        if robust is not None:
-            told[f"{column}, its parts"] = (robust["successes"], robust["total"]), (parts.successes, parts.total)
-        told[f"{column}, judged"] = counted["judged"], parts.total
-        told[f"{column}, filled"] = robust is not None, counted["judged"] >= LEAST
-    return told | {"score": (row["score"], _score_of(row)), "warnings": (row["warnings"], warnings(columns))}
-
-
-def _rates_in(value: Any, where: str) -> Iterator[tuple[str, Record]]:
-    if isinstance(value, Mapping) and "interval" in value:
-        yield where, value
-    elif isinstance(value, Mapping):
-        for key, part in value.items():
-            yield from _rates_in(part, f"{where}, {key}")
 
 
 def _score_words(score: Record | None) -> str:

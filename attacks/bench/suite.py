@@ -8,20 +8,54 @@ every seed drawn from a secret: other cameras, other starts of the attacks, anot
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from attacks.studies.study_file import Settings, merged
-from mi_splat.errors import InvalidValueError, nearest
-from mi_splat.fields import check_choice
-from mi_splat.io.documents import sha256
-from mi_splat.io.parsing import DocumentReader
+import polars as pl
 
+from attacks.bench.row import (
+    ALL_VIEWS,
+    CLOAK,
+    COLUMNS,
+    DEFENDED,
+    KNOWS,
+    LEAST,
+    ONE_VIEW,
+    READER,
+    ROW,
+    STORY,
+    TRANSFER,
+    Record,
+    figures,
+    row_of,
+    score_of,
+    table_of,
+    warnings,
+)
+from attacks.cloak.steps import Look, StudySteps
+from attacks.detectors.registry import detector_spec, load_detector, use_weights
+from attacks.observe.conditions import OWN, check_condition
+from attacks.observe.rows import DEPTH, ROWS, frame_of
+from attacks.rate import Rate, pooled
+from attacks.studies.cloak import CloakJudge, config_of
+from attacks.studies.dagger import DaggerWork
+from attacks.studies.running import Attempt, Observed, Work
+from attacks.studies.study_file import Settings, Study, merged, study_of
+from attacks.tables import Table
+from mi_splat.errors import InvalidValueError, MiSplatError, nearest
+from mi_splat.fields import check_choice
+from mi_splat.io.documents import save_json, sha256
+from mi_splat.io.folders import RECORD
+from mi_splat.io.parsing import DocumentReader, read_json
+from mi_splat.ledger import Done, Job
+from mi_splat.ledger.plans import Result
+
+_KEYS = ["columns", "commit", "cpu_seconds", "defence", "detector", "missing", "score", "suite", "torch"]
+_KEYS += ["variant", "versions", "warnings"]
+"""Keys of a row."""
 SUITES, HEAD, HIDDEN = Path("scenes/suites"), "suite.toml", "-hidden"
-ONE_VIEW, ALL_VIEWS, CLOAK, TRANSFER = COLUMNS = ("one_view", "all_views", "cloak", "transfer")
-"""What a row has a rate for, each with a study file of its name."""
 AUDIT = "audit"
 """The study file of those that audit files."""
 ASSETS_FROM = 900_000
@@ -119,3 +153,216 @@ def _drawn(table: Any, key: bytes, name: str = "") -> Any:
         return table
     number = int.from_bytes(hashlib.sha256(key + str(table).encode()).digest()[:6], "big") % _DRAWN
     return number + (ASSETS_FROM if table >= ASSETS_FROM else 1)
+
+
+def check_row(path: Path) -> dict[str, Any]:
+    """A row that somebody hands in, or the one in a folder: what can be checked without its raw rows."""
+    path = path / ROW if path.is_dir() else path
+    row = READER.read_json(path)
+    try:
+        for what, (got, expected) in _stated(row).items():
+            if got != expected:
+                do = "hand in row.json as mi-splat bench has written it"
+                raise InvalidValueError.of(f"{path}, {what}", str(expected), str(got), do)
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        if isinstance(error, InvalidValueError):
+            raise
+        expected, got = "a row that mi-splat bench has written", f"{type(error).__name__}: {error}"
+        raise InvalidValueError.of(str(path), expected, got, "hand in row.json as it is") from error
+    return row
+
+
+def _stated(row: Record) -> dict[str, tuple[object, object]]:
+    """What a row states beside what follows from the rest of it."""
+    suite, columns = row["suite"], row["columns"]
+    name = str(suite["name"]).removesuffix(HIDDEN)
+    told: dict[str, tuple[object, object]] = {
+        "keys": (sorted(row), _KEYS),
+        "columns": ([*columns], [*COLUMNS]),
+        f"digest of the suite {name}": (suite["digest"], read_suite(name).digest),
+        "a secret": (bool(suite["secret"]), str(suite["name"]).endswith(HIDDEN)),
+    }
+    for column, counted in columns.items():
+        told |= {where: (rate["rate"], Rate.of(rate).as_dict()["rate"]) for where, rate in _rates_in(counted, column)}
+        parts, robust = pooled(counted["by"].values()), counted["robust"]
+        if robust is not None:
+            told[f"{column}, its parts"] = (robust["successes"], robust["total"]), (parts.successes, parts.total)
+        told[f"{column}, judged"] = counted["judged"], parts.total
+        told[f"{column}, filled"] = robust is not None, counted["judged"] >= LEAST
+    return told | {"score": (row["score"], score_of(row)), "warnings": (row["warnings"], warnings(columns))}
+
+
+def _rates_in(value: Any, where: str) -> Iterator[tuple[str, Record]]:
+    if isinstance(value, Mapping) and "interval" in value:
+        yield where, value
+    elif isinstance(value, Mapping):
+        for key, part in value.items():
+            yield from _rates_in(part, f"{where}, {key}")
+
+
+# The jobs of a suite
+
+
+CELLS = ("view", "azimuth", "elevation", "original", "score", "original_score")
+"""What of a look is kept in the rows of a suite."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Entry(Attempt):
+    """One attack of a suite, or the splats of one that hide the object beside their clean ones."""
+
+    column: str  # that it counts for
+    made: Mapping[str, Job]  # the jobs that make the splats, by their labels
+    looks: Sequence[Look]  # that judge them
+    knows: bool = False  # whether the attacker knows the defence
+
+    @classmethod
+    def of(cls, made: Mapping[str, Job], looks: Sequence[Look], **more: Any) -> Entry:
+        """An entry of some jobs."""
+        return cls(made=made, looks=looks, jobs={**made, **{look.label: look.job for look in looks}}, **more)
+
+    def rows(self, done: Mapping[str, Done]) -> Iterator[dict[str, Any]]:
+        """The rows of its looks, by the identity of their jobs."""
+        for look in self.looks:
+            named = {"attack": self.title, "seed": look.seed, "detector": look.job.config.detector}
+            named["condition"] = OWN if look.condition == OWN else DEFENDED
+            for row in _rows_of(look, done[look.job.identity]):
+                yield {**named, "splat": row["splat"], **{name: row[name] for name in CELLS}}
+
+
+def _rows_of(look: Look, done: Done) -> Iterable[Mapping[str, Any]]:
+    """The rows of a look; of a splat that hides the object those from well inside its trigger."""
+    if done.rows:
+        return done.rows
+    config = look.job.config
+    inside = pl.col(f"{DEPTH}{config.attacks[0].name}") >= config.evaluation.well_inside
+    return look.tables(done)[ROWS].filter(inside).iter_rows(named=True)
+
+
+class BenchWork(Work[Entry]):
+    """The jobs of a suite for a detector, with its usual weights or those of a file.
+
+    A defender may put a `defence`, which is a condition, before the detector. Columns are all if none is named.
+
+    Raises:
+        MiSplatError: There is no such detector or defence, or a setting cannot be; before any job is done.
+    """
+
+    story = STORY
+
+    def __init__(
+        self, suite: Suite, detector: str, weights: Path | None = None, defence: str = "", columns: Sequence[str] = ()
+    ) -> None:
+        detector_spec(detector)
+        if weights is not None:
+            use_weights(detector, weights)
+        check_condition(defence, None)
+        for column in columns:
+            check_choice("column", column, COLUMNS)
+        super().__init__(Study(name=f"bench-{suite.name}-{detector}", kind="dagger", parts={}))
+        self.suite, self.detector, self.weights, self.defence = suite, load_detector(detector), weights, defence
+        self.conditions = ["", defence] if defence else [""]
+        self.missing: dict[str, str] = {}
+        for column in COLUMNS:
+            if column not in suite.studies:
+                self.missing[column] = "not in the suite"
+            elif columns and column not in columns:
+                self.missing[column] = "not done"
+            else:
+                self._add(column, suite.studies[column])
+
+    def _add(self, column: str, table: Settings) -> None:
+        try:
+            self.attempts += [*(self._hidden(table) if column == CLOAK else self._attacked(column, table))]
+        except MiSplatError as error:
+            if column != TRANSFER:
+                raise
+            self.missing[column] = str(error)
+
+    def _attacked(self, column: str, table: Settings) -> Iterator[Entry]:
+        """The attacks of a column; where the attacker can know the defence, these, too."""
+        name = self.detector.name
+        surrogates = [other for other in self.suite.surrogates if other != name]
+        judge = {**table.get("judge", {}), "detector": name, "matrix": {"condition": self.conditions}}
+        settings = {"": {**table, "detectors": surrogates if column == TRANSFER else [name], "judge": judge}}
+        if (known := KNOWS.get(self.defence)) is not None and column in (ONE_VIEW, ALL_VIEWS):
+            settings[", who knows the defence"] = merged(settings[""], known)
+        for who, whole in settings.items():
+            for attempt in DaggerWork(study_of(whole, column)).attempts:
+                title, seed = f"{column}: {attempt.title}{who}", attempt.job.config.attack.seed
+                looks = [
+                    Look(
+                        label=f"{title} / {label}", job=job, splat="", seed=seed, condition=job.config.condition or OWN
+                    )
+                    for label, job in attempt.looks.items()
+                ]
+                more = {"point": attempt.point, "column": column, "knows": bool(who)}
+                yield Entry.of({title: attempt.job}, looks, title=title, **more)
+
+    def _hidden(self, table: Settings) -> Iterator[Entry]:
+        """The splats of the column of CLOAK, which no detector has a part in."""
+        weights = {} if self.weights is None else {self.detector.name: self.weights}
+        judges = [CloakJudge(condition=condition, every=1) for condition in self.conditions]
+        for point in study_of(merged(table, {"evaluation": {"detectors": [self.detector.name]}}), CLOAK).points:
+            steps = StudySteps(study=config_of(point.settings, CLOAK), weights=weights)
+            title = f"{CLOAK}: {', '.join(map(str, point.labels.values()))}"
+            seen = [look for judge in judges for look in judge.looks(steps, [self.detector])]
+            looks = [replace(look, label=f"{title} / {look.label}") for look in seen]
+            looks.sort(key=lambda look: look.seed or 0)
+            made = {f"{title} / {label}": job for label, job in steps.made()}
+            yield Entry.of(made, looks, title=title, point=point, column=CLOAK)
+
+    def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
+        """What attacks leave; those of which a job has failed are left out, and the column with them is told so."""
+        jobs = self.jobs()
+        done = {jobs[label].identity: result for label, result in results.items() if isinstance(result, Done)}
+        rows, attacks = list[dict[str, Any]](), dict[str, Any]()
+        for entry in self.attempts:
+            if not entry.is_done(done):
+                self.missing[entry.column] = "a job has failed"
+                continue
+            rows += entry.rows(done)
+            labels = {axis: label for axis, label in entry.point.labels.items() if axis != "seed"}
+            attacks[entry.title] = {"column": entry.column, "labels": labels, "knows": entry.knows}
+        suite, spec, seconds = self.suite, detector_spec(self.detector.name), self._seconds(done)
+        facts = {
+            "suite": {"name": suite.name, "digest": suite.digest, "secret": suite.secret},
+            "detector": {
+                "name": self.detector.name,
+                "fingerprint": self.detector.fingerprint,
+                "weights": "" if spec.weights is None else sha256(spec.weights()),
+                "classes": len(self.detector.classes),
+            },
+            "defence": self.defence,
+            "missing": self.missing,
+            "cpu_seconds": {**seconds, "all": round(sum(seconds.values()), 1)},
+            "attacks": attacks,
+        }
+        return facts, {ROWS: frame_of(rows)}, []
+
+    def with_figures(self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
+        """A record with its columns and score."""
+        return record | figures(record, rows)
+
+    def tables(self, record: Mapping[str, Any]) -> list[Table]:
+        """The row as a table."""
+        return [table_of([record])]
+
+    def write(self, results: Mapping[str, Result], out: Path) -> list[Path]:
+        """Write the result, and what of it is the row."""
+        paths = super().write(results, out)
+        save_json(row_of(read_json(out / RECORD)), out / ROW)
+        return [*paths, out / ROW]
+
+    def _seconds(self, done: Mapping[str, Done]) -> dict[str, float]:
+        """CPU seconds of the jobs of each column, and of those that every detector shares."""
+        seconds = dict.fromkeys((*self.suite.studies, "shared"), 0.0)
+        counted = set[str]()
+        for entry in self.attempts:
+            shared = {job.identity for job in entry.made.values()} if entry.column in (CLOAK, TRANSFER) else set()
+            for job in entry.jobs.values():
+                if job.identity in done and job.identity not in counted:
+                    counted.add(job.identity)
+                    key = "shared" if job.identity in shared else entry.column
+                    seconds[key] += done[job.identity].record.get("cpu_seconds", 0.0)
+        return {name: round(spent, 1) for name, spent in seconds.items() if spent}

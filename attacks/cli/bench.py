@@ -58,7 +58,8 @@ class BenchOptions(JobOptions):
 
 def run(options: BenchOptions) -> int:
     """Do what is asked for; the exit status is 1 if a job has failed."""
-    from attacks.bench.row import check_row, markdown
+    from attacks.bench.row import markdown
+    from attacks.bench.suite import check_row
     from attacks.studies.audit import audit_rows, audit_table
 
     if options.audit:
@@ -75,8 +76,7 @@ def run(options: BenchOptions) -> int:
 
 def _bench(options: BenchOptions) -> int:
     from attacks.bench.row import ROW
-    from attacks.bench.suite import read_suite
-    from attacks.bench.work import BenchWork
+    from attacks.bench.suite import BenchWork, read_suite
     from attacks.studies.running import TABLE
     from mi_splat.io.parsing import read_json
 

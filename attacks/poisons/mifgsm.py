@@ -41,16 +41,9 @@ from mi_splat.scene import GaussianScene
 class MIFGSM:
     """M-IFGSM as a poison.
 
-    A step of 0.02 is 0.02 * 0.27 = 0.0054 in sRGB, and 30 of them one way change a channel by at most 0.02 * 30 *
-    (0.269, 0.261, 0.276) = 0.161, 0.157 and 0.165, or 41, 40 and 42 of 255; [0, 1] bounds it further, and a ball does.
-
-    The steps are taken at the classifier's resolution, as published: the picture is scaled so that its shorter side is
-    the classifier's `size`, and what was found is scaled back (`MIFGSMConfig.paste` says how). So a picture smaller
-    than the classifier's loses the finest part of the change, and one larger gets a smooth one. The result is rounded
-    to 8 bits inside the mask; outside, not a bit differs.
-
-    With `MIFGSMConfig.decoy_steps` the steps begin, at each visit of a camera, at the picture of a decoy instead of the
-    clean one, and the decoy learns where they end. Its picture takes the object's place in the end.
+    Steps are taken at the classifier's resolution, as published: the picture is scaled so that its shorter side is the
+    classifier's `size`, and what was found is scaled back (`MIFGSMConfig.paste` says how). The result is rounded to 8
+    bits inside the mask; outside, not a bit differs.
     """
 
     config: MIFGSMConfig

@@ -17,8 +17,7 @@ import numpy as np
 import polars as pl
 import torch
 
-from attacks.audits.audited import BASELINES, COST, AuditedConfig, rank_of
-from attacks.audits.baselines import fit_attributes
+from attacks.audits.audited import COST, SCORES, AuditedConfig, fit_attributes, rank_of
 from attacks.audits.photographed import PhotographedConfig
 from attacks.cloak.config import StudyConfig
 from attacks.cloak.rates import CLOAKED
@@ -75,7 +74,7 @@ class Audited:
             "hides": bool(missed) and all(rate.total and rate.fraction >= HIDES for rate in missed.values()),
             "missed": {name: rate.as_dict() for name, rate in missed.items()},
             **audit.rows[0],
-            **read_json(audit.folder / BASELINES),
+            **read_json(audit.folder / SCORES),
             "seconds": read_json(audit.folder / COST),
         }
 

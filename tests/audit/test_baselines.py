@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.audits.baselines import BASELINES, attributes, fit_attributes, measured
+from attacks.audits.audited import BASELINES, attributes, fit_attributes, measured
 from attacks.audits.disagreement import AROUND, OVER, Seen, seen_along_paths
 from attacks.detectors.base import Detections
 from mi_splat.audit.thresholds import LIMITS

@@ -10,9 +10,8 @@ from typing import Any
 import pytest
 
 from attacks import cli
-from attacks.bench.row import check_row, warnings
-from attacks.bench.suite import SUITES, read_suite
-from attacks.bench.work import BenchWork
+from attacks.bench.row import warnings
+from attacks.bench.suite import SUITES, BenchWork, check_row, read_suite
 from attacks.cli.bench import BenchOptions, rescored, usual_folder
 from attacks.detectors.catalogue import SMALL_WEIGHTS
 from attacks.detectors.registry import CHOSEN_WEIGHTS
