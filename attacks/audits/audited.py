@@ -32,7 +32,7 @@ from mi_splat.sh import dc_to_colour, degree_of, even_directions, sh_to_colour
 if TYPE_CHECKING:
     from mi_splat.ledger import Out
 
-# Other ways to find a hidden look: baselines from a splat to a score, higher where it is more suspicious. "contributions"
+# Other ways to find a hidden look: baselines from a splat to a score, higher where it is more suspicious. Contributions
 # follow the idea of GSPure (arXiv:2511.22262), which takes clusters that few cameras see for a watermark. Attributes
 # are after Fake3DGS (arXiv:2604.27590), whose point transformer has 41,000 splats; few take a logistic regression.
 
