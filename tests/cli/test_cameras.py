@@ -16,7 +16,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io.camera_records import describe, recorded_cameras, unique_names
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene_files import SplatScene
-from tests.datasets.sets import CLOUD, VIEWS, colmap_binary, view, write_colmap
+from tests.datasets.sets import CLOUD, VIEWS, colmap_binary
 from tests.fakes import camera, toy_scene
 from tests.training.sets import write_set
 
@@ -65,14 +65,6 @@ def test_up_is_up(up: tuple[float, float, float]) -> None:
     assert float(away @ direction) == pytest.approx(torch.tensor(40.0).deg2rad().sin().item())
     assert float(one.to_world[:3, 0] @ direction) == pytest.approx(0, abs=1e-9)  # the horizon is level
     assert float(one.to_world[:3, 1] @ direction) < 0  # y of the camera points down
-
-
-def test_pictures_of_one_name_in_two_folders_are_two_cameras(tmp_path: Path) -> None:
-    write_colmap(tmp_path, [view(1), view(2)])
-    listed = tmp_path / "sparse" / "0" / "images.txt"
-    names = [path.name for path in sorted((tmp_path / "images").iterdir())]
-    listed.write_text(listed.read_text().replace(names[0], "a/x.png").replace(names[1], "b/x.png"))
-    assert len(find_cameras(loaded(), CameraOptions(cameras=(str(tmp_path),)))) == 2
 
 
 def test_two_of_one_name_are_kept_apart() -> None:

@@ -170,14 +170,6 @@ def test_a_reader_that_goes_away_is_no_error(splat: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_python_dash_m() -> None:
-    done = subprocess.run([sys.executable, "-m", "attacks", "info", "missing.ply"], capture_output=True, text=True)
-    assert done.returncode == 1
-    assert done.stdout == ""
-    assert len(done.stderr.splitlines()) == 1
-    assert "missing.ply" in done.stderr
-
-
 def test_info_describes_a_splat(splat: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["info", str(splat), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)

@@ -56,17 +56,6 @@ def parsed(command: str, words: list[str]) -> Any:
     return parse(command, [*NEEDED.get(command, []), *words])
 
 
-def configurations(value: Any) -> Iterator[Any]:
-    """A dataclass, and those in it."""
-    if isinstance(value, tuple):
-        for part in value:
-            yield from configurations(part)
-    if dataclasses.is_dataclass(value):
-        yield value
-        for field in dataclasses.fields(value):
-            yield from configurations(getattr(value, field.name))
-
-
 def ranges(hint: Any) -> tuple[Range | None, int, bool]:
     """What numbers a field takes, how many at least (0 for none), and whether whole ones."""
     kind, marks, _ = unwrapped(hint)
@@ -88,9 +77,6 @@ def wrong_values(allowed: Range, whole: bool) -> list[float]:
     return wrong
 
 
-COMMANDS = {name: parsed(name, []) for name in cli.COMMANDS}
-
-
 def flat(options: list[Option]) -> Iterator[Option]:
     """Options, and those of the dataclasses among them."""
     for option in options:
@@ -98,12 +84,15 @@ def flat(options: list[Option]) -> Iterator[Option]:
         yield from flat(option.fields)
 
 
+def options_given(command: str) -> list[Option]:
+    given = parsed(command, [])
+    return options_of(type(given), {field.name: getattr(given, field.name) for field in dataclasses.fields(given)})
+
+
 FLAGS = [
     (command, option.flag, *ranges(option.hint))
-    for command, options in COMMANDS.items()
-    for option in flat(
-        options_of(type(options), {field.name: getattr(options, field.name) for field in dataclasses.fields(options)})
-    )
+    for command in cli.COMMANDS
+    for option in flat(options_given(command))
     if not option.given.positional and not option.fields
 ]
 RANGED = [(command, flag, allowed, count, whole) for command, flag, allowed, count, whole in FLAGS if count and allowed]

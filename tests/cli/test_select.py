@@ -53,16 +53,6 @@ def test_a_click_selects_the_car_and_writes_what_is_asked_for(
     assert tinted[39, 45]
 
 
-def test_other_selectors_take_the_saved_mask_or_part(bare: tuple[Path, Tensor], tmp_path: Path) -> None:
-    path, owner = bare
-    np.save(tmp_path / "rows.npy", (owner == CAR).nonzero()[:, 0].numpy())
-    save_splat(load_splat(path).select(owner == CAR), tmp_path / "part.ply")
-    for name in ("rows.npy", "part.ply"):
-        words = ["select", str(path), "--mask", str(tmp_path / name), "--size", "32x24"]
-        assert cli.main([*words, "--out", str(tmp_path / "mask.npy")]) == 0
-        assert np.array_equal(np.load(tmp_path / "mask.npy"), (owner == CAR).numpy())
-
-
 def test_a_known_object_is_looked_at(bare: tuple[Path, Tensor], capsys: pytest.CaptureFixture[str]) -> None:
     path, _ = bare
     assert cli.main(["select", str(path), "--box", "0.2", "2.1", "0.02", "0.5", "3.2", "2", "--size", "64x48"]) == 0
