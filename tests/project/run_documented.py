@@ -26,27 +26,18 @@ from mi_splat import GaussianScene, load_splat, save_splat
 from mi_splat.processes import INTERRUPTED
 from mi_splat.rotation import to_matrix
 from mi_splat.scene import Similarity, merge
-from mi_splat.sh import colour_to_dc
 from tests.project.documented_commands import BENCHMARKS, NIGHTLY_PAGES, ROOT, Line, lines, shortened
 from tests.rewriting import rewrite_once
+from tests.selection.bare import ground
 
 SECONDS = 300
 """That a page in the browser, or a benchmark, may take."""
 
 
 def car_on_ground() -> GaussianScene:
-    """The shipped car without its parts, on a disc of grey Gaussians."""
+    """The shipped car without its parts, on a square of grey Gaussians."""
     car = load_splat(ROOT / "scenes" / "car_street_car.ply")
-    generator = torch.Generator().manual_seed(0)
-    count = 3000
-    ground = GaussianScene(
-        means=torch.cat([8 * torch.rand(count, 2, generator=generator) - 4, torch.zeros(count, 1)], dim=1),
-        scales=torch.tensor([0.12, 0.12, 0.01]).expand(count, 3).contiguous(),
-        rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(count, 4).contiguous(),
-        opacities=torch.full((count,), 0.9),
-        sh=colour_to_dc(torch.full((count, 1, 3), 0.4)),
-    )
-    return merge(car, ground.with_degree(car.degree))
+    return merge(car, ground(3000, half=4.0).with_degree(car.degree))
 
 
 def splat(path: Path) -> None:

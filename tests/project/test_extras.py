@@ -76,9 +76,10 @@ def test_notice_names_extras_that_exist() -> None:
         ("colmap", ["prepare", "docs/images"]),
         ("meshes", ["capture", "MESH"]),
         ("meshes", ["cloak", "STUDY"]),
-        ("transformers", ["dagger", "--detectors", "rtdetr_r18vd"]),
+        ("transformers", ["dagger", "scenes/car_street.xml", "--detectors", "rtdetr_r18vd"]),
         ("video", ["render", "scenes/stop_sign.xml", "--cameras", "orbit:2@20"]),
-        ("yolo", ["dagger", "--detectors", "yolov8n_small"]),
+        ("yolo", ["dagger", "scenes/car_street.xml", "--detectors", "yolov8n_small"]),
+        ("view", ["view", "scenes/car_street.xml"]),
         ("yolo", ["cloak", "scenes/cloak_demo.toml", "--detectors", "yolov8n_small"]),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(value),
@@ -86,26 +87,17 @@ def test_notice_names_extras_that_exist() -> None:
 def test_a_missing_extra_is_told_before_anything_is_written(
     extra: str, words: list[str], tmp_path: Path, warm: Warm
 ) -> None:
-    mesh, study, out = (
-        tmp_path / "m.obj",
-        tmp_path / "study.toml",
-        tmp_path / {"report": "out.html", "video": "out.mp4"}.get(extra, "out"),
-    )
+    mesh, study = tmp_path / "m.obj", tmp_path / "study.toml"
+    out = tmp_path / {"report": "out.html", "video": "out.mp4"}.get(extra, "out")
     mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     study.write_text(STUDY.format(mesh=mesh))
     given = [{"MESH": str(mesh), "STUDY": str(study)}.get(word, word) for word in words]
-    done = warm.run("-m", "attacks", *given, "--out", str(out), cwd=ROOT, missing=EXTRAS[extra])
+    given += [] if extra == "view" else ["--out", str(out)]
+    done = warm.run("-m", "attacks", *given, cwd=ROOT, missing=EXTRAS[extra])
     assert done.returncode == 1, done.stderr
     assert f"pip install -e '.[{extra}]'" in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr
     assert not out.exists()
-
-
-def test_a_page_needs_viser_and_says_so(warm: Warm) -> None:
-    done = warm.run("-m", "attacks", "view", "scenes/car_street.xml", cwd=ROOT, missing=EXTRAS["view"])
-    assert (done.returncode, done.stdout) == (1, "")
-    assert "pip install -e '.[view]'" in done.stderr
-    assert len(done.stderr.splitlines()) == 1
 
 
 @pytest.mark.slow
