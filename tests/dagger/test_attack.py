@@ -278,7 +278,10 @@ def test_a_gpu_finds_nearly_the_same_losses(words: str, tmp_path: Path) -> None:
     for device in ("cpu", "cuda"):
         out = tmp_path / device
         try:
-            assert cli.main([*words.split(), "--steps", "3", "--device", device, "--out", str(out)]) == 0
+            assert (
+                cli.main([*words.split(), "example:car_street", "--steps", "3", "--device", device, "--out", str(out)])
+                == 0
+            )
         finally:
             variant.use("llvm_ad_rgb")
         losses.append([line["loss"] for line in read_json(out / "result.json")["trace"]])
