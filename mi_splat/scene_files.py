@@ -22,7 +22,7 @@ from mi_splat.io import save_splat
 from mi_splat.io.documents import file_name, save_text
 from mi_splat.io.errors import SplatFileError, SplatFileWarning, path_name
 from mi_splat.io.loaded import Loaded
-from mi_splat.io.scene_parts import check_scene_file, scene_parts
+from mi_splat.io.scene_parts import SceneParts
 from mi_splat.io.splat_files import load_stored
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene, check_scene, merge
@@ -75,7 +75,7 @@ def load_mitsuba_scene(path: str | Path, **parameters: Any) -> Any:
     path = named_path(path_name(path))
     if not path.is_file():
         raise InvalidValueError.of("scene", "a Mitsuba XML file", f"no file {path}", "check the path")
-    check_scene_file(path, parameters)
+    SceneParts(path, parameters).check()
     try:
         # Not parallel: rare failures were seen with threads; their cause is not known.
         loaded = mi.load_file(str(path), parallel=False, **parameters)
@@ -250,7 +250,7 @@ SAMPLES = 64
 def holds_surfaces(path: Path) -> bool:
     """Whether a scene file names shapes that are no splats; False where it cannot be read."""
     try:
-        elements = scene_parts(path).elements
+        elements = SceneParts(path).elements
     except InvalidValueError:
         return False
     return any(element.get("type") not in SPLATS for element in elements if element.tag == "shape")

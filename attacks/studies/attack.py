@@ -38,7 +38,7 @@ from mi_splat.fields import check_choice
 from mi_splat.io import save_splat
 from mi_splat.io.documents import save_json, save_png
 from mi_splat.io.folders import RECORD
-from mi_splat.io.scene_parts import SceneParts, scene_parts
+from mi_splat.io.scene_parts import SceneParts
 from mi_splat.scene import GaussianScene
 from mi_splat.scene_files import SplatScene, read_scene
 
@@ -110,7 +110,7 @@ def street_of(condition: str, sun: SunTable | None) -> tuple[SunTable | None, di
 
 @functools.lru_cache(maxsize=64)
 def _parts(path: Path, state: object) -> SceneParts:
-    return scene_parts(path)
+    return SceneParts(path)
 
 
 def check_scene(path: Path, name: str, *, camera: int = 0, renderers: Sequence[str] = ()) -> None:

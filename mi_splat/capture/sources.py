@@ -23,7 +23,7 @@ from mi_splat.capture.path_tracer import PathTracer, read_environment, scene_dic
 from mi_splat.capture.settings import MeshSettings, SurroundingsSettings
 from mi_splat.errors import InvalidValueError, MiSplatError, message
 from mi_splat.io.points import PointCloud
-from mi_splat.io.scene_parts import scene_parts
+from mi_splat.io.scene_parts import SceneParts
 
 SMALLEST, LARGEST = 1e-4, 1e6
 """Radii in metres of a mesh."""
@@ -236,7 +236,7 @@ def _xml(path: Path) -> CaptureSource:
     """A Mitsuba scene as it is, sensors apart."""
     if not path.is_file():
         raise InvalidValueError.of("scene", "a Mitsuba XML file", str(path), "check the path")
-    parts = scene_parts(path)
+    parts = SceneParts(path)
     if any(element.tag in ("shape", "integrator") and element.get("type") in _SPLATS for element in parts.elements):
         do = f"see it with `mi-splat render {path}`, or name a scene of meshes"
         raise InvalidValueError.of(str(path), "a scene of meshes", "a scene of splats", do)

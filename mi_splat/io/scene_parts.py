@@ -10,7 +10,6 @@ import importlib.util
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -91,56 +90,43 @@ _NATIVE = (".dll", ".dylib", ".so")
 _PICTURES = (".bmp", ".exr", ".hdr", ".jpeg", ".jpg", ".pfm", ".png", ".ppm", ".rgbe", ".tga", ".tif", ".tiff", ".webp")
 
 
-@dataclass(slots=True)
 class SceneParts:
-    """The elements of a scene, parameters filled in, and the scene file with every file that an element names."""
-
-    elements: list[Element] = field(default_factory=list)
-    files: list[Path] = field(default_factory=list)
-
-
-def scene_parts(path: Path, parameters: Mapping[str, object] | None = None) -> SceneParts:
-    """Read what a scene is made of.
+    """The elements of a scene, parameters filled in, and the scene file with every file that an element names.
 
     A file is looked for where Mitsuba does: in the folders that <path> elements name, beside the scene file, then in
     the working folder; one that is included, before that beside the file that includes it. What meshes name is left
     out, since Mitsuba reads no material of them.
     """
-    reader = _Reader(path, parameters or {})
-    reader.read(path, [path.resolve()])
-    return reader.parts
 
-
-def check_scene_file(path: Path, parameters: Mapping[str, object] | None = None) -> None:
-    """Raise unless Mitsuba may read a scene file, the files that it includes and the pictures that they name."""
-    reader = _Reader(path, parameters or {})
-    reader.read(path, [path.resolve()])
-    reader.check_folders()
-    for file in dict.fromkeys(reader.parts.files):
-        if file.suffix.lower() in _PICTURES or is_texture(file):
-            check_texture(file)
-
-
-class _Reader:
-    """Reads a scene file by file, and knows what the files before said of parameters and folders."""
-
-    def __init__(self, path: Path, parameters: Mapping[str, object]) -> None:
-        self.parts = SceneParts(files=[path])
+    def __init__(self, path: Path, parameters: Mapping[str, object] | None = None) -> None:
+        self.elements: list[Element] = []
+        self.files = [path]
         self._scene = f"scene {path}"
-        self._values = {name: str(value) for name, value in parameters.items()}
+        self._values = {name: str(value) for name, value in (parameters or {}).items()}
         self._longest = max(map(len, self._values.values()), default=0)
         self._size, self._included = 0, 0
         self._folders = [path.parent, Path()]
+        self._read(path, [path.resolve()])
 
-    def read(self, path: Path, chain: list[Path]) -> None:
+    def check(self) -> None:
+        """Raise unless Mitsuba may read the pictures that it names, and loads no code from its folders."""
+        for folder in self._folders[:-1]:  # without the working folder, where Mitsuba looks last
+            for file in folder.glob("plugins/*"):
+                if file.stem in plugin_names() - set(OWN_PLUGINS) and file.suffix in _NATIVE:
+                    raise self._refused("no native code beside it", f"{file}", "remove that file")
+        for file in dict.fromkeys(self.files):
+            if file.suffix.lower() in _PICTURES or is_texture(file):
+                check_texture(file)
+
+    def _read(self, path: Path, chain: list[Path]) -> None:
         """Add the elements of a file that was included by way of others, and the files that they name."""
         for element in scene_elements(path):
             filled = self._filled(element)
-            self.parts.elements.append(Element(element.tag, filled))
+            self.elements.append(Element(element.tag, filled))
             if (kind := filled.get("type")) is not None and kind not in plugin_names():
                 got = f'type="{one_line(kind, 60)}" in <{element.tag}>'
                 raise self._refused("plugins that Mitsuba or mi-splat ships", got, "take another plugin")
-            if len(self.parts.elements) > MOST_ELEMENTS:
+            if len(self.elements) > MOST_ELEMENTS:
                 raise self._refused(f"at most {MOST_ELEMENTS:,} elements in all", "more", "split the scene")
             if element.tag == "default":
                 self._values.setdefault(filled.get("name", ""), filled.get("value", ""))
@@ -159,16 +145,9 @@ class _Reader:
                     raise self._refused(
                         "names of regular files", f"{one_line(name, 60)}, a device or a pipe", "name another file"
                     )
-                self.parts.files += files[:1]
+                self.files += files[:1]
                 if files and element.tag == "include":
                     self._include(files[0], chain)
-
-    def check_folders(self) -> None:
-        """Refuse code that Mitsuba would load in the place of a plugin of its own; the working folder comes later."""
-        for folder in self._folders[:-1]:
-            for file in folder.glob("plugins/*"):
-                if file.stem in plugin_names() - set(OWN_PLUGINS) and file.suffix in _NATIVE:
-                    raise self._refused("no native code beside it", f"{file}", "remove that file")
 
     def _include(self, file: Path, chain: list[Path]) -> None:
         inner, self._included = [*chain, file.resolve()], self._included + 1
@@ -177,7 +156,7 @@ class _Reader:
             raise self._refused("files that end somewhere", names, "remove the circle")
         if self._included > MOST_INCLUSIONS:
             raise self._refused(f"at most {MOST_INCLUSIONS:,} inclusions", "more", "write what they hold into one file")
-        self.read(file, inner)
+        self._read(file, inner)
 
     def _filled(self, element: Element) -> dict[str, str]:
         """The attributes of an element with the values of parameters in the place of their names."""

@@ -13,7 +13,7 @@ from mi_splat.capture.path_tracer import load_scene, tracing_variant
 from mi_splat.capture.sources import open_source
 from mi_splat.errors import MiSplatError
 from mi_splat.io.picture_files import pixel_limit
-from mi_splat.io.scene_parts import DEEPEST, MOST_BYTES, MOST_ELEMENTS, check_scene_file, scene_parts
+from mi_splat.io.scene_parts import DEEPEST, MOST_BYTES, MOST_ELEMENTS, SceneParts
 from mi_splat.scene_files import MixedScene, holds_surfaces, read_scene
 from tests.project.layers import ROOT
 
@@ -87,7 +87,7 @@ def test_what_no_scene_needs_is_refused(name: str, folder: Path) -> None:
     path = folder / "a.xml"
     path.write_bytes(make())
     with pytest.raises(MiSplatError, match=says):
-        check_scene_file(path)
+        SceneParts(path).check()
 
 
 @pytest.mark.parametrize("name", ["8,000 in each other", "a circle", "a plugin of its own", "a device"])
@@ -147,7 +147,7 @@ def test_an_inclusion_is_first_looked_for_beside_the_file_that_includes_it(tmp_p
         (tmp_path / folder / "leaf.xml").write_bytes(scene(f'<shape type="sphere" id="{folder}"/>'))
     (tmp_path / "b" / "inner.xml").write_bytes(scene('<include filename="leaf.xml"/>'))
     (tmp_path / "a.xml").write_bytes(scene('<path value="c"/><include filename="b/inner.xml"/>'))
-    assert scene_parts(tmp_path / "a.xml").files[1:] == [tmp_path / "b" / "inner.xml", tmp_path / "b" / "leaf.xml"]
+    assert SceneParts(tmp_path / "a.xml").files[1:] == [tmp_path / "b" / "inner.xml", tmp_path / "b" / "leaf.xml"]
     with tracing_variant():  # as Mitsuba does
         assert [shape.id() for shape in load_scene(tmp_path / "a.xml").shapes()] == ["b"]
 
@@ -161,15 +161,15 @@ def test_the_files_of_a_scene_are_all_that_it_names(tmp_path: Path) -> None:
     texts = (f'<string name="f" value="{name}"/>' for name in named)
     path = tmp_path / "a.xml"
     path.write_bytes(scene('<default name="folder" value="parts"/>', *texts, '<include filename="b.xml"/>'))
-    assert scene_parts(path).files == [path, *(tmp_path / name for name in ("parts/a.ply", "b.xml", "parts/b.spd"))]
+    assert SceneParts(path).files == [path, *(tmp_path / name for name in ("parts/a.ply", "b.xml", "parts/b.spd"))]
     os.mkfifo(tmp_path / "pipe.xml")
     for wrong in ("none.xml", "beside.ply", "pipe.xml"):
         with pytest.raises(MiSplatError, match=f"{wrong}: expected a Mitsuba XML file"):
-            scene_parts(tmp_path / wrong)
+            SceneParts(tmp_path / wrong)
 
 
 def test_shipped_scenes_pass() -> None:
     paths = sorted((ROOT / "scenes").rglob("*.xml"))
     assert paths
     for path in paths:
-        check_scene_file(path, {"size": 24})
+        SceneParts(path, {"size": 24}).check()
