@@ -195,10 +195,11 @@ def file_name(text: str) -> str:
     return re.sub(r"[^\w.-]", "_", text)
 
 
-def save_bytes(data: bytes, path: Path) -> None:
+def save_bytes(data: bytes | memoryview, path: str | os.PathLike[str], *, head: bytes = b"") -> None:
     """Write a file."""
     with atomic_write(path) as file:
-        write_all(file, memoryview(data))
+        for part in (head, data):
+            write_all(file, memoryview(part))
 
 
 def save_text(text: str, path: Path) -> None:

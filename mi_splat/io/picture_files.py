@@ -108,12 +108,6 @@ def focal_length_35mm(picture: Image.Image) -> float | None:
     return length if 1 <= length <= 2000 else None
 
 
-def check_picture(path: Path, what: str, *, formats: Sequence[str]) -> None:
-    """Raise if another library must not decode a picture."""
-    with _opened(path, what, formats) as picture:
-        check_scans(picture, what)
-
-
 def check_scans(picture: Image.Image, what: str) -> None:
     """Raise if a picture, opened and not yet decoded, is a JPEG of so many scans that decoding takes minutes."""
     if picture.format == "TIFF" and "jpeg" in str(picture.info.get("compression")):
@@ -254,7 +248,8 @@ def check_texture(path: Path, what: str = "") -> None:
         return check_pixels(what, int(match[1]), int(match[2]))
     if radiance:
         raise _broken(what, "Radiance HDR")
-    check_picture(path, what, formats=(*FORMATS, "PPM", "TGA"))
+    with _opened(path, what, (*FORMATS, "PPM", "TGA")) as picture:
+        check_scans(picture, what)
     return None
 
 

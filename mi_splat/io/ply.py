@@ -22,7 +22,7 @@ import numpy as np
 from numpy.lib.recfunctions import repack_fields, structured_to_unstructured
 from numpy.typing import NDArray
 
-from mi_splat.io.documents import atomic_write, write_all
+from mi_splat.io.documents import save_bytes
 from mi_splat.io.errors import SplatFileError
 from mi_splat.io.loaded import HIGHER_BANDS, SHOWN, Loaded, unit, validated
 from mi_splat.sh import colour_to_dc
@@ -302,6 +302,4 @@ def write_ply(scene: GaussianScene, path: str | os.PathLike[str], *, antialiased
     table = np.concatenate([*before, *after], axis=1, dtype="<f4")
     names = [*_MEANS, *_NORMALS, *_DC, *rest_names(rest.shape[1]), "opacity", *_SCALES, *_ROTATIONS]
     head = header_bytes({"vertex": Element(len(scene), dict.fromkeys(names, ("f4",)))}, antialiased=antialiased)
-    with atomic_write(path) as file:
-        write_all(file, memoryview(head))
-        write_all(file, table.reshape(-1).view(np.uint8).data)
+    save_bytes(table.reshape(-1).view(np.uint8).data, path, head=head)

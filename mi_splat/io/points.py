@@ -10,7 +10,7 @@ from torch import Tensor
 
 from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError
-from mi_splat.io.documents import atomic_write, write_all
+from mi_splat.io.documents import save_bytes
 from mi_splat.io.errors import SplatFileError, from_os_error
 from mi_splat.io.loaded import open_regular
 from mi_splat.io.ply import Element, header_bytes, read_header, read_rows
@@ -60,9 +60,7 @@ def save_points(cloud: PointCloud, path: str | os.PathLike[str]) -> None:
     for i, name in enumerate(_CHANNELS):
         rows[name] = to_bytes(cloud.colours[:, i])
     head = header_bytes({"vertex": Element(len(rows), {name: (kind,) for name, kind in _KINDS.items()})})
-    with atomic_write(path) as file:
-        write_all(file, memoryview(head))
-        write_all(file, rows.view(np.uint8).data)
+    save_bytes(rows.view(np.uint8).data, path, head=head)
 
 
 def load_points(path: str | os.PathLike[str]) -> PointCloud:

@@ -13,7 +13,7 @@ import numpy as np
 
 from mi_splat.attributes import LARGEST
 from mi_splat.errors import InvalidValueError, install, message
-from mi_splat.io.documents import atomic_write, write_all
+from mi_splat.io.documents import save_bytes
 from mi_splat.io.errors import (
     SplatFileError,
     SplatFileWarning,
@@ -237,6 +237,5 @@ def write_splat_file(
     more: dict[str, object] = {"antialiased": antialiased} if suffix in TAGGED else {}
     more |= {"version": spz_version} if suffix == ".spz" else {"ending": suffix} if suffix in USD else {}
     encoded = write(arrays, **more)
-    with atomic_write(path) as file:
-        write_all(file, memoryview(encoded.data))
+    save_bytes(encoded.data, path)
     return encoded

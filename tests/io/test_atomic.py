@@ -45,7 +45,7 @@ def test_a_full_disk_leaves_the_old_file(code: int, when: str, old: Path, monkey
 
     with monkeypatch.context() as patch:
         patch.setattr(
-            "mi_splat.io.ply.write_all" if when == "write" else f"mi_splat.io.documents.os.{when}",
+            "mi_splat.io.documents.write_all" if when == "write" else f"mi_splat.io.documents.os.{when}",
             fail,
         )
         with pytest.raises(SplatFileError, match=rf"{old}: expected a file that can be written, got .+; .+"):
