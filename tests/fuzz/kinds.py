@@ -39,8 +39,8 @@ from mi_splat.training.loop import Progress, TrainState
 from mi_splat.training.resume import load_state, save_state
 from mi_splat.training.strategies import FixedConfig
 from tests.fakes import camera
-from tests.fuzz.documents import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SCENE_NAMES, SOG, Document
 from tests.fuzz.folders import clean, links, plan_with_keys, write_among_links
+from tests.fuzz.mutations import CHECKPOINT, GLB, PLAIN_JSON, SAFETENSORS, SCENE_NAMES, SOG, Document
 from tests.io.format_files import tame_scene, valid
 from tests.io.ply_files import LISTS, ROWS, encoded, listed
 from tests.io.test_picture_files import many_scans

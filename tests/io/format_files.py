@@ -4,7 +4,6 @@ import gzip
 import io
 import json
 import math
-import struct
 import zipfile
 from collections.abc import Callable
 from functools import cache
@@ -24,6 +23,7 @@ from mi_splat.io.loaded import arrays_of
 from mi_splat.rotation import multiply
 from mi_splat.scene import GaussianScene
 from mi_splat.sh import colour_to_dc, dc_to_colour
+from tests.fuzz.mutations import GLB
 from tests.gaussians import random_scene
 
 DATA = Path(__file__).parent / "data"
@@ -65,14 +65,9 @@ def rezipped(change: Callable[[dict[str, bytes]], None], method: int = zipfile.Z
 
 def gltf_with(change: Callable[[dict[str, Any]], None]) -> bytes:
     """The valid glTF with another document."""
-    whole = valid("a.glb")
-    (size,) = struct.unpack_from("<I", whole, 12)
-    document = json.loads(whole[20 : 20 + size])
+    document = GLB.get(valid("a.glb"))
     change(document)
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    body = struct.pack("<I4s", len(text), b"JSON") + text + whole[20 + size :]
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+    return GLB.put(valid("a.glb"), json.dumps(document))
 
 
 def tame_scene(count: int, degree: int, *, seed: int = 0) -> GaussianScene:
