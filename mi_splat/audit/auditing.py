@@ -69,7 +69,7 @@ def audit(scene: GaussianScene, *, cameras: Sequence[Camera] | None = None, up: 
         expected = f"at least {LIMITS.least_pieces} pieces of surface that cameras on two sides see"
         do = "pass a splat of something solid" if cameras is None else "pass cameras that see more of it"
         raise InvalidValueError.of("scene" if cameras is None else "cameras", expected, pieces, do)
-    heat = _heat(heats, len(scene))
+    heat = torch.stack(heats).amax(0)
     mask = torch.zeros(len(scene), dtype=torch.bool)
     if any(item.verdict != "nothing found" for item in objects):
         mask[frame.order] = heat > split_of(heat[heat > 0])
@@ -110,13 +110,10 @@ def cameras_in_frame(frame: Frame, cameras: Sequence[Camera], longer_side: int |
     return tuple(moved)
 
 
-Heat = tuple[Tensor, Tensor]  # rows of M Gaussians in sight, and (M,) their heat
-
-
 def judged_object(
     frame: Frame, target: Target, cameras: tuple[Camera, ...], pictures: Sequence[Tensor] | None = None
-) -> tuple[ObjectAudit, Heat | None] | None:
-    """Judge one object."""
+) -> tuple[ObjectAudit, Tensor] | None:
+    """Judge one object, and say in (N,) heat which Gaussians of the frame carry what was found."""
     rows = in_sight(frame.scene, target, cameras)
     scene = frame.scene.select(rows)
     view = sight(scene, target, cameras, pictures)
@@ -143,14 +140,12 @@ def judged_object(
         occluder=occluder and dataclasses.replace(occluder, axis=_turned(frame, occluder.axis)),
         edit=edit_of(frame, target) if pictures is None else None,
     )
-    if judged.verdict == "nothing found" or pictures is not None:
-        return judged, None
-    heat = torch.zeros(len(rows))
-    if judged.look.evidence >= LIMITS.suspicion:
-        heat = heat_of(scene, pieces, view, by_piece, target, judged.looks)
+    heat = torch.zeros(len(frame.scene))
+    if judged.look.evidence >= LIMITS.suspicion and pictures is None:
+        heat[rows] = heat_of(scene, pieces, view, by_piece, target, judged.looks)
     if judged.covered:
-        heat = torch.maximum(heat, cover_heat(scene, view, covered, target))
-    return judged, (rows, heat)
+        heat[rows] = torch.maximum(heat[rows], cover_heat(scene, view, covered, target))
+    return judged, heat
 
 
 def _look(frame: Frame, target: Target, view: Sight, look: SurfaceLook) -> Look:
@@ -187,15 +182,6 @@ def _in_world(frame: Frame, camera: Camera) -> Camera:
     pose[:3, :3] = frame.to_world.rotation.double() @ camera.to_world[:3, :3]
     pose[:3, 3] = frame.point(camera.position)
     return dataclasses.replace(camera, to_world=pose)
-
-
-def _heat(heats: list[Heat | None], count: int) -> Tensor:
-    """(N,) heat of each Gaussian, the most that it has of any object, in the frame's order."""
-    most = torch.zeros(count)
-    for heat in heats:
-        if heat is not None:
-            most[heat[0]] = torch.maximum(most[heat[0]], heat[1])
-    return most
 
 
 def seen_share(frame: Frame, jobs: list[Job]) -> float:
