@@ -9,6 +9,8 @@ from typing import Any
 
 _Z = 1.959963984540054
 """Quantile of the normal distribution that leaves 2.5 % on each side."""
+FEW = 10
+"""Views, or attacks, from which on an interval says something."""
 FIXED = "\u00a0"
 """A space at which no line is broken."""
 

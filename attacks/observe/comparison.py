@@ -19,7 +19,7 @@ from attacks.observe.observations import Observations, observations_of, report_c
 from attacks.observe.rates import REPORTED, Confidence, Group, Measure, comparison_measures, count, with_control
 from attacks.observe.rows import ATTACKED, CLEAN, Cell
 from attacks.observe.views import ViewDetections, evaluate
-from attacks.rate import Rate
+from attacks.rate import FEW, Rate
 from mi_splat._lazy import Previewed
 from mi_splat.cameras import Camera, RenderFn
 from mi_splat.errors import InvalidValueError, listed
@@ -111,10 +111,6 @@ def judge(
     views = evaluate(splats, mask, cameras, detectors, render=render)
     looked = compared_rows(views, original=original, target=target, min_confidence=confidence)
     return Judged(rows=looked.rows, detections=looked.detections, views=views, confidence=confidence)
-
-
-FEW = 10
-"""Views from which on an interval says something."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

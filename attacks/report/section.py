@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from attacks.rate import Rate, percent
+from attacks.rate import FEW, Rate, percent
 from attacks.tables import Table, cell, named_settings
 
 MOST_VALUES = 12
@@ -77,9 +77,6 @@ def versions_of(result: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
 
 Role = Literal["attack", "control", "other"]
 """What a line of a chart stands for; it decides the colour, the marker and the dashes."""
-
-FEW = 10
-"""Views, or attacks, from which on an interval says something."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

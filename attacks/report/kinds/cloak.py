@@ -17,11 +17,10 @@ from attacks.observe.observations import report_cells
 from attacks.observe.rates import Confidence, Measures
 from attacks.observe.rows import ATTACKED, CLEAN, FIDELITY, PERFECT, ROWS, TARGET_SCORE, TRANSITION, TRUE, Row
 from attacks.observe.views import BATCH, ViewDetections
-from attacks.rate import Rate, rate_of, spread
+from attacks.rate import FEW, Rate, rate_of, spread
 from attacks.report.checking import Rescoring, Tables, read_tables
 from attacks.report.kinds.detectors import threshold_charts
 from attacks.report.section import (
-    FEW,
     Chart,
     Figure,
     Line,

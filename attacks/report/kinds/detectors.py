@@ -13,9 +13,9 @@ from attacks.observe import rates
 from attacks.observe.comparison import Comparison, compare
 from attacks.observe.rates import DEFAULT_OF_YOLO, REPORTED, Confidence, comparison_measures
 from attacks.observe.rows import ROWS
-from attacks.rate import Rate, number, percent, pooled
+from attacks.rate import FEW, Rate, number, percent, pooled
 from attacks.report.checking import Tables, read_tables
-from attacks.report.section import FEW, Chart, Figure, Line, Picture, Point, Role, Section, listed, settings
+from attacks.report.section import Chart, Figure, Line, Picture, Point, Role, Section, listed, settings
 from attacks.tables import Table, cell
 from mi_splat.errors import counted
 
