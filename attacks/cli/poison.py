@@ -242,7 +242,7 @@ def _misreading(config: MisreadingConfig, options: PoisonOptions) -> Work:
         class_number(classifier, target, "--target")
 
     def work(views: Dataset, splat: GaussianScene | None, on_step: OnStep) -> Outcome:
-        from attacks.poisons.classified import move
+        from attacks.poisons.judged import move
         from attacks.poisons.mifgsm import MIFGSM
         from mi_splat.rendering import Renderer, RenderSettings
         from mi_splat.selection.select import SEEN

@@ -19,9 +19,9 @@ from attacks.cloak.mesh_scene import camera_number
 from attacks.cloak.poisoning import poison
 from attacks.cloak.setup import SET, SceneJob, renderer_of
 from attacks.poisons.base import MANIFEST, OnStep, PicturePoison, Poisoned, poisoned
-from attacks.poisons.classified import checked_classifier
 from attacks.poisons.config import FilterConfig
 from attacks.poisons.defences import filtered
+from attacks.poisons.judged import checked_classifier
 from attacks.poisons.poison_splat import Decoy
 from attacks.poisons.specs import POISONS, ChosenPoison, Given, PoisonSpec
 from attacks.poisons.writing import difference_sheet, write_poisoned

@@ -28,9 +28,8 @@ from attacks.cloak.steps import POISONED_KIND, Look, StudySteps
 from attacks.observe.observations import camera_cells
 from attacks.observe.rates import reported
 from attacks.observe.rows import ATTACKED, CLEAN, DETECTIONS, FIDELITY, ROWS, by_camera, frame_of
-from attacks.poisons.classified import ClassifiedConfig
 from attacks.poisons.config import FilterConfig, FrequencyPruningConfig
-from attacks.poisons.measured import CENTRES, COUNT, SPEED, MeasuredConfig
+from attacks.poisons.judged import CENTRES, COUNT, SPEED, ClassifiedConfig, MeasuredConfig
 from attacks.poisons.poisoned import CLOAK, SHEET, PoisonedConfig
 from attacks.poisons.specs import ChosenPoison
 from attacks.studies.poison_figures import figures, summary_tables
@@ -47,8 +46,8 @@ from mi_splat.ledger import Done, Job, Part
 from mi_splat.ledger.plans import Result
 from mi_splat.training.resume import SPLAT
 
-CLASSIFIED = "attacks.poisons.classified"
-"""Kind of the jobs in which a classifier looks."""
+JUDGED = "attacks.poisons.judged"
+"""Kind of the jobs in which a classifier looks, or a splat is measured."""
 DEFENDED = "defended"
 """Condition of rows of a splat whose victim defends itself."""
 TRAINING, HELD_OUT, PHOTOGRAPH = "training cameras", "held-out cameras", "photograph"
@@ -258,7 +257,7 @@ class PoisonAttempt(Attempt):
         cells = {**self.steps.splat_job(), **self._classifier_cells(name)}
         cameras = self.cameras(condition) if what == "splat" else ()
         config = ClassifiedConfig(**cells, poses=tuple(map(Pose.of, cameras)))
-        return Job(kind=CLASSIFIED, config=config, inputs={what: shown.part(part)})
+        return Job(kind=JUDGED, config=config, inputs={what: shown.part(part)})
 
     def _detected(self, name: str, shown: Job, condition: str) -> Job:
         """What a detector reports, which has to know the object's class."""
@@ -301,7 +300,7 @@ class PoisonAttempt(Attempt):
         config = MeasuredConfig(**self.steps.splat_job(), poses=poses, device=device)
         inputs = {"splat": finished.part(SPLAT), "pictures": true.part("*.png")}
         label = f"measuring the {splat} splat{', defended' * defended}"
-        job = self._made(label, Job(kind="attacks.poisons.measured", config=config, inputs=inputs))
+        job = self._made(label, Job(kind=JUDGED, config=config, inputs=inputs))
         looks = list(self._looks(splat, finished, defended=defended))
         return TrainedVictim(splat=splat, defended=defended, trained=trained, measured=job, looks=looks)
 
@@ -369,7 +368,7 @@ def _rows(
 
 def _seen(attempt: PoisonAttempt, look: Look, done: Done) -> Iterable[Mapping[str, Any]]:
     """What was seen, picture by picture; a success is an object that is misread, or reported with less confidence."""
-    if look.job.kind == CLASSIFIED:
+    if look.job.kind == JUDGED:
         cells = [_camera_cells(camera, attempt.steps.setup.centre) for camera in attempt.cameras(look.condition)]
         return [{**row, **cells[row["view"]]} for row in done.rows]
     missed = ~reported("original_score", attempt.options.evaluation.confidence)
