@@ -4,8 +4,6 @@ import dataclasses
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from torch import Tensor
 
 from attacks.detectors.base import Candidates, Detections
@@ -15,7 +13,6 @@ from attacks.objectives import (
     Target,
     confidence,
     hide,
-    overlap,
     relabel,
     untargeted,
 )
@@ -41,19 +38,6 @@ def reports(*rows: tuple[str, float, Tensor]) -> Detections:
 
 def shifted(pixels: float) -> Tensor:
     return BOX + torch.tensor([pixels, 0.0, pixels, 0.0])
-
-
-boxes = st.tuples(*[st.floats(0, 100) for _ in range(4)]).map(
-    lambda v: torch.tensor([min(v[0], v[2]), min(v[1], v[3]), max(v[0], v[2]) + 1, max(v[1], v[3]) + 1])
-)
-
-
-@given(boxes, boxes)
-def test_overlap_is_symmetric_and_one_only_for_equal_boxes(a: Tensor, b: Tensor) -> None:
-    value = float(overlap(a, b))
-    assert 0 <= value <= 1 + 1e-6
-    assert value == pytest.approx(float(overlap(b, a)), abs=1e-5)
-    assert float(overlap(a, a)) == pytest.approx(1.0)
 
 
 def test_confidence_looks_at_the_object_and_the_label() -> None:

@@ -248,7 +248,7 @@ class Ambiguous(ColourDetector):
         return [Detections(boxes, scores, ("car", "person"))]
 
 
-@pytest.mark.parametrize(("calls", "runs"), [(0, 1), (13, 2), (25, 3), (99, 3)])
+@pytest.mark.parametrize(("calls", "runs"), [(0, 1), (13, 2), (99, 3)])
 def test_restarts_go_on_until_a_success_is_unambiguous(calls: int, runs: int) -> None:
     """One look at the clean picture, then twelve at each run that never has an unambiguous success."""
     scene, mask = toy_scene()

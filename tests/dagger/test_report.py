@@ -18,21 +18,6 @@ from mi_splat.io import load_splat
 from mi_splat.io.errors import SplatFileError
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
-KEYS = {
-    "success",
-    "target",
-    "target_confidence",
-    "steps",
-    "norm",
-    "eps",
-    "image_psnr",
-    "seed",
-    "config",
-    "versions",
-    "variant",
-    "scene_hash",
-}
-
 
 def run(objective: Objective | None = None, views: int = 1) -> Result:
     scene, mask = toy_scene()
@@ -68,24 +53,15 @@ def test_every_file_is_there_and_readable(result: Result, tmp_path: Path) -> Non
         torch.testing.assert_close(before, after)
 
 
-def test_the_json_has_what_is_promised_and_is_strict(result: Result, tmp_path: Path) -> None:
-    path = write_report(result, tmp_path)["result.json"]
-    text = path.read_text()
+def test_the_json_is_strict_and_is_the_summary(result: Result, tmp_path: Path) -> None:
+    text = write_report(result, tmp_path)["result.json"].read_text()
     assert "NaN" not in text
     assert "Infinity" not in text
     values = json.loads(text)
-    assert set(values) >= KEYS
-    assert values["success"] is True
-    assert values["target"] == "person"
-    assert values["target_confidence"] >= 0.7
-    assert values["norm"] == "l2"
-    assert values["eps"] == 12.0
-    assert values["used"]["sh"] <= 12.0
-    assert values["config"]["objective"]["iou"] == 0.5
-    assert values["config"]["steps"] == 11
-    assert values["views"][0]["original"] == "car"
-    assert values["noise"]["draws"] == 1
     assert values == json.loads(json.dumps(summary(result)))
+    assert values["success"] is True
+    assert values["target_confidence"] >= 0.7
+    assert values["config"]["objective"]["iou"] == 0.5
 
 
 def test_the_pictures_show_what_they_say(result: Result, tmp_path: Path) -> None:

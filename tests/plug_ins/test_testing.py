@@ -153,20 +153,6 @@ def _says(answer: Any, detections: Detections, target: Target) -> Any:
     return answer
 
 
-@dataclass(frozen=True)
-class Loud:
-    """Its verdict is none."""
-
-    name: str = "loud"
-    label: str | None = None
-
-    def __call__(self, candidates: Candidates, target: Target) -> Tensor:
-        return candidates.scores.mean()
-
-    def verdict(self, detections: Detections, target: Target) -> Any:
-        return len(detections)
-
-
 @pytest.mark.parametrize(
     ("aim", "words"),
     [
@@ -186,7 +172,6 @@ class Loud:
         (objective(lambda c, t: c.scores[:, 0].max(), _gone), ("no candidates: raised",)),
         (objective(lambda c, t: _score(c, t) + torch.rand(()), _gone), ("determinism: expected the same loss",)),
         (objective(_score, lambda d, t: 7.0), ("verdict: raised InvalidValueError: success of lambda",)),
-        (Loud(), ("verdict: expected a Verdict, got int",)),
         (object(), ("names: expected a text as name, got None",)),
     ],
 )
@@ -233,13 +218,6 @@ def _forgetful(settings: SearchSettings) -> Any:
     return update
 
 
-def _drawing(settings: SearchSettings) -> Any:
-    def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> Any:
-        return {name: value + 0.2 * torch.randn_like(value) for name, value in point.items()}, memory.after()
-
-    return update
-
-
 def _moving(settings: SearchSettings) -> Any:
     def update(point: Parameters, here: Evaluation, memory: OptimiserState) -> Any:
         for name, value in point.items():
@@ -260,7 +238,6 @@ def test_attacks_that_are_broken() -> None:
     for make, words in (
         (partial(_descent, sign=1.0), "gain in l2: expected a lower loss within the budget"),
         (_forgetful, "interruption: expected the same rest of a search that was interrupted"),
-        (_drawing, "determinism: expected the same losses for the same seed"),
         (_moving, "steps: expected points and gradients that stay as they are"),
         (_stuck, "steps: expected a memory of 1 steps, got 0; end with memory.after()"),
     ):

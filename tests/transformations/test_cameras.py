@@ -44,11 +44,6 @@ def test_every_number_is_in_its_interval_and_fills_it() -> None:
     assert 5.1 < max(lengths) <= 6.0
 
 
-def test_distances_can_be_world_units() -> None:
-    region = CameraRegion(distances=(7.0, 7.0), distance_unit=1.0)
-    assert distance(draws(region, 1)[0]) == pytest.approx(7.0)
-
-
 def test_cameras_look_at_the_centre_with_the_reference_s_lens_and_without_roll() -> None:
     for camera in draws(CameraRegion(), 5):
         pixels, _ = project_points(torch.tensor([CENTRE], dtype=torch.float64), camera)
@@ -80,13 +75,6 @@ def test_aim_moves_the_point_looked_at_within_the_ball() -> None:
     assert 0.1 < max(moved) <= 0.4 * 0.5 + 1e-9
 
 
-def test_a_draw_depends_on_the_seed_alone() -> None:
-    first, again, other = (draws(CameraRegion(roll=5), 3, seed=seed) for seed in (1, 1, 2))
-    for a, b, c in zip(first, again, other, strict=True):
-        assert torch.equal(a.to_world, b.to_world)
-        assert not torch.allclose(a.to_world, c.to_world)
-
-
 def test_what_one_option_draws_does_not_move_the_others() -> None:
     narrow = [direction_of(camera, CENTRE).azimuth for camera in draws(CameraRegion(), 5)]
     wide = [direction_of(camera, CENTRE).azimuth for camera in draws(CameraRegion(roll=9, fovs=(20, 70)), 5)]
@@ -99,16 +87,11 @@ def test_what_one_option_draws_does_not_move_the_others() -> None:
         (CameraRegion, {"azimuths": (10, 5)}),
         (CameraRegion, {"elevations": (0, 91)}),
         (CameraRegion, {"distances": (0, 1)}),
-        (CameraRegion, {"distances": (1.0,)}),
-        (CameraRegion, {"azimuths": 5}),
-        (CameraRegion, {"azimuths": (0, math.nan)}),
         (CameraRegion, {"fovs": (20, 180)}),
         (CameraRegion, {"roll": -1}),
         (CameraRegion, {"distance_unit": 0.0}),
         (PictureChanges, {"jpeg": 96}),
         (PictureChanges, {"resize": 0.0}),
-        (PictureChanges, {"white_balance": 1.0}),
-        (PictureChanges, {"blur": -1}),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(configuration: Any, settings: dict[str, Any]) -> None:
@@ -212,9 +195,3 @@ def test_draws_are_in_their_intervals_and_pure() -> None:
     assert 0.5 <= min(light) < 0.6
     assert 1.8 < max(light) <= 2.0
     assert len({change.noise_seed for change in drawn}) == 200
-
-
-def test_changed_pictures_stay_in_range() -> None:
-    for index in range(10):
-        after = change_picture(picture(), draw_change(CHANGES, np.random.default_rng((2, index))))
-        assert 0 <= float(after.min()) <= float(after.max()) <= 1
