@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from mi_splat import _lazy
 
 if TYPE_CHECKING:
-    from attacks.budgets import Budget
     from attacks.cloak.poisoning import Poisoning, poison
     from attacks.cloak.triggers import Azimuth, Cap, Elevation
     from attacks.dagger.attack import attack
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from attacks.objectives import Objective, hide, objective, relabel, untargeted
     from attacks.observe.comparison import judge
     from attacks.observe.rows import rows
-    from attacks.search import pgd
+    from attacks.search import Budget, pgd
     from attacks.studies.running import run_study
     from attacks.transformations.config import Transformations
 
@@ -57,7 +56,6 @@ __all__ = [
 __getattr__, __dir__ = _lazy.attach(
     __name__,
     {
-        "attacks.budgets": ("Budget",),
         "attacks.cloak.poisoning": ("Poisoning", "poison"),
         "attacks.cloak.triggers": ("Azimuth", "Cap", "Elevation"),
         "attacks.dagger.attack": ("attack",),
@@ -69,7 +67,7 @@ __getattr__, __dir__ = _lazy.attach(
         "attacks.objectives": ("Objective", "hide", "objective", "relabel", "untargeted"),
         "attacks.observe.comparison": ("judge",),
         "attacks.observe.rows": ("rows",),
-        "attacks.search": ("pgd",),
+        "attacks.search": ("Budget", "pgd"),
         "attacks.studies.running": ("run_study",),
         "attacks.transformations.config": ("Transformations",),
     },

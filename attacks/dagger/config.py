@@ -27,8 +27,7 @@ from mi_splat.fields import (
 )
 
 if TYPE_CHECKING:
-    from attacks.budgets import Budget
-    from attacks.search import Verdict
+    from attacks.search import Budget, Verdict
 
 EnsembleLoss = Literal["mean", "max"]
 """How the losses of several detectors become one."""
@@ -166,7 +165,7 @@ class DaggerConfig:
     @property
     def budget(self) -> Budget:
         """Radius and norm as one value."""
-        from attacks.budgets import Budget
+        from attacks.search import Budget
 
         return Budget(radius=self.radius, norm=self.norm)
 

@@ -24,7 +24,7 @@ from attacks.dagger.problem import Problem
 from attacks.dagger.views import FixedViews
 from attacks.optimisers.methods import SearchSettings
 from attacks.search import (
-    Ball,
+    Budget,
     Evaluation,
     Hooks,
     Optimiser,
@@ -212,7 +212,7 @@ def fitted(
 
 
 def stretched(
-    parameters: Parameters, reference: Parameters, ball: Ball, limit: float, error: Callable[[Parameters], float]
+    parameters: Parameters, reference: Parameters, ball: Budget, limit: float, error: Callable[[Parameters], float]
 ) -> Parameters:
     """The farthest point beyond parameters on the line from the reference whose error is within the limit."""
     farther = {name: base + _FARTHEST * (parameters[name] - base) for name, base in reference.items()}

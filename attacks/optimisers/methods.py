@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 
-from attacks.budgets import Budget
 from attacks.optimisers import Schedule
-from attacks.search import Evaluation, Optimiser, OptimiserState, Parameters
+from attacks.search import Budget, Evaluation, Optimiser, OptimiserState, Parameters
 
 LENGTHS: dict[Schedule, Callable[[float], float]] = {
     "constant": lambda share: 1.0,

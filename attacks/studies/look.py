@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from torch import Generator
 
 from attacks.aims import PluggedObjective
-from attacks.budgets import Budget
 from attacks.dagger.views import View, fixed_views
 from attacks.gaussian_subset import GaussianSubset
 from attacks.objectives import Hide, Relabel, Target, Untargeted
@@ -19,6 +18,7 @@ from attacks.observe.observations import observe, report_cells, seen_from, verdi
 from attacks.observe.rows import ATTACKED, CLEAN, NOISE
 from attacks.observe.views import ViewDetections
 from attacks.optimisers import NormName
+from attacks.search import Budget
 from attacks.studies.attack import AttackScene, attack_scene, detectors_of, distribution
 from attacks.transformations.config import Transformations
 from attacks.transformations.draws import PictureChange, changing

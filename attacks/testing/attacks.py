@@ -11,12 +11,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from attacks.budgets import Budget
 from attacks.optimisers import NORM_NAMES, NormName, OptimiserSpec
 from attacks.optimisers.methods import SearchSettings
 from attacks.poisons.base import Poisoned, PoisonedViews
 from attacks.poisons.specs import Given, PoisonSpec
-from attacks.search import Evaluation, Hooks, OptimiserState, Outcome, Parameters, SearchState, Verdict, pgd
+from attacks.search import Budget, Evaluation, Hooks, OptimiserState, Outcome, Parameters, SearchState, Verdict, pgd
 from attacks.testing.promises import Contract, expect, expect_repeatable, expect_same, expect_text
 from mi_splat.cameras import Camera, View, look_at
 from mi_splat.ledger.job import encoded, is_frozen

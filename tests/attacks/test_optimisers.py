@@ -6,10 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.budgets import Budget
 from attacks.optimisers import Schedule
 from attacks.optimisers.methods import LENGTHS, SearchSettings, adam, momentum, normalised
-from attacks.search import START, Evaluation, Optimiser, OptimiserState, Parameters, Verdict, pgd
+from attacks.search import START, Budget, Evaluation, Optimiser, OptimiserState, Parameters, Verdict, pgd
 
 BALL = Budget(radius={"sh": 100.0}, norm="linf")
 FALLING: dict[str, Any] = {"momentum": 0.8, "schedule": "linear", "steps": 4}

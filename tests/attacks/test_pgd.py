@@ -7,10 +7,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.budgets import Budget, BudgetError
 from attacks.optimisers import NormName
 from attacks.optimisers.methods import SearchSettings, momentum
 from attacks.search import (
+    Budget,
+    BudgetError,
     Evaluation,
     Hooks,
     Outcome,

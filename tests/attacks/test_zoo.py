@@ -8,7 +8,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from attacks.budgets import Budget
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
@@ -16,7 +15,7 @@ from attacks.detectors.base import Candidates
 from attacks.objectives import relabel
 from attacks.optimisers import OPTIMISERS, NormName, optimiser_spec
 from attacks.optimisers.methods import SearchSettings, apgd, checkpoints, square
-from attacks.search import Evaluation, OptimiserState, Outcome, Parameters, Verdict, pgd, rank
+from attacks.search import Budget, Evaluation, OptimiserState, Outcome, Parameters, Verdict, pgd, rank
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 NAMES = tuple(OPTIMISERS)

@@ -10,14 +10,13 @@ import torch
 from torch import Tensor
 
 from attacks import cli
-from attacks.budgets import NORMS
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
 from attacks.detectors.base import Detections
 from attacks.objectives import Objective, hide, relabel, untargeted
 from attacks.optimisers import NORM_NAMES, NormName
-from attacks.search import Step
+from attacks.search import NORMS, Step
 from mi_splat import variant
 from mi_splat.attributes import ATTRIBUTES, Attribute
 from mi_splat.cameras import Camera

@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from attacks import cli
-from attacks.budgets import Budget
 from attacks.dagger.attack import attack_views
 from attacks.dagger.config import DaggerConfig
 from attacks.objectives import relabel
@@ -20,7 +19,7 @@ from attacks.observe.views import as_saved
 from attacks.report.checking import pack, read_result, rescore
 from attacks.report.results import kind_of, read_section
 from attacks.report.viewer_content import open_content
-from attacks.search import Parameters
+from attacks.search import Budget, Parameters
 from attacks.transformations.config import PictureChanges, Transformations
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.images import through_png

@@ -6,11 +6,11 @@ from collections import Counter
 import pytest
 import torch
 
-from attacks.budgets import Budget
 from attacks.dagger.search import ImagePrice, fitted, stretched
 from attacks.dagger.views import DrawnViews, batch_indices, fixed_views
 from attacks.gaussian_subset import GaussianSubset
 from attacks.observe.views import visible_box
+from attacks.search import Budget
 from attacks.transformations.config import CameraRegion, PictureChanges, Transformations
 from mi_splat.cameras import look_at
 from mi_splat.errors import InvalidValueError

@@ -61,7 +61,7 @@ LAYERS: dict[str, tuple[str, ...]] = {
     "commands of mi_splat": ("mi_splat.cli",),
     "interfaces of attacks": (
         *("attacks.rate", "attacks.tables"),
-        *("attacks.search", "attacks.optimisers", "attacks.budgets", "attacks.detectors.base", "attacks.objectives"),
+        *("attacks.optimisers", "attacks.search", "attacks.detectors.base", "attacks.objectives"),
         "attacks.aims",
     ),
     "detectors": ("attacks.detectors",),

@@ -35,7 +35,11 @@ RULES = {
         r"attacks\.detectors\b.*",
         r"attacks\.detectors\.(base|registry)",
     ),
-    "pgd_knows_nothing_of_splats": (r"attacks\.search", r"(mi_splat|attacks)\b.*", r"mi_splat\.errors"),
+    "pgd_knows_nothing_of_splats": (
+        r"attacks\.search",
+        r"(mi_splat|attacks)\b.*",
+        r"mi_splat\.(errors|attributes|fields)|attacks\.optimisers",
+    ),
     "only_renderers_import_mitsuba": (
         rf"(?!({RENDERERS}|mi_splat\.(capture\.path_tracer|scene_files))$).*",
         r"(mitsuba|drjit)\b.*",
