@@ -121,6 +121,14 @@ class Killing:
             self._running[name] = process
         return process
 
+    def keep_cluster(self, port: int, patience: int) -> str:
+        """A scheduler of Dask with two workers; its address."""
+        address, quiet = f"tcp://127.0.0.1:{port}", "--no-dashboard"
+        self.keep("scheduler", *QUIET, "distributed.cli.dask_scheduler", "--port", str(port), quiet)
+        words = [address, "--nworkers", "2", "--nthreads", "1", "--death-timeout", str(patience), quiet]
+        self.keep("worker", *QUIET, "distributed.cli.dask_worker", *words)
+        return address
+
     def kill(self) -> None:
         """Kill a process that was started here, or one that such a process has started."""
         targets = []
@@ -138,7 +146,7 @@ class Killing:
         """Some time, up to twice as long as is said."""
         time.sleep(self._random.uniform(0, 2 * seconds))
 
-    def end(self) -> None:
+    def close(self) -> None:
         """Kill all, and those that they have started."""
         for process in self._running.values():
             left = [*children_of(process.pid), process.pid] if process.poll() is None else []
@@ -146,15 +154,6 @@ class Killing:
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(number, signal.SIGKILL)
             process.wait()
-
-
-@contextlib.contextmanager
-def killing(seed: int) -> Iterator[Killing]:
-    processes = Killing(seed)
-    try:
-        yield processes
-    finally:
-        processes.end()
 
 
 def free_port() -> int:
@@ -166,15 +165,9 @@ def free_port() -> int:
 def run_killed(folder: Path, count: int, kills: int, *, seed: int, dask: bool, every: float) -> Killing:
     """Do a plan with a driver that is started again until all is done, and kill something every now and then."""
     port = free_port()
-    address = f"tcp://127.0.0.1:{port}"
-    with killing(seed) as processes:
+    with contextlib.closing(Killing(seed)) as processes:
         while True:
-            if dask:
-                quiet = ["--no-dashboard"]
-                processes.keep("scheduler", *QUIET, "distributed.cli.dask_scheduler", "--port", str(port), *quiet)
-                words = [address, "--nworkers", "2", "--nthreads", "1", "--death-timeout", "5", *quiet]
-                processes.keep("worker", *QUIET, "distributed.cli.dask_worker", *words)
-            engine = address if dask else "2"
+            engine = processes.keep_cluster(port, 5) if dask else "2"
             driver = processes.keep("driver", "-m", "tests.ledger.drive", str(folder), str(count), engine, "0.02")
             processes.wait(every)
             if driver.poll() == 0:
@@ -215,14 +208,8 @@ def check(folder: Path, count: int, processes: Killing, least: int) -> None:
 @pytest.fixture(scope="module")
 def scheduler() -> Iterator[str]:
     """Address of a scheduler with two workers."""
-    with killing(0) as processes:
-        port = free_port()
-        quiet = ["--no-dashboard"]
-        processes.keep("scheduler", *QUIET, "distributed.cli.dask_scheduler", "--port", str(port), *quiet)
-        address = f"tcp://127.0.0.1:{port}"
-        words = [address, "--nworkers", "2", "--nthreads", "1", *quiet]
-        processes.keep("worker", *QUIET, "distributed.cli.dask_worker", *words)
-        yield address
+    with contextlib.closing(Killing(0)) as processes:
+        yield processes.keep_cluster(free_port(), 300)
 
 
 @DASK
