@@ -11,7 +11,6 @@ import pytest
 
 from attacks import cli
 from attacks.cloak.study import forecast, study_toml
-from attacks.detectors import registry
 from attacks.observe.rows import read_rows
 from attacks.report.checking import check_detections, read_result
 from attacks.report.kinds import cloak
@@ -19,7 +18,7 @@ from attacks.report.results import read_section
 from attacks.studies.cloak import CloakWork, tables
 from attacks.studies.study_file import read_study as read_file
 from mi_splat.ledger import Store
-from tests.cloak.tiny_study import KNOWN, STUDY
+from tests.cloak.tiny_study import STUDY, known
 from tests.project.layers import ROOT
 from tests.report.results import cloak_record, rate
 
@@ -47,7 +46,7 @@ def test_the_disk_has_room_for_all_points(
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=3.9e6 * one))
     folder, before = tiny.parent, sorted(tiny.parent.iterdir())
     words = ["study", "run", str(tiny), "--store", str(folder / "store"), "--out", str(folder / "out")]
-    with patch.dict(registry.DETECTORS.own, KNOWN):
+    with known():
         assert cli.main(words) == 1
         assert sorted(folder.iterdir()) == before
         error = capsys.readouterr().err
@@ -72,7 +71,7 @@ def test_points_share_what_they_can_and_take_every_seed(tmp_path: Path) -> None:
     )
     out, store = tmp_path / "out", tmp_path / "store"
     words = ["study", "run", str(file), "--store", str(store), "--out", str(out), "--workers", "0"]
-    with patch.dict(registry.DETECTORS.own, KNOWN):
+    with known():
         assert cli.main(words) == 0
         with patch.object(shutil, "disk_usage", lambda path: SimpleNamespace(free=0)):
             CloakWork(read_file(file)).check_room(store)  # what is done wants none
