@@ -20,7 +20,7 @@ from torch.nn import functional
 
 from attacks.cloak.config import LayerConfig, LayersConfig
 from attacks.cloak.kinds.trained import train_into
-from attacks.cloak.setup import SET, SceneJob, Setup, renderer_of
+from attacks.cloak.setup import SET, Setup
 from attacks.cloak.triggers import Trigger
 from mi_splat.assets.mesh import Asset
 from mi_splat.attributes import ATTRIBUTES
@@ -47,7 +47,7 @@ VARIES = (METRICS,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LayeredConfig(SceneJob):
+class LayeredConfig(Setup):
     """How the layers are made and trained; the attacks are those that have one."""
 
     layers: LayersConfig
@@ -78,10 +78,10 @@ def layered_fit_config(layers: LayersConfig) -> FitConfig:
 
 def run(config: LayeredConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Make the layers, and train them or go on with what an interrupted training left."""
-    setup, layers, background = config.setup(inputs), config.layers, config.scene.background
+    setup, layers, background = config.with_mesh(inputs), config.layers, config.scene.background
     fit = layered_fit_config(layers)
     views = load_dataset(inputs["pictures"] / SET, split="train", background=background)
-    render = renderer_of(background, config.near, fit=fit)
+    render = setup.renderer(fit)
     out.progress("making the layers", 0, 1)
     layering = layer_object(setup, layers, load_splat(inputs["clean"]), views, render=render)
     train_into(out, layering.views, layering.scene, layering.rendered_by(render), fit, seed=config.seed)

@@ -36,30 +36,6 @@ SET, MESH = "set", "mesh"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SceneJob:
-    """A job that knows the scene."""
-
-    scene: SceneConfig
-    cameras: CameraConfig
-    content: str  # digest of meshes and light (`CaptureSource.digest`)
-    attacks: tuple[AttackConfig, ...] = ()
-    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
-    near: float | None = None  # near plane of pictures of splats; None where there are none
-    seed: int = 0
-
-    def setup(self, inputs: Mapping[str, Path]) -> Setup:
-        """Meshes and cameras, of the mesh file if the job has one as an input."""
-        scene = replace(self.scene, object=str(inputs[MESH])) if MESH in inputs else self.scene
-        return Setup(
-            scene=scene,
-            cameras=self.cameras,
-            attacks=self.attacks,
-            evaluation=self.evaluation,
-            near_plane=self.near,
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class SplatJob:
     """A job that trains or renders a splat, and knows nothing of the scene but its pictures."""
 
@@ -69,18 +45,10 @@ class SplatJob:
 
     def renderer(self, fit: FitConfig | None = None) -> Renderer:
         """What renders the splat; that of a training if its settings are given."""
-        return renderer_of(self.background, self.near, fit=fit, device=self.device)
-
-
-def renderer_of(
-    background: tuple[float, float, float], near: float | None, *, fit: FitConfig | None = None, device: str = "cpu"
-) -> Renderer:
-    """What renders the splats of a study; that of a training if its settings are given."""
-    gradients = fit is not None and fit.strategy.needs_screen_gradients
-    variant = "cuda_ad_rgb" if device == "cuda" else ""
-    assert near is not None
-    settings = RenderSettings(background=background, near=near, variant=variant)
-    return Renderer(settings, screen_gradients=ScreenGradients() if gradients else None)
+        gradients = fit is not None and fit.strategy.needs_screen_gradients
+        variant = "cuda_ad_rgb" if self.device == "cuda" else ""
+        settings = RenderSettings(background=self.background, near=self.near, variant=variant)
+        return Renderer(settings, screen_gradients=ScreenGradients() if gradients else None)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,15 +98,17 @@ def _tiers(centre: Point, **placed: Any) -> tuple[Camera, ...]:
     return tuple(tiers(centre, **placed))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Setup:
-    """Meshes and cameras of a scene under attack; each is made once, when it is asked for."""
+    """Meshes and cameras of a scene under attack, each made once; jobs that know the scene begin with it."""
 
     scene: SceneConfig
     cameras: CameraConfig
     attacks: tuple[AttackConfig, ...] = ()
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
     near_plane: float | None = None  # near plane of all pictures of splats, world units; None follows the object's size
+    content: str = ""  # digest of meshes and light, of a job
+    seed: int = 0
 
     @classmethod
     def of(cls, study: StudyConfig) -> Setup:
@@ -150,6 +120,14 @@ class Setup:
             evaluation=study.evaluation,
             near_plane=study.training.near,
         )
+
+    def with_mesh(self, inputs: Mapping[str, Path]) -> Setup:
+        """The same of the mesh file that a job has as an input, if it has one."""
+        return replace(self, scene=replace(self.scene, object=str(inputs[MESH]))) if MESH in inputs else self
+
+    def renderer(self, fit: FitConfig | None = None) -> Renderer:
+        """What splats are looked at with; that of a training if its settings are given."""
+        return SplatJob(background=self.scene.background, near=self.near).renderer(fit)
 
     @property
     def centre(self) -> tuple[float, float, float]:

@@ -17,7 +17,7 @@ from attacks.cloak.kinds.seen import WEIGHTS, SeenConfig
 from attacks.cloak.kinds.trained import TrainedConfig
 from attacks.cloak.layers import LayeredConfig
 from attacks.cloak.rates import CLOAKED
-from attacks.cloak.setup import MESH, SET, Pose, SceneJob, Setup, renderer_of
+from attacks.cloak.setup import MESH, SET, Pose, Setup
 from attacks.detectors.base import Detector
 from attacks.observe.conditions import SunTable, package_of
 from attacks.observe.rows import ATTACKED, CLEAN, PERFECT, POISONED, SUFFIX, TABLES, TRUE, read_rows
@@ -69,7 +69,7 @@ class StudySteps:
 
     def renderer(self) -> Renderer:
         """What splats are looked at with."""
-        return renderer_of(self.study.scene.background, self.setup.near)
+        return self.setup.renderer()
 
     def pictures(self) -> Job:
         """The victim's pictures of the scene."""
@@ -96,9 +96,8 @@ class StudySteps:
         parts = self._parts(attacks=tuple(map(_shown, attacks)))
         if attacks and not inputs:
             inputs = {"plain": self._pictured(cameras, ()).part("*.png")}
-        return self._job(
-            "pictures", PicturesConfig(**parts, poses=tuple(map(Pose.of, cameras)), inside=inside), **inputs
-        )
+        config = PicturesConfig(**parts, poses=tuple(map(Pose.of, cameras)), inside=inside)
+        return self._job("pictures", config, **inputs)
 
     def poisoned(self, seed: int, surrogates: int | None = None) -> Job:
         """A poisoned set, corrected by so many surrogates; None: by as many as the study asks for."""
@@ -107,7 +106,7 @@ class StudySteps:
         attacks = [asdict(replace(attack, target_class=None)) for attack in study.attack]
         values: dict[str, Any] = {"scene": self.scene_job(), "seed": self._drawn(seed)}
         if config is not None and rounds:
-            values |= {"gain": config.gain, "near": self.setup.near}
+            values |= {"gain": config.gain, "scene": self.scene_job(near_plane=self.setup.near)}
         chosen = ChosenPoison(kind=CLOAK, settings={"attack": attacks})
         poison = PoisonedConfig(poison=chosen, background=study.scene.background, **values)
         earlier = {f"{SURROGATE}{n}": self.surrogate(seed, n).part(SPLAT) for n in range(1, rounds + 1)}
@@ -146,7 +145,7 @@ class StudySteps:
             return self.trained_on(poisoned, seed)
         shown = [attack for attack in self.study.attack if attack.name in layers.attacks]
         cones = tuple(replace(_cone(attack), target_class=None) for attack in shown)
-        config = LayeredConfig(**self._parts(attacks=cones), layers=layers, seed=seed, near=self.setup.near)
+        config = LayeredConfig(**self._parts(attacks=cones), layers=layers, seed=seed, near_plane=self.setup.near)
         inputs: dict[str, Part | Path] = {"clean": clean.part(SPLAT), "pictures": poisoned.part(PICTURES), **self.mesh}
         return Job(kind="attacks.cloak.layers", config=config, inputs=inputs)
 
@@ -199,7 +198,11 @@ class StudySteps:
         self, detector: Detector, regions: Iterable[AttackConfig], inputs: Mapping[str, Part | Path], **how: Any
     ) -> Job:
         """What a detector reports; the file of its weights is an input where they are not the usual ones."""
-        parts = {**self._parts(attacks=tuple(regions)), "label": self.study.scene.class_name, "near": self.setup.near}
+        parts = {
+            **self._parts(attacks=tuple(regions)),
+            "label": self.study.scene.class_name,
+            "near_plane": self.setup.near,
+        }
         config = SeenConfig(detector=detector.name, fingerprint=detector.fingerprint, **parts, **how)
         weights = {WEIGHTS: self.weights[detector.name]} if detector.name in self.weights else {}
         return self._job("seen", config, **inputs, **weights)
@@ -213,7 +216,7 @@ class StudySteps:
         study, setup, attack = self.study, self.setup, switching(self.study.attack)
         usual = {key: getattr(EvaluationConfig(), key) for key in ("detectors", "confidence", "true_pictures")}
         evaluation = replace(study.evaluation, **usual)
-        config = self.scene_job(attacks=tuple(map(_cone, study.attack)), near=setup.near, evaluation=evaluation)
+        config = self.scene_job(attacks=tuple(map(_cone, study.attack)), near_plane=setup.near, evaluation=evaluation)
         numbered = {"far": setup.reference_cameras, "edge": setup.edge_cameras}
         true = {name: self.true_pictures([camera for _, camera in cameras]) for name, cameras in numbered.items()}
         if attack is not None:
@@ -283,11 +286,11 @@ class StudySteps:
             given = replace(given, up=plain.up, scale=plain.scale, rotate=plain.rotate, front=plain.front)
         return {"scene": given, "cameras": self.study.cameras, "content": self.setup.digest, "attacks": attacks}
 
-    def scene_job(self, *, attacks: tuple[AttackConfig, ...] = (), **parts: Any) -> SceneJob:
+    def scene_job(self, *, attacks: tuple[AttackConfig, ...] = (), **parts: Any) -> Setup:
         """A job that knows the scene."""
-        return SceneJob(**self._parts(attacks=attacks), **parts)
+        return Setup(**self._parts(attacks=attacks), **parts)
 
-    def _job(self, kind: str, config: SceneJob, **inputs: Job | Part | Path) -> Job:
+    def _job(self, kind: str, config: Setup, **inputs: Job | Part | Path) -> Job:
         """A job that knows the scene, and reads its mesh file, too."""
         return Job(kind=f"{_KINDS}.{kind}", config=config, inputs={**inputs, **self.mesh})
 

@@ -17,7 +17,7 @@ from attacks.cloak.config import AttackConfig, TrainingConfig, fit_config
 from attacks.cloak.kinds.pictures import APPEARANCE, KeptAppearance
 from attacks.cloak.mesh_scene import camera_number
 from attacks.cloak.poisoning import poison
-from attacks.cloak.setup import SET, SceneJob, renderer_of
+from attacks.cloak.setup import SET, Setup
 from attacks.poisons.base import MANIFEST, OnStep, PicturePoison, Poisoned, poisoned
 from attacks.poisons.config import FilterConfig
 from attacks.poisons.defences import filtered
@@ -75,7 +75,7 @@ class PoisonedConfig:
     poison: ChosenPoison | FilterConfig
     background: tuple[float, float, float]  # sRGB behind the pictures
     seed: int = 0
-    scene: SceneJob | None = None
+    scene: Setup | None = None
     gain: float = 1.0
     near: float | None = None
     training: TrainingConfig | None = None
@@ -103,7 +103,7 @@ def run(config: PoisonedConfig, inputs: Mapping[str, Path], out: Out) -> None:
 
 
 def _given(config: PoisonedConfig, inputs: Mapping[str, Path]) -> Given:
-    setup = None if config.scene is None else config.scene.setup(inputs)
+    setup = None if config.scene is None else config.scene.with_mesh(inputs)
     decoy = classifier = masks = None
     if "splat" in inputs:
         assert config.near is not None
@@ -124,7 +124,7 @@ def _given(config: PoisonedConfig, inputs: Mapping[str, Path]) -> Given:
         label=config.label,
         setup=setup,
         appearances=inputs,
-        surrogates=[_kept_renders(splat, renderer_of(config.background, config.near)) for splat in splats],
+        surrogates=[_kept_renders(splat, setup.renderer()) for splat in splats] if setup is not None else (),
         gain=config.gain,
     )
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from attacks.cloak.appearances import grown
 from attacks.cloak.config import AttackConfig, switching
 from attacks.cloak.kinds.pictures import read_pictures
-from attacks.cloak.setup import SceneJob, Setup, renderer_of
+from attacks.cloak.setup import Setup
 from attacks.observe.rows import DEPTH, FIDELITY, SUFFIX, TRANSITION, Row, frame_with, write_rows
 from mi_splat.cameras import Camera
 from mi_splat.directions import direction_of
@@ -31,14 +31,14 @@ FIDELITY_COLUMNS = ("view", "elevation", "psnr", "ssim", "object_psnr")
 TRANSITION_COLUMNS = ("meridian", "elevation", "surroundings_psnr", "appearance_psnr", "fraction")
 
 
-def run(config: SceneJob, inputs: Mapping[str, Path], out: Out) -> None:
+def run(config: Setup, inputs: Mapping[str, Path], out: Out) -> None:
     """Compare the `splat` with true pictures, and on arcs with `benign` and `hidden` ones; write two tables.
 
     Of the true pictures, `far` are far outside of all triggers. Those of `edge` are outside beside one, and give a
     PSNR on the object, too.
     """
-    setup, scene = config.setup(inputs), load_splat(inputs["splat"])
-    render = renderer_of(config.scene.background, config.near)
+    setup, scene = config.with_mesh(inputs), load_splat(inputs["splat"])
+    render = setup.renderer()
 
     def picture(camera: Camera) -> Tensor:
         with torch.no_grad():

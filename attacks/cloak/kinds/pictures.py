@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from attacks.cloak.mesh_scene import camera_number
-from attacks.cloak.setup import SET, Pose, SceneJob
+from attacks.cloak.setup import SET, Pose, Setup
 from mi_splat.cameras import Camera, View
 from mi_splat.capture.path_tracer import tracing_variant
 from mi_splat.capture.settings import CaptureSettings
@@ -33,7 +33,7 @@ APPEARANCE = "appearance of "
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PicturesConfig(SceneJob):
+class PicturesConfig(Setup):
     """From where; the object has the appearance of the first attack, or of the first whose trigger holds the camera."""
 
     poses: tuple[Pose, ...] | None = None  # None are the victim's cameras, whose pictures are a set
@@ -53,7 +53,7 @@ def run(config: PicturesConfig, inputs: Mapping[str, Path], out: Out) -> None:
 
     A set is transparent where nothing is, so that the background has no part in it.
     """
-    setup = config.setup(inputs)
+    setup = config.with_mesh(inputs)
     mesh_scene = setup.mesh_scene
     if config.poses is None:
         settings = CaptureSettings(samples=setup.cameras.samples, rgba=True, points=setup.cameras.points)

@@ -17,7 +17,7 @@ from torch import Tensor
 from attacks.cloak.config import AttackConfig, LayersConfig
 from attacks.cloak.kinds.pictures import APPEARANCE, KeptAppearance, read_pictures
 from attacks.cloak.layers import object_rows
-from attacks.cloak.setup import SET, SceneJob, Setup, renderer_of
+from attacks.cloak.setup import SET, Setup
 from attacks.cloak.triggers import Trigger
 from attacks.detectors.base import Detector
 from attacks.detectors.registry import load_detector
@@ -56,7 +56,7 @@ WEIGHTS = "weights"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SeenConfig(SceneJob):
+class SeenConfig(Setup):
     """Which detector judges which splat or pictures, under which condition, from which cameras."""
 
     label: str
@@ -72,7 +72,7 @@ class SeenConfig(SceneJob):
 
 def run(config: SeenConfig, inputs: Mapping[str, Path], out: Out) -> None:
     """Write a row for each camera, and for each detection of held-out ones, of a `splat`, `pictures` or a `set`."""
-    setup = config.setup(inputs)
+    setup = config.with_mesh(inputs)
     detector, done = checked_detector(config, inputs), itertools.count(1)
 
     def cells(seen: ViewDetections, total: int) -> dict[str, Cell]:
@@ -122,7 +122,7 @@ def _training(
     cameras, owners = setup.training_cameras, setup.owners(config.seed)
     chosen, errors = list(range(len(cameras))), dict[int, float | None]()
     if "splat" in inputs:
-        splat, render = load_splat(inputs["splat"]), renderer_of(config.scene.background, config.near)
+        splat, render = load_splat(inputs["splat"]), setup.renderer()
         condition = rendered("", render)
     else:
         views = load_dataset(inputs["set"] / SET, split="train", background=config.scene.background)
@@ -153,7 +153,7 @@ def _psnr(setup: Setup, view: View, appearance: Path) -> float | None:
 
 def _condition(config: SeenConfig, setup: Setup, errors: dict[Camera, float | None]) -> Condition:
     """How the splat is looked at; keeps the PSNR of each picture to the victim's, dB, None where they are the same."""
-    usual, layers = renderer_of(config.scene.background, config.near), config.layers
+    usual, layers = setup.renderer(), config.layers
 
     def alone(splat: GaussianScene) -> GaussianScene:
         assert layers is not None
