@@ -1,6 +1,5 @@
 """Poison-splat, its controls, and the filters of pictures against it, on splats of some tens of Gaussians."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -105,23 +104,9 @@ def test_the_ball_holds_for_pictures_between_two_steps() -> None:
     assert torch.equal(within_ball(torch.ones_like(clean), clean, None), torch.ones_like(clean))
 
 
-def test_each_camera_comes_once_before_any_again_and_the_decoy_grows(views: list[View]) -> None:
-    class Looked(list[View]):
-        def __init__(self, views: Sequence[View]) -> None:
-            super().__init__(views)
-            self.order: list[int] = []
-
-        def __getitem__(self, index: Any) -> Any:
-            self.order.append(index)
-            return super().__getitem__(index)
-
-    looked = Looked(views)
-    decoy = attack().decoy(looked, seed=0)
-    order = [index for index, again in zip(looked.order, [None, *looked.order], strict=False) if index != again]
-    assert sorted(order[:6]) == list(range(6))
-    assert len(decoy) > len(SPLAT)
-    held = attack(replace(SHORT, max_gaussians=33)).decoy(views, seed=0)
-    assert len(SPLAT) < len(held) <= 33
+def test_the_decoy_grows_up_to_its_limit(views: list[View]) -> None:
+    assert len(attack().decoy(views, seed=0)) > len(SPLAT)
+    assert len(SPLAT) < len(attack(replace(SHORT, max_gaussians=33)).decoy(views, seed=0)) <= 33
     assert len(attack(replace(SHORT, densify_every=0)).decoy(views, seed=0)) == len(SPLAT)
 
 
@@ -142,11 +127,7 @@ def test_without_a_ball_the_pictures_are_the_decoys(views: list[View]) -> None:
 
 def test_total_variation_in_both_readings() -> None:
     image = torch.rand(5, 4, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    rows = columns = 0.0
-    for i in range(5):
-        for j in range(4):
-            columns += float((image[i, j] - image[i + 1, j]).abs().sum()) if i < 4 else 0.0
-            rows += float((image[i, j] - image[i, j + 1]).abs().sum()) if j < 3 else 0.0
+    columns, rows = (float(np.abs(np.diff(image.numpy(), axis=axis)).sum()) for axis in (0, 1))
     assert float(total_variation(image)) == pytest.approx(rows + columns)
     assert float(total_variation(image, "vertical")) == pytest.approx(2 * columns)
 
