@@ -40,8 +40,7 @@ def run(path: Path | None, *, killed_at: int | None = None, **settings: Any) -> 
     ("killed_at", "settings"),
     [
         (2, {}),
-        (5, {"pool": 0, "optimiser": "apgd"}),
-        (8, {"norm": "l2", "eps": (9.0,), "schedule": "cosine"}),
+        (8, {"norm": "l2", "eps": (9.0,), "pool": 0, "optimiser": "apgd"}),
         (5, {"optimiser": "adam", "image_psnr": 35.0}),
     ],
     ids=str,

@@ -78,8 +78,9 @@ def case(**changes: Any) -> Case:
 
 
 def findings_of(make: Attack = attack, checks: str = "", **changes: Any) -> dict[str, Finding]:
-    """What the checks of these names find, all if none is named."""
-    runs, names = Runs(case(**changes), make), checks.split()
+    """What the checks of these names find in one view; all checks, in two views, if none is named."""
+    names = checks.split()
+    runs = Runs(case(**{**({"cameras": (camera(),)} if names else {}), **changes}), make)
     return {name: check(runs) for name, check in CHECKS.items() if not names or name in names}
 
 
