@@ -150,13 +150,10 @@ def decode(kind: type[_Value], table: Mapping[str, Any], where: str) -> _Value:
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for key in table:
         check_choice(f"key in {where}", key, fields)
-    missing = [
-        name
-        for name, field in fields.items()
-        if name not in table and field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-    ]
-    if missing:
-        raise FieldError.of(where, f"the key {missing[0]}", "none", "add it")
+    for name, field in fields.items():
+        has_default = field.default is not dataclasses.MISSING or field.default_factory is not dataclasses.MISSING
+        if name not in table and not has_default:
+            raise FieldError.of(where, f"the key {name}", "none", "add it")
     hints = type_hints(kind)
     values = {key: taken(hints[key], value, f"{where}, {key}", read=True) for key, value in table.items()}
     try:

@@ -126,13 +126,8 @@ class FrozenView:
         picture = rasterize(layouts.TENSORS, arrays, hole, settings.background)
         towards = self._kept[0][self.rows].double() - self.camera.position.to(self._device, torch.float64)
         directions = torch.nn.functional.normalize(towards, dim=1).to(torch.float32)
-        pairs, nbytes = freeze_pairs(
-            picture,
-            mi.UInt32(self.rows.to(torch.int32).contiguous()),
-            mi.Float(directions.flatten()),
-            max_bytes=max_bytes,
-            held=held,
-        )
+        free, towards = mi.UInt32(self.rows.to(torch.int32).contiguous()), mi.Float(directions.flatten())
+        pairs, nbytes = freeze_pairs(picture, free, towards, max_bytes=max_bytes, held=held)
         constant, alpha = picture.colour.torch().reshape(self._shape), picture.opacity.torch().reshape(self._shape[:2])
         return pairs, constant, alpha.clone(), nbytes
 

@@ -93,9 +93,8 @@ def values_of(loaded: Any, path: str | Path, *, among: Literal["nothing", "surfa
 
     shapes = GaussianShapes(loaded, among=among)
     if not shapes.arrays or not loaded.sensors():
-        raise InvalidValueError.of(
-            str(path), "a gaussians shape and a sensor", "a scene without one of them", "add it to the file"
-        )
+        expected, do = "a gaussians shape and a sensor", "add it to the file"
+        raise InvalidValueError.of(str(path), expected, "a scene without one of them", do)
     scenes = shapes.scenes()
     ends = torch.tensor([0] + [len(scene) for scene in scenes]).cumsum(0).tolist()
     scene = merge(*scenes)
@@ -184,14 +183,9 @@ def resized(camera: Camera, size: tuple[int, int]) -> Camera:
         return camera
     width, height = size
     factor = width / camera.width
-    offset = ((camera.cx - camera.width / 2) * factor, (camera.cy - camera.height / 2) * factor)
-    return Camera(
-        to_world=camera.to_world,
-        focal=(camera.fx * factor, camera.fy * factor),
-        width=width,
-        height=height,
-        principal=(width / 2 + offset[0], height / 2 + offset[1]),
-    )
+    x, y = (camera.cx - camera.width / 2) * factor, (camera.cy - camera.height / 2) * factor
+    focal, principal = (camera.fx * factor, camera.fy * factor), (width / 2 + x, height / 2 + y)
+    return replace(camera, focal=focal, width=width, height=height, principal=principal)
 
 
 def write_scene(loaded: SplatScene, scene: GaussianScene, path: Path) -> list[Path]:

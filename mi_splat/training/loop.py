@@ -14,7 +14,7 @@ from torch import Tensor
 
 from mi_splat._lazy import Previewed
 from mi_splat.cameras import RenderFn, View, cameras_of
-from mi_splat.errors import InvalidValueError, message
+from mi_splat.errors import InvalidValueError
 from mi_splat.metrics import Perceptual
 from mi_splat.scene import GaussianScene
 from mi_splat.training.config import FitConfig
@@ -169,7 +169,7 @@ def differentiate(state: TrainState, loss: Tensor, scene: GaussianScene) -> floa
     loss.backward()  # type: ignore[no-untyped-call]
     value = float(loss.detach())
     if not math.isfinite(value):
-        raise TrainingError(_not_finite(state, value))
+        raise _not_finite(state, value)
     return value
 
 
@@ -189,9 +189,8 @@ def densify(state: TrainState, screen_gradients: ScreenGradients | None) -> None
         state.apply(edit)
 
 
-def _not_finite(state: TrainState, value: float) -> str:
+def _not_finite(state: TrainState, value: float) -> TrainingError:
     bad = [name for name, tensor in state.parameters.items() if not bool(torch.isfinite(tensor).all())]
     cause = f"not finite: {', '.join(bad)}" if bad else "the parameters are finite, the picture or the view is not"
-    return message(
-        f"loss at step {state.iteration}", "a finite number", f"{value} ({cause})", "look at views and rates"
-    )
+    what, do = f"loss at step {state.iteration}", "look at views and rates"
+    return TrainingError.of(what, "a finite number", f"{value} ({cause})", do)

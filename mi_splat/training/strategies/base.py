@@ -29,15 +29,10 @@ def normal(like: Tensor, generator: Generator) -> Tensor:
 
 
 class ScreenGradients(Protocol):
-    """Statistics of the last backward pass that a renderer may keep; see `mi_splat.rendering.ScreenGradients`.
+    """Statistics of the last backward pass that a renderer may keep; see `mi_splat.rendering.ScreenGradients`."""
 
-    Attributes:
-        lengths: (N,) length of the gradient of each centre on the screen, in half pictures.
-        visible: (N,) in how many pictures each Gaussian was visible.
-    """
-
-    lengths: Tensor
-    visible: Tensor
+    lengths: Tensor  # (N,) length of the gradient of each centre on the screen, in half pictures
+    visible: Tensor  # (N,) in how many pictures each Gaussian was visible
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -78,34 +73,21 @@ class Strategy(Protocol):
     """
 
     def initial_state(self, count: int) -> State:
-        """What is remembered before the first step.
+        """What is remembered before the first step, of so many Gaussians.
 
         Names, shapes and kinds of numbers stay those for the number of Gaussians that there are: a checkpoint with
         others is refused.
-
-        Args:
-            count: Number of Gaussians to begin with.
         """
         return {}
 
     def before_backward(self, loss: Tensor, scene: GaussianScene) -> Tensor:
-        """The loss that is descended, the photometric one and whatever the strategy adds to it.
-
-        Args:
-            loss: The photometric loss, a scalar.
-            scene: The splat of this step, differentiable.
-        """
+        """The loss that is descended: the photometric one, a scalar, and what is added for the splat of this step."""
         return loss
 
     def after_step(self, step: Step, state: State) -> Edit | None:
-        """Called after each step of the optimiser but the last, since what is changed last is trained no more.
+        """What to change, None for nothing; the state is changed in place.
 
-        Args:
-            step: What is known of the step.
-            state: What is remembered; to be changed in place.
-
-        Returns:
-            What to change; None changes nothing.
+        Called after each step of the optimiser but the last, since what is changed last is trained no more.
         """
         return None
 
