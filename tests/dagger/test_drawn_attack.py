@@ -11,8 +11,9 @@ import pytest
 import torch
 
 from attacks import cli
-from attacks.dagger.attack import attack_views
+from attacks.dagger.attack import attack, attack_views
 from attacks.dagger.config import DaggerConfig
+from attacks.dagger.views import ViewDistribution
 from attacks.objectives import relabel
 from attacks.observe.rates import AIMS, count, joint_views
 from attacks.observe.views import as_saved
@@ -24,11 +25,14 @@ from attacks.transformations.config import PictureChanges, Transformations
 from mi_splat.io import load_splat, save_splat
 from mi_splat.io.images import through_png
 from tests.dagger.toy import QUICK, REGION, quick, toy_views
-from tests.fakes import CoarseDetector, ColourDetector, blobs, toy_scene
+from tests.fakes import CoarseDetector, ColourDetector, blobs, camera, toy_scene
 
 
 def test_an_attack_holds_on_views_that_it_did_not_see() -> None:
-    result = quick()
+    result, config = quick(), DaggerConfig.for_region(**QUICK)
+    around = ViewDistribution(reference=camera(), transformations=toy_views().transformations)
+    public = attack(*toy_scene(), around, ColourDetector(), relabel("person"), render=blobs, config=config)
+    assert torch.equal(public.scene.sh, result.scene.sh)
     assert result.success
     assert result.rate.successes == result.rate.total == 8
     assert result.rates["clean_success"].successes == result.rates["noise_success"].successes == 0
