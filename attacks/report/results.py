@@ -3,51 +3,61 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
-from attacks.bench.row import figures as bench_figures
-from attacks.cloak.own_pictures import RECORD as POISONED
-from attacks.dagger.result import figures as attack_figures
 from attacks.report.checking import Figures, Rescoring, Result
-from attacks.report.kinds import audit, cloak, dagger, detectors, poison, splats
 from attacks.report.section import Section, sentence, versions_of
-from attacks.studies.poison_figures import figures as poison_figures
-from attacks.studies.result import figures as study_figures
 from mi_splat.errors import InvalidValueError, MiSplatError
 from mi_splat.io.folders import MANIFEST, RECORD, read_manifest
 from mi_splat.io.parsing import read_json
-from mi_splat.training.resume import METRICS
 
 Record = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class ResultKind:
-    """A kind of result."""
+    """A kind of result; what it names as `module:name` is imported when it is used, since it takes seconds."""
 
     name: str  # what writes it; also what its record says under `story`
-    read: Callable[[Path, Record], Section]  # makes the section of a folder and of what its record holds
-    figures: Figures | None = None  # derives its figures from its rows; None of a kind without rows
-    rescoring: Rescoring | None = None  # how its splats are scored again; None of a kind that is not
+    reader: str  # in attacks.report.kinds: makes the section of a folder and of what its record holds
+    counter: str = ""  # derives its figures from its rows; empty for a kind without rows
+    scorer: str = ""  # in attacks.report.kinds: how its splats are scored again; empty for a kind that is not
     file: str = RECORD  # the record, in its folder; one of another name than result.json says what wrote it
+
+    @property
+    def read(self) -> Callable[[Path, Record], Section]:
+        """The function that `reader` names."""
+        function: Callable[[Path, Record], Section] = resolve_name(f"attacks.report.kinds.{self.reader}")
+        return function
+
+    @property
+    def figures(self) -> Figures | None:
+        """The function that `counter` names."""
+        return resolve_name(f"attacks.{self.counter}") if self.counter else None
+
+    @property
+    def rescoring(self) -> Rescoring | None:
+        """The value that `scorer` names."""
+        return resolve_name(f"attacks.report.kinds.{self.scorer}") if self.scorer else None
 
 
 RESULT_KINDS = (
-    ResultKind("dagger", dagger.read_attack, attack_figures, dagger.RESCORING),
-    ResultKind("dagger-eot", dagger.read_attack, attack_figures, dagger.RESCORING),
-    ResultKind("dagger-sanity", dagger.read_sanity),
-    ResultKind("study", dagger.read_study, study_figures),
-    ResultKind("cloak", cloak.read_cloak, cloak.cloak_figures, cloak.RESCORING),
-    ResultKind("cloak-study", cloak.read_study, cloak.study_figures_of_points),
-    ResultKind("poison", poison.read_poisoned, file=POISONED),
-    ResultKind("poison-study", poison.read_study, poison_figures),
-    ResultKind("audit", audit.read_audit),
-    ResultKind("audit-study", audit.read_study),
-    ResultKind("evaluate", detectors.read_evaluation, detectors.evaluation_figures),
-    ResultKind("detect", detectors.read_detections),
-    ResultKind("bench", detectors.read_bench, bench_figures),
-    ResultKind("compare", splats.read_comparison),
-    ResultKind("train", splats.read_training, file=METRICS),
+    ResultKind("dagger", "dagger:read_attack", "dagger.result:figures", "dagger:RESCORING"),
+    ResultKind("dagger-eot", "dagger:read_attack", "dagger.result:figures", "dagger:RESCORING"),
+    ResultKind("dagger-sanity", "dagger:read_sanity"),
+    ResultKind("study", "dagger:read_study", "studies.result:figures"),
+    ResultKind("cloak", "cloak:read_cloak", "report.kinds.cloak:cloak_figures", "cloak:RESCORING"),
+    ResultKind("cloak-study", "cloak:read_study", "report.kinds.cloak:study_figures_of_points"),
+    ResultKind("poison", "poison:read_poisoned", file="poison.json"),
+    ResultKind("poison-study", "poison:read_study", "studies.poison_figures:figures"),
+    ResultKind("audit", "audit:read_audit"),
+    ResultKind("audit-study", "audit:read_study"),
+    ResultKind("evaluate", "detectors:read_evaluation", "report.kinds.detectors:evaluation_figures"),
+    ResultKind("detect", "detectors:read_detections"),
+    ResultKind("bench", "detectors:read_bench", "bench.row:figures"),
+    ResultKind("compare", "splats:read_comparison"),
+    ResultKind("train", "splats:read_training", file="metrics.json"),
 )
 """Every kind of result that a page can show."""
 
