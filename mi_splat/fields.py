@@ -172,6 +172,7 @@ def type_hints(kind: type) -> dict[str, Any]:
     return _type_hints(kind)
 
 
+@cache
 def unwrapped(hint: Any) -> tuple[Any, tuple[Any, ...], bool]:
     """What a type of a field says."""
     marks: tuple[Any, ...] = ()

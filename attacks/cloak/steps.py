@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +71,7 @@ class StudySteps:
         """What splats are looked at with."""
         return self.setup.renderer()
 
+    @cache  # noqa: B019  # a study is planned once, and its steps live as long as the process
     def pictures(self) -> Job:
         """The victim's pictures of the scene."""
         return self._job("pictures", PicturesConfig(**self._parts(background=SceneConfig().background)))
@@ -99,6 +100,7 @@ class StudySteps:
         config = PicturesConfig(**parts, poses=tuple(map(Pose.of, cameras)), inside=inside)
         return self._job("pictures", config, **inputs)
 
+    @cache  # noqa: B019
     def poisoned(self, seed: int, surrogates: int | None = None) -> Job:
         """A poisoned set, corrected by so many surrogates; None: by as many as the study asks for."""
         study, config = self.study, self.study.surrogate
@@ -110,10 +112,11 @@ class StudySteps:
         chosen = ChosenPoison(kind=CLOAK, settings={"attack": attacks})
         poison = PoisonedConfig(poison=chosen, background=study.scene.background, **values)
         earlier = {f"{SURROGATE}{n}": self.surrogate(seed, n).part(SPLAT) for n in range(1, rounds + 1)}
-        inputs: dict[str, Part | Path] = {"pictures": self.pictures().part(PICTURES), **self._appearances()}
+        inputs: dict[str, Part | Path] = {"pictures": self.pictures().part(PICTURES), **self._appearances}
         inputs |= {**earlier, **self.mesh}
         return Job(kind=POISONED_KIND, config=poison, inputs=inputs)
 
+    @cached_property
     def _appearances(self) -> dict[str, Part]:
         """Pictures of what each attack wants to be seen."""
         return {f"{APPEARANCE}{attack.name}": self.appearance(attack).part("*.png") for attack in self.study.attack}
@@ -191,7 +194,7 @@ class StudySteps:
         regions = [replace(_region(attack), poison_fraction=attack.poison_fraction) for attack in self.study.attack]
         is_set = shown.kind in (f"{_KINDS}.pictures", POISONED_KIND)
         inputs = {"set": shown.part(PICTURES)} if is_set else {"splat": shown.part(SPLAT)}
-        inputs |= self._appearances() if poisoned else {}
+        inputs |= self._appearances if poisoned else {}
         return self._seen(detector, regions, inputs, training=True, seed=self._drawn(seed))
 
     def _seen(
