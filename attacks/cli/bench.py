@@ -14,7 +14,7 @@ from mi_splat.fields import Folder, Metavar
 
 EXAMPLES = (
     "bench fasterrcnn_small",
-    "bench fasterrcnn_small --weights mine.safetensors --out out/bench/mine",
+    "bench fasterrcnn_small --weights YOUR.safetensors --out out/bench/mine",
     "bench fasterrcnn_small --defence .spz",
     "bench --audit docs/tables/audit.json",
     "bench --rescore out/bench/v1/fasterrcnn_small",

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = (
     "compare scenes/car_street.xml --methods tile,ray,volprim --cameras all --out out/compare",
-    "compare desk.ply --methods tile,folder:pictures --cameras cameras.json --out out/theirs",
+    "compare YOUR.ply --methods tile,folder:pictures --cameras cameras.json --out out/theirs",
 )
 
 

@@ -41,11 +41,11 @@ if TYPE_CHECKING:
 EXAMPLES = (
     "dagger scenes/car_street.xml --object car --target person --out out/dagger",
     "dagger scenes/car_street.xml --objective hide --eps 2 --out out/hidden",
-    "dagger desk.ply --mask mask.npy --cameras orbit:4@25 --target person --out out/desk",
+    "dagger YOUR.ply --mask mask.npy --cameras orbit:4@25 --target person --out out/desk",
     "dagger --region scenes/car_street.xml --object car --target person --out out/dagger-eot",
     "dagger --region scenes/car_street.xml --object car --elevations 10 30 --jpeg 50 --blur 1 --out out/photographed",
     "dagger --sanity scenes/car_street.xml --object car --target person --out out/sanity",
-    "dagger --sanity desk.ply --mask mask.npy --azimuth 40 --detectors yolov8n_small --seeds 5 --out out/sanity",
+    "dagger --sanity YOUR.ply --mask mask.npy --azimuth 40 --detectors yolov8n_small --seeds 5 --out out/sanity",
     "demo",
     "demo --out out/first --force",
 )

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     """Where from, by which detector; the picture, (H, W, 3) sRGB in [0, 1], and what is reported on it."""
 
 
-EXAMPLES = ("detect photo.png desk.ply --cameras orbit:8@20 --out out/detect",)
+EXAMPLES = ("detect photo.png YOUR.ply --cameras orbit:8@20 --out out/detect",)
 
 
 @dataclass(frozen=True, kw_only=True)

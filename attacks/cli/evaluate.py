@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mi_splat.cameras import Camera
 
 
-EXAMPLES = ("evaluate desk.ply out/desk/attacked.ply --cameras hemisphere:24 --target person --out out/judged",)
+EXAMPLES = ("evaluate YOUR.ply out/desk/attacked.ply --cameras hemisphere:24 --target person --out out/judged",)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from mi_splat.viewer.runner import JobKind, JobRequest, JobResult
 
 EXAMPLES = (
-    "view desk.ply",
+    "view YOUR.ply",
     "view out/truck",
     "view out/truck-splat/splat.ply --cameras out/truck",
     "view out/dagger --detectors fasterrcnn_small",

@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 
 EXAMPLES = (
-    "audit street.ply",
+    "audit YOUR_SCENE.ply",
     "audit a.ply b.spz --json",
-    "audit street.ply --out out/street-audit",
-    "audit street.ply --sarif street.sarif",
-    "audit street.ply --repair street-repaired.ply",
-    "audit street.glb --only lint",
-    "audit received.ply --against street.ply --out out/changes",
+    "audit YOUR_SCENE.ply --out out/street-audit",
+    "audit YOUR_SCENE.ply --sarif street.sarif",
+    "audit YOUR_SCENE.ply --repair street-repaired.ply",
+    "audit YOUR.glb --only lint",
+    "audit RECEIVED.ply --against YOUR_SCENE.ply --out out/changes",
     "audit out/capture",
 )
 SUSPICIOUS, FAILED = 3, 1

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 EXAMPLES = (
-    "capture truck.glb --cameras hemisphere:210 --test 20 --out out/truck",
+    "capture YOUR.glb --cameras hemisphere:210 --test 20 --out out/truck",
     "capture car:900004 --cameras orbit:36@20 --size 128 --samples 16 --out out/orbit",
 )
 

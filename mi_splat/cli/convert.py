@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 
 EXAMPLES = (
-    "convert desk.ply desk.spz",
-    "convert web.ksplat web.ply",
-    "convert desk.ply small.sog --sh-degree 1",
-    "convert web.ply upright.ply --up -y --scale 0.1",
-    "convert street.ply both.ply --add car.ply sign.ply",
+    "convert YOUR.ply YOUR.spz",
+    "convert YOUR.ksplat out/web.ply",
+    "convert YOUR.ply small.sog --sh-degree 1",
+    "convert YOUR.ply upright.ply --up -y --scale 0.1",
+    "convert YOUR_SCENE.ply both.ply --add car.ply sign.ply",
 )
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 EXAMPLES = (
-    "info desk.ply",
+    "info YOUR.ply",
     "info scenes/car_street.xml --json",
 )
 

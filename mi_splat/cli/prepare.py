@@ -11,7 +11,7 @@ from mi_splat.fields import Folder
 from mi_splat.preparation.config import PreparationError, PrepareConfig
 
 EXAMPLES = (
-    "prepare my_photos --out out/desk",
+    "prepare YOUR_PHOTOS --out out/desk",
     "prepare walk.mp4 --out out/walk --interval 0.5",
 )
 LISTED = 6

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
 EXAMPLES = (
     "render scenes/car_street.xml --out car.png",
-    "render desk.ply --azimuth 40 --elevation 15 --out desk.png",
-    "render desk.ply --cameras orbit:60@20 --out desk.gif",
-    "render desk.ply --alpha --depth --out desk.exr",
+    "render YOUR.ply --azimuth 40 --elevation 15 --out desk.png",
+    "render YOUR.ply --cameras orbit:60@20 --out desk.gif",
+    "render YOUR.ply --alpha --depth --out desk.exr",
 )
 
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 
 EXAMPLES = (
-    "select desk.ply --click 320,240 --out picked.png mask.npy",
-    "select desk.ply --box -0.2 -0.2 0 0.2 0.2 0.3 --cameras orbit:8@30",
+    "select YOUR.ply --click 320,240 --out picked.png mask.npy",
+    "select YOUR.ply --box -0.2 -0.2 0 0.2 0.2 0.3 --cameras orbit:8@30",
     "select scenes/car_street.xml --object car --out car.ply",
 )
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = (
     "train out/truck --out out/truck-splat --iterations 7000",
-    "train my_colmap_folder --out out/desk --downscale 2 --max-gaussians 200000",
+    "train YOUR_SET --out out/desk --downscale 2 --max-gaussians 200000",
     "train out/truck --out out/mcmc --strategy mcmc --max-gaussians 50000",
     "train out/truck --out out/watched --live",
 )
