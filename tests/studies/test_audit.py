@@ -94,7 +94,7 @@ def test_the_figures_of_the_documentation_follow_from_its_files() -> None:
         counted, (low, high) = part["found"], part["interval"]
         shown = name if name != "all" else "**all, without the cleaned**"
         rate = f"{counted['successes']} of {counted['total']}"
-        line = f"| {shown} | {rate} | {part['auroc']:.3f} ({low:.3f} to {high:.3f}) | "
+        line = f"| {shown} | {rate} | {part['auroc']:.3f} ({low:.3f} to {high:.3f}) |"
         assert line in page, name
     assert told["false_alarms"]["successes"] == 1
     assert told["honest"] == 35
