@@ -55,7 +55,7 @@ def test_a_shipped_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
         assert picture.size == (40, 32)
 
     text = (tmp_path / "compared" / "compare.html").read_text("utf-8")
-    assert "not measured" in text
+    assert "LPIPS" in text
     assert ".tmp" not in text  # the folder is named as it is called now
     section = read_section(tmp_path / "compared")
     assert [one.path.name for one in section.pictures] == ["front.png"]
