@@ -41,7 +41,7 @@ def test_asset_seeds_are_kept_out_of_training() -> None:
     assert all(isinstance(number, int) and number >= 900_000 for number in numbers)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_recipe_makes_a_scene(tmp_path: Path) -> None:
     record = make("stop_sign", tmp_path, views=2, samples=1, steps=1)
     assert {path.suffix for path in tmp_path.iterdir()} == {".ply", ".xml", ".json"}

@@ -139,6 +139,7 @@ def test_the_object_alone_stands_on_the_street_by_the_hour(tmp_path: Path, monke
         looked(tmp_path / "north", gaussian(0.9), LAYERED, condition="08:00", sun=replace(STREET, north=-99.0))
 
 
+@pytest.mark.nightly
 def test_a_perfect_splat_shows_each_attack_inside_its_trigger_and_none_outside(tmp_path: Path) -> None:
     """Its pictures are looked at as a splat is: the car that blends in is missed from wherever it was found."""
     study = replace(STUDY, evaluation=replace(STUDY.evaluation, true_pictures=True))

@@ -239,7 +239,7 @@ class TestCommand:
         assert "--seeds: expected a number >= 1" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_gradients_of_the_shipped_scene_are_those_of_the_chain() -> None:
     loaded = read_scene(ROOT / "scenes" / "car_street.xml")
     shipped = Case(

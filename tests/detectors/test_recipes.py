@@ -81,6 +81,7 @@ def test_figures_done_by_hand() -> None:
     assert confidences_at(empty)["0.1"] > float(torch.tensor(0.9))  # type: ignore[operator]
 
 
+@pytest.mark.nightly
 def test_pictures_are_made_once_and_reproduced(tmp_path: Path) -> None:
     tiny = PictureSet(split="held-out", size=32, samples=1, shots=1, scenes=1, empty=0.0, pair=0.0, street=0.0)
     splat = SplatSettings(views=2, samples=1, objects=300, surroundings=300, sky=50, steps=0, pictures=1)
@@ -100,7 +101,7 @@ def test_pictures_are_made_once_and_reproduced(tmp_path: Path) -> None:
     assert len(first[0][0].conditions) == len(first[0][0].labels) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["fasterrcnn_small", "yolov8n_small"])
 def test_a_small_detector_is_trained_and_scored(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if name.startswith("yolo") and importlib.util.find_spec("ultralytics") is None:
