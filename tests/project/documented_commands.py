@@ -189,7 +189,8 @@ TINY: dict[str, dict[str, Change]] = {
         "--held-out": to("1"),
     },
     "evaluate": {"--cameras": fewer_cameras(2), "--size": to("64"), "--pictures": to("1")},
-    "view": {"--views": to("2", "1"), "--no-open": to()},
+    "view": {"--no-open": to()},
+    "demo": {"--force": to()},
     "dagger --sanity": {"--seeds": to("1"), "--steps": to("11"), "--surrogate": to("none")},
 }
 """Name of a command to what is changed in it, so that it takes seconds; what counts is that it runs."""

@@ -234,7 +234,7 @@ def test_the_first_page_works_without_a_network(chromium: Any, site: Path, schem
 
     line.focus()
     line.press("ArrowRight")
-    assert divider() == "51%"
+    assert divider() == "21%"
     size = box.bounding_box()
     for share, press in ((25, window.mouse.click), (70, window.touchscreen.tap)):
         press(size["x"] + share / 100 * size["width"], size["y"] + 50)
