@@ -31,7 +31,7 @@ EXAMPLES = (
     "poison YOUR_PHOTOS out/photos/splat.ply --click 320,240 --hide-from elevation:50-90 --out out/poisoned",
     "poison YOUR_PHOTOS out/photos/splat.ply --box -1 -1 0 1 1 1 --hide-from cone:180,30,25 --look stop.png",
     "poison YOUR_PHOTOS out/photos/splat.ply --kind poison-splat --eps 16 --steps 2000 --out out/swollen",
-    "poison YOUR_PHOTOS out/photos/splat.ply --kind m-ifgsm --label car --target truck --click 9,9 --out out/misread",
+    "poison YOUR_PHOTOS out/photos/splat.ply --kind m-ifgsm --label car --click 320,240 --out out/misread",
     "poison YOUR_PHOTOS --kind uniform-noise --eps 16 --out out/noise",
 )
 

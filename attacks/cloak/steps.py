@@ -60,7 +60,6 @@ class StudySteps:
 
     study: StudyConfig
     weights: Mapping[str, Path] = field(default_factory=dict)
-    _surrogates: dict[tuple[int, int], Job] = field(default_factory=dict)
 
     @cached_property
     def setup(self) -> Setup:
@@ -121,14 +120,13 @@ class StudySteps:
         """Pictures of what each attack wants to be seen."""
         return {f"{APPEARANCE}{attack.name}": self.appearance(attack).part("*.png") for attack in self.study.attack}
 
+    @cache  # noqa: B019
     def surrogate(self, seed: int, number: int) -> Job:
         """The attacker's own splat of a round, from 1, trained on what the rounds before it poisoned."""
-        config, key = self.study.surrogate, (seed, number)
+        config = self.study.surrogate
         assert config is not None
-        if key not in self._surrogates:
-            training = replace(self.study.training, iterations=config.iterations)
-            self._surrogates[key] = self.trained_on(self.poisoned(seed, number - 1), config.seed, training)
-        return self._surrogates[key]
+        training = replace(self.study.training, iterations=config.iterations)
+        return self.trained_on(self.poisoned(seed, number - 1), config.seed, training)
 
     def splat(self, splat: str, seed: int) -> Job:
         """The splat of a seed that is evaluated, clean or cloaked; cleaned, if the victim cleans."""

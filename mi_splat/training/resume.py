@@ -26,7 +26,7 @@ from mi_splat.processes import deferred_interrupt
 from mi_splat.scene import GaussianScene, scene_hash
 from mi_splat.training.config import FitConfig
 from mi_splat.training.loop import Fit, OnStep, advance, scene_extent
-from mi_splat.training.state import Exposures, Progress, TrainState, check_start
+from mi_splat.training.state import MOMENTS, Exposures, Progress, TrainState, check_start
 from mi_splat.training.strategies import strategy_config, strategy_name
 
 # A training run on disk: everything the rest of it depends on, in one safetensors file that is whole or not there.
@@ -36,7 +36,6 @@ from mi_splat.training.strategies import strategy_config, strategy_name
 FORMAT = 3
 """Of a checkpoint: 2 named its tensors as gsplat does (`sh0`, `shN`), and held the state of any strategy; 3 knows the
 pictures of a set by their bytes, and no longer by names and sizes."""
-_ADAM = ("exp_avg", "exp_avg_sq", "step")
 _STRATEGY, _EXPOSURES = "strategy/", "exposures/"
 _MOST_VIEWS = 1 << 31
 
@@ -73,7 +72,7 @@ def save_state(state: TrainState, path: Path) -> None:
     tensors = {f"parameters/{name}": value.detach() for name, value in state.parameters.items()}
     for name in state.trained:
         adam = state.optimiser.state.get(state.parameters[name], {})
-        tensors |= {f"{key}/{name}": adam[key] for key in _ADAM if key in adam}
+        tensors |= {f"{key}/{name}": adam[key] for key in MOMENTS if key in adam}
     tensors |= {f"{_STRATEGY}{name}": value for name, value in state.strategy_state.items()}
     if state.exposures is not None:
         tensors |= {f"{_EXPOSURES}{name}": value for name, value in state.exposures.tensors().items()}
@@ -130,10 +129,10 @@ def _assemble(notes: Fields, tensors: dict[str, Tensor]) -> TrainState:
         for name, value in groups["parameters"].items():
             state.parameters[name].copy_(value)
     for name in state.trained:
-        adam = {key: groups[key][name] for key in _ADAM if name in groups[key]}
+        adam = {key: groups[key][name] for key in MOMENTS if name in groups[key]}
         if adam:
             like = state.parameters[name].detach()
-            check_like(adam, dict(zip(_ADAM, (like, like, torch.zeros(())), strict=True)), notes.where, _READER)
+            check_like(adam, dict(zip(MOMENTS, (like, like, torch.zeros(())), strict=True)), notes.where, _READER)
             state.optimiser.state[state.parameters[name]] = adam
     check_like(groups["strategy"], state.strategy_state, f"{notes.where}, strategy", _READER)
     state.strategy_state = groups["strategy"]
@@ -147,7 +146,7 @@ def _assemble(notes: Fields, tensors: dict[str, Tensor]) -> TrainState:
 
 def _parts(tensors: Mapping[str, Tensor]) -> dict[str, dict[str, Tensor]]:
     """The tensors of a checkpoint by what stands before the / in their names."""
-    groups: dict[str, dict[str, Tensor]] = {group: {} for group in ("parameters", "strategy", "exposures", *_ADAM)}
+    groups: dict[str, dict[str, Tensor]] = {group: {} for group in ("parameters", "strategy", "exposures", *MOMENTS)}
     for key, value in tensors.items():
         group, _, name = key.partition("/")
         groups.setdefault(group, {})[name] = value

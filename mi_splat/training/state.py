@@ -22,7 +22,7 @@ from mi_splat.training.strategies import Edit, build_strategy
 _FIRST, _LAST = 1e-2, 1e-3
 """Learning rates, as published (code of 3D Gaussian Splatting of October 2024); it decays exponentially."""
 MOMENTS = ("exp_avg", "exp_avg_sq", "step")
-"""What Adam keeps of each map, by torch's names."""
+"""What Adam keeps of each tensor, by torch's names; the first two for each row."""
 
 
 class Adam:
@@ -46,7 +46,7 @@ class Adam:
             for tensor in moved:
                 if tensor not in self.state:
                     step = torch.zeros((), device=tensor.device if self._fused else "cpu")
-                    moments = {key: torch.zeros_like(tensor) for key in ("exp_avg", "exp_avg_sq")}
+                    moments = {key: torch.zeros_like(tensor) for key in MOMENTS[:2]}
                     self.state[tensor] = {**moments, "step": step}
             mean, square, steps = ([self.state[tensor][key] for tensor in moved] for key in MOMENTS)
             gradients = [tensor.grad for tensor in moved]
@@ -103,10 +103,6 @@ class Exposures:
                     key: tensors[key][index].clone().to("cpu" if key == "step" else device) for key in MOMENTS
                 }
         return made
-
-
-_MOMENTS = ("exp_avg", "exp_avg_sq")
-"""What Adam keeps for each row, by torch's names."""
 
 
 class TrainingError(MiSplatError):
@@ -244,7 +240,7 @@ class TrainState:
             self._exchange(edit.parameters, edit.source, edit.fresh)
         for name in edit.forget:
             adam = self.optimiser.state.get(self.parameters[name], {})
-            for key in adam.keys() & _MOMENTS:
+            for key in adam.keys() & MOMENTS[:2]:
                 adam[key].zero_()
 
     def _exchange(self, values: dict[str, Tensor], source: Tensor, fresh: Tensor | None) -> None:
@@ -260,7 +256,7 @@ class TrainState:
             new = self.parameters[name].requires_grad_(True)
             adam = self.optimiser.state.pop(old[name], None)
             if adam:
-                for key in _MOMENTS:
+                for key in MOMENTS[:2]:
                     adam[key] = adam[key][source]
                     if fresh is not None:
                         adam[key][fresh] = 0
