@@ -81,6 +81,11 @@ class Converter:
     write: Callable[[Any], str]  # the word for a value
 
 
+@dataclass(frozen=True, slots=True)
+class Output:
+    """The mark of a path to write: a scene of the package is none."""
+
+
 def at_least(low: float, unit: str = "", do: str = "change it") -> Range:
     """The numbers from `low` on."""
     return Range(low=low, unit=unit, do=do)
@@ -105,6 +110,8 @@ Steps = Annotated[int, at_least(1, "steps")]
 Count = Annotated[int, at_least(0)]
 Degree = Annotated[int, between(0, 3, do="3 is what 3DGS writes"), Metavar("DEGREE")]
 Folder = Annotated[Path, Metavar("FOLDER")]
+OutFile = Annotated[Path, Output()]
+OutFolder = Annotated[Folder, Output()]
 Box = Annotated[
     tuple[float, float, float, float, float, float], Range(unit="world units"), Metavar("X0 Y0 Z0 X1 Y1 Z1")
 ]
@@ -299,6 +306,8 @@ def _single(kind: Any, value: Any, name: str, marks: tuple[Any, ...]) -> Any:
         number = checked_number(name, value, allowed, whole=kind is int)
         return float(number) if kind is float else number
     if kind is Path and isinstance(value, (str, os.PathLike)):
+        if any(isinstance(mark, Output) for mark in marks) and os.fspath(value).startswith("example:"):
+            raise FieldError.of(name, "a path to write", f"the scene {value}", "name a file or folder of your own")
         return named_path(value)
     if kind in (str, bool, Path) and not isinstance(value, kind):
         expected = {str: "a text", bool: "true or false", Path: "a path"}[kind]

@@ -259,7 +259,7 @@ class BenchWork(Work[Entry]):
         check_condition(defence, None)
         for column in columns:
             check_choice("column", column, COLUMNS)
-        super().__init__(Study(name=f"bench-{suite.name}-{detector}", kind="dagger", parts={}))
+        super().__init__(Study(name=f"bench-{suite.name}-{detector}", kind="dagger", parts={}), ())
         self.suite, self.detector, self.weights, self.defence = suite, load_detector(detector), weights, defence
         self.conditions = ["", defence] if defence else [""]
         self.missing: dict[str, str] = {}

@@ -11,7 +11,7 @@ from mi_splat.cli.console import UsageError, limit_threads, progress, show, show
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions, ResultOptions
 from mi_splat.errors import MiSplatError
-from mi_splat.fields import Folder, Fraction, Metavar, at_least
+from mi_splat.fields import Folder, Fraction, Metavar, OutFolder, at_least
 
 if TYPE_CHECKING:
     from attacks.report.checking import Check, Result
@@ -35,7 +35,7 @@ class ArtifactOptions(ResultOptions):
 
     result: Positional[Annotated[Path, Metavar("RESULT")]]
     """Folder of the finished result."""
-    out: Folder = Path("out/artifact")
+    out: OutFolder = Path("out/artifact")
     whole: bool = False
     """Copy splats and pictures, too, so that others can score the splats again."""
 

@@ -10,7 +10,7 @@ from attacks.cli.study import JobOptions, run_in
 from mi_splat.cli.console import limit_threads, show, show_json, show_result
 from mi_splat.cli.flags import Positional
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Folder, Metavar
+from mi_splat.fields import Folder, Metavar, OutFolder
 
 EXAMPLES = (
     "bench fasterrcnn_small",
@@ -45,9 +45,9 @@ class BenchOptions(JobOptions):
     """Rank the audit and its baselines by a result of `study run scenes/studies/audit.toml`; nothing else is done."""
     columns: tuple[str, ...] = ()
     """Columns to do now; none does all. The row has those that are done."""
-    store: Folder = Path("out/store")
+    store: OutFolder = Path("out/store")
     """Folder of finished jobs; what no detector has a part in is made there once for all."""
-    out: Folder | None = None
+    out: OutFolder | None = None
     """Folder for the row and its raw rows; None is out/bench/SUITE/NAME, and another one beside it with
     --weights or --defence."""
     rescore: Folder | None = None

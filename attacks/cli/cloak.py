@@ -10,7 +10,7 @@ from mi_splat.cli.console import limit_threads, progress, show_json, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Folder, Seed
+from mi_splat.fields import OutFolder, Seed
 
 EXAMPLES = (
     "cloak scenes/cloak_car_colour.toml --forecast",
@@ -29,9 +29,9 @@ class CloakOptions(JsonOptions):
 
     study: Positional[Path]
     """TOML file of the study, for instance scenes/cloak_car_occluder.toml."""
-    out: Folder = Path("out/cloak")
+    out: OutFolder = Path("out/cloak")
     """Folder for the results: a new one, or that of the same study."""
-    stages: Folder | None = None
+    stages: OutFolder | None = None
     """Folder of the stages, which several studies may share; None is a folder in --out."""
     seeds: tuple[Seed, ...] = ()
     """Seeds in the place of those of the study."""

@@ -14,7 +14,7 @@ from mi_splat.cli.console import progress, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions
 from mi_splat.errors import MiSplatError, install
-from mi_splat.fields import Folder, Metavar, Seed, between
+from mi_splat.fields import Metavar, OutFolder, Seed, between
 
 if TYPE_CHECKING:
     from mi_splat.metrics import Perceptual
@@ -45,7 +45,7 @@ class CompareOptions(ResultOptions):
     """Two or more of these methods, with commas or spaces between them."""
     view: CameraOptions = field(default_factory=CameraOptions)
     """Where from."""
-    out: Folder = Path("out/compare")
+    out: OutFolder = Path("out/compare")
     gradients: bool = True
     """Compare the gradients of methods that have them."""
     rounds: Annotated[int, between(0, 1000, "rounds", "5 is usual")] = 5

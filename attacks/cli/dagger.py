@@ -18,7 +18,7 @@ from mi_splat.cli.console import Advance, UsageError, limit_threads, progress, s
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions, check_no_input_in
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Folder, Metavar, at_least
+from mi_splat.fields import Metavar, OutFolder, at_least
 from mi_splat.io.parsing import read_json
 from mi_splat.processes import deferred_interrupt
 from mi_splat.selection.config import Selection
@@ -89,7 +89,7 @@ class DaggerOptions(AttackOptions):
     training that show the object, so that the others can judge."""
     config: DaggerConfig = field(default_factory=DaggerConfig)
     """How to attack."""
-    out: Folder = Path("out/dagger")
+    out: OutFolder = Path("out/dagger")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +112,7 @@ class DaggerRegionOptions(AttackOptions):
     """How to attack."""
     checkpoint: Path | None = None
     """File that keeps the search while it runs; None is one beside --out."""
-    out: Folder = Path("out/dagger-eot")
+    out: OutFolder = Path("out/dagger-eot")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,7 +133,7 @@ class DaggerSanityOptions(AttackOptions):
     """Number of seeds; each but 0 moves the camera and starts at a random point of the ball."""
     config: DaggerConfig = field(default_factory=lambda: DaggerConfig(steps=20))
     """How to attack; the checks also take fractions and multiples of the radius, and seeds of their own."""
-    out: Folder = Path("out/sanity")
+    out: OutFolder = Path("out/sanity")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,7 +145,7 @@ class DemoOptions(ResultOptions):
     look at detections.png first.
     """
 
-    out: Folder = Path("out/demo")
+    out: OutFolder = Path("out/demo")
 
 
 def run(options: DaggerOptions) -> None:

@@ -14,7 +14,7 @@ from mi_splat import provenance
 from mi_splat.cli.console import UsageError, progress, show_result
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions
-from mi_splat.fields import Folder
+from mi_splat.fields import OutFolder
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -41,7 +41,7 @@ class DetectOptions(DetectorOptions, ResultOptions):
     """Where splats and scenes are looked at from."""
     min_confidence: Confidence = 0.3
     """Confidence from which a detection is drawn and listed."""
-    out: Folder = Path("out/detect")
+    out: OutFolder = Path("out/detect")
 
 
 def run(options: DetectOptions) -> None:

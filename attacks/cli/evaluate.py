@@ -12,7 +12,7 @@ from mi_splat import provenance
 from mi_splat.cli.console import progress
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, ResultOptions, check_no_input_in
-from mi_splat.fields import Count, Folder
+from mi_splat.fields import Count, OutFolder
 from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class EvaluateOptions(DetectorOptions, ResultOptions):
     """Confidence from which a detection counts."""
     pictures: Count = 8
     """Views shown side by side; 0 writes no pictures."""
-    out: Folder = Path("out/evaluate")
+    out: OutFolder = Path("out/evaluate")
 
 
 def run(options: EvaluateOptions) -> None:

@@ -14,7 +14,7 @@ from mi_splat.cli.console import progress, show, show_json, show_table, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError, counted
-from mi_splat.fields import Folder
+from mi_splat.fields import Folder, OutFile
 
 if TYPE_CHECKING:
     from attacks.report.section import Section
@@ -38,7 +38,7 @@ class ReportOptions(JsonOptions):
 
     results: Positional[tuple[Folder, ...]] = ()
     """Folders or files of results; at least one. Those of one kind are compared."""
-    out: Path = Path("out/report.html")
+    out: OutFile = Path("out/report.html")
     """The page; its folder has to be there."""
     detectors: tuple[str, ...] = ()
     """Names of detectors that look at each object of an audited splat along two paths; the page of an audit shows where

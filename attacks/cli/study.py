@@ -13,7 +13,7 @@ from attacks.studies.study_file import Study
 from mi_splat.cli.console import Advance, limit_threads, progress, show_json, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
-from mi_splat.fields import Folder, Metavar, at_least
+from mi_splat.fields import Metavar, OutFolder, at_least
 
 if TYPE_CHECKING:
     from attacks.studies.running import Run, Work
@@ -33,7 +33,7 @@ EXAMPLES = (
 class JobOptions(JsonOptions):
     """What a command takes that does many jobs."""
 
-    store: Folder = Path("out/store")
+    store: OutFolder = Path("out/store")
     """Folder of finished jobs."""
     workers: Workers | None = None
     """Processes that do jobs side by side; None is one for each core if memory allows; 0 does them in this one."""
@@ -62,7 +62,7 @@ class StudyOptions(JobOptions):
     """What to do."""
     study: Positional[Path]
     """TOML file of the study."""
-    out: Folder | None = None
+    out: OutFolder | None = None
     """Folder for the result; None is out/studies/NAME."""
     parts: tuple[str, ...] = ()
     """Names of cases to do; all if none is named."""

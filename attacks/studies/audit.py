@@ -27,7 +27,7 @@ from attacks.observe.rows import CLEAN, DEPTH, ROWS, SUFFIX, read_rows
 from attacks.rate import Rate, number
 from attacks.studies.cloak import config_of
 from attacks.studies.running import Attempt, Observed, Work, copied
-from attacks.studies.study_file import Point
+from attacks.studies.study_file import Point, Study
 from attacks.tables import Column, Table, cell, markdown, number_at
 from mi_splat.audit.files import PAIR
 from mi_splat.errors import InvalidValueError
@@ -150,6 +150,9 @@ class AuditWork(Work[AuditAttempt]):
     """Studies of the audit."""
 
     story, has_judges = STORY, False
+
+    def __init__(self, study: Study) -> None:
+        super().__init__(study, map(self.attempt, study.points))
 
     @property
     def audited(self) -> list[Audited]:

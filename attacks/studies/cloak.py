@@ -148,9 +148,7 @@ class CloakWork(Work[CloakAttempt]):
 
     def __init__(self, study: Study, weights: Mapping[str, Path] | None = None) -> None:
         self.weights = weights or {}
-        if any(point.bisected for point in study.points):
-            raise InvalidValueError.of(study.name, "no bisect, for want of a single aim", "one", "leave it out")
-        super().__init__(study)
+        super().__init__(study, map(self.attempt, study.points))
 
     def attempt(self, point: Point) -> CloakAttempt:
         """A study of CLOAK, and further looks at its splats."""

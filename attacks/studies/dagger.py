@@ -28,7 +28,7 @@ from attacks.optimisers import OPTIMISERS
 from attacks.studies.attack import SPLAT, WHOLE_SPLAT, Attack, check_scene, scene_files, street_of
 from attacks.studies.look import Look
 from attacks.studies.result import figures, shared_apart, tables
-from attacks.studies.running import Attempt, Observed, Work, check_apart
+from attacks.studies.running import Attempt, Observed, Work, bisection, check_apart
 from attacks.studies.study_file import Point, Settings, Study, label_of, with_none
 from attacks.tables import Table
 from mi_splat.errors import InvalidValueError
@@ -36,7 +36,7 @@ from mi_splat.fields import FieldError, check_choice, decode
 from mi_splat.io.folders import RECORD
 from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Done, Job, Part
-from mi_splat.ledger.plans import Result
+from mi_splat.ledger.plans import Plan, Result, grid
 
 ATTACK, LOOK = "attacks.studies.attack", "attacks.studies.look"
 AS_ATTACKED = "as attacked"
@@ -167,10 +167,10 @@ class DaggerAttempt(Attempt):
 class DaggerWork(Work[DaggerAttempt]):
     """Attacks, and the looks at each."""
 
-    story = STORY
+    story, can_bisect = STORY, True
 
     def __init__(self, study: Study) -> None:
-        super().__init__(study)
+        super().__init__(study, map(self.attempt, study.points))
         searches: dict[Any, list[DaggerAttempt]] = {}
         for attempt in self.attempts:
             if bisected := attempt.point.bisected:
@@ -193,8 +193,14 @@ class DaggerWork(Work[DaggerAttempt]):
         check_apart(where, (f"{look.detector}, {look.condition or OWN}" for look in configs))
         return DaggerAttempt(title=label, point=point, jobs={label: job, **looks}, job=job, looks=looks)
 
-    def suffices(self, attempt: DaggerAttempt, results: Mapping[str, Result]) -> bool | None:
-        """Whether an attack has its aim."""
+    def plans(self) -> list[Plan]:
+        """One plan of all points that are known, and one for each search."""
+        known = [attempt.jobs for attempt in self.attempts if not attempt.point.bisected]
+        fixed = [grid({label: job for jobs in known for label, job in jobs.items()})] if known else []
+        return [*fixed, *(bisection(search, self._suffices) for search in self.searches)]
+
+    def _suffices(self, attempt: DaggerAttempt, results: Mapping[str, Result]) -> bool | None:
+        """Whether an attack has its aim; None if it has failed."""
         result = results.get(attempt.title)
         return bool(_record_of(result)["success"]) if isinstance(result, Done) else None
 

@@ -34,7 +34,7 @@ from attacks.poisons.poisoned import CLOAK, SHEET, PoisonedConfig
 from attacks.poisons.specs import ChosenPoison
 from attacks.studies.poison_figures import figures, summary_tables
 from attacks.studies.running import OWN_NAME, Attempt, Observed, Work, copied, names_of
-from attacks.studies.study_file import Point, Settings, with_none
+from attacks.studies.study_file import Point, Settings, Study, with_none
 from attacks.tables import Table
 from mi_splat.cameras import Camera
 from mi_splat.directions import Point as Position
@@ -313,10 +313,11 @@ class PoisonWork(Work[PoisonAttempt]):
 
     story, has_judges = STORY, False
 
+    def __init__(self, study: Study) -> None:
+        super().__init__(study, map(self.attempt, study.points))
+
     def attempt(self, point: Point) -> PoisonAttempt:
         """The victims of a point."""
-        if point.bisected:
-            raise InvalidValueError.of(self.study.name, "no bisect", "one", "leave it out")
         return PoisonAttempt.of(point, self.study.name)
 
     def observed(self, results: Mapping[str, Result], out: Path) -> Observed:

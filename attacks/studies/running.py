@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 import shutil
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -58,7 +59,7 @@ Observed = tuple[dict[str, Any], Mapping[str, pl.DataFrame], list[Path]]
 """What a result says of finished jobs, its tables of rows, and the pictures that were copied beside it."""
 
 
-class Work(Generic[_Attempt]):
+class Work(ABC, Generic[_Attempt]):
     """A kind of study: the jobs of each point, and what its result says of them.
 
     Raises:
@@ -67,33 +68,28 @@ class Work(Generic[_Attempt]):
 
     story: ClassVar[str]
     has_judges: ClassVar[bool] = True
+    can_bisect: ClassVar[bool] = False
     searches: Sequence[Sequence[_Attempt]] = ()
 
-    def __init__(self, study: Study) -> None:
+    def __init__(self, study: Study, attempts: Iterable[_Attempt]) -> None:
         self.study = study
         if study.judges and not self.has_judges:
             raise InvalidValueError.of(study.name, "no judge", "one", "leave it out")
-        self.attempts: list[_Attempt] = [self.attempt(point) for point in study.points]
+        if not self.can_bisect and any(point.bisected for point in study.points):
+            raise InvalidValueError.of(study.name, "no bisect, for want of a single aim", "one", "leave it out")
+        self.attempts = list(attempts)
 
-    def attempt(self, point: Point) -> _Attempt:
-        """A point as jobs."""
-        raise NotImplementedError
-
-    def suffices(self, attempt: _Attempt, results: Mapping[str, Result]) -> bool | None:
-        """Whether a value that is bisected suffices; None if a job has failed."""
-        raise NotImplementedError
-
+    @abstractmethod
     def observed(self, results: Mapping[str, Result], out: Path) -> Observed:
         """What is seen in the results."""
-        raise NotImplementedError
 
+    @abstractmethod
     def with_figures(self, record: dict[str, Any], rows: Mapping[str, pl.DataFrame]) -> dict[str, Any]:
         """A record with every figure that follows from it and from its rows."""
-        raise NotImplementedError
 
+    @abstractmethod
     def tables(self, record: Mapping[str, Any]) -> Iterable[Table]:
         """The tables of a result."""
-        raise NotImplementedError
 
     def jobs(self) -> dict[str, Job]:
         """Every job that may be asked for, by its label."""
@@ -105,11 +101,8 @@ class Work(Generic[_Attempt]):
         return len({job.identity for job in self.jobs().values()})
 
     def plans(self) -> list[Plan]:
-        """One plan of all points that are known, and one for each search."""
-        searched = {id(attempt) for search in self.searches for attempt in search}
-        known = [attempt.jobs for attempt in self.attempts if id(attempt) not in searched]
-        fixed = [grid({label: job for jobs in known for label, job in jobs.items()})] if known else []
-        return [*fixed, *(bisection(search, self.suffices) for search in self.searches)]
+        """What is to be done, in plans that do not depend on each other."""
+        return [grid(self.jobs())]
 
     def check_room(self, store: Path) -> None:
         """Refuse a disk that has no room for what the jobs leave."""

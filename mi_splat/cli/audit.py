@@ -12,7 +12,7 @@ from mi_splat.cli.console import UsageError, progress, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, Direction, JsonOptions, axis_name, check_no_input_in
 from mi_splat.errors import MiSplatError
-from mi_splat.fields import Folder, Metavar, between
+from mi_splat.fields import Metavar, OutFile, OutFolder, between
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -57,7 +57,7 @@ class AuditOptions(JsonOptions):
     downscale: Annotated[int, between(1, 64, "times smaller"), Metavar("FACTOR")] = 1
     """Read the pictures of a set so many times smaller, from its folder images_2 and so on if it is there. They are
     compared at 96 pixels anyway, so that this saves time and memory alone."""
-    out: Folder | None = None
+    out: OutFolder | None = None
     """Folder for result.json, the two pictures that prove a look, the splat coloured by heat, the mask of the Gaussians
     that `mi-splat select --mask` takes, and a picture of the overdraw; of several files a folder in it for each."""
     against: Path | None = None
@@ -66,9 +66,9 @@ class AuditOptions(JsonOptions):
     (changed.npy)."""
     only: Literal["looks", "lint"] | None = None
     """Look for hidden looks only, or only check the numbers, which is much faster."""
-    sarif: Path | None = None
+    sarif: OutFile | None = None
     """Write what was found as SARIF 2.1.0, too, which build pipelines and editors read."""
-    repair: Annotated[Path | None, Metavar("FILE")] = None
+    repair: OutFile | None = None
     """Write the splat without what was found, in the format that this name ends with, and audit it again. Where nothing
     was found nothing is written."""
     keep: Literal["outside", "inside"] = "outside"

@@ -15,7 +15,7 @@ from mi_splat.cli.console import progress, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import FieldOfView, JsonOptions, Point, Size
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Folder, Length, Metavar, between
+from mi_splat.fields import Length, Metavar, OutFolder, between
 
 if TYPE_CHECKING:
     from mi_splat.cameras import Camera
@@ -42,7 +42,7 @@ class CaptureOptions(JsonOptions):
     the project's objects by name and seed, for instance car:900004."""
     cameras: Annotated[str, Metavar("CAMERAS")] = "hemisphere:210"
     """hemisphere:N, orbit:N@ELEVATION, cap:N@MIN_ELEVATION, grid:AxE (azimuths x elevations), or a transforms .json."""
-    out: Folder = Path("out/capture")
+    out: OutFolder = Path("out/capture")
     """Folder to write: a new one, or that of the same capture, which then goes on."""
     size: Size | None = None
     """Pixels, as 256 or 256x192; 1 to 32768. None is 256, or what a transforms .json says."""

@@ -13,6 +13,7 @@ from mi_splat.cli.console import progress, show_result
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions
 from mi_splat.errors import InvalidValueError
+from mi_splat.fields import OutFile
 from mi_splat.placement import Placement
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ class ConvertOptions(JsonOptions):
 
     source: Positional[Path]
     """Splat to read: .ply, .compressed.ply, .spz, .sog, .glb, .usdc, .usda, .usdz, .splat or .ksplat."""
-    out: Positional[Path]
+    out: Positional[OutFile]
     """Splat to write: .ply, .compressed.ply, .spz, .sog, .glb, .usdc, .usda, .usdz or .splat."""
     force: bool = False
     """Replace a file that is there."""

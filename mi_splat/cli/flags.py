@@ -30,7 +30,6 @@ from mi_splat.fields import (
     Metavar,
     Range,
     check_choice,
-    named_path,
     taken,
     type_hints,
     unwrapped,
@@ -169,7 +168,7 @@ def _plain(hint: Any, word: str) -> Any:
                 return number(word)
             except ValueError:
                 continue
-    return named_path(word) if kind is Path else word
+    return word
 
 
 class Parser(argparse.ArgumentParser):

@@ -14,7 +14,7 @@ from typing import Annotated
 from mi_splat.cli.console import UsageError
 from mi_splat.cli.flags import Flag
 from mi_splat.errors import nearest
-from mi_splat.fields import Converter, Folder, Length, Metavar, Range, between
+from mi_splat.fields import Converter, Length, Metavar, OutFolder, Range, between
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _AXIS = re.compile(r"[+-]?[xyz]")
@@ -140,7 +140,7 @@ class JsonOptions:
 class ResultOptions(JsonOptions):
     """What a command takes that writes a folder of results."""
 
-    out: Folder = Path("out")
+    out: OutFolder = Path("out")
     """Folder for the results: a new one, written whole at the end."""
     force: bool = False
     """Replace an older result in --out."""

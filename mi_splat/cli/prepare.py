@@ -7,7 +7,7 @@ from pathlib import Path
 from mi_splat.cli.console import follow, progress, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import JsonOptions, check_no_input_in
-from mi_splat.fields import Folder
+from mi_splat.fields import OutFolder
 from mi_splat.preparation.config import PreparationError, PrepareConfig
 
 EXAMPLES = (
@@ -31,7 +31,7 @@ class PrepareOptions(JsonOptions):
 
     source: Positional[Path]
     """A folder of pictures (JPEG, PNG, WebP, BMP, TIFF), or a video (MP4, MOV, MKV, WebM, AVI)."""
-    out: Folder
+    out: OutFolder
     """Folder for the set: a new one, written whole at the end."""
     force: bool = False
     """Replace an older set in --out."""

@@ -13,7 +13,7 @@ from mi_splat.cli.console import progress, show_result
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, JsonOptions, Rate, Samples
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Metavar
+from mi_splat.fields import Metavar, OutFile
 
 if TYPE_CHECKING:
     import numpy as np
@@ -47,7 +47,7 @@ class RenderOptions(JsonOptions):
 
     scene: Positional[Path]
     """Scene XML of splats, alone or among meshes, or a splat file of any format that is read."""
-    out: Annotated[Path, Metavar("PATH")] = Path("picture.png")
+    out: Annotated[OutFile, Metavar("PATH")] = Path("picture.png")
     """What to write: NAME.png or NAME.jpg; NAME.exr with linear values as 32-bit floats; NAME.gif, NAME.webp or
     NAME.mp4 (needs the extra `video`) of several cameras one after the other; a folder, or a name with {} for the
     camera's, for a picture from each."""

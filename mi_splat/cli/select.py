@@ -10,6 +10,7 @@ from mi_splat.cli.console import progress, show_result, warn
 from mi_splat.cli.flags import Positional
 from mi_splat.cli.options import CameraOptions, JsonOptions
 from mi_splat.errors import InvalidValueError
+from mi_splat.fields import OutFile
 from mi_splat.selection.config import Selection
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ class SelectOptions(JsonOptions):
     """Which object."""
     view: CameraOptions = field(default_factory=CameraOptions)
     """Where it is looked at from; the first camera's picture is the one that is clicked on and written."""
-    out: tuple[Path, ...] = ()
+    out: tuple[OutFile, ...] = ()
     """Any of: a .png or .jpg of the scene with the object tinted, the mask as .npy, the object's Gaussians as .ply."""
 
 

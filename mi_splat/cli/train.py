@@ -14,7 +14,7 @@ from mi_splat.cli.console import UsageError, limit_threads, progress, show_resul
 from mi_splat.cli.flags import Positional, choice_among
 from mi_splat.cli.options import Colour, JsonOptions
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Folder, Length, Metavar, Seed, at_least, between
+from mi_splat.fields import Folder, Length, Metavar, OutFolder, Seed, at_least, between
 from mi_splat.io.parsing import read_json
 from mi_splat.training.config import FitConfig
 from mi_splat.training.strategies import strategy_config, strategy_name, strategy_names
@@ -66,7 +66,7 @@ class TrainOptions(JsonOptions):
 
     dataset: Positional[Folder]
     """Folder of the set."""
-    out: Folder
+    out: OutFolder
     """Folder for the results; made if it is not there."""
     strategy: Annotated[str, Metavar("|".join(strategy_names()))] = _STRATEGY
     """How Gaussians are added and removed: clone, split and prune (3DGS), MCMC relocation, or not at all. For the flags

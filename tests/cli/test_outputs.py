@@ -88,6 +88,8 @@ def test_what_is_in_the_way_is_seen_before_any_work(
     """A file, a folder of something else, and a folder that another process works in."""
     name, work = COMMANDS[line]
     forbid(work, monkeypatch)
+    assert cli.main([*line.split(), "--out", "example:car_street"]) == 2
+    assert "--out: expected a path to write, got the scene example:car_street" in capsys.readouterr().err
     (folder / "file").write_text("precious")
     assert cli.main([*line.split(), "--out", str(folder / "file" / "deep" / name)]) == 1
     assert str(folder / "file") in capsys.readouterr().err

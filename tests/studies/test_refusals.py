@@ -91,6 +91,7 @@ MISREAD = {"kind": "m-ifgsm"}
         ({**CLOAK, "judge": {"sun": {"scene": STREET}, "matrix": {"condition": ["09:30"]}}}, "expected layers"),
         ({**CLOAK, "attack": [{"name": "a", "elevation": [89.99, 90]}]}, "expected at least one camera"),
         ({"study": "audit", "file": "nowhere.ply"}, "expected a file, got no file nowhere.ply"),
+        ({"study": "audit", "bisect": {"field": "cameras.train", "values": [8, 9]}}, "expected no bisect"),
         ({"study": "audit", "chosen_on": "car"}, "expected a list of names, got 'car'"),
         ({"study": "audit", "capture": "nowhere.xml"}, "expected a file, got no file nowhere.xml"),
         ({"study": "audit", "attack": [ABOVE, {**ABOVE, "name": "b"}]}, "expected one attack, got 2"),
