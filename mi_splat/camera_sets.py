@@ -40,9 +40,10 @@ def orbit(
     focal: float,
     size: tuple[int, int],
     start: float = 0.0,
+    span: float = 360.0,
 ) -> CameraList:
-    """`count` cameras at equal azimuths around `target`, the first at azimuth `start`."""
-    azimuths = (start + 360.0 * i / count for i in range(count))
+    """`count` cameras at equal azimuths around `target`, or over a `span` of them, the first at azimuth `start`."""
+    azimuths = (start + span * i / count for i in range(count))
     poses = (orbit_pose(target, azimuth=azimuth, elevation=elevation, distance=distance) for azimuth in azimuths)
     return CameraList(Camera(to_world=pose, focal=focal, width=size[0], height=size[1]) for pose in poses)
 
@@ -97,14 +98,16 @@ def tiers(
     elevations: Sequence[float] = (),
     start: float = 0.0,
     offset: float = 0.5,
+    span: float = 360.0,
 ) -> list[Camera]:
-    """`count` cameras on a hemisphere, or on rings of it, each at a distance of its own."""
+    """`count` cameras on a hemisphere, or on rings or arcs of it, each at a distance of its own."""
     lens: dict[str, Any] = {"distance": distance, "focal": focal, "size": size}
     if elevations:
         cameras = CameraList()
         for ring, elevation in enumerate(elevations):
             share = count // len(elevations) + (ring < count % len(elevations))
-            cameras += orbit(target, count=share, elevation=elevation, start=start + ring * _GOLDEN, **lens)
+            turned = start + ring * _GOLDEN * (span == 360.0)
+            cameras += orbit(target, count=share, elevation=elevation, start=turned, span=span, **lens)
     else:
         cameras = hemisphere(target, count=count, start=start, offset=offset, **lens)
     low, high = distances
@@ -160,8 +163,7 @@ def camera_set(
     if kind == "orbit":
         return orbit(centre, count=count, elevation=angle, distance=distance, focal=focal, size=size)
     if kind == "grid":
-        rows = int(numbers["rows"])
-        return grid(centre, azimuths=count, elevations=rows, distance=distance, focal=focal, size=size)
+        return grid(centre, azimuths=count, elevations=int(numbers["rows"]), distance=distance, focal=focal, size=size)
     return hemisphere(centre, count=count, distance=distance, focal=focal, size=size, elevation=(angle, 90.0))
 
 
@@ -180,13 +182,11 @@ def held_out_set(
     angle = float(numbers.get("angle", 0.0))
     for name, value in (("distance", distance), ("focal", focal)):
         checked_number(name, value, above(0))
+    lens: dict[str, Any] = {"distance": distance, "focal": focal, "size": size}
     if kind == "orbit":
-        return [
-            orbit(centre, count=1, elevation=angle, distance=distance, focal=focal, size=size, start=azimuth)[0]
-            for azimuth in _between(int(numbers["count"]), count)
-        ]
-    band, start = (angle, 90.0), HELD_OUT_START
-    return hemisphere(centre, count=count, distance=distance, focal=focal, size=size, elevation=band, start=start)
+        starts = _between(int(numbers["count"]), count)
+        return [orbit(centre, count=1, elevation=angle, start=start, **lens)[0] for start in starts]
+    return hemisphere(centre, count=count, elevation=(angle, 90.0), start=HELD_OUT_START, **lens)
 
 
 def _between(others: int, count: int) -> list[float]:

@@ -342,6 +342,8 @@ class CameraConfig(Checked):
         distance: Metres from the centre; None is as near as shows the whole object.
         distances: Lowest and highest multiple of the distance, for cameras nearer and farther away, held-out ones too.
         elevations: Rings of cameras at these elevations, held-out ones too, degrees; none is the whole hemisphere.
+        azimuths: First and last azimuth of rings, degrees; less than a full turn makes them arcs.
+        hold_out: On arcs, every so manieth camera is held out; 0 holds out none.
         height: Height of the centre above the ground, metres.
         fov: Field of view, degrees.
         size: Width and height, pixels.
@@ -353,6 +355,8 @@ class CameraConfig(Checked):
     distance: Annotated[float, above(0, "metres")] | None = None
     distances: Annotated[tuple[float, float], between(0.1, 10, "multiples of the distance")] = (1.0, 1.0)
     elevations: Annotated[tuple[float, ...], between(0, 90, "degrees")] = ()
+    azimuths: Annotated[tuple[float, float], between(-360, 360, "degrees")] = (0.0, 360.0)
+    hold_out: Count = 0
     height: Annotated[float, Range(unit="metres")] = 0.7
     fov: Annotated[float, between(1, 179, "degrees")] = 45.0
     size: Annotated[int, at_least(1, "pixels")] = 256
@@ -366,8 +370,9 @@ class CameraConfig(Checked):
 
     @property
     def tiers(self) -> dict[str, Any]:
-        """Distances and elevations, as `mi_splat.camera_sets.tiers` takes them."""
-        return {"distances": self.distances, "elevations": self.elevations}
+        """Distances, elevations and the span of azimuths, as `mi_splat.camera_sets.tiers` takes them."""
+        span = self.azimuths[1] - self.azimuths[0]
+        return {"distances": self.distances, "elevations": self.elevations, "span": span}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -197,7 +197,9 @@ class Setup:
     @cached_property
     def training_cameras(self) -> list[Camera]:
         """The victim's cameras."""
-        return [*_tiers(self.centre, count=self.cameras.train, **self.lens, **self.cameras.tiers)]
+        config, every = self.cameras, self.cameras.hold_out
+        cameras = _tiers(self.centre, count=config.train, start=config.azimuths[0], **self.lens, **config.tiers)
+        return [camera for number, camera in enumerate(cameras) if not every or number % every != every // 2]
 
     @cached_property
     def held_out_cameras(self) -> list[Camera]:
@@ -206,6 +208,8 @@ class Setup:
         start, offset = HELD_OUT_START, 0.5
         if evaluation.seed:
             start, offset = np.random.default_rng(evaluation.seed).uniform((0.0, 0.0), (360.0, 1.0)).tolist()
+        if self.cameras.tiers["span"] < 360:
+            start = self.cameras.azimuths[0]  # and what is held out is left, and what lies between two of the training
         placed = {**self.lens, **self.cameras.tiers}
         everywhere = _tiers(centre, count=evaluation.cameras, start=start, offset=offset, **placed)
         used, least = self.training_cameras, evaluation.min_separation

@@ -94,16 +94,10 @@ def _poison_splat(config: PoisonSplatConfig, given: Given) -> PicturePoison:
     return PoisonSplat(config=config, begun=given.decoy)
 
 
-def _uniform_noise(config: UniformNoiseConfig, given: Given) -> PicturePoison:
-    from attacks.poisons.poison_splat import UniformNoise
+def _control(config: UniformNoiseConfig | RaisedVariationConfig, given: Given) -> PicturePoison:
+    from attacks.poisons.poison_splat import RaisedVariation, UniformNoise
 
-    return UniformNoise(config=config)
-
-
-def _raised_variation(config: RaisedVariationConfig, given: Given) -> PicturePoison:
-    from attacks.poisons.poison_splat import RaisedVariation
-
-    return RaisedVariation(config=config)
+    return UniformNoise(config=config) if isinstance(config, UniformNoiseConfig) else RaisedVariation(config=config)
 
 
 def _m_ifgsm(config: MIFGSMConfig, given: Given) -> PicturePoison:
@@ -120,8 +114,8 @@ POISONS: Registry[PoisonSpec] = Registry(
 
 for _spec in (
     PoisonSpec(name="poison-splat", config=PoisonSplatConfig, make=_poison_splat, needs=("splat",)),
-    PoisonSpec(name="uniform-noise", config=UniformNoiseConfig, make=_uniform_noise),
-    PoisonSpec(name="raised-variation", config=RaisedVariationConfig, make=_raised_variation),
+    PoisonSpec(name="uniform-noise", config=UniformNoiseConfig, make=_control),
+    PoisonSpec(name="raised-variation", config=RaisedVariationConfig, make=_control),
     PoisonSpec(name="m-ifgsm", config=MIFGSMConfig, make=_m_ifgsm, needs=("classifier",)),
 ):
     POISONS.add(_spec.name, _spec)

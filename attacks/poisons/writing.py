@@ -51,10 +51,8 @@ def write_poisoned(
                 shutil.copyfile(views.paths[index], images / name)
             else:
                 new = replaced.get(index)
-                if new is not None and not keeps_alpha:
-                    save_png(to_bytes(new.image), images / name)
-                else:
-                    save_png(_pixels(views, index, new), images / name)
+                opaque = None if new is None or keeps_alpha else to_bytes(new.image)
+                save_png(_pixels(views, index, new) if opaque is None else opaque, images / name)
             mask = _counting(views, index, replaced.get(index) if changes_count else None)
             if mask is not None:
                 save_png(to_bytes(mask), make_folder(folder / MASKS) / name)

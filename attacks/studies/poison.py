@@ -37,10 +37,9 @@ from attacks.studies.running import OWN_NAME, Attempt, Observed, Work, copied, n
 from attacks.studies.study_file import Point, Settings, Study, with_none
 from attacks.tables import Table
 from mi_splat.cameras import Camera
-from mi_splat.directions import Point as Position
 from mi_splat.directions import direction_of
 from mi_splat.errors import InvalidValueError
-from mi_splat.fields import Checked, Seed, above, check, check_choice, decode
+from mi_splat.fields import Checked, Seed, above, at_least, check, check_choice, decode
 from mi_splat.io.parsing import read_json
 from mi_splat.ledger import Done, Job, Part
 from mi_splat.ledger.plans import Result
@@ -50,7 +49,7 @@ JUDGED = "attacks.poisons.judged"
 """Kind of the jobs in which a classifier looks, or a splat is measured."""
 DEFENDED = "defended"
 """Condition of rows of a splat whose victim defends itself."""
-TRAINING, HELD_OUT, PHOTOGRAPH = "training cameras", "held-out cameras", "photograph"
+TRAINING, HELD_OUT, HIGHER, PHOTOGRAPH = "training cameras", "held-out cameras", "higher cameras", "photograph"
 """Conditions of what is seen of a splat, or of pictures, from the cameras of the training or others."""
 
 
@@ -90,6 +89,7 @@ class PoisonPoint:
     attacker: TrainingConfig | None = None  # of the splat that the attacker starts from; None is as the victim's
     victim: Victim = field(default_factory=Victim)
     evaluation: EvaluationConfig = field(default_factory=lambda: EvaluationConfig(cameras=60))  # held-out cameras
+    higher: Annotated[float, at_least(0, "degrees")] = 0.0  # classifiers look from so far above, too; 0: they do not
     poison: ChosenPoison | None = None  # None leaves the set as it is
     defence: Defence | None = None  # None is nothing
     deceive: str = ""  # the classifier that M-IFGSM deceives
@@ -191,6 +191,9 @@ class PoisonAttempt(Attempt):
     def cameras(self, condition: str) -> Sequence[Camera]:
         """Cameras of a condition, as its rows number them."""
         setup = self.steps.setup
+        if condition.startswith(HIGHER):
+            raised = tuple(elevation + self.options.higher for elevation in setup.cameras.elevations)
+            return replace(setup, cameras=replace(setup.cameras, elevations=raised)).training_cameras
         return setup.training_cameras if TRAINING in condition else setup.held_out_cameras
 
     def _made(self, label: str, job: Job) -> Job:
@@ -236,7 +239,8 @@ class PoisonAttempt(Attempt):
 
     def _looks(self, splat: str, finished: Job, *, defended: bool) -> Iterator[Look]:
         """Everybody's looks: at a splat from training and held-out cameras, and at undefended pictures of the same."""
-        shown: dict[str, tuple[str, Job]] = {TRAINING: ("splat", finished), HELD_OUT: ("splat", finished)}
+        places = (TRAINING, HELD_OUT, *((HIGHER,) if self.options.higher else ()))
+        shown = dict.fromkeys(places, ("splat", finished))
         pictures = self.pictures if splat == CLEAN else self.poisoned
         if pictures is not None and not defended:
             shown[f"{PHOTOGRAPH}, {TRAINING}"] = ("set", pictures)
@@ -245,7 +249,8 @@ class PoisonAttempt(Attempt):
         also = f", {DEFENDED}" * defended
         for condition, (what, job) in shown.items():
             looking = {name: self._classified(name, what, job, condition) for name in self.options.classifiers}
-            looking |= {name: self._detected(name, job, condition) for name in self.options.detectors}
+            detectors = self.options.detectors if condition != HIGHER else ()
+            looking |= {name: self._detected(name, job, condition) for name in detectors}
             for name, look in looking.items():
                 label = f"{name} looks at the {splat} splat{also}, {condition}"
                 job, seed = self._made(label, look), self.options.seed
@@ -370,16 +375,13 @@ def _rows(
 def _seen(attempt: PoisonAttempt, look: Look, done: Done) -> Iterable[Mapping[str, Any]]:
     """What was seen, picture by picture; a success is an object that is misread, or reported with less confidence."""
     if look.job.kind == JUDGED:
-        cells = [_camera_cells(camera, attempt.steps.setup.centre) for camera in attempt.cameras(look.condition)]
-        return [{**row, **cells[row["view"]]} for row in done.rows]
+        cameras, centre = attempt.cameras(look.condition), attempt.steps.setup.centre
+        cells = [camera_cells(camera, None, direction_of(camera, centre)) for camera in cameras]
+        distances = [math.dist(camera.position.tolist(), centre) for camera in cameras]
+        return [{**row, **cells[row["view"]], "distance": distances[row["view"]]} for row in done.rows]
     missed = ~reported("original_score", attempt.options.evaluation.confidence)
     (table,) = (table for name, table in look.tables(done).items() if name != DETECTIONS)
     return table.with_columns(success=missed).iter_rows(named=True)
-
-
-def _camera_cells(camera: Camera, centre: Position) -> dict[str, Any]:
-    distance = math.dist(camera.position.tolist(), centre)
-    return {**camera_cells(camera, None, direction_of(camera, centre)), "distance": distance}
 
 
 def _pictures(attempt: PoisonAttempt, done: Mapping[str, Done], folder: Path) -> list[Path]:

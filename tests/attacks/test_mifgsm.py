@@ -74,9 +74,8 @@ def test_a_target_becomes_surer(views: list[View]) -> None:
 
 def test_steps_at_the_size_of_the_classifier_are_those_of_a_loop(views: list[View]) -> None:
     """One picture of the classifier's own size: nothing is scaled."""
-    view = View(
-        orbit((0, 0, 0), count=1, elevation=0, distance=4, focal=24, size=(SIZE, SIZE))[0], torch.rand(SIZE, SIZE, 3)
-    )
+    (camera,) = orbit((0, 0, 0), count=1, elevation=0, distance=4, focal=24, size=(SIZE, SIZE))
+    view = View(camera, torch.rand(SIZE, SIZE, 3))
     config = replace(ANY, steps=3, deviation=(0.1, 0.2, 0.3))
     done = attack(config, masks=None)([view])
     wanted = view.image.double()
@@ -138,5 +137,3 @@ def test_bad_input(views: list[View]) -> None:
         attack(masks=empty[:2])(views)
     with pytest.raises(InvalidValueError, match="decoy: expected one if it shall take steps, got 5 steps of a decoy"):
         attack(replace(ANY, decoy_steps=5))(views)
-    with pytest.raises(InvalidValueError, match="eps"):
-        MIFGSMConfig(eps=-1)

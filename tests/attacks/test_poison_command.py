@@ -163,11 +163,8 @@ def test_a_gpu_makes_nearly_the_same_pictures(more: tuple[str, ...], names: list
 def test_a_picture_without_the_object_is_named(
     names: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pictures = [
-        CAMERAS[0],
-        *orbit((90.0, 0.0, 0.0), count=1, elevation=0, distance=4.0, focal=24.0, size=(20, 16), start=180),
-    ]
-    write_transforms(tmp_path / "set", [View(camera, torch.full((16, 20, 3), 0.5)) for camera in pictures])
+    away = orbit((90.0, 0.0, 0.0), count=1, elevation=0, distance=4.0, focal=24.0, size=(20, 16), start=180)
+    write_transforms(tmp_path / "set", [View(at, torch.full((16, 20, 3), 0.5)) for at in (CAMERAS[0], *away)])
     words = [str(tmp_path / "set"), names[1], "--kind", "m-ifgsm", *SMALL["m-ifgsm"]]
     assert cli.main(["poison", *words, "--out", str(tmp_path / "out")]) == 1
     assert "train_00001.png: expected some pixels of the object" in " ".join(capsys.readouterr().err.split())

@@ -51,7 +51,8 @@ CASES: list[tuple[str, set[str], dict[str, Any]]] = [
     ("scene", (MADE - {"pictures"}) | {"trained"}, {"background": (0.0, 0.0, 0.0)}),
     ("scene", set(), {"up": "y", "scale": 2.0, "rotate": (0.0, 0.0, 90.0), "front": "-x"}),  # of mesh files alone
     ("cameras", MADE, {"train": 14, "distance": 8.0, "distances": (0.8, 1.1), "elevations": (10.0, 40.0, 80.0)}),
-    ("cameras", MADE, {"height": 0.9, "fov": 50.0, "size": 40, "samples": 3, "points": 120}),
+    ("cameras", MADE, {"height": 0.9, "fov": 50.0, "size": 40, "samples": 3, "points": 120, "hold_out": 4}),
+    ("cameras", MADE, {"azimuths": (0.0, 90.0)}),
     ("training", {"trained"}, {"iterations": 120, "strategy": "mcmc", "max_gaussians": 500, "sh_degree": 2}),
     ("training", {"trained"}, {"sh_degree_interval": 20, "outliers": 10, "point_deviations": 2.0}),
     ("training", {"trained", "layered"} | SEEN, {"near": 0.1}),

@@ -207,7 +207,7 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     "audit": write_audit,
     "audit-study": partial(write_shipped, "tables/audit.json"),
     "bench": write_bench,
-    "poison-study": partial(write_shipped, "artifacts/m_ifgsm/result.json", most=30),
+    "poison-study": partial(write_shipped, "artifacts/m_ifgsm_sparse/result.json", most=30),
     "evaluate": write_evaluation,
     "compare": write_comparison,
     "detect": write_detections,

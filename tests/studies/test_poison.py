@@ -1,9 +1,11 @@
 """Studies of poisoned training pictures: which jobs there are, what they leave, and what is refused."""
 
+import itertools
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import polars as pl
 import pytest
 
 from attacks.classifiers.registry import CLASSIFIERS, ClassifierSpec
@@ -135,9 +137,11 @@ detectors = ["redness"]
 classifiers = ["toy"]
 deceive = "toy"
 scene = { object = "car" }
-cameras = { train = 6, size = 40, distance = 7.4, samples = 1, points = 600, elevations = [0.0, 20.0] }
+cameras = { train = 6, size = 40, distance = 7.4, samples = 1, points = 600, hold_out = 3, \
+elevations = [0, 20], azimuths = [-30, 60] }
 training = { iterations = 12, sh_degree = 0 }
-evaluation = { cameras = 4, confidence = 0.3 }
+evaluation = { cameras = 6, confidence = 0.3 }
+higher = 10
 poison = { kind = "m-ifgsm", steps = 4, step = 0.5 }
 defence = { filter = { name = "blur" } }
 """)
@@ -154,14 +158,21 @@ defence = { filter = { name = "blur" } }
         directions[splat, condition, "toy", view] == pytest.approx(direction)
         for (splat, condition, _, view), direction in directions.items()
     )
+    whole = table.with_columns(pl.col("azimuth").round() % 360, pl.col("elevation").round())
+    for where, *directions in (
+        ("training cameras", (330, 30), (0, 20)),
+        ("held-out cameras", (0,), (0, 20)),
+        ("higher cameras", (330, 30), (10, 30)),
+    ):
+        seen_from = whole.filter(condition=where, detector="toy").select("azimuth", "elevation")
+        assert set(seen_from.iter_rows()) == set(itertools.product(*directions))
     table = table.filter(detector="redness")
     counts = Counter(table.select("splat", "condition").iter_rows())
-    held_out = len(set(rows(folder, "fidelity")["view"]))
     assert counts == {
-        **{(splat, "photograph, training cameras"): 6 for splat in ("clean", "attacked")},
-        ("clean", "photograph, held-out cameras"): held_out,
-        **{(splat, f"training cameras{how}"): 6 for splat in ("clean", "attacked") for how in ("", ", defended")},
-        **{(s, f"held-out cameras{how}"): held_out for s in ("clean", "attacked") for how in ("", ", defended")},
+        **{(splat, "photograph, training cameras"): 4 for splat in ("clean", "attacked")},
+        ("clean", "photograph, held-out cameras"): 2,
+        **{(splat, f"training cameras{how}"): 4 for splat in ("clean", "attacked") for how in ("", ", defended")},
+        **{(s, f"held-out cameras{how}"): 2 for s in ("clean", "attacked") for how in ("", ", defended")},
     }
     record = read_json(folder / "result.json")
     assert record["detectors"] == {"redness": "0" * 16}
