@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import torch
@@ -14,7 +13,7 @@ from torch import Tensor, nn
 from attacks.classifiers.base import Classifier
 from attacks.detectors.base import check_images
 from attacks.detectors.vision import torchvision
-from attacks.detectors.weights import FrozenModel, fingerprint
+from attacks.detectors.weights import FrozenModel
 from mi_splat.errors import InvalidValueError, nearest
 
 Triple = tuple[float, float, float]
@@ -45,18 +44,12 @@ class FrozenClassifier(FrozenModel):
     def __init__(self, name: str, model: nn.Module, classes: Sequence[str], prepare: Preparation) -> None:
         """Freeze a model, in place."""
         super().__init__(name, model, check_classes(classes))
-        self.prepare = prepare
+        self.prepare, self.settings = prepare, json.dumps([self.classes, repr(prepare)])
 
     @property
     def size(self) -> int:
         """See `Classifier`."""
         return self.prepare.size
-
-    @cached_property
-    def fingerprint(self) -> str:  # of large networks it takes a while
-        """See `Classifier`."""
-        more = json.dumps([self.classes, repr(self.prepare)])
-        return fingerprint(self.model.state_dict(), more)
 
     def scores(self, images: Tensor) -> Tensor:
         """See `Classifier`."""

@@ -212,8 +212,8 @@ class Setup:
             start = self.cameras.azimuths[0]  # and what is held out is left, and what lies between two of the training
         placed = {**self.lens, **self.cameras.tiers}
         everywhere = _tiers(centre, count=evaluation.cameras, start=start, offset=offset, **placed)
-        used, least = self.training_cameras, evaluation.min_separation
-        kept = [camera for camera in everywhere if nearest(camera, used, centre) >= least]
+        angles, least = nearest(everywhere, self.training_cameras, centre), evaluation.min_separation
+        kept = [camera for camera, angle in zip(everywhere, angles, strict=True) if angle >= least]
         if not kept:
             raise InvalidValueError.of("evaluation.min_separation", "cameras that are left", "none", "lower it")
         return kept
@@ -316,12 +316,13 @@ class Setup:
         return poisonings
 
 
-def nearest(camera: Camera, others: Sequence[Camera], centre: Point) -> float:
-    """Degrees from a camera to the nearest of others, as seen from the centre."""
+def nearest(cameras: Sequence[Camera], others: Sequence[Camera], centre: Point) -> list[float]:
+    """Degrees from each camera to the nearest of others, as seen from the centre."""
     middle = torch.as_tensor(centre, dtype=torch.float64)
 
-    def unit(position: Tensor) -> Tensor:
-        return torch.nn.functional.normalize(position.double() - middle, dim=-1)
+    def unit(positions: Tensor) -> Tensor:
+        return torch.nn.functional.normalize(positions.double() - middle, dim=-1)
 
-    cosines = unit(torch.stack([other.position for other in others])) @ unit(camera.position)
-    return math.degrees(math.acos(min(1.0, float(cosines.max()))))
+    directions = unit(torch.stack([other.position for other in others]))
+    cosines = [float((directions @ unit(camera.position)).max()) for camera in cameras]
+    return [math.degrees(math.acos(min(1.0, cosine))) for cosine in cosines]

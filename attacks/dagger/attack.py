@@ -163,7 +163,7 @@ def _judged(problem: Problem, config: DaggerConfig, outcome: Outcome, views: Fix
     noise = [budget.noise(outcome.parameters, reference, generator) for _ in range(config.noise_draws)]
     saved = [as_saved(one) for one in (attacked, *(subset.applied(point) for point in noise))]
     held_out = views.held_out(config)
-    clean = (as_saved(views.scene), views.clean_reports(problem.detectors, held_out))
+    clean = (views.saved, views.clean_reports(problem.detectors, held_out))
     judged, (image, *noise_images) = judge(problem, held_out, clean, saved)
     in_file = GaussianSubset.of(saved[0], subset.rows, sh_degree=subset.sh_degree).parameters(config.attributes)
     names, looked = [detector.name for detector in problem.detectors], observed(judged, seed=config.seed)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -137,6 +138,11 @@ class FixedViews:
         self._reports: dict[Hashable, Reports] = {}
         self._pictures: dict[Camera, Tensor] = {}
 
+    @cached_property
+    def saved(self) -> GaussianScene:
+        """The clean scene as its file holds it."""
+        return as_saved(self.scene)
+
     def check(self, config: DaggerConfig) -> None:
         """Raise unless the views can be attacked with a configuration; all can."""
 
@@ -186,7 +192,7 @@ class FixedViews:
         for detector in detectors:
             key = (detector.name, detector.fingerprint, tuple(views))
             if key not in self._reports:
-                self._reports[key] = detected([detector], as_saved(self.scene), views, self.render)
+                self._reports[key] = detected([detector], self.saved, views, self.render)
             reports |= self._reports[key]
         return reports
 

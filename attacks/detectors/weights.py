@@ -137,19 +137,27 @@ class FrozenModel:
     name: str
     classes: tuple[str, ...]
     model: Any
+    settings: str = ""
+    """What else changes the scores, for the fingerprint."""
 
     def __init__(self, name: str, model: nn.Module, classes: Sequence[str]) -> None:
         """Freeze a model, in place."""
         check_finite(model.state_dict(), f"weights of {name}")
         self.name, self.classes = name, tuple(classes)
         self.model = model.eval().requires_grad_(False)
+        self._hashed: tuple[dict[str, Tensor], list[tuple[int, int]], str] | None = None
 
     @property
     def fingerprint(self) -> str:
-        """See `Detector`."""
-        return fingerprint(self.model.state_dict())
+        """See `Detector`; hashed again only after a tensor was replaced or changed."""
+        state = self.model.state_dict()
+        versions = [(value.data_ptr(), value._version) for value in state.values()]
+        if self._hashed is None or self._hashed[1] != versions:
+            self._hashed = state, versions, fingerprint(state, self.settings)  # the state, so that no memory is reused
+        return self._hashed[2]
 
     def to(self: _Self, device: torch.device | str) -> _Self:
         """Move the weights to a device, in place."""
         self.model.to(device)
+        self._hashed = None
         return self

@@ -4,10 +4,8 @@ Both attacks are judged by this module alone: what it has not seen on an 8-bit p
 """
 
 import math
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -22,9 +20,9 @@ from attacks.transformations.draws import PictureChange, changing
 from mi_splat.cameras import Camera, RenderFn, as_cameras
 from mi_splat.directions import Direction, Point, direction_of
 from mi_splat.errors import InvalidValueError
-from mi_splat.io import load_splat, save_splat
 from mi_splat.io.camera_records import camera_of
 from mi_splat.io.images import through_png
+from mi_splat.io.ply import through_ply
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.selection.visibility import object_weight
@@ -117,10 +115,7 @@ def _batches(cameras: Sequence[Camera], size: int) -> Iterator[list[int]]:
 
 def as_saved(scene: GaussianScene) -> GaussianScene:
     """What a user gets who loads the scene's file: every attribute has gone through the space and precision of it."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "scene.ply"
-        save_splat(scene, path)
-        return load_splat(path).to(scene.means.device)
+    return through_ply(scene).to(scene.means.device)
 
 
 def object_boxes(

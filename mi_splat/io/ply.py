@@ -238,9 +238,7 @@ def read_ply(file: io.FileIO, path: str) -> Loaded:
     logits, logs = _columns(rows, ["opacity"])[:, 0], _columns(rows, scale_names)
     if len(scale_names) == 2:
         logs = np.concatenate([logs, logs.min(axis=1, keepdims=True) + math.log(_FLATNESS)], axis=1)
-    # As `mi_splat.io.parameters.activate`: in float64, rounded once.
-    scales, opacities = np.exp(logs, dtype=np.float64), 1 / (1 + np.exp(-logits.astype(np.float64)))
-    opacities[~np.isfinite(logits)] = np.nan
+    scales, opacities = _activated(logs, logits)
     if _FILTER in kinds:  # the 3D smoothing filter, Yu et al. 2024, eq. 9
         wider = np.sqrt(scales**2 + rows[_FILTER].astype(np.float64)[:, None] ** 2)
         opacities, scales = opacities * (scales / wider).prod(axis=1), wider
@@ -262,6 +260,13 @@ def read_ply(file: io.FileIO, path: str) -> Loaded:
     unread += [f"element {name}" for name in header.elements if name != "vertex"]
     mode = _FILTER in kinds or header.is_antialiased
     return dataclasses.replace(loaded, is_antialiased=mode, notices=tuple(notices), unread=tuple(unread))
+
+
+def _activated(logs: NDArray[np.floating], logits: NDArray[np.floating]) -> list[NDArray[np.floating]]:
+    """Scales and opacities as `mi_splat.io.parameters.activate` computes them: in float64, rounded once."""
+    opacities = 1 / (1 + np.exp(-logits.astype(np.float64)))
+    opacities[~np.isfinite(logits)] = np.nan
+    return [np.exp(logs, dtype=np.float64), opacities]
 
 
 def _check_properties(vertex: Element, path: str) -> tuple[list[str], list[str], int]:
@@ -290,12 +295,7 @@ def _columns(rows: Rows, names: Sequence[str]) -> NDArray[np.floating]:
 
 def write_ply(scene: GaussianScene, path: str | os.PathLike[str], *, antialiased: bool = False) -> None:
     """Save a splat as 3DGS writes it: binary little-endian float32 with zero normals and the scene's SH degree."""
-    import torch  # reading does without
-
-    from mi_splat.io.parameters import to_raw_parameters
-
-    scene = scene.unchecked(*(value.detach().to("cpu", torch.float32) for value in scene.tensors()))
-    values = {name: value.numpy() for name, value in to_raw_parameters(scene).items()}
+    values = _raw(scene)
     rest = values["sh"][:, 1:].transpose(0, 2, 1).reshape(len(scene), 3 * (scene.sh.shape[1] - 1))
     before = values["means"], np.zeros_like(values["means"]), values["sh"][:, 0], rest
     after = values["opacities"][:, None], values["scales"], values["rotations"]
@@ -303,3 +303,21 @@ def write_ply(scene: GaussianScene, path: str | os.PathLike[str], *, antialiased
     names = [*_MEANS, *_NORMALS, *_DC, *rest_names(rest.shape[1]), "opacity", *_SCALES, *_ROTATIONS]
     head = header_bytes({"vertex": Element(len(scene), dict.fromkeys(names, ("f4",)))}, antialiased=antialiased)
     save_bytes(table.reshape(-1).view(np.uint8).data, path, head=head)
+
+
+def through_ply(scene: GaussianScene) -> GaussianScene:
+    """What `load_splat` reads from the PLY that `save_splat` writes of a scene: to the bit, without the file."""
+    values = _raw(scene)
+    scales, opacities = _activated(values["scales"], values["opacities"])
+    loaded = validated(values["means"], scales, unit(values["rotations"]), opacities, values["sh"])
+    return loaded.settle("a saved scene", "raise", stacklevel=2).scene
+
+
+def _raw(scene: GaussianScene) -> dict[str, NDArray[np.float32]]:
+    """The tensors of a scene as the file holds them."""
+    import torch  # reading does without
+
+    from mi_splat.io.parameters import to_raw_parameters
+
+    scene = scene.unchecked(*(value.detach().to("cpu", torch.float32) for value in scene.tensors()))
+    return {name: value.numpy() for name, value in to_raw_parameters(scene).items()}

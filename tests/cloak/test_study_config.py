@@ -54,7 +54,7 @@ def test_the_study_of_the_paper_has_its_numbers() -> None:
     names = [attack.name for attack in assign(setup.training_cameras, setup.poisonings(), centre=centre).values()]
     assert (len(setup.training_cameras), names.count("overhead"), names.count("rear")) == (210, 80, 20)
     cameras = setup.held_out_cameras
-    assert min(nearest(camera, setup.training_cameras, centre) for camera in cameras) >= 1.0
+    assert min(nearest(cameras, setup.training_cameras, centre)) >= 1.0
     over, rear = (attack.cone.holds(cameras, centre=centre) for attack in study.attack)
     assert int(over.sum()) >= 160
     assert int(rear.sum()) >= 40
@@ -67,7 +67,7 @@ def test_a_seed_draws_other_held_out_cameras() -> None:
     first, again, same, other = ([camera.to_world.tolist() for camera in one.held_out_cameras] for one in draws)
     assert first != again == same != other
     for setup in draws:
-        assert min(nearest(one, setup.training_cameras, STUDY.centre) for one in setup.held_out_cameras) >= 1
+        assert min(nearest(setup.held_out_cameras, setup.training_cameras, STUDY.centre)) >= 1
 
 
 ONE = "name = 'x'\n[[attack]]\nname = 'a'\n"
