@@ -5,10 +5,7 @@ import torch
 from scipy.stats import binomtest
 from torch import Tensor
 
-from attacks.dagger.attack import attack
-from attacks.dagger.config import DaggerConfig
 from attacks.detectors.base import Detections
-from attacks.objectives import relabel
 from attacks.observe.comparison import compare, compared_rows
 from attacks.observe.drawing import annotated
 from attacks.observe.views import ViewDetections, as_saved, detect_views, evaluate, object_boxes
@@ -17,24 +14,6 @@ from mi_splat.cameras import Camera
 from mi_splat.io.images import through_png
 from mi_splat.scene import GaussianScene
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
-
-
-def test_an_attack_is_scored_on_other_views_with_its_control() -> None:
-    scene, mask = toy_scene()
-    config = DaggerConfig(eps=(20.0,), early_stop=False, noise_draws=0)
-    result = attack(scene, mask, [camera()], ColourDetector(), relabel("person"), render=blobs, config=config)
-    views = [camera(offset=offset) for offset in (-0.2, 0.1, 0.3)]
-    seen = evaluate({"clean": scene, "attacked": result.scene}, mask, views, [ColourDetector()], render=blobs)
-    assert {name: len(one) for name, one in seen.items()} == {"clean": 3, "attacked": 3}
-    rows = compared_rows(seen, original="car", target="person").rows
-    (comparison,) = compare(rows)
-    every, none = Rate(successes=3, total=3), Rate(successes=0, total=3)
-    assert comparison.rates == {
-        **{"found_clean": every, "found_attacked": none, "missed": every},
-        **{"target_clean": none, "target_attacked": every},
-    }
-    assert set(rows["label"]) == {"car", "person"}
-    assert (rows["iou"] >= 0.5).all()
 
 
 def test_views_without_the_object_do_not_count() -> None:

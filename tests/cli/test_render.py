@@ -137,19 +137,8 @@ def splat(tmp_path: Path) -> Path:
     return tmp_path / "ball.ply"
 
 
-def test_a_taken_port_is_told(splat: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        words = ["view", str(splat), "--port", str(taken.getsockname()[1])]
-        pytest.importorskip("viser", reason="needs the extra `view`")
-        assert cli.main(words) == 1
-    assert "--port 0" in capsys.readouterr().err
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_serves_until_it_is_told_to_stop(number: signal.Signals, splat: Path) -> None:
+def test_it_serves_until_it_is_told_to_stop(splat: Path) -> None:
     pytest.importorskip("viser", reason="needs the extra `view`")
     command = [sys.executable, "-m", "attacks", "view", str(splat), "--port", "0", "--no-open"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -162,7 +151,7 @@ def test_it_serves_until_it_is_told_to_stop(number: signal.Signals, splat: Path)
             assert address.startswith("http://127.0.0.1:"), address
             with urllib.request.urlopen(address, timeout=60) as answer:
                 assert answer.status == 200
-            process.send_signal(number)
+            process.send_signal(signal.SIGTERM)
             out, errors = process.communicate(timeout=120)
         finally:
             process.kill()

@@ -21,13 +21,10 @@ from mi_splat.cameras import Camera, View
 from mi_splat.datasets import DatasetWarning, PointCloud, load_dataset
 from mi_splat.datasets.distortion import Intrinsics
 from mi_splat.io import load_splat
-from mi_splat.io.images import save_animation
-from mi_splat.io.picture_files import load_picture
 from mi_splat.placement import turn_of
 from mi_splat.rendering import Renderer
 from mi_splat.scene import GaussianScene, Similarity
 from mi_splat.sh import sh_to_colour
-from tests.capture.trucks import truck, write_glb
 from tests.cloak.test_own_pictures import CAMERAS, ball_on_a_plane
 from tests.datasets.sets import write_colmap
 from tests.fakes import ColourDetector, register
@@ -157,47 +154,3 @@ def test_a_set_of_photographs_through_every_command(walk: Walk, monkeypatch: pyt
         assert Path("upright.ply.png").read_bytes() == Path("upright.usdc.png").read_bytes()
         walk("select upright.usdc --box -0.4 -0.4 0.2 0.4 0.4 1 --out again.npy")
         assert int(np.load("again.npy").sum()) == int(np.load("ball.npy").sum())
-
-
-@pytest.mark.nightly
-def test_a_video_of_path_traced_pictures_through_every_command(walk: Walk, monkeypatch: pytest.MonkeyPatch) -> None:
-    for package, extra in (("pycolmap", "colmap"), ("imageio_ffmpeg", "video")):
-        pytest.importorskip(package, reason=f"the extra {extra} is not installed")
-    register(monkeypatch, {"fake_colour": ColourDetector()})
-    walk("capture car:900004 --ground asphalt --cameras orbit:24@25 --size 960x720 --samples 8 --out frames")
-    frames = [load_picture(file) for file in sorted(Path("frames/images").rglob("*.png"))]
-    save_animation([np.asarray(frame.convert("RGB")) for frame in frames], Path("walk.mp4"), fps=1)
-    prepared = walk.json("prepare walk.mp4 --features 2048 --out set")
-    assert sum(row["part"] != "none" for row in prepared["pictures"]) >= 22
-    assert walk.json("train set --out run --iterations 40 --downscale 8")["psnr"] > 15
-    walk("render run --cameras set --out pictures")
-    low, high = walk.json("info run --up z")["height"]
-    assert low < high
-    assert walk.json("select run --cluster 1 --out object.npy")["gaussians"] > 100
-    walk("audit run --only lint")
-    aim = "--mask object.npy --size 64 --detectors fake_colour"
-    walk(f"dagger run {aim} --objective untargeted --noise-draws 0 --steps 1 --cameras set --out attacked")
-    walk(f"evaluate run attacked {aim} --original car --cameras orbit:2@30 --out judged")
-    walk("detect attacked --cameras orbit:2@30 --size 64 --detectors fake_colour --out seen")
-    walk("compare run --cameras orbit:1@30 --size 64 --rounds 0 --no-gradients --out compared")
-    walk("poison set run --mask object.npy --hide-from elevation:10-90 --downscale 8 --out poisoned")
-
-
-@pytest.mark.slow
-def test_a_mesh_becomes_a_splat_that_trains_on(walk: Walk, tmp_path: Path) -> None:
-    write_glb(tmp_path, truck().placed(scale=100.0, move=UTM, y_up=True))
-    shot = "--cameras hemisphere:14 --test 3 --size 48 --samples 4 --points 1500 --format both"
-    capture = f"capture truck.glb --scale 0.01 --front +x --ground road --sun -50,52 {shot} --out set"
-    taken = walk.json(capture)
-    assert (taken["train"], taken["test"]) == (14, 3)
-    assert any(abs(value) > 1e5 for value in json.loads(Path("set/capture.json").read_text())["world_offset"])
-    assert walk.json(capture)["rendered"] == 0
-    first = walk.json("train set --out run --iterations 80 --max-gaussians 3000 --sh-degree 1")
-    longer = walk.json("train set --out run --iterations 120 --max-gaussians 3000 --sh-degree 1")
-    assert "going on from step 80 of 120" in walk.err
-    assert longer["psnr"] > first["psnr"] - 1
-    assert walk.json("info run/splat.ply")["gaussians"] == longer["gaussians"]
-    walk("render run/splat.ply --azimuth 40 --elevation 15 --size 64x48 --out one.jpg")
-    assert Path("one.jpg").read_bytes().startswith(b"\xff\xd8")
-    assert spread("one.jpg") > 10
-    assert walk.json("select run/splat.ply --box -2.6 -1.1 0.2 2.6 1.1 2.2 --size 64 --out mask.npy")["gaussians"] > 100

@@ -110,6 +110,7 @@ def jobs(study: StudyConfig, *, seed: int = 0) -> dict[str, Job]:
     }
 
 
+@functools.cache
 def keys(study: StudyConfig, *, seed: int = 0) -> dict[str, str]:
     """What each job depends on besides the content of its inputs, as text."""
     return {name: canonical(job.config_json) for name, job in jobs(study, seed=seed).items()}

@@ -1,8 +1,6 @@
 """Arrays of NumPy, lists, and single values where tensors and sequences are usual; all else is refused in words."""
 
-import json
 from collections.abc import Callable
-from dataclasses import asdict
 from typing import Any
 
 import drjit as dr
@@ -28,7 +26,7 @@ from mi_splat.scene_files import read_scene
 from mi_splat.selection.config import Selection
 from mi_splat.selection.select import select
 from mi_splat.training.config import FitConfig
-from mi_splat.training.strategies import ClassicConfig, FixedConfig, MCMCConfig
+from mi_splat.training.strategies import MCMCConfig
 from tests.fakes import ColourDetector, blobs, camera, toy_scene
 
 ROWS = [10, 12, 11]
@@ -82,21 +80,6 @@ def test_cuda_without_a_gpu_is_refused_in_words() -> None:
 
 
 # Numbers and tuples in configurations: what is meant is taken, the wrong kind is refused before anything runs
-
-
-def test_one_value_stands_for_a_tuple_of_one() -> None:
-    config = DaggerConfig(attributes="sh", eps=5.0)  # type: ignore[arg-type]
-    assert config == DaggerConfig()
-    assert DaggerConfig(eps=np.array([2.0])).eps == (2.0,)  # type: ignore[arg-type]
-    assert FitConfig(trainable="sh", strategy=FixedConfig()).trainable == ("sh",)  # type: ignore[arg-type]
-
-
-def test_numbers_of_numpy_become_python_s_so_that_snapshots_are_json() -> None:
-    numbers: dict[str, Any] = {"iterations": np.int64(5), "lr_means": np.float32(0.5)}
-    most: Any = np.int32(9)
-    config = FitConfig(**numbers, strategy=ClassicConfig(max_gaussians=most))
-    assert json.loads(json.dumps(asdict(config)))["strategy"]["max_gaussians"] == 9
-    assert (type(config.iterations), type(config.lr_means)) == (int, float)
 
 
 REFUSED: dict[str, tuple[Callable[[], object], str]] = {

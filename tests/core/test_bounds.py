@@ -5,7 +5,6 @@ import torch
 
 from mi_splat.bounds import REFERENCE_NEAR, bounds, culled_in_view, near_plane
 from mi_splat.cameras import Camera, look_at
-from mi_splat.metrics import ssim
 from mi_splat.scene import GaussianScene, merge
 from tests import oracle
 
@@ -59,15 +58,3 @@ def test_only_what_is_in_the_picture_is_culled(beside: tuple[float, float], insi
     assert culled_in_view(cloud.replace(means=means), looking_from(3.0), 0.3) == int(inside)
     turned = torch.tensor([[2.8, sign * beside[1], sign * beside[0]]])
     assert culled_in_view(cloud.replace(means=turned), looking_from(3.0), 0.3) == int(inside)
-
-
-# Distances between pictures
-
-
-def test_ssim_of_equal_noisy_and_opposite_pictures() -> None:
-    image = torch.rand(24, 20, 3)
-    noisy = (image + 0.1 * torch.randn_like(image)).clamp(0, 1)
-    assert ssim(image, image).item() == pytest.approx(1)
-    assert -1 < ssim(image, 1 - image).item() < 0 < ssim(image, noisy).item() < 1
-    pair = ssim(torch.stack([image, image]), torch.stack([image, noisy]))
-    assert pair.item() == pytest.approx((1 + ssim(image, noisy).item()) / 2, abs=1e-5)

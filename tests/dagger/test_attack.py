@@ -13,10 +13,9 @@ from attacks import cli
 from attacks.dagger.attack import attack
 from attacks.dagger.config import DaggerConfig
 from attacks.dagger.result import Result
-from attacks.detectors.base import Detections
 from attacks.objectives import Objective, hide, relabel, untargeted
 from attacks.optimisers import NORM_NAMES, NormName
-from attacks.search import NORMS, Step
+from attacks.search import NORMS
 from mi_splat import variant
 from mi_splat.attributes import ATTRIBUTES, Attribute
 from mi_splat.cameras import Camera
@@ -130,16 +129,6 @@ def test_it_is_deterministic_and_the_seed_moves_only_what_is_random() -> None:
     assert runs[0].trace != runs[2].trace
 
 
-def test_several_views_are_attacked_together() -> None:
-    views = [camera(), camera(offset=0.8), camera(offset=-0.8)]
-    result = run(cameras=views)
-    assert result.success
-    assert len(result.views) == 3
-    assert all(view.attacked.verdict.success for view in result.views)
-    assert result.target_confidence == min(view.confidence("person", attacked=True) for view in result.views)
-    assert not torch.equal(result.views[0].target.box, result.views[1].target.box)
-
-
 def test_views_are_attacked_in_turn_each_from_where_the_one_before_has_ended() -> None:
     views = [camera(), camera(offset=2.5)]
     result, alone = run(cameras=views, in_turn=True), run(cameras=views[:1])
@@ -153,37 +142,6 @@ def test_the_search_can_look_at_the_object_alone_and_is_judged_in_the_scene() ->
     assert result.success
     assert result.trace[0].loss != run().trace[0].loss
     assert torch.equal(result.views[0].clean.image, run().views[0].clean.image)
-
-
-def test_a_fraction_of_the_views_can_be_enough() -> None:
-    views = [camera(), camera(offset=2.5)]
-    every, half = (run(cameras=views, eps=(4.0,), required_views=fraction) for fraction in (1.0, 0.5))
-    assert [every.success, half.success] == [False, True]
-    assert half.score == max(view.attacked.verdict.score for view in half.views)
-    assert every.score == min(view.attacked.verdict.score for view in every.views)
-
-
-def test_the_trace_is_heard_and_early_stop_saves_steps() -> None:
-    heard: list[Step] = []
-    scene, mask = toy_scene()
-    result = attack(
-        scene,
-        mask,
-        [camera()],
-        DETECTOR,
-        relabel("person"),
-        render=blobs,
-        config=DaggerConfig(eps=(20.0,)),
-        up=(0.0, -1.0, 0.0),
-        on_step=heard.append,
-    )
-    assert result.origin["up"] == [0.0, -1.0, 0.0]
-    assert tuple(heard) == result.trace
-    assert result.best == result.trace[-1]
-    assert result.best.index < 11
-    full = run(eps=(20.0,), early_stop=False)
-    assert len(full.trace) == 12
-    assert full.score >= result.score
 
 
 class Recorder:
@@ -229,33 +187,6 @@ def test_noise_has_the_size_of_the_attack_in_its_norm(norm: NormName) -> None:
     assert sizes == pytest.approx([result.used["sh"]] * 3, rel=1e-5)
     directions = torch.stack([delta.flatten() / delta.norm() for delta in noise])
     assert float((directions @ directions.T).fill_diagonal_(0).abs().max()) < 0.2  # draws of their own
-
-
-class Ambiguous(ColourDetector):
-    """Sees a car at 0.9 beside every person during the first `calls` pictures."""
-
-    def __init__(self, calls: int) -> None:
-        self.left = calls
-
-    def detect(self, images: Tensor) -> list[Detections]:
-        self.left -= 1
-        (seen,) = super().detect(images)
-        if self.left < 0 or "person" not in seen.labels:
-            return [seen]
-        box = seen.boxes[seen.labels.index("person")]
-        boxes, scores = torch.stack([box, box]), torch.tensor([0.9, 0.8])
-        return [Detections(boxes, scores, ("car", "person"))]
-
-
-@pytest.mark.parametrize(("calls", "runs"), [(0, 1), (13, 2), (99, 3)])
-def test_restarts_go_on_until_a_success_is_unambiguous(calls: int, runs: int) -> None:
-    """One look at the clean picture, then twelve at each run that never has an unambiguous success."""
-    scene, mask = toy_scene()
-    config = DaggerConfig(eps=(12.0,), restarts=3, noise_draws=0)
-    result = attack(scene, mask, [camera()], Ambiguous(calls), relabel("person"), render=blobs, config=config)
-    assert result.trace[-1].restart == runs - 1
-    assert any(line.success for line in result.trace if line.restart == 0)
-    assert result.best.unambiguous is (calls < 99)
 
 
 def test_wrong_arguments_say_what_is_wrong() -> None:

@@ -77,6 +77,7 @@ def test_the_object_is_found_before_and_hidden_after(scenes: dict[str, SplatScen
 # DAGGER over distributions of views with the real renderer and the shipped detector, small
 
 
+@pytest.mark.nightly
 def test_the_shipped_car_becomes_a_person_from_cameras_that_were_not_attacked(
     scenes: dict[str, SplatScene], detector: Detector
 ) -> None:

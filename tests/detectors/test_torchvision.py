@@ -157,13 +157,6 @@ def test_shapes_of_candidates_and_detections_are_checked() -> None:
         Detections(torch.zeros(1, 4), torch.zeros(2), ("car",))
 
 
-def test_an_unknown_name_is_answered_with_the_nearest() -> None:
-    with pytest.raises(DetectorError, match="did you mean fasterrcnn_small"):
-        load_detector("fasterrcnn_smal")
-    with pytest.raises(DetectorError, match=r"expected fasterrcnn_small or .*choose one of them"):
-        load_detector("x")
-
-
 @pytest.mark.parametrize("name", DETECTORS)
 def test_missing_weights_are_named(name: str, tmp_path: Path) -> None:
     with pytest.raises(DetectorError, match=r"none\.pth: expected a (file.*|folder of .*), got nothing there"):

@@ -54,54 +54,6 @@ def test_like_torchvision() -> None:
         torch.testing.assert_close(scores[:, label].max(), all_scores[:, label].max())
 
 
-@pytest.mark.slow
-def test_like_ultralytics() -> None:
-    """A tensor (B, 4 + C, A) of centres, sizes and confidences in pixels of the network."""
-    pytest.importorskip("ultralytics", reason="the extra yolo is not installed")
-    known = load_detector("yolov8n_small")
-    side: int = known.side  # type: ignore[attr-defined]
-
-    def decode(outputs: Any, size: tuple[int, int]) -> Pairs:
-        rows = (outputs[0] if isinstance(outputs, (list, tuple)) else outputs).transpose(1, 2)
-        scale = rows.new_tensor([size[1], size[0]] * 2) / side
-        return zip(corners(rows[..., :4]) * scale, rows[..., 4:], strict=True)
-
-    def square(images: Tensor) -> Tensor:
-        return F.interpolate(images.permute(0, 3, 1, 2), size=(side, side), mode="bilinear", align_corners=False)
-
-    ours = wrap_detector(known.model, known.classes, decode, prepare=square)  # type: ignore[attr-defined]
-    images = pictures(side, side)
-    for seen, expected in zip(ours.candidates(images), known.candidates(images), strict=True):
-        torch.testing.assert_close(seen.scores, expected.scores)
-        torch.testing.assert_close(seen.boxes.clamp(0, side), expected.boxes, rtol=1e-4, atol=1e-2)
-
-
-def test_like_transformers() -> None:
-    """An output with `logits`, of which the last class is nothing, and `pred_boxes` relative to the picture."""
-    transformers = pytest.importorskip("transformers", reason="the extra transformers is not installed")
-    narrow = {"embedding_size": 8, "hidden_sizes": [8, 16, 24, 32], "depths": [1, 1, 1, 1]}
-    small = dict.fromkeys(("encoder_layers", "decoder_layers"), 1)
-    small |= {"d_model": 16, "encoder_ffn_dim": 32, "decoder_ffn_dim": 32, "num_queries": 12}
-    small |= {"encoder_attention_heads": 2, "decoder_attention_heads": 2}
-    classes = ("person", "car", "stop sign")
-    torch.manual_seed(3)
-    config = transformers.DetrConfig(
-        use_timm_backbone=False,
-        backbone_config=transformers.ResNetConfig(**narrow, out_features=["stage4"]),
-        id2label=dict(enumerate(classes)),
-        **small,
-    )
-
-    def decode(outputs: Any, size: tuple[int, int]) -> Pairs:
-        boxes = corners(outputs.pred_boxes) * outputs.pred_boxes.new_tensor([size[1], size[0]] * 2)
-        return zip(boxes, outputs.logits.softmax(-1)[..., :-1], strict=True)
-
-    def normalised(images: Tensor) -> Tensor:
-        return (images.permute(0, 3, 1, 2) - 0.45) / 0.22
-
-    check_detector(wrap_detector(transformers.DetrForObjectDetection(config), classes, decode, prepare=normalised))
-
-
 class Plain(nn.Module):
     """Three convolutions: a score of each class and a box at every fourth pixel."""
 

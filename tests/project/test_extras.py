@@ -124,7 +124,7 @@ def checkout(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_python_example_runs(checkout: Path, warm: Warm) -> None:
     (example,) = blocks("python", START)
     assert len([line for line in example.splitlines() if line.strip()]) <= 20
@@ -134,7 +134,7 @@ def test_the_python_example_runs(checkout: Path, warm: Warm) -> None:
     assert (checkout / "attacked.ply").is_file()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_examples_of_the_api_run(checkout: Path, warm: Warm) -> None:
     """As they stand, but with the smallest set and a training of some steps."""
     dagger, curve, aim, cloak = blocks("python", (ROOT / "docs" / "api.md").read_text())

@@ -13,7 +13,6 @@ from mi_splat.selection.visibility import contributions, object_maps, object_wei
 from mi_splat.sh import colour_to_dc
 from tests import oracle
 from tests.rendering.test_rasterization import camera
-from tests.rendering.test_specification import VIEW, blobs
 from tests.selection.bare import ground
 
 
@@ -154,19 +153,6 @@ def test_rows_and_gradients_of_the_scene_change_nothing(variant: str) -> None:
         again = contributions(learnt, [HERE, THERE], render=Renderer())
     assert torch.equal(again, weights)
     assert not again.requires_grad
-
-
-def test_two_objects_beside_each_other(variant: str) -> None:
-    left, right = (blobs([2.0, 2.5], [0.9, 0.9], scale=0.1) for _ in range(2))
-    shift = torch.tensor([0.6, 0.0, 0.0])
-    scene = merge(left.replace(means=left.means - shift), right.replace(means=right.means + shift))
-    maps = object_maps(scene, [slice(0, 2), slice(2, 4)], VIEW, render=Renderer(GREY))
-    assert maps.weights.shape == (8, 8, 2)
-    assert maps.ids[4, :4].tolist() == [0] * 4
-    assert maps.ids[4, 5:].tolist() == [1] * 3
-    assert maps.ids[0].tolist() == [-1] * 8
-    one = object_maps(scene, [torch.tensor([False, False, True, True])], VIEW, render=Renderer())
-    assert torch.equal(one.ids == 0, maps.ids == 1)
 
 
 def test_weights_of_objects_add_up_to_the_opacity(variant: str) -> None:

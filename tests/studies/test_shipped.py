@@ -7,6 +7,7 @@ import pytest
 
 from attacks.detectors.weights import FrozenModel
 from attacks.studies import audit, cloak, dagger, poison
+from attacks.studies.cloak import config_of
 from attacks.studies.running import work_of
 from attacks.studies.study_file import read_study
 from mi_splat.assets import ASSETS
@@ -51,9 +52,26 @@ COUNTS = {
     "transfer": (144, 576),
 }
 """Points of each study, or of poisons the trainings; and looks by judges."""
+LONG = ("cloak", "cloak_design", "cloak_controls", "cloak_new_cars", "audit")
+"""Studies whose scenes take seconds to build."""
 
 
-@pytest.mark.parametrize("path", sorted(STUDIES.glob("*.toml")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("name", LONG)
+def test_the_points_of_a_long_study_have_settings_that_can_be(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    study = read_study(STUDIES / f"{name}.toml")
+    assert len(study.points) == COUNTS[name][0]
+    for point in study.points if study.kind == "cloak" else ():
+        assert config_of(point.settings, name).attack
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, id=path.stem, marks=[pytest.mark.nightly] if path.stem in LONG else [])
+        for path in sorted(STUDIES.glob("*.toml"))
+    ],
+)
 def test_a_shipped_study_is_so_many_jobs(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(dagger, "weights", lambda detectors: {})  # that were not fetched are not missed

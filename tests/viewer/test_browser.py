@@ -29,7 +29,7 @@ from tests.viewer.contents import START, MeanInspector, painter, save_study
 from tests.viewer.wire import PATIENCE, serving
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.nightly,
     pytest.mark.skipif(CHROMIUM is None, reason="needs the program chromium"),
     # In the threads of a browser that is told to go away.
     pytest.mark.filterwarnings("ignore::DeprecationWarning:websockets"),
