@@ -77,7 +77,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "[DAGGER on third-party detectors](../dagger-coco.md#a-detector-trained-on-open-images)",
         ("dagger_openimages", "dagger_openimages_but_one"),
     ),
-    "m_ifgsm": ("M-IFGSM", "[M-IFGSM](../m-ifgsm.md)", ("m_ifgsm_sparse",)),
+    "m_ifgsm": ("M-IFGSM", "[M-IFGSM](../m-ifgsm.md)", ("m_ifgsm", "m_ifgsm_sparse")),
     "poison_splat": ("Poison-splat", "[Poison-splat](../poison-splat.md)", ("poison_splat",)),
     "transfer": ("Transferability of DAGGER from one view", "[Transferability](../transfer.md)", ("transfer",)),
     "transfer_views": (

@@ -41,7 +41,7 @@ COUNTS = {
     "eot_views": (6, 24),
     "files": (48, 480),
     "gradients": (66, 66),
-    "m_ifgsm": (12, 0),
+    "m_ifgsm": (24, 0),
     "m_ifgsm_demo": (2, 0),
     "m_ifgsm_sparse": (65, 0),
     "openimages": (48, 240),
