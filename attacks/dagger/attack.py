@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-from torch import Generator
 
 from attacks.dagger.config import DaggerConfig
+from attacks.dagger.controls import control_scenes
 from attacks.dagger.problem import Problem, check_detectors
 from attacks.dagger.result import Result, counted, judge, observed
 from attacks.dagger.search import Checkpoint, OnStep, search
@@ -156,23 +156,21 @@ def widened(scene: GaussianScene, config: DaggerConfig) -> GaussianScene:
 
 
 def _judged(problem: Problem, config: DaggerConfig, outcome: Outcome, views: FixedViews) -> Result:
-    """What a search has led to, judged beside random noise of the same size."""
+    """What a search has led to, judged beside its controls."""
     subset, budget, reference = problem.subset, config.budget, problem.subset.parameters(config.attributes)
-    generator = Generator().manual_seed(config.seed + 1)  # not the draws of the attack's own starting points
-    attacked, drawn = subset.applied(outcome.parameters), views.transformations
-    noise = [budget.noise(outcome.parameters, reference, generator) for _ in range(config.noise_draws)]
-    saved = [as_saved(one) for one in (attacked, *(subset.applied(point) for point in noise))]
-    held_out = views.held_out(config)
+    attacked, drawn, held_out = subset.applied(outcome.parameters), views.transformations, views.held_out(config)
+    saved = as_saved(attacked)
+    controls = {draw: as_saved(noisy) for draw, noisy in control_scenes(problem, outcome.parameters, config, held_out)}
     clean = (views.saved, views.clean_reports(problem.detectors, held_out))
-    judged, (image, *noise_images) = judge(problem, held_out, clean, saved)
-    in_file = GaussianSubset.of(saved[0], subset.rows, sh_degree=subset.sh_degree).parameters(config.attributes)
+    judged, image, control_images = judge(problem, held_out, clean, saved, controls)
+    in_file = GaussianSubset.of(saved, subset.rows, sh_degree=subset.sh_degree).parameters(config.attributes)
     names, looked = [detector.name for detector in problem.detectors], observed(judged, seed=config.seed)
     elevations = None if drawn is None else drawn.cameras.elevations
     return Result(
         scene=attacked,
         views=judged,
         image=image,
-        noise_images=tuple(noise_images),
+        control_images=control_images,
         looked=looked,
         figures=counted(looked.rows, names, problem.objective.label, config, elevations),
         fingerprints={detector.name: detector.fingerprint for detector in problem.detectors},
@@ -201,7 +199,7 @@ def _key(views: FixedViews, problem: Problem, config: DaggerConfig) -> str:
     drawn = views.transformations
     settings = {
         **dataclasses.asdict(config),
-        **dict.fromkeys(("held_out", "judge_seed", "noise_draws")),
+        **dict.fromkeys(("held_out", "judge_seed", "noise_draws", "controls")),
         "transformations": None if drawn is None else dataclasses.asdict(drawn),
         "objective": repr(problem.objective),
         "detectors": {detector.name: detector.fingerprint for detector in problem.detectors},

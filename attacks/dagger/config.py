@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 EnsembleLoss = Literal["mean", "max"]
 """How the losses of several detectors become one."""
+Control = Literal["noise", "smooth-noise", "norm-noise"]
+"""A random change of the object, beside which an attack is judged; also its name in the column `splat` of rows."""
 
 REGION: dict[str, Any] = {
     "eps": (1.0,),
@@ -69,7 +71,10 @@ class DaggerConfig:
         required_views: Fraction of the views in which the attack has to succeed.
         required_detectors: Fraction of the detectors, if there are several, that the attack has to deceive.
         ensemble: Loss over several detectors: the mean of theirs, or that of the one that resists most.
-        noise_draws: Draws of random noise of the same size, as a control.
+        controls: Random changes that an attack has to beat: white noise that changes the object's pixels as much as it
+            does, by PSNR (noise), smooth changes that do so (smooth-noise), or white noise of the attack's norm
+            (norm-noise), which averages out and changes pixels much less.
+        noise_draws: Draws of each control.
         sh_degree: Highest degree of the SH coefficients that may change, if SH may; the file gets it if it has less,
             with new coefficients that start at 0. 3 is what 3DGS writes and what the paper attacked; 0 changes a
             Gaussian's colour by the same from everywhere. None keeps the scene's own.
@@ -108,6 +113,7 @@ class DaggerConfig:
     required_views: PositiveFraction = 1.0
     required_detectors: PositiveFraction = 1.0
     ensemble: EnsembleLoss = "mean"
+    controls: tuple[Control, ...] = ("noise",)
     noise_draws: Count = 5
     sh_degree: Degree | None = 3
     restarts: Annotated[int, at_least(1)] = 1

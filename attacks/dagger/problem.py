@@ -124,11 +124,15 @@ class Problem:
             return self.render(self.subset.scene_with(parameters), camera)
         return frozen(self.subset.complete(parameters)["sh"])
 
+    def image(self, parameters: Parameters, camera: Camera) -> Tensor:
+        """The (H, W, 3) image of the scene with these parameters of the object, values in [0, 1]; no gradients."""
+        with torch.no_grad():
+            return self._differentiable(parameters, camera).clamp(0, 1)
+
     def error(self, parameters: Parameters, views: Sequence[View]) -> float:
         """Mean squared error of the views' pictures, values in [0, 1], before anything random happens to them."""
-        with torch.no_grad():
-            errors = [self._error(self._differentiable(parameters, view.camera).clamp(0, 1), view) for view in views]
-            return float(torch.stack(errors).mean())
+        errors = [self._error(self.image(parameters, view.camera), view) for view in views]
+        return float(torch.stack(errors).mean())
 
     def _error(self, picture: Tensor, view: View) -> Tensor:
         return (picture - self.clean(view.camera)).square().mean()

@@ -105,7 +105,7 @@ def summary(result: Result) -> dict[str, Any]:
         "image": dataclasses.asdict(image),
         "clamped_fraction": result.clamped_fraction,
         "zero_gradient_fraction": [line.zero_gradient_fraction for line in result.trace],
-        "noise_psnr": [change.psnr for change in result.noise_images],
+        "control_psnr": _control_psnr(result),
         "redraws": result.redraws,
         "warnings": list(result.warnings),
         "detectors": [{"detector": name, "detector_fingerprint": mark} for name, mark in result.fingerprints.items()],
@@ -120,6 +120,14 @@ def summary(result: Result) -> dict[str, Any]:
         key: [{**entry, **more} for entry, more in zip(stated[key], result.figures[key], strict=True)] for key in _EACH
     }
     return {**stated, **result.figures, **each}
+
+
+def _control_psnr(result: Result) -> dict[str, list[float | None]]:
+    """PSNR on the object of every draw, by the name of the control."""
+    lists: dict[str, list[float | None]] = {}
+    for (name, _), change in result.control_images.items():
+        lists.setdefault(name, []).append(change.psnr_object)
+    return lists
 
 
 def _settings(result: Result) -> dict[str, Any]:

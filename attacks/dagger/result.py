@@ -1,6 +1,6 @@
 """What an attack did, and the warnings about it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,13 +9,14 @@ import torch
 from torch import Tensor
 
 from attacks.dagger.config import DaggerConfig
+from attacks.dagger.controls import Draw
 from attacks.dagger.problem import Problem
 from attacks.dagger.views import Reports, View, detected
 from attacks.detectors.base import Detections
 from attacks.objectives import Objective, Target, confidence, reached_by
 from attacks.observe.observations import Observations, camera_cells, detection_rows, report_cells, verdict_cells
 from attacks.observe.rates import AIMS, REPORTED_AS_ORIGINAL, STRICT, aim_figures, count, joint_views
-from attacks.observe.rows import ATTACKED, CLEAN, NOISE, ROWS, Cell, Row, frame_of
+from attacks.observe.rows import ATTACKED, CLEAN, CONTROLS, NOISE, NORM_NOISE, ROWS, Cell, Row, frame_of
 from attacks.observe.views import ImageChange, ViewDetections, image_change
 from attacks.rate import Rate
 from attacks.search import Step, Verdict
@@ -47,7 +48,7 @@ class JudgedView:
     target: Target  # the object's box and classes in this view
     clean: Seen  # of the clean splat: its verdict is the aim reached without any attack
     attacked: Seen  # of the attacked splat
-    noise: tuple[Seen, ...]  # of each draw of random noise
+    controls: Mapping[Draw, Seen]  # of each draw of each control
 
     def confidence(self, label: str | None, *, attacked: bool) -> float:
         """Highest score with which `label` (any class if None) is reported on the object, clean or attacked."""
@@ -61,8 +62,8 @@ def observed(views: Sequence[JudgedView], **ids: Cell) -> Observations:
     for judged in views:
         view, target, clean = judged.view, judged.target, judged.clean.image
         where = camera_cells(view.camera, target.box, view.direction)
-        splats = [(CLEAN, None, judged.clean), (ATTACKED, None, judged.attacked)]
-        for splat, draw, seen in (*splats, *((NOISE, draw, seen) for draw, seen in enumerate(judged.noise))):
+        splats = [((CLEAN, None), judged.clean), ((ATTACKED, None), judged.attacked), *judged.controls.items()]
+        for (splat, draw), seen in splats:
             of: dict[str, Cell] = {**ids, "splat": splat, "draw": draw}
             of |= {"detector": judged.detector, "view": view.index}
             change = None if torch.equal(clean, seen.image) else float(psnr(clean, seen.image))
@@ -73,20 +74,25 @@ def observed(views: Sequence[JudgedView], **ids: Cell) -> Observations:
 
 
 def judge(
-    problem: Problem, views: Sequence[View], clean: tuple[GaussianScene, Reports], changed: Sequence[GaussianScene]
-) -> tuple[tuple[JudgedView, ...], list[ImageChange]]:
-    """The attacked splat and those with noise as each detector sees them in each view, and the change of the images."""
-    scenes = [clean[0], *changed]
-    reports = [clean[1], *(detected(problem.detectors, scene, views, problem.render) for scene in changed)]
+    problem: Problem,
+    views: Sequence[View],
+    clean: tuple[GaussianScene, Reports],
+    attacked: GaussianScene,
+    controls: Mapping[Draw, GaussianScene],
+) -> tuple[tuple[JudgedView, ...], ImageChange, dict[Draw, ImageChange]]:
+    """The attacked splat and its controls as each detector sees them in each view, and the change of the images."""
+    scenes = [clean[0], attacked, *controls.values()]
+    reports = [clean[1], *(detected(problem.detectors, scene, views, problem.render) for scene in scenes[1:])]
     judged = []
     for detector in problem.detectors:
         for view in views:
             target = problem.target(view, detector)
-            before, after, *noise = (_seen(problem, one[view.index, detector.name], target) for one in reports)
-            names = (view, detector.name, target)
-            judged.append(JudgedView(*names, clean=before, attacked=after, noise=tuple(noise)))
+            before, after, *others = (_seen(problem, one[view.index, detector.name], target) for one in reports)
+            names, seen = (view, detector.name, target), dict(zip(controls, others, strict=True))
+            judged.append(JudgedView(*names, clean=before, attacked=after, controls=seen))
     plain = [_plain_pictures(problem, scene, views, of_splat) for scene, of_splat in zip(scenes, reports, strict=True)]
-    return tuple(judged), [image_change(plain[0], one, [view.weight for view in views]) for one in plain[1:]]
+    image, *changes = [image_change(plain[0], one, [view.weight for view in views]) for one in plain[1:]]
+    return tuple(judged), image, dict(zip(controls, changes, strict=True))
 
 
 def _seen(problem: Problem, report: ViewDetections, target: Target) -> Seen:
@@ -146,17 +152,26 @@ def verdict_figures(
 ) -> dict[str, Any]:
     """Whether an attack succeeded, also with the own class gone, and the draws of noise that did."""
     attacked = rows.filter(splat=ATTACKED)
-    draws = rows.filter(splat=NOISE).partition_by("draw", maintain_order=True)
-    noise = [_verdict(draw, detectors, config, drawn=drawn) for draw in draws]
     strict = attacked.with_columns(success=STRICT)
+    controls = {name: _control(rows.filter(splat=name), detectors, config, drawn=drawn) for name in CONTROLS}
+    noise = controls.pop(NOISE)
+    others = {name: control for name, control in controls.items() if control["draws"]}
     return {
         **_verdict(attacked, detectors, config, drawn=drawn),
         "strict": _verdict(strict, detectors, config, drawn=drawn)["success"],
-        "noise": {
-            "scores": [verdict["score"] for verdict in noise],
-            "successes": sum(verdict["success"] for verdict in noise),
-            "draws": len(noise),
-        },
+        "noise": noise,
+        **({"controls": others} if others else {}),
+    }
+
+
+def _control(rows: pl.DataFrame, detectors: Sequence[str], config: DaggerConfig, *, drawn: bool) -> dict[str, Any]:
+    """The verdicts of all draws of a control."""
+    draws = rows.partition_by("draw", maintain_order=True)
+    verdicts = [_verdict(draw, detectors, config, drawn=drawn) for draw in draws]
+    return {
+        "scores": [verdict["score"] for verdict in verdicts],
+        "successes": sum(verdict["success"] for verdict in verdicts),
+        "draws": len(verdicts),
     }
 
 
@@ -196,6 +211,9 @@ _ZERO_GRADIENT_LIMIT = 0.9
 _CLAMPED_LIMIT = 0.25
 """Fraction of clamped colour channels that raises a warning."""
 
+MATCHED = 1.0
+"""How far the object's PSNR under a control may be from that under the attack before a result warns of it, dB."""
+
 PSNR_SLACK = 0.5
 """How far the held-out pictures may be below the image budget before a result warns of it, dB."""
 
@@ -209,7 +227,7 @@ class Result(Previewed):
         views: Every view before and after, detector by detector.
         image: Change of the images before anything random happens to them; its PSNR is of the mean squared error over
             all pixels of all views.
-        noise_images: The same for each draw of random noise.
+        control_images: The same for each draw of each control.
         looked: The same as rows, and every detection.
         figures: All that is counted from these rows, as in result.json (`attacks.dagger.result.counted`).
         fingerprints: What stands for the weights of each attacked detector, by its name.
@@ -235,7 +253,7 @@ class Result(Previewed):
     scene: GaussianScene
     views: tuple[JudgedView, ...]
     image: ImageChange
-    noise_images: tuple[ImageChange, ...]
+    control_images: dict[Draw, ImageChange]
     looked: Observations
     figures: dict[str, Any]
     fingerprints: dict[str, str]
@@ -362,9 +380,13 @@ def _warnings_of_fixed(result: Result) -> list[str]:
         known = [view for view in result.views if view.target.original is not None]
         left = max(view.confidence(view.target.original, attacked=True) for view in known)
         warnings.append(f"the object's own class is still reported on it, at up to {left:.0%}")
-    noise = result.figures["noise"]
-    if noise["draws"] and ((result.success and noise["successes"]) or max(noise["scores"]) >= result.score > 0):
-        warnings.append("random noise of the same size does as well")
+    figures = result.figures
+    for name, control in {NOISE: figures["noise"], **figures.get("controls", {})}.items():
+        if control["draws"] and (
+            (result.success and control["successes"]) or max(control["scores"]) >= result.score > 0
+        ):
+            warnings.append(f"a random change ({name}) does as well")
+    warnings += _unmatched(result)
     return warnings
 
 
@@ -380,7 +402,8 @@ def _warnings_of_drawn(result: Result) -> list[str]:
     if result.best.success and not result.success:
         warnings.append("success on the validation views did not carry over to the held-out views")
     if noise.total and rates["success"].successes and noise.fraction >= rates["success"].fraction:
-        warnings.append("random noise of the same size does as well")
+        warnings.append(f"a random change ({NOISE}) does as well")
+    warnings += _unmatched(result)
     if result.success and rate.fraction < config.required_views:
         few = f"{rate.successes} of {rate.total} views only"
         warnings.append(f"without another class of more confidence on the object: {few}")
@@ -390,3 +413,12 @@ def _warnings_of_drawn(result: Result) -> list[str]:
             f"the held-out pictures have {psnr:.1f} dB: less than the {wanted:g} dB of the validation views"
         )
     return warnings
+
+
+def _unmatched(result: Result) -> Iterator[str]:
+    """Controls whose images do not change the object as much as those of the attack."""
+    wanted = result.image.psnr_object
+    for (name, draw), change in result.control_images.items():
+        psnr = change.psnr_object
+        if name != NORM_NOISE and wanted and psnr and abs(psnr - wanted) > MATCHED:
+            yield f"draw {draw} of {name} leaves the object at {psnr:.1f} dB, the attack at {wanted:.1f} dB"

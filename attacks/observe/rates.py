@@ -17,7 +17,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from attacks.observe.rows import ATTACKED, CLEAN, DEPTH, NOISE, TARGET_SCORE
+from attacks.observe.rows import ATTACKED, CLEAN, CONTROLS, DEPTH, NOISE, TARGET_SCORE
 from attacks.rate import Rate, wilson
 
 DRAWS, FEWEST_BLOCKS, BLOCK = 2000, 6, 20.0
@@ -189,7 +189,7 @@ AIMS: Measures = {
     "strict": Measure(holds=pl.col("strict"), given=of(ATTACKED)),
     "unambiguous": Measure(holds=pl.col("unambiguous"), given=of(ATTACKED)),
     "clean_success": Measure(holds=pl.col("success"), given=of(CLEAN)),
-    "noise_success": Measure(holds=pl.col("success"), given=of(NOISE)),
+    **{f"{name}_success": Measure(holds=pl.col("success"), given=of(name)) for name in CONTROLS},
 }
 """How often the aim is reached in views (`joint_views`): attacked, with the object's own class gone, with no other
 class of more confidence, without an attack, and with each draw of random noise."""
@@ -224,6 +224,7 @@ def aim_figures(
         "clean_rate": together["clean_success"].as_dict(),
         "noise_rate": together["noise_success"].as_dict(),
         "unambiguous_rate": together["unambiguous"].as_dict(),
+        **control_rates(together),
     }
     if elevations is None:
         return figures
@@ -232,6 +233,13 @@ def aim_figures(
         "by_azimuth": banded(rows, "azimuth", (0.0, 360.0), AZIMUTHS, success),
         "by_elevation": banded(rows, "elevation", elevations, ELEVATIONS, success),
     }
+
+
+def control_rates(rates: Mapping[str, Rate]) -> dict[str, Any]:
+    """How often other random changes than noise reach the aim, where some were made."""
+    others = {name: rates[f"{name}_success"] for name in CONTROLS if name != NOISE}
+    known = {name: rate.as_dict() for name, rate in others.items() if rate.total}
+    return {"control_rates": known} if known else {}
 
 
 def _of_detector(rows: pl.DataFrame) -> dict[str, Any]:

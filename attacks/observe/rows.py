@@ -31,6 +31,9 @@ SUFFIX = ".csv.xz"
 TRUE, PERFECT, CLEAN, ATTACKED, NOISE = "true", "perfect", "clean", "attacked", "noise"
 """Names of splats in the column `splat`. Of the first two there are path-traced pictures, and no splat: of the scene as
 it is, and of what attacks want to show."""
+NORM_NOISE = "norm-noise"
+CONTROLS = (NOISE, "smooth-noise", NORM_NOISE)
+"""Names of the splats with a random change (`attacks.dagger.config.Control`)."""
 POISONED = "poisoned"
 """The same of the victim's training pictures that an attack has changed."""
 
@@ -80,9 +83,9 @@ _TABLE: tuple[tuple[str, ...], ...] = (
     (
         "splat",
         "text",
-        "clean (control), attacked, noise (random, of the attack's size); images: true, perfect, poisoned",
+        "clean (control), attacked, noise, smooth-noise, norm-noise (random); images: true, perfect, poisoned",
     ),
-    ("draw", "whole?", "index of the draw of random noise, from 0; empty for other splats"),
+    ("draw", "whole?", "index of the draw of a random change, from 0; empty for other splats"),
     ("detector", "text", "name of the detector"),
     ("view", "whole", "index of the camera in cameras.json, or of the image, from 0"),
     ("object", "whole?", "index of the object in the image, from 0; empty: the detection matches none"),

@@ -52,7 +52,7 @@ _UNBOUND = 1e9
 """A radius that binds nothing."""
 STORY, _NAME_DIGITS = "study", 12
 _STATED = (
-    *("steps", "image_psnr", "image", "noise_psnr", "used", "used_in_file", "changed_gaussians", "object_gaussians"),
+    *("steps", "image_psnr", "image", "control_psnr", "used", "used_in_file", "changed_gaussians", "object_gaussians"),
     *("clamped_fraction", "redraws", "warnings", "seconds", "versions", "variant", "commit"),
     *("evaluations", "cpu_seconds", "loss"),
 )

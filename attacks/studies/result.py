@@ -14,6 +14,7 @@ from attacks.observe.rates import (
     CLUSTERS,
     REPORTED,
     blocks_of,
+    control_rates,
     count,
     joint_views,
     transfer_measures,
@@ -96,7 +97,8 @@ def _of_attacks(attacks: Record, judged: pl.DataFrame) -> dict[str, dict[str, An
         if attacks[name]["settings"].get("transformations"):
             rates = count(joint_views(rows), AIMS)[()]
             held = rates["success"].fraction >= config["required_views"] - 1e-9
-            each[name] = {"success": held, **{key: rates[name].as_dict() for key, name in RATES.items()}}
+            views = {key: rates[measure].as_dict() for key, measure in RATES.items()}
+            each[name] = {"success": held, **views, **control_rates(rates)}
         else:
             needed = {key: config[key] for key in ("required_views", "required_detectors")}
             told = verdict_figures(rows, attacks[name]["sources"], DaggerConfig(**needed))
@@ -138,7 +140,7 @@ def _group(
         group["optimiser"] = attacks[members[0]]["settings"]["attack"]["optimiser"]
     if "rate" in known[0]:
         rates = _pooled(judged.filter(pl.col("attack").is_in(members)), several=len(members) > 1)
-        return {**group, **{key: rates[name].as_dict() for key, name in RATES.items()}}
+        return {**group, **{key: rates[name].as_dict() for key, name in RATES.items()}, **control_rates(rates)}
     aims = ("success", "strict", "unambiguous")
     frame = pl.DataFrame([{"splat": ATTACKED, **{key: attack[key] for key in aims}} for attack in known])
     rates = count(frame, {key: AIMS[key] for key in aims})[()]
@@ -151,7 +153,18 @@ def _group(
         "noise_successes": sum(_known(noise, "successes")),
         "noise_draws": sum(_known(noise, "draws")),
         "noise_best": max(_known(noise, "best"), default=None),
+        **_controls(known),
     }
+
+
+def _controls(attacks: Sequence[Record]) -> dict[str, Any]:
+    """How often other random changes than noise reach the aim of attacks, where some were made."""
+    rates: dict[str, list[Any]] = {}
+    for attack in attacks:
+        for name, control in attack.get("controls", {}).items():
+            rates.setdefault(name, []).append({"successes": control["successes"], "total": control["draws"]})
+    known = {name: pooled(controls).as_dict() for name, controls in rates.items()}
+    return {"control_rates": known} if known else {}
 
 
 def _known(lines: Sequence[Record], name: str) -> list[Any]:
@@ -222,7 +235,7 @@ def tables(record: Record) -> Iterator[Table]:
     """All tables of a study: what its attacks have reached, the smallest that suffices, and what others see."""
     for title, groups in by_part(record["groups"]).items():
         compared = list(comparison(title, groups))
-        columns = {**_axes(groups), **(_OF_VIEWS if "rate" in groups[0] else _OF_ATTACKS)}
+        columns = {**_axes(groups), **(_OF_VIEWS if "rate" in groups[0] else _OF_ATTACKS), **_of_controls(groups)}
         yield from compared or [Table.of(title or "The attacks", columns, groups)]
     for title, searched in by_part(record["smallest"]).items():
         caption = f"The smallest that suffices{f': {title}' if title else ''}"
@@ -278,6 +291,12 @@ def by_part(lines: Sequence[Record]) -> dict[str, list[Record]]:
 def _axes(lines: Sequence[Record]) -> dict[str, Column[Any]]:
     names = dict.fromkeys(name for line in lines for name in line["labels"])
     return {title_of(name): lambda line, name=name: line["labels"].get(name) for name in names}  # type: ignore[misc]
+
+
+def _of_controls(groups: Sequence[Record]) -> dict[str, Column[Any]]:
+    """A column for each random change besides noise."""
+    names = dict.fromkeys(name for group in groups for name in group.get("control_rates", ()))
+    return {name: lambda group, name=name: Rate.of(group["control_rates"][name]).short() for name in names}  # type: ignore[misc]
 
 
 def title_of(axis: str) -> str:
@@ -402,7 +421,7 @@ def _doubts(many: Sequence[Record], others: Sequence[Record]) -> Iterator[str]:
             what = "one step does" if group["optimiser"] == "fgsm" else f"{name}, which knows no gradient, does"
             yield f"{what} better than every attack that follows gradients"
     if any(group["noise_successes"] and group["success"]["successes"] for group in many):
-        yield "random noise of the size of an attack succeeds, too"
+        yield "random noise succeeds, too"
 
 
 def _is_comparable(group: Record) -> bool:

@@ -62,7 +62,7 @@ def read_attack(folder: Path, record: Record) -> Section:
         f"The attack {'succeeded' if record['success'] else 'failed'}: within {ball} it made "
         f"{listed(list(record['rates']))} {wish} on the object in {rate.successes} of {views}, where {percent(needed)} "
         "are asked for.",
-        f"Random noise of the same size: {noise.counts}." if noise.total else "",
+        f"{capital(_control(record['config']))}: {noise.counts}." if noise.total else "",
         f"In the first view {_change(record['views'][0], record['target'])}.",
         "This says nothing of other cameras, detectors or renderers.",
     ]
@@ -82,7 +82,7 @@ def read_attack(folder: Path, record: Record) -> Section:
             rate=rate,
             note=f"{'confidence' if record['target'] else 'score'} {percent(record['score'])}",
         ),
-        control=Figure(label="random noise of the same size, on the same views", rate=noise),
+        control=Figure(label=f"{_control(record['config'])}, on the same views", rate=noise),
         figures=tuple(_attack_figures(record)),
         warnings=(
             *record["warnings"],
@@ -135,14 +135,16 @@ def _attack_figures(record: Record) -> Iterator[Figure]:
     for name, rates in record["rates"].items() if len(record["rates"]) > 1 else ():
         yield Figure(label=name, rate=Rate.of(rates["success"]))
     yield Figure(label="no attack, on the same views", rate=Rate.of(record["clean_rate"]))
+    for name, control in record.get("control_rates", {}).items():
+        yield Figure(label=f"{name}, on the same views", rate=Rate.of(control))
     yield Figure(label="success without another class of more confidence", rate=Rate.of(record["unambiguous_rate"]))
-    image, noise = record["image"], [value for value in record["noise_psnr"] if value is not None]
+    image = record["image"]
     note = "PSNR of the mean squared error over all views; 26 is easily seen, 40 hardly"
     yield Figure(label="pictures, attacked against clean", words=number(record["image_psnr"], unit="dB"), note=note)
     yield from Figure.each(
         {
             "the same on the object": number(image["psnr_object"], unit="dB"),
-            "the same with the noise": number(noise[0], unit="dB") if noise else "-",
+            **{f"the same with {name}": _least(values) for name, values in record.get("control_psnr", {}).items()},
             "largest change beside the object (1 is all)": f"{image['outside']:.3f}",
             "Gaussians changed, of the object's": f"{record['changed_gaussians']:,} of {record['object_gaussians']:,}",
             **{f"size of the change, {name}": f"{used:.3g}" for name, used in record["used_in_file"].items()},
@@ -151,6 +153,16 @@ def _attack_figures(record: Record) -> Iterator[Figure]:
             "time": number(record["seconds"], ".0f", "s"),
         }
     )
+
+
+def _control(config: Record) -> str:
+    """What the control of an attack is called; before there were several it was noise of the attack's norm."""
+    return "random noise that changes the object as much" if "controls" in config else "random noise of the same norm"
+
+
+def _least(values: Sequence[float | None]) -> str:
+    known = [value for value in values if value is not None]
+    return number(min(known), unit="dB") if known else "-"
 
 
 def _views(record: Record) -> Table:
@@ -297,21 +309,22 @@ def read_study(folder: Path, record: Record) -> Section:
     attacks = list(attacks_of(record).values())
     label, counting, lines, key = _headline(record)
     rate, noise = pooled(line[key] for line in lines), pooled(_noise(line, key) for line in lines)
-    control = f"; random noise of the same size: {noise.counts}" if noise.total else ""
+    beside = _control(attacks[0]["settings"]["attack"])
+    control = f"; {beside}: {noise.counts}" if noise.total else ""
     names = sorted({name for attack in attacks for name in attack["sources"]})
     return Section(
         kind="DAGGER, a study",
         title=f"{record['name']}, {counted(len(attacks), 'attack')}",
         done=(
             f"{record.get('question', '')} {counted(len(attacks), 'attack')} on {listed(names)}. Each is judged on the "
-            "saved file, in 8-bit pictures, beside random noise of its size."
+            "saved file, in 8-bit pictures, beside random noise."
         ).strip(),
         conclusion=(
             f"{capital(label)}: {rate.counts}{control}. Views of one attack are not independent. This says nothing of "
             "other detectors, objects or budgets."
         ),
         headline=Figure(label=label, rate=rate),
-        control=Figure(label="random noise of the same size", rate=noise),
+        control=Figure(label=beside, rate=noise),
         counting=counting,
         figures=tuple(_study_figures(record)),
         warnings=(*_warnings(attacks), *doubts(record["groups"]), *_doubts(record["looks"])),
