@@ -180,9 +180,9 @@ def test_readme_says_what_the_rows_give() -> None:
     assert {noise for _, noise in one.values()} == {"0/90"}
     for sentence in (
         f"`{yolo}` {one[yolo][0]}, NanoDet {one['nanodet_coco'][0]}, CenterNet {one['centernet_coco'][0]}, "
-        f"`{rcnn}` {one[rcnn][0]} | random noise: 0/90 for each detector",
+        f"`{rcnn}` {one[rcnn][0]} | noise of the same norm: 0/90 for each detector",
         f"NanoDet {moving['nanodet_coco'][0]}, `{rcnn}` {moving[rcnn][0]} held-out views | "
-        f"random noise: {moving['nanodet_coco'][1]}, {moving[rcnn][1]}",
+        f"noise of the same norm: {moving['nanodet_coco'][1]}, {moving[rcnn][1]}",
         f"car missed from {missed(stealthy, 'ssd_openimages')} (SSD), {missed(stealthy, yolo)} (`{yolo}`), "
         f"{missed(stealthy, rcnn)} (`{rcnn}`) of cameras",
         f"the car loses {drop:.1f} dB",
