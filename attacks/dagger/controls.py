@@ -21,6 +21,8 @@ TOLERANCE = 0.1
 """Difference in the object's PSNR at which noise is as large as an attack, dB."""
 _TRIALS, _WAVES, _SMOOTH_SH = 16, 8, 4
 """Scales that are tried; plane waves of a smooth field; SH coefficients that it changes (up to degree 1)."""
+_FURTHEST = 10.0
+"""Most that noise changes logits, log-scales, quaternions and, in world units, means by."""
 
 Draw = tuple[str, int]
 """Name of a control, and index of the draw."""
@@ -77,6 +79,8 @@ def _matched(
     problem: Problem, noisy: Parameters, reference: Parameters, views: Sequence[View], wanted: float
 ) -> Parameters:
     """The noise, scaled until it changes the object's pixels by the error that is wanted."""
+    moves = [float((value - reference[name]).abs().max()) for name, value in noisy.items() if name != "sh"]
+    most = min((_FURTHEST / move for move in moves if move), default=math.inf)
     scale, below, above = 1.0, None, None
     for _ in range(_TRIALS):
         scaled = {name: reference[name] + scale * (value - reference[name]) for name, value in noisy.items()}
@@ -86,7 +90,9 @@ def _matched(
         here = (math.log(scale), math.log(error / wanted))
         below, above = (below, here) if error > wanted else (here, above)
         if below is None or above is None:  # a small change's error grows with the square of the scale
-            scale *= min(max((wanted / error) ** 0.5, 0.1), 10.0)
+            if scale >= most and error < wanted:
+                break
+            scale = min(scale * min(max((wanted / error) ** 0.5, 0.1), 10.0), most)
         else:
             share = below[1] / (below[1] - above[1])
             scale = math.exp(below[0] + min(max(share, 0.1), 0.9) * (above[0] - below[0]))

@@ -297,7 +297,8 @@ def _clean(runs: Runs) -> Measured:
 
 
 @_check(
-    "succeeds more often than random noise that changes the object as much", "it is the size of the change that counts, and not the attack"
+    "succeeds more often than random noise that changes the object as much",
+    "it is the size of the change that counts, and not the attack",
 )
 def _noise(runs: Runs) -> Measured:
     attacks = runs.results(noise_draws=NOISE_DRAWS)
