@@ -59,9 +59,10 @@ def count_edges(
     width, height = width_and_height(size)
     stride = tile_columns(width) + 1
     first, last = binning.tile_rows(splat, extent, height)
+    tiles = binning.tiles_by_row(splat, height, width)
 
     def body(row: Any) -> tuple[Any]:
-        left, right = binning.tiles_of_row(splat, row, height, width)
+        left, right = tiles(row)
         met = left <= right
         dr.scatter_add(edges, mi.Int32(1), mi.UInt32(row * stride + left), met)
         dr.scatter_add(edges, mi.Int32(-1), mi.UInt32(row * stride + right + 1), met)

@@ -4,6 +4,8 @@ One lane is one tile of TILE x TILE pixels whose transmittances and colours are 
 serves all of its pixels. The sign of a transmittance marks a pixel that has stopped; its size stays what it was.
 """
 
+import functools
+import operator
 from typing import Any
 
 import drjit as dr
@@ -81,11 +83,8 @@ def blend_step(alpha: Any, transmittance: Any) -> tuple[Any, Any]:
 
 
 def any_open(transmittances: list[Any]) -> Any:
-    """Whether any pixel of the tile has not stopped."""
-    values = list(transmittances)
-    while len(values) > 1:
-        values = [dr.maximum(a, b) for a, b in zip(values[::2], values[1::2], strict=True)]
-    return values[0] > 0.0
+    """Whether any pixel of the tile has not stopped: whether the sign bits are not all set."""
+    return functools.reduce(operator.and_, (dr.reinterpret_array(mi.Int32, t) for t in transmittances)) >= 0
 
 
 def first_of_list(gaussians: Any, pair_range: tuple[Any, Any]) -> tuple[Any, Any]:

@@ -34,9 +34,10 @@ class BackwardState:
     buffers: PictureBuffers
     camera: StageCamera
     records: tuple[Any, ...]
-    depth_order: Any  # UInt32, Gaussians from near to far
+    places: Any  # UInt32, where the record of each Gaussian lies
+    depth_order: Any  # UInt32, places from near to far
     row_ranges: tuple[Any, Any]  # first and one-past-last row of each Gaussian that holds a pair, in depth order
-    pairs: tuple[Any, Any]  # in tile order: Gaussian, and row (place before the sort by tile)
+    pairs: tuple[Any, Any]  # in tile order: place of the record, and row (place before the sort by tile)
     pair_ranges: tuple[Any, Any]  # first and one-past-last pair of each tile
     walked: Any  # UInt32, keys for `binning.by_length`: how much of its list each tile has walked
 

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mi_splat.errors import MiSplatError
-from mi_splat.rasterization import binning, stages
+from mi_splat.rasterization import binning, order, stages
 from mi_splat.rasterization.binning import NO_TILE, TILE
 from mi_splat.rasterization.blending import RECORD
 from mi_splat.rasterization.frozen import aligned, buffer, index_of, numbers, run
@@ -39,10 +39,12 @@ def rasterize(
     records = (buffer(RECORD * count), *(buffer(count) for _ in range(2 if depths else 1)))
     index = numbers(mi.variant(), count)
     terms = sh_terms(arrays)
-    depth_key, touched = run(stages.project_gaussians, layout, terms, arrays, index, buffers, stage_camera, records)
-    # Not inside a frozen function: a recorded argsort keeps the size that it was recorded with.
-    depth_order = dr.argsort(depth_key)
-    first, last, total = run(stages.allot_rows, touched, depth_order)
+    places = order.places(layout, arrays)
+    given = layout, terms, arrays, index, places, buffers, stage_camera, records
+    depth_key, touched = run(stages.project_gaussians, *given)
+    # Not inside a frozen function: a recorded sort keeps the size that it was recorded with.
+    depth_order = binning.order_below(depth_key, NO_TILE)
+    depth_order, first, last, total = run(stages.allot_rows, touched, depth_order, places)
     number = int(total[0])  # the one time that the host waits for the kernels
     if number >= stages.BROKEN_ROWS:
         check_finite(layout, arrays)
@@ -57,11 +59,11 @@ def rasterize(
     index, ranges = index_of(number), tuple(buffer(tiles, mi.UInt32, 0) for _ in range(2))
     rows = binning.order_below(dr.gather(mi.UInt32, pairs, 2 * index), tiles)
     gaussians, length_key = run(stages.find_lists, pairs, rows, index, total, buffers, ranges)
-    order, walked = binning.by_length(length_key), buffer(tiles, mi.UInt32)
+    tile_order, walked = binning.by_length(length_key), buffer(tiles, mi.UInt32)
     canvas = tuple(buffer(width * TILE * TILE * tiles) for width in ((4, 3) if depths else (4,)))
-    run(stages.blend_tiles, records, (gaussians, *ranges), order, buffers, canvas, walked)
+    run(stages.blend_tiles, records, (gaussians, *ranges), tile_order, buffers, canvas, walked)
     lists = (first, used), (gaussians, rows), ranges
-    state = BackwardState(buffers, stage_camera, records, depth_order, *lists, walked)
+    state = BackwardState(buffers, stage_camera, records, places, depth_order, *lists, walked)
     return Picture(buffers.colour, buffers.opacity, buffers.depths, layout, arrays, state)
 
 
@@ -92,9 +94,9 @@ def rasterize_backward(
     gaussians = len(state.depth_order)
     scratch = tuple(buffer(gaussians, mi.UInt32) for _ in range(2))
     rows, row_ranges = run(stages.rows_by_gaussian, state.depth_order, state.row_ranges, state.pairs, scratch)
-    lists, order = (state.pairs[0], rows, *state.pair_ranges), binning.by_length(state.walked)
-    run(stages.blend_backward, state.records, lists, order, state.buffers, grad_tiles, moments)
-    terms, ranges = sh_terms(arrays), (numbers(mi.variant(), gaussians), *row_ranges)
-    given = picture.layout, terms, arrays, state.camera, ranges
+    lists, tile_order = (state.pairs[0], rows, *state.pair_ranges), binning.by_length(state.walked)
+    run(stages.blend_backward, state.records, lists, tile_order, state.buffers, grad_tiles, moments)
+    index = numbers(mi.variant(), gaussians)
+    given = picture.layout, sh_terms(arrays), arrays, state.camera, index, state.places, row_ranges
     run(stages.project_backward, *given, moments, gradients, screen)
     return gradients

@@ -16,7 +16,7 @@ from mi_splat.rasterization.blending import RECORD
 from mi_splat.rasterization.layouts import Layout
 from mi_splat.rasterization.picture import PictureBuffers, tile_columns, width_and_height
 from mi_splat.rasterization.pinhole import KernelCamera, StageCamera
-from mi_splat.rasterization.projection import Gaussians, Splat, project
+from mi_splat.rasterization.projection import Gaussians, Splat, project, sh_basis
 
 BROKEN = 0xFFFFFFFF
 """In place of a number of tiles: a number of the Gaussian is not finite."""
@@ -38,6 +38,7 @@ def project_gaussians(
     terms: int,
     arrays: tuple[Any, ...],
     index: Any,
+    places: Any,
     buffers: PictureBuffers,
     stage_camera: StageCamera,
     records: tuple[Any, ...],
@@ -49,22 +50,23 @@ def project_gaussians(
     width, height = width_and_height(buffers.size)
     count = binning.count_tiles(splat, extent, visible, width, height)
     components = splat.components()
-    dr.scatter(records[0], mi.ArrayXf(components[:RECORD]), index)
-    dr.scatter(records[1], components[RECORD], index)
+    dr.scatter(records[0], mi.ArrayXf(components[:RECORD]), places)
+    dr.scatter(records[1], components[RECORD], places)
     if len(records) > 2:
-        dr.scatter(records[2], depth, index)
+        dr.scatter(records[2], depth, places)
     # Depths that count are positive, and positive floats sort like their bits.
     key = dr.select(count > 0, dr.reinterpret_array(mi.UInt32, depth), NO_TILE)
     return key, dr.select(gaussians.finite(), count, BROKEN)
 
 
-def allot_rows(count: Any, depth_order: Any) -> tuple[Any, Any, Any]:
-    """Stage 2: which rows each Gaussian gets."""
+def allot_rows(count: Any, depth_order: Any, places: Any) -> tuple[Any, Any, Any, Any]:
+    """Stage 2: the places of the records from near to far, and which rows each Gaussian gets."""
     counts = dr.gather(mi.UInt32, count, depth_order)
     broken = counts == BROKEN
     counts = dr.select(broken, 0, counts)
     first = dr.prefix_sum(counts)
-    return first, first + counts, dr.sum(dr.select(broken, mi.UInt64(BROKEN_ROWS), mi.UInt64(counts)))
+    depth_order = dr.gather(mi.UInt32, places, depth_order)
+    return depth_order, first, first + counts, dr.sum(dr.select(broken, mi.UInt64(BROKEN_ROWS), mi.UInt64(counts)))
 
 
 def write_pairs(records: Any, depth_order: Any, first: Any, last: Any, size: Any, pairs: Any) -> Any:
@@ -197,17 +199,19 @@ def project_backward(
     terms: int,
     arrays: tuple[Any, ...],
     stage_camera: StageCamera,
-    rows: tuple[Any, Any, Any],
+    index: Any,
+    places: Any,
+    row_ranges: tuple[Any, Any],
     moments: tuple[Any, ...],
     gradients: tuple[Any, ...],
     screen: Any | None,
 ) -> None:
     """Stage 9: sum every Gaussian's moments and take them back through the projection."""
-    index, first, last = rows
+    first, last = (dr.gather(mi.UInt32, edge, places) for edge in row_ranges)
     visible = last > first
     camera = pinhole.unpack(stage_camera.numbers, antialiased=stage_camera.antialiased)
     gaussians = _with_invisible_ones_harmless(layout.read(arrays, index, terms), visible, camera)
-    dr.enable_grad(gaussians.parts())
+    dr.enable_grad(gaussians.parts()[: -len(gaussians.sh)])
     splat, _, depth = project(gaussians, camera)
     sums = _sum_rows(first, last, moments)
     grad_splat = _splat_gradient(splat, sums)
@@ -220,7 +224,9 @@ def project_backward(
     if len(moments) > 2:
         product += depth * sums[RECORD + 1]
     dr.backward(product)
-    layout.write(gradients, index, gaussians.gradient())
+    grad_colour = dr.select(dr.detach(splat.colour) > 0.0, mi.Color3f(*grad_splat[6:]), 0.0)
+    grad_sh = [factor * grad_colour for factor in dr.detach(sh_basis(gaussians, camera))]
+    layout.write(gradients, index, gaussians.gradient(grad_sh))
     dr.eval(gradients, screen)
 
 

@@ -73,7 +73,8 @@ def freeze_pairs(
     if picture.state is None or len(free) == 0:
         return None, _within(held + needed_bytes(0, pixels, len(free)), 0, max_bytes)
     column_of = buffer(len(picture.arrays[-2]), mi.UInt32, _FIXED)
-    dr.scatter(column_of, numbers(mi.variant(), len(free)), free)
+    places = dr.gather(mi.UInt32, picture.state.places, free)
+    dr.scatter(column_of, numbers(mi.variant(), len(free)), places)
     columns = dr.gather(mi.UInt32, column_of, picture.state.pairs[0])
     kept = buffer(len(columns) + 1, mi.UInt32, 0)
     _walk(picture, numbers(mi.variant(), len(picture.state.buffers.tiles)), columns, kept=kept)

@@ -1,0 +1,186 @@
+"""How fast is `Renderer` beside a scalar CPU rasteriser of 3DGS? CPU time of one thread, as ratios.
+
+    python benchmarks/cpu_rasterizer.py [--rounds 9] [--large] [--json]
+
+The peer is `cpu_rasterizer.c`, compiled here by `cc -O3 -march=native`. Only its loops over pixels are timed, not its
+projection (in PyTorch, below), its sort or the copy of its gradients, so each ratio is a lower bound; ours are whole
+calls, from torch to torch. Before anything is timed, images and gradients by all five tensors are held to ours.
+"""
+
+import argparse
+import ctypes
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from cpu_time import interleaved, one_thread, ratio
+from render import SETTINGS, shell, through_renderer
+
+from mi_splat import variant
+from mi_splat.attributes import ATTRIBUTES
+from mi_splat.cameras import Camera, orbit_pose
+from mi_splat.rendering import Renderer
+from mi_splat.scene import GaussianScene
+from mi_splat.sh import sh_to_colour
+
+IMAGE_ERROR, GRADIENT_ERROR = 2e-5, 1e-3
+"""Largest differences from ours: of a channel, and of a gradient relative to its largest entry."""
+
+Floats = NDArray[np.float32]
+NUMBERS, SPLAT = 9, 13
+"""Floats of a `Gradient`, and 32-bit words of a `Splat`."""
+
+
+def compiled(folder: Path) -> ctypes.CDLL:
+    """The peer as a library."""
+    source, library = Path(__file__).with_suffix(".c"), folder / "cpu_rasterizer.so"
+    flags = ["-O3", "-march=native", "-shared", "-fPIC", "-lm"]
+    subprocess.run(["cc", str(source), "-o", str(library), *flags], check=True)
+    return ctypes.CDLL(str(library))
+
+
+def project(scene: GaussianScene, camera: Camera) -> tuple[Tensor, Tensor, NDArray[np.int32]]:
+    """(M, 9) numbers on the screen of what is visible, its rows from near to far, and its boxes (M, 4)."""
+    pose = camera.to_camera.float()
+    rotation, position = pose[:3, :3], camera.position.float()
+    local = scene.means @ rotation.T + pose[:3, 3]
+    rows = local[:, 2].argsort(stable=True)
+    rows = rows[local[rows, 2] >= 0.2]
+    local, q = local[rows], torch.nn.functional.normalize(scene.rotations[rows], dim=1)
+    w, x, y, z = q.unbind(1)
+    axes = torch.stack(
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], dim=1
+    ).reshape(-1, 3, 3)  # fmt: skip
+    depth, focal = local[:, 2], torch.tensor([camera.fx, camera.fy])
+    tangent = local[:, :2] / depth[:, None]
+    guard = 1.3 * 0.5 * torch.tensor([camera.width / camera.fx, camera.height / camera.fy])
+    clamped = torch.minimum(torch.maximum(tangent, -guard), guard)
+    jacobian = torch.cat([torch.eye(2).expand(len(rows), 2, 2), -clamped[..., None]], dim=2)
+    factor = (focal / depth[:, None])[..., None] * jacobian @ rotation @ (axes * scene.scales[rows, None])
+    covariance = factor @ factor.mT + 0.3 * torch.eye(2)
+    a, b, c = (covariance.inverse()[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
+    centre = tangent * focal + torch.tensor([camera.cx, camera.cy])
+    towards = torch.nn.functional.normalize(scene.means[rows] - position, dim=1)
+    colour = sh_to_colour(scene.sh[rows], towards).clamp(min=0)
+    opacity = scene.opacities[rows]
+    reach = (2 * (255 * opacity).log()).clamp(min=0)[:, None] * covariance.diagonal(dim1=1, dim2=2)
+    size = torch.tensor([camera.width, camera.height])
+    low = (centre - reach.sqrt() - 0.5).floor().clamp(min=0).minimum(size)
+    high = (centre + reach.sqrt() + 0.5).ceil().clamp(min=0).minimum(size)
+    box = torch.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]], dim=1).detach().int().numpy()
+    return torch.stack([*centre.T, a, b, c, opacity, *colour.T], dim=1), rows, box
+
+
+class Peer:
+    """The C loops for one scene and camera in front of black."""
+
+    def __init__(self, library: ctypes.CDLL, scene: GaussianScene, camera: Camera, grad_image: Tensor) -> None:
+        self.leaves = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
+        self.numbers, _, box = project(GaussianScene.unchecked(*self.leaves), camera)
+        self.splats = np.empty((len(box), SPLAT), np.float32)
+        self.splats[:, :NUMBERS] = self.numbers.detach().numpy()
+        self.splats[:, NUMBERS:] = box.view(np.float32)
+        self.image = np.empty((camera.height, camera.width, 3), np.float32)
+        self.transmittance = np.empty(self.image.shape[:2], np.float32)
+        self.last = np.empty(self.image.shape[:2], np.int32)
+        self.grad_image, self.background = grad_image.numpy(), np.zeros(3, np.float32)
+        self.gradients = np.zeros((len(box), NUMBERS), np.float32)
+        self.library, self.size = library, (camera.width, camera.height)
+
+    def forward(self) -> None:
+        """Make the image."""
+        outputs = map(_pointer, (self.background, self.image, self.transmittance, self.last))
+        self.library.forward(len(self.splats), _pointer(self.splats), *self.size, *outputs)
+
+    def both(self) -> None:
+        """Make the image and its gradient."""
+        self.forward()
+        self.gradients[:] = 0
+        inputs = map(_pointer, (self.background, self.grad_image, self.transmittance, self.last, self.gradients))
+        self.library.backward(_pointer(self.splats), *self.size, *inputs)
+
+    def check(self, scene: GaussianScene, camera: Camera) -> dict[str, float]:
+        """Differences from ours; refuses large ones."""
+        self.both()
+        self.numbers.backward(torch.from_numpy(self.gradients))  # type: ignore[no-untyped-call]
+        ours = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
+        image = Renderer()(GaussianScene(*ours), camera)
+        image.backward(torch.from_numpy(self.grad_image))  # type: ignore[no-untyped-call]
+        errors = {"image": float(np.abs(image.detach().numpy() - self.image).max())}
+        for name, mine, theirs in zip(ATTRIBUTES, ours, self.leaves, strict=True):
+            assert mine.grad is not None
+            assert theirs.grad is not None
+            errors[name] = float((mine.grad - theirs.grad).abs().max() / mine.grad.abs().max())
+        for name, error in errors.items():
+            if not error <= (IMAGE_ERROR if name == "image" else GRADIENT_ERROR):
+                raise SystemExit(f"{name}: the peer differs from ours by {error:.2g}")
+        return errors
+
+
+def _pointer(array: NDArray[Any]) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def measure(library: ctypes.CDLL, count: int, size: int, rounds: int) -> dict[str, Any]:
+    """Differences, median times in ms, and how many times as long the peer takes."""
+    scene = shell(count)
+    pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=3.0)
+    camera = Camera(to_world=pose, focal=float(size), width=size, height=size)
+    grad_image = torch.randn(size, size, 3, generator=torch.Generator().manual_seed(1))
+    peer = Peer(library, scene, camera, grad_image)
+    row: dict[str, Any] = {"gaussians": count, "size": size, "differences": peer.check(scene, camera)}
+    ours, ours_both = through_renderer(scene, camera)
+    runs: dict[str, Callable[[], None]] = {
+        "ours, forward": ours,
+        "peer, forward": peer.forward,
+        "ours, both": ours_both,
+        "peer, both": peer.both,
+    }
+    times = interleaved(runs, rounds=rounds)
+    for label in ("forward", "both"):
+        peers, mine = times[f"peer, {label}"], times[f"ours, {label}"]
+        ms = {"ours_ms": 1e3 * statistics.median(mine), "peer_ms": 1e3 * statistics.median(peers)}
+        row[label] = {**{key: round(value, 2) for key, value in ms.items()}, "ratio": round(ratio(peers, mine), 1)}
+    return row
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=9, help="interleaved runs of everything")
+    parser.add_argument("--large", action="store_true", help="one million Gaussians at 640, too")
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
+    options = parser.parse_args()
+    one_thread()
+    variant.use()
+    with tempfile.TemporaryDirectory() as folder:
+        library = compiled(Path(folder))
+        settings = (*SETTINGS, *([(1_000_000, 640)] if options.large else []))
+        rows = [measure(library, count, size, options.rounds) for count, size in settings]
+    if options.json:
+        sys.stdout.write(json.dumps(rows, indent=2) + "\n")
+        return
+    for row in rows:
+        for label in ("forward", "both"):
+            cells = "   ".join(f"{key.replace('_', ' ')} {value:,.1f}" for key, value in row[label].items())
+            sys.stdout.write(f"{row['gaussians']:>9,} at {row['size']}: {label:<8} {cells}\n")
+        differences = ", ".join(f"{name} {error:.1e}" for name, error in row["differences"].items())
+        sys.stdout.write(f"{'':>17}differences: {differences}\n")
+
+
+if __name__ == "__main__":
+    main()
