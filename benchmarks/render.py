@@ -1,6 +1,7 @@
 """How fast are `splat_tile` and `splat_ray`? Side by side with Mitsuba's own `volprim_rf_basic`, as ratios.
 
     python benchmarks/render.py [--rounds 15] [--cpu] [--json]
+    python benchmarks/cpu_time.py benchmarks/render.py --against REVISION     # ours alone, beside older code
 
 The same splat, camera and process for both; each is run three times before it is timed, so that compilation stays
 apart, and the runs are interleaved, since a shared machine changes its speed within minutes. Reported is the median
@@ -104,11 +105,24 @@ def through_renderer(scene: GaussianScene, camera: Camera) -> Runs:
     return forward, both
 
 
+def camera_of(size: int) -> Camera:
+    """The camera for square images of this many pixels."""
+    pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=3.0)
+    return Camera(to_world=pose, focal=float(size), width=size, height=size)
+
+
+def runs() -> dict[str, Callable[[], None]]:
+    """Our renderer in all settings and with a million Gaussians; for cpu_time.py."""
+    named = {}
+    for count, size in (*SETTINGS, (1_000_000, 640)):
+        pair = through_renderer(shell(count), camera_of(size))
+        named |= {f"{count:,} at {size}, {label}": run for label, run in zip(("forward", "both"), pair, strict=True)}
+    return named
+
+
 def measure(count: int, size: int, rounds: int, now: Clock) -> dict[str, Any]:
     """Median times in ms, and medians of the ratios to the peer, for one setting."""
-    scene = shell(count)
-    pose = orbit_pose((0.0, 0.0, 0.0), azimuth=30.0, elevation=20.0, distance=3.0)
-    camera = Camera(to_world=pose, focal=float(size), width=size, height=size)
+    scene, camera = shell(count), camera_of(size)
     ways = {
         "volprim_rf_basic": through_mitsuba(scene, camera, "volprim_rf_basic"),
         "splat_tile": through_mitsuba(scene, camera, "splat_tile"),

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from mi_splat import variant
 from mi_splat.cameras import Camera
-from mi_splat.rasterization import binning, layouts, pinhole
+from mi_splat.rasterization import binning, layouts
 from mi_splat.rasterization.binning import TILE
 from mi_splat.rasterization.frozen import aligned, buffer, numbers, run
 from mi_splat.rasterization.layouts import Layout
-from mi_splat.rasterization.picture import sh_terms, tile_columns, width_and_height
-from mi_splat.rasterization.pinhole import Pinhole, StageCamera
+from mi_splat.rasterization.picture import sh_terms, tile_columns
+from mi_splat.rasterization.pinhole import KernelCamera, Pinhole
 from mi_splat.rasterization.stages import projected
 from mi_splat.scene import GaussianScene, check_scene
 
@@ -38,8 +38,9 @@ def overdraw(scene: GaussianScene, cameras: Sequence[Camera], *, near: float) ->
         columns, rows = -(-camera.width // TILE), -(-camera.height // TILE)
         edges = buffer((columns + 1) * rows, mi.Int32, 0)
         if len(scene):
-            index, size = numbers(mi.variant(), len(scene)), mi.Int32([camera.width, camera.height])
-            hole = Pinhole(camera=camera, near=near).for_stages()
+            index = numbers(mi.variant(), len(scene))
+            size = dr.opaque(mi.Int32, camera.width), dr.opaque(mi.Int32, camera.height)
+            hole = Pinhole(camera=camera, near=near).for_kernels()
             run(count_edges, layouts.TENSORS, sh_terms(arrays), arrays, index, size, hole, edges)
         yield edges.numpy().reshape(rows, columns + 1).astype(np.int64).cumsum(axis=1)[:, :-1]
 
@@ -49,20 +50,18 @@ def count_edges(
     terms: int,
     arrays: tuple[Any, ...],
     index: Any,
-    size: Any,
-    stage_camera: StageCamera,
+    size: tuple[Any, Any],
+    camera: KernelCamera,
     edges: Any,
 ) -> None:
     """Add 1 where the tiles of a Gaussian begin in a row, and -1 after they end."""
-    camera = pinhole.unpack(stage_camera.numbers, antialiased=stage_camera.antialiased)
     splat, extent, _, visible = projected(layout.read(arrays, index, terms), camera)
-    width, height = width_and_height(size)
+    width, height = size
     stride = tile_columns(width) + 1
     first, last = binning.tile_rows(splat, extent, height)
-    tiles = binning.tiles_by_row(splat, height, width)
 
     def body(row: Any) -> tuple[Any]:
-        left, right = tiles(row)
+        left, right = binning.tiles_of_row(splat, row, height, width)
         met = left <= right
         dr.scatter_add(edges, mi.Int32(1), mi.UInt32(row * stride + left), met)
         dr.scatter_add(edges, mi.Int32(-1), mi.UInt32(row * stride + right + 1), met)

@@ -5,7 +5,6 @@ tile, so the pairs of one tile lie together in depth order, and the pairs of one
 """
 
 import functools
-from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -84,15 +83,19 @@ def pixel_span(centre: Any, low: Any, high: Any, size: Any) -> tuple[Any, Any]:
     return mi.Int32(dr.clip(first, 0.0, limit)), mi.Int32(dr.clip(last, -1.0, limit - 1.0))
 
 
-def tiles_by_row(splat: Splat, height: Any, width: Any) -> Callable[[Any], tuple[Any, Any]]:
-    """First and last tile column in which a tile row meets the ellipse alpha >= 1/255; first > last if none.
+def tiles_of_row(splat: Splat, row: Any, height: Any, width: Any) -> tuple[Any, Any]:
+    """First and last tile column in which tile row `row` meets the ellipse alpha >= 1/255; first > last if none.
 
     The ellipse is (u0 dx + u1 dy)^2 + (v1 dy)^2 <= tau. Its right edge over dy is concave with its top at
     -(u1 / v1) sqrt(tau / (u1^2 + v1^2)), its left edge the mirror image, so clamping that dy to the row's band of
     pixel centres gives the exact extent of the band.
     """
     tau = splat.level - CUTOFF
+    first_y = mi.Float(row * TILE)
+    last_y = dr.minimum(first_y + (TILE - 1), mi.Float(height - 1))
     reach = dr.sqrt(tau) / splat.v1
+    low = dr.clip(first_y + (0.5 - _SLACK) - splat.centre.y, -reach, reach)
+    high = dr.clip(last_y + (0.5 + _SLACK) - splat.centre.y, -reach, reach)
     top = -(splat.u1 / splat.v1) * dr.sqrt(tau / (splat.u1 * splat.u1 + splat.v1 * splat.v1))
     inverse = 1.0 / splat.u0
 
@@ -100,17 +103,10 @@ def tiles_by_row(splat: Splat, height: Any, width: Any) -> Callable[[Any], tuple
         half = dr.sqrt(dr.maximum(tau - dr.square(splat.v1 * dy), 0.0))
         return (sign * half - splat.u1 * dy) * inverse
 
-    def tiles(row: Any) -> tuple[Any, Any]:
-        first_y = mi.Float(row * TILE)
-        last_y = dr.minimum(first_y + (TILE - 1), mi.Float(height - 1))
-        low = dr.clip(first_y + (0.5 - _SLACK) - splat.centre.y, -reach, reach)
-        high = dr.clip(last_y + (0.5 + _SLACK) - splat.centre.y, -reach, reach)
-        left, right = edge(dr.clip(-top, low, high), -1.0), edge(dr.clip(top, low, high), 1.0)
-        first, last = pixel_span(splat.centre.x, left, right, width)
-        empty = (first > last) | (low >= high)
-        return dr.select(empty, 1, first // TILE), dr.select(empty, 0, last // TILE)
-
-    return tiles
+    left, right = edge(dr.clip(-top, low, high), -1.0), edge(dr.clip(top, low, high), 1.0)
+    first, last = pixel_span(splat.centre.x, left, right, width)
+    empty = (first > last) | (low >= high)
+    return dr.select(empty, 1, first // TILE), dr.select(empty, 0, last // TILE)
 
 
 def tile_rows(splat: Splat, extent: Any, height: Any) -> tuple[Any, Any]:
@@ -123,10 +119,9 @@ def tile_rows(splat: Splat, extent: Any, height: Any) -> tuple[Any, Any]:
 def count_tiles(splat: Splat, extent: Any, visible: Any, width: Any, height: Any) -> Any:
     """UInt32 number of tiles that each Gaussian touches."""
     first, last = tile_rows(splat, extent, height)
-    tiles = tiles_by_row(splat, height, width)
 
     def body(row: Any, total: Any) -> tuple[Any, Any]:
-        left, right = tiles(row)
+        left, right = tiles_of_row(splat, row, height, width)
         return row + 1, total + mi.UInt32(dr.maximum(right - left + 1, 0))
 
     start = (mi.Int32(first), mi.UInt32(0))
@@ -140,10 +135,9 @@ def emit_pairs(splat: Splat, gaussian: Any, slots: tuple[Any, Any], size: tuple[
     columns = (width + (TILE - 1)) // TILE
     reach = dr.sqrt(splat.level - CUTOFF) / splat.v1
     first, last = tile_rows(splat, mi.Vector2f(reach), height)
-    tiles = tiles_by_row(splat, height, width)
 
     def write_row(slot: Any, row: Any) -> tuple[Any, Any]:
-        left, right = tiles(row)
+        left, right = tiles_of_row(splat, row, height, width)
 
         def write(slot: Any, column: Any) -> tuple[Any, Any]:
             dr.scatter(pairs, mi.ArrayXu([mi.UInt32(row * columns + column), gaussian]), slot)

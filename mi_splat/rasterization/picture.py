@@ -10,14 +10,14 @@ import mitsuba as mi
 from mi_splat.rasterization.binning import TILE, by_block
 from mi_splat.rasterization.frozen import buffer, numbers
 from mi_splat.rasterization.layouts import Layout
-from mi_splat.rasterization.pinhole import StageCamera
+from mi_splat.rasterization.pinhole import KernelCamera
 
 
 @dataclass(eq=False)  # not frozen: dr.freeze assigns the fields again
 class PictureBuffers:
     """The picture that is made: its size, its tiles, and the arrays that it is written to."""
 
-    size: Any  # Int32, width and height
+    size: tuple[Any, Any]  # Int32, width and height
     tiles: Any  # UInt32, numbers of the tiles, neighbours together
     pixels: Any  # UInt32, 0, 1, 2, ...
     tiled_indices: Any  # UInt32, where each pixel lies tile after tile, see `tiled_index`
@@ -32,12 +32,11 @@ class BackwardState:
     """What the backward pass needs of the forward pass; pairs and rows are explained in README.md."""
 
     buffers: PictureBuffers
-    camera: StageCamera
+    camera: KernelCamera
     records: tuple[Any, ...]
-    places: Any  # UInt32, where the record of each Gaussian lies
-    depth_order: Any  # UInt32, places from near to far
+    depth_order: Any  # UInt32, Gaussians from near to far
     row_ranges: tuple[Any, Any]  # first and one-past-last row of each Gaussian that holds a pair, in depth order
-    pairs: tuple[Any, Any]  # in tile order: place of the record, and row (place before the sort by tile)
+    pairs: tuple[Any, Any]  # in tile order: Gaussian, and row (place before the sort by tile)
     pair_ranges: tuple[Any, Any]  # first and one-past-last pair of each tile
     walked: Any  # UInt32, keys for `binning.by_length`: how much of its list each tile has walked
 
@@ -66,7 +65,7 @@ def new_buffers(
     width, height = size
     pixels = width * height
     return PictureBuffers(
-        size=mi.Int32([width, height]),
+        size=(dr.opaque(mi.Int32, width), dr.opaque(mi.Int32, height)),
         tiles=by_block(mi.variant(), -(-width // TILE), -(-height // TILE)),
         pixels=numbers(mi.variant(), pixels),
         tiled_indices=_pixel_indices(mi.variant(), width, pixels),
@@ -88,13 +87,6 @@ def _pixel_indices(variant: str, width: int, pixels: int) -> Any:
 def sh_terms(arrays: tuple[Any, ...]) -> int:
     """SH coefficients a Gaussian and channel: in every layout the last array holds SH, the one before it opacities."""
     return len(arrays[-1]) // (3 * len(arrays[-2]))
-
-
-def width_and_height(size: Any) -> tuple[Any, Any]:
-    """Int32 width and height inside a kernel, read from `PictureBuffers.size`."""
-    # At least 1: the idle lanes of the last packet read 0, and an integer division by that stops the process.
-    width, height = (dr.gather(mi.Int32, size, mi.UInt32(i)) for i in range(2))
-    return dr.maximum(width, 1), dr.maximum(height, 1)
 
 
 def tile_columns(width: Any) -> Any:

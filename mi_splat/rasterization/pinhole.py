@@ -1,4 +1,4 @@
-"""The camera as the rasteriser's kernels see it: a row of numbers in one small array."""
+"""The camera as the rasteriser's kernels see it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from mi_splat.cameras import Camera
 
@@ -29,37 +28,33 @@ class Pinhole:
         """(width, height) in pixels of the picture that is made."""
         return self.camera.width, self.camera.height
 
-    def numbers(self) -> Any:
-        """The 22 floats of `KernelCamera` as one array of the current variant, made anew."""
-        camera, pose = self.camera, self.camera.to_camera.numpy()
-        field = self.field or (0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy)
-        row = [pose[:3, :3].ravel(), pose[:3, 3], -pose[:3, :3].T @ pose[:3, 3], (camera.fx, camera.fy)]
-        row += [(camera.cx, camera.cy), GUARD * np.asarray(field), [self.near]]
-        # As a list: Dr.Jit copies that to memory of its own, where it would borrow a NumPy array's (see `aligned`).
-        return mi.Float(np.concatenate(row).tolist())
-
     def key(self) -> tuple[Any, ...]:
         """Equal for two cameras that make the same picture."""
         camera = self.camera
         lens = camera.fx, camera.fy, camera.cx, camera.cy
         return camera.to_world.numpy().tobytes(), lens, self.size, self.field, self.near, self.antialiased
 
-    def for_stages(self) -> StageCamera:
-        """The camera's numbers as one array, as the frozen stages take them."""
-        return StageCamera(self.numbers(), self.antialiased)
+    def for_kernels(self) -> KernelCamera:
+        """The camera's numbers in memory, made anew: a kernel reads each once, and is not another one for others."""
+        camera, pose = self.camera, self.camera.to_camera.numpy()
+        field = self.field or (0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy)
+        kernel_camera = KernelCamera(
+            rotation=mi.Matrix3f(*pose[:3, :3].ravel().tolist()),
+            translation=mi.Vector3f(*pose[:3, 3].tolist()),
+            position=mi.Point3f(*(-pose[:3, :3].T @ pose[:3, 3]).tolist()),
+            focal=mi.Vector2f(camera.fx, camera.fy),
+            principal=mi.Point2f(camera.cx, camera.cy),
+            guard=mi.Vector2f(*(GUARD * side for side in field)),
+            near=mi.Float(self.near),
+            antialiased=self.antialiased,
+        )
+        dr.make_opaque(kernel_camera)
+        return kernel_camera
 
 
 @dataclass(eq=False)  # not frozen: dr.freeze assigns the fields again
-class StageCamera:
-    """A camera as an argument of a frozen stage: its numbers may change, and its switch makes another recording."""
-
-    numbers: Any  # `Pinhole.numbers`
-    antialiased: bool
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class KernelCamera:
-    """The same numbers inside a kernel, as Dr.Jit scalars."""
+    """A camera inside a kernel, as Dr.Jit scalars; its switch makes another recording."""
 
     rotation: Any  # Matrix3f, world to camera
     translation: Any  # Vector3f
@@ -68,19 +63,4 @@ class KernelCamera:
     principal: Any  # Point2f
     guard: Any  # Vector2f, bound of |x/z| and |y/z| in the Jacobian
     near: Any  # Float
-    antialiased: bool = False
-
-
-def unpack(numbers: Any, *, antialiased: bool = False) -> KernelCamera:
-    """Read a `KernelCamera` out of the array that `Pinhole.numbers` made."""
-    v = [dr.gather(mi.Float, numbers, mi.UInt32(i)) for i in range(22)]
-    return KernelCamera(
-        rotation=mi.Matrix3f(*v[0:9]),
-        translation=mi.Vector3f(*v[9:12]),
-        position=mi.Point3f(*v[12:15]),
-        focal=mi.Vector2f(*v[15:17]),
-        principal=mi.Point2f(*v[17:19]),
-        guard=mi.Vector2f(*v[19:21]),
-        near=v[21],
-        antialiased=antialiased,
-    )
+    antialiased: bool

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mi_splat.errors import MiSplatError
-from mi_splat.rasterization import binning, order, stages
+from mi_splat.rasterization import binning, stages
 from mi_splat.rasterization.binning import NO_TILE, TILE
 from mi_splat.rasterization.blending import RECORD
 from mi_splat.rasterization.frozen import aligned, buffer, index_of, numbers, run
@@ -20,6 +20,9 @@ from mi_splat.rasterization.pinhole import Pinhole
 
 MAX_PAIRS = 1 << 28
 """Above this many (tile, Gaussian) pairs a picture is refused, before memory runs out."""
+
+MANY_GAUSSIANS = 300_000
+"""From so many on, the copy of the gradient's memory that a replay makes costs more than tracing its kernel."""
 
 
 def rasterize(
@@ -35,16 +38,14 @@ def rasterize(
     count = len(arrays[-2])
     if count == 0:
         return _nothing_visible(buffers, layout, arrays)
-    stage_camera = camera.for_stages()
+    kernel_camera = camera.for_kernels()
     records = (buffer(RECORD * count), *(buffer(count) for _ in range(2 if depths else 1)))
     index = numbers(mi.variant(), count)
     terms = sh_terms(arrays)
-    places = order.places(layout, arrays)
-    given = layout, terms, arrays, index, places, buffers, stage_camera, records
-    depth_key, touched = run(stages.project_gaussians, *given)
-    # Not inside a frozen function: a recorded sort keeps the size that it was recorded with.
-    depth_order = binning.order_below(depth_key, NO_TILE)
-    depth_order, first, last, total = run(stages.allot_rows, touched, depth_order, places)
+    depth_key, touched = run(stages.project_gaussians, layout, terms, arrays, index, buffers, kernel_camera, records)
+    # Not inside a frozen function: a recorded argsort keeps the size that it was recorded with.
+    depth_order = dr.argsort(depth_key)
+    first, last, total = run(stages.allot_rows, touched, depth_order)
     number = int(total[0])  # the one time that the host waits for the kernels
     if number >= stages.BROKEN_ROWS:
         check_finite(layout, arrays)
@@ -63,7 +64,7 @@ def rasterize(
     canvas = tuple(buffer(width * TILE * TILE * tiles) for width in ((4, 3) if depths else (4,)))
     run(stages.blend_tiles, records, (gaussians, *ranges), tile_order, buffers, canvas, walked)
     lists = (first, used), (gaussians, rows), ranges
-    state = BackwardState(buffers, stage_camera, records, places, depth_order, *lists, walked)
+    state = BackwardState(buffers, kernel_camera, records, depth_order, *lists, walked)
     return Picture(buffers.colour, buffers.opacity, buffers.depths, layout, arrays, state)
 
 
@@ -86,17 +87,17 @@ def rasterize_backward(
         return tuple(buffer(len(array), value=0.0) for array in arrays)
     gradients = tuple(buffer(len(array)) for array in arrays)
     grad_picture = tuple(aligned(grad) for grad in (grad_colour, grad_opacity, grad_depth) if grad is not None)
-    pixels_of_tiles = TILE * TILE * len(state.buffers.tiles)
-    grad_tiles = tuple(buffer(width * pixels_of_tiles, value=0.0) for width in (4, 1, 2)[: len(grad_picture)])
-    run(stages.gradient_to_tiles, state.buffers, grad_picture, grad_tiles)
     pairs = len(state.pairs[0])
     moments = (buffer(RECORD * pairs), *(buffer(pairs) for _ in range(1 if grad_depth is None else 2)))
     gaussians = len(state.depth_order)
     scratch = tuple(buffer(gaussians, mi.UInt32) for _ in range(2))
     rows, row_ranges = run(stages.rows_by_gaussian, state.depth_order, state.row_ranges, state.pairs, scratch)
     lists, tile_order = (state.pairs[0], rows, *state.pair_ranges), binning.by_length(state.walked)
-    run(stages.blend_backward, state.records, lists, tile_order, state.buffers, grad_tiles, moments)
-    index = numbers(mi.variant(), gaussians)
-    given = picture.layout, sh_terms(arrays), arrays, state.camera, index, state.places, row_ranges
-    run(stages.project_backward, *given, moments, gradients, screen)
+    run(stages.blend_backward, state.records, lists, tile_order, state.buffers, grad_picture, moments)
+    rows_of_each = numbers(mi.variant(), gaussians), *row_ranges
+    given = picture.layout, sh_terms(arrays), arrays, state.camera, rows_of_each, moments, gradients, screen
+    if gaussians < MANY_GAUSSIANS:
+        run(stages.project_backward, *given)
+    else:
+        stages.project_backward(*given)
     return gradients

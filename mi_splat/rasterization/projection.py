@@ -45,14 +45,14 @@ class Gaussians:
                 largest = dr.maximum(largest, dr.reinterpret_array(mi.UInt32, value) & 0x7FFFFFFF)
         return largest < 0x7F800000
 
-    def gradient(self, sh: list[Any]) -> Gaussians:
-        """The gradients that a backward pass left in the arrays, and those of SH, in the same form."""
+    def gradient(self) -> Gaussians:
+        """The gradients that a backward pass left in the arrays, in the same form."""
         return Gaussians(
             mean=dr.grad(self.mean),
             scale=dr.grad(self.scale),
             rotation=[dr.grad(q) for q in self.rotation],
             opacity=dr.grad(self.opacity),
-            sh=sh,
+            sh=[dr.grad(c) for c in self.sh],
         )
 
 
@@ -87,16 +87,12 @@ def rotation_matrix(quaternion: Any) -> Any:
     )  # fmt: skip
 
 
-def sh_basis(gaussians: Gaussians, camera: KernelCamera) -> list[Any]:
-    """The SH basis functions along the direction from the camera centre to the mean."""
-    direction = dr.normalize(mi.Vector3f(gaussians.mean - camera.position))
-    return list(dr.sh_eval(direction, math.isqrt(len(gaussians.sh)) - 1))
-
-
 def colour(gaussians: Gaussians, camera: KernelCamera) -> Any:
-    """max(0, 0.5 + SH), Color3f in sRGB."""
+    """max(0, 0.5 + SH) along the direction from the camera centre to the mean, Color3f in sRGB."""
+    direction = dr.normalize(mi.Vector3f(gaussians.mean - camera.position))
+    basis = dr.sh_eval(direction, math.isqrt(len(gaussians.sh)) - 1)
     total = mi.Color3f(0.5)
-    for factor, coefficient in zip(sh_basis(gaussians, camera), gaussians.sh, strict=True):
+    for factor, coefficient in zip(basis, gaussians.sh, strict=True):
         total += factor * coefficient
     return dr.maximum(total, 0.0)
 

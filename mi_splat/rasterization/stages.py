@@ -1,4 +1,4 @@
-"""The stages, from Gaussians to a picture (1 to 5) and back (6 to 9); `pipeline` calls them in this order.
+"""The stages, from Gaussians to a picture (1 to 5) and back (6 to 8); `pipeline` calls them in this order.
 
 Each stage is recorded once by `frozen.run` and replayed. README.md says what a stage may and may not do for a replay to
 stay right when sizes change.
@@ -10,13 +10,13 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from mi_splat.rasterization import binning, blending, pinhole
+from mi_splat.rasterization import binning, blending
 from mi_splat.rasterization.binning import NO_TILE, TILE, length_key
 from mi_splat.rasterization.blending import RECORD
 from mi_splat.rasterization.layouts import Layout
-from mi_splat.rasterization.picture import PictureBuffers, tile_columns, width_and_height
-from mi_splat.rasterization.pinhole import KernelCamera, StageCamera
-from mi_splat.rasterization.projection import Gaussians, Splat, project, sh_basis
+from mi_splat.rasterization.picture import PictureBuffers, tile_columns
+from mi_splat.rasterization.pinhole import KernelCamera
+from mi_splat.rasterization.projection import Gaussians, Splat, project
 
 BROKEN = 0xFFFFFFFF
 """In place of a number of tiles: a number of the Gaussian is not finite."""
@@ -38,42 +38,39 @@ def project_gaussians(
     terms: int,
     arrays: tuple[Any, ...],
     index: Any,
-    places: Any,
     buffers: PictureBuffers,
-    stage_camera: StageCamera,
+    camera: KernelCamera,
     records: tuple[Any, ...],
 ) -> tuple[Any, Any]:
     """Stage 1: project every Gaussian and count the tiles that it touches."""
-    camera = pinhole.unpack(stage_camera.numbers, antialiased=stage_camera.antialiased)
     gaussians = layout.read(arrays, index, terms)
     splat, extent, depth, visible = projected(gaussians, camera)
-    width, height = width_and_height(buffers.size)
+    width, height = buffers.size
     count = binning.count_tiles(splat, extent, visible, width, height)
     components = splat.components()
-    dr.scatter(records[0], mi.ArrayXf(components[:RECORD]), places)
-    dr.scatter(records[1], components[RECORD], places)
+    dr.scatter(records[0], mi.ArrayXf(components[:RECORD]), index)
+    dr.scatter(records[1], components[RECORD], index)
     if len(records) > 2:
-        dr.scatter(records[2], depth, places)
+        dr.scatter(records[2], depth, index)
     # Depths that count are positive, and positive floats sort like their bits.
     key = dr.select(count > 0, dr.reinterpret_array(mi.UInt32, depth), NO_TILE)
     return key, dr.select(gaussians.finite(), count, BROKEN)
 
 
-def allot_rows(count: Any, depth_order: Any, places: Any) -> tuple[Any, Any, Any, Any]:
-    """Stage 2: the places of the records from near to far, and which rows each Gaussian gets."""
+def allot_rows(count: Any, depth_order: Any) -> tuple[Any, Any, Any]:
+    """Stage 2: which rows each Gaussian gets."""
     counts = dr.gather(mi.UInt32, count, depth_order)
     broken = counts == BROKEN
     counts = dr.select(broken, 0, counts)
     first = dr.prefix_sum(counts)
-    depth_order = dr.gather(mi.UInt32, places, depth_order)
-    return depth_order, first, first + counts, dr.sum(dr.select(broken, mi.UInt64(BROKEN_ROWS), mi.UInt64(counts)))
+    return first, first + counts, dr.sum(dr.select(broken, mi.UInt64(BROKEN_ROWS), mi.UInt64(counts)))
 
 
 def write_pairs(records: Any, depth_order: Any, first: Any, last: Any, size: Any, pairs: Any) -> Any:
     """Stage 3: write the pairs' tiles and Gaussians, Gaussian by Gaussian from near to far."""
     v = dr.gather(mi.ArrayXf, records, depth_order, shape=(RECORD, dr.width(depth_order)))
     splat = Splat(mi.Point2f(v[0], v[1]), v[2], v[3], v[4], v[5], mi.Color3f(0))
-    return binning.emit_pairs(splat, depth_order, (first, last), width_and_height(size), pairs)
+    return binning.emit_pairs(splat, depth_order, (first, last), size, pairs)
 
 
 def find_lists(
@@ -98,10 +95,8 @@ def blend_tiles(
     walked: Any,
 ) -> None:
     """Stage 5: blend every tile, then lay the tiles out as a row-major picture over the background."""
-    tile = dr.gather(mi.UInt32, buffers.tiles, order)
+    tile, corner = _tiles(order, buffers)
     first, last = (dr.gather(mi.UInt32, edge, tile) for edge in lists[1:])
-    width, _ = width_and_height(buffers.size)
-    corner = blending.first_pixel(mi.Int32(tile), tile_columns(width))
     colours, transmittances, depths, reached = blending.blend_tile(records, lists[0], (first, last), corner)
     dr.scatter(walked, length_key(reached - first), order)
     n = TILE * TILE
@@ -125,25 +120,13 @@ def blend_tiles(
     dr.eval(buffers.colour, buffers.opacity, buffers.depths)
 
 
+def _tiles(order: Any, buffers: PictureBuffers) -> tuple[Any, tuple[Any, Any]]:
+    """The lanes' tiles, and the centres of their first pixels."""
+    tile = dr.gather(mi.UInt32, buffers.tiles, order)
+    return tile, blending.first_pixel(mi.Int32(tile), tile_columns(buffers.size[0]))
+
+
 _LN2 = math.log(2.0)
-
-
-def gradient_to_tiles(buffers: PictureBuffers, grad_picture: tuple[Any, ...], grad_tiles: tuple[Any, ...]) -> None:
-    """Stage 6: the gradient of the picture, tile after tile."""
-    pixel, where = buffers.pixels, buffers.tiled_indices
-    grad_colour = dr.gather(mi.ArrayXf, grad_picture[0], pixel, shape=(3, dr.width(pixel)))
-    value = dr.gather(mi.ArrayXf, buffers.colour, pixel, shape=(3, dr.width(pixel)))
-    weighted = grad_colour[0] * value[0] + grad_colour[1] * value[1] + grad_colour[2] * value[2]
-    if len(grad_picture) > 1:
-        grad_opacity = dr.gather(mi.Float, grad_picture[1], pixel)
-        weighted += grad_opacity * dr.gather(mi.Float, buffers.opacity, pixel)
-        dr.scatter(grad_tiles[1], grad_opacity, where)
-    if len(grad_picture) > 2:
-        expected, total = (dr.gather(mi.Float, buffers.depths[k], pixel) for k in (0, 2))
-        slope = dr.select(total > 0, dr.gather(mi.Float, grad_picture[2], pixel) / total, 0.0)
-        dr.scatter(grad_tiles[2], mi.ArrayXf([slope, expected]), where)
-    dr.scatter(grad_tiles[0], mi.ArrayXf([*grad_colour, weighted]), where)
-    dr.eval(grad_tiles)
 
 
 def blend_backward(
@@ -151,28 +134,31 @@ def blend_backward(
     lists: tuple[Any, Any, Any, Any],
     order: Any,
     buffers: PictureBuffers,
-    grad_tiles: tuple[Any, ...],
+    grad_picture: tuple[Any, ...],
     moments: tuple[Any, ...],
 ) -> None:
-    """Stage 8: each pair's moments of the gradient, in the pair's own row."""
-    width, _ = width_and_height(buffers.size)
-    tile = dr.gather(mi.UInt32, buffers.tiles, order)
+    """Stage 7: each pair's moments of the gradient, in the pair's own row."""
+    tile, corner = _tiles(order, buffers)
+    width, height = buffers.size
     first, last = (dr.gather(mi.UInt32, edge, tile) for edge in lists[2:])
-    n = TILE * TILE
-    v = dr.gather(mi.ArrayXf, grad_tiles[0], tile, shape=(4 * n, dr.width(tile)))
-    grad_colour = [v[4 * p + channel] for channel in range(3) for p in range(n)]
-    weighted = [v[4 * p + 3] for p in range(n)]
-    with_opacity, with_depth = len(grad_tiles) > 1, len(grad_tiles) > 2
-    grad_opacity = list(dr.gather(mi.ArrayXf, grad_tiles[1], tile, shape=(n, dr.width(tile)))) if with_opacity else []
-    both = list(dr.gather(mi.ArrayXf, grad_tiles[2], tile, shape=(2 * n, dr.width(tile)))) if with_depth else []
-    grad_depth = list(zip(both[::2], both[1::2], strict=True))
+    grad_colours, grad_opacity, grad_depth, weighted = [], [], [], []
+    for p in range(TILE * TILE):
+        x, y = mi.Int32(corner[0]) + p % TILE, mi.Int32(corner[1]) + p // TILE
+        pixel, inside = mi.UInt32(y * width + x), (x < width) & (y < height)
+        both = (buffers.colour, grad_picture[0])
+        value, grad = (dr.gather(mi.ArrayXf, a, pixel, inside, shape=(3, dr.width(pixel))) for a in both)
+        grad_colours.append(list(grad))
+        weighted.append(grad[0] * value[0] + grad[1] * value[1] + grad[2] * value[2])
+        if len(grad_picture) > 1:
+            grad_opacity.append(dr.gather(mi.Float, grad_picture[1], pixel, inside))
+            weighted[-1] += grad_opacity[-1] * dr.gather(mi.Float, buffers.opacity, pixel, inside)
+        if len(grad_picture) > 2:
+            expected, total = (dr.gather(mi.Float, buffers.depths[k], pixel, inside) for k in (0, 2))
+            slope = dr.select(total > 0, dr.gather(mi.Float, grad_picture[2], pixel, inside) / total, 0.0)
+            grad_depth.append((slope, expected))
+    grad_colour = [grad[channel] for channel in range(3) for grad in grad_colours]
     reached = blending.blend_tile_backward(
-        records,
-        lists[:2],
-        (first, last),
-        blending.first_pixel(mi.Int32(tile), tile_columns(width)),
-        (grad_colour, grad_opacity, grad_depth, weighted),
-        moments,
+        records, lists[:2], (first, last), corner, (grad_colour, grad_opacity, grad_depth, weighted), moments
     )
     dr.eval(moments, reached, last)
     blending.clear_rows(lists[1], (reached, last), moments)
@@ -182,7 +168,7 @@ def blend_backward(
 def rows_by_gaussian(
     depth_order: Any, row_ranges: tuple[Any, Any], pairs: tuple[Any, Any], scratch: tuple[Any, Any]
 ) -> tuple[Any, tuple[Any, Any]]:
-    """Stage 7: rows for the moments, in the order of the Gaussians and not of their depths."""
+    """Stage 6: rows for the moments, in the order of the Gaussians and not of their depths."""
     first, last = row_ranges
     count, shift = scratch
     dr.scatter(count, last - first, depth_order)
@@ -198,20 +184,17 @@ def project_backward(
     layout: Layout,
     terms: int,
     arrays: tuple[Any, ...],
-    stage_camera: StageCamera,
-    index: Any,
-    places: Any,
-    row_ranges: tuple[Any, Any],
+    camera: KernelCamera,
+    rows: tuple[Any, Any, Any],
     moments: tuple[Any, ...],
     gradients: tuple[Any, ...],
     screen: Any | None,
 ) -> None:
-    """Stage 9: sum every Gaussian's moments and take them back through the projection."""
-    first, last = (dr.gather(mi.UInt32, edge, places) for edge in row_ranges)
+    """Stage 8: sum every Gaussian's moments and take them back through the projection."""
+    index, first, last = rows
     visible = last > first
-    camera = pinhole.unpack(stage_camera.numbers, antialiased=stage_camera.antialiased)
     gaussians = _with_invisible_ones_harmless(layout.read(arrays, index, terms), visible, camera)
-    dr.enable_grad(gaussians.parts()[: -len(gaussians.sh)])
+    dr.enable_grad(gaussians.parts())
     splat, _, depth = project(gaussians, camera)
     sums = _sum_rows(first, last, moments)
     grad_splat = _splat_gradient(splat, sums)
@@ -224,9 +207,7 @@ def project_backward(
     if len(moments) > 2:
         product += depth * sums[RECORD + 1]
     dr.backward(product)
-    grad_colour = dr.select(dr.detach(splat.colour) > 0.0, mi.Color3f(*grad_splat[6:]), 0.0)
-    grad_sh = [factor * grad_colour for factor in dr.detach(sh_basis(gaussians, camera))]
-    layout.write(gradients, index, gaussians.gradient(grad_sh))
+    layout.write(gradients, index, gaussians.gradient())
     dr.eval(gradients, screen)
 
 

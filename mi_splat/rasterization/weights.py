@@ -14,7 +14,7 @@ from mi_splat.errors import MiSplatError
 from mi_splat.rasterization.binning import TILE, lower_bound
 from mi_splat.rasterization.blending import MAX_ALPHA, Record, any_open, blend_step, first_pixel, read_record
 from mi_splat.rasterization.frozen import buffer, numbers
-from mi_splat.rasterization.picture import Picture, tile_columns, tiled_index, width_and_height
+from mi_splat.rasterization.picture import Picture, tile_columns, tiled_index
 
 PIXELS = TILE * TILE
 HIDDEN_DC = -10.0
@@ -73,8 +73,7 @@ def freeze_pairs(
     if picture.state is None or len(free) == 0:
         return None, _within(held + needed_bytes(0, pixels, len(free)), 0, max_bytes)
     column_of = buffer(len(picture.arrays[-2]), mi.UInt32, _FIXED)
-    places = dr.gather(mi.UInt32, picture.state.places, free)
-    dr.scatter(column_of, numbers(mi.variant(), len(free)), places)
+    dr.scatter(column_of, numbers(mi.variant(), len(free)), free)
     columns = dr.gather(mi.UInt32, column_of, picture.state.pairs[0])
     kept = buffer(len(columns) + 1, mi.UInt32, 0)
     _walk(picture, numbers(mi.variant(), len(picture.state.buffers.tiles)), columns, kept=kept)
@@ -103,7 +102,7 @@ def _slots(picture: Picture, before: Any) -> tuple[Any, tuple[Any, Any], int]:
     count = last - first
     dr.eval(count)
     tiles = dr.compress(count > 0)
-    width, _ = width_and_height(picture.state.buffers.size)
+    width, _ = picture.state.buffers.size
     columns = mi.UInt32(tile_columns(width))
     block = tiles // columns // BLOCK * (columns // BLOCK + 1) + tiles % columns // BLOCK
     most = mi.UInt32(_MOST)
@@ -175,7 +174,7 @@ def _slots_of_pixels(picture: Picture, tiles: Any) -> Any:
     slot_of = buffer(len(picture.state.buffers.tiles), mi.UInt32, len(tiles))
     dr.scatter(slot_of, dr.arange(mi.UInt32, len(tiles)), tiles)
     value = dr.arange(mi.UInt32, len(picture.colour))
-    width, _ = width_and_height(picture.state.buffers.size)
+    width, _ = picture.state.buffers.size
     tiled = tiled_index(mi.Int32(value // 3), width)
     return 4 * (PIXELS * dr.gather(mi.UInt32, slot_of, tiled // PIXELS) + tiled % PIXELS) + value % 3
 
@@ -186,7 +185,7 @@ def _walk(
     """Walk the lists of tiles as the picture did, and find the pairs to keep."""
     state = picture.state
     assert state is not None
-    width, height = width_and_height(state.buffers.size)
+    width, height = state.buffers.size
     corner = first_pixel(mi.Int32(tiles), tile_columns(width))
     right, below = mi.Float(width), mi.Float(height)
     inside = [(corner[0] + float(p % TILE) < right) & (corner[1] + float(p // TILE) < below) for p in range(PIXELS)]

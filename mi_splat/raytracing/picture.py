@@ -10,7 +10,6 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from mi_splat.rasterization import pinhole
 from mi_splat.rasterization.binning import TILE
 from mi_splat.rasterization.frozen import buffer
 from mi_splat.rasterization.picture import tile_columns
@@ -46,7 +45,7 @@ def _rays(camera: Pinhole) -> tuple[Stretch, Any, Any]:
     lane = dr.arange(mi.Int32, TILE * TILE * tiles)
     tile, inside = lane // (TILE * TILE), lane % (TILE * TILE)
     x, y = (tile % columns) * TILE + inside % TILE, (tile // columns) * TILE + inside // TILE
-    numbers = pinhole.unpack(camera.numbers())
+    numbers = camera.for_kernels()
     centre = (mi.Point2f(mi.Float(x) + 0.5, mi.Float(y) + 0.5) - numbers.principal) / numbers.focal
     local = mi.Vector3f(centre.x, centre.y, 1.0)
     length = dr.norm(local)

@@ -23,8 +23,7 @@ from mi_splat.rasterization.frozen import frozen  # noqa: E402
 
 STAGES = (
     *(stages.project_gaussians, stages.allot_rows, stages.write_pairs, stages.find_lists),
-    *(stages.blend_tiles, stages.gradient_to_tiles, stages.rows_by_gaussian, stages.blend_backward),
-    stages.project_backward,
+    *(stages.blend_tiles, stages.rows_by_gaussian, stages.blend_backward, stages.project_backward),
 )
 VIEW = Camera(
     to_world=orbit_pose((0.0, 0.0, 0.0), azimuth=10.0, elevation=20.0, distance=3.0), focal=40.0, width=37, height=29
