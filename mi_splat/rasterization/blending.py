@@ -99,49 +99,42 @@ def next_of_list(gaussians: Any, pair_range: tuple[Any, Any], pair: Any) -> tupl
 
 def blend_tile(
     records: tuple[Any, ...], gaussians: Any, pair_range: tuple[Any, Any], corner: tuple[Any, Any]
-) -> tuple[Any, Any, Any, Any]:
-    """Blend every tile."""
-    # What a step blends was read in the step before it, so that arithmetic hides the wait for memory.
+) -> tuple[list[Any], list[Any], Any]:
+    """Blend every tile: colour and transmittance of its pixels (four numbers each), depths, and where it stopped."""
+    # What a step blends was read in the step before it, so that arithmetic hides the wait for memory. Dr.Jit orders the
+    # arithmetic as the state: pixel by pixel, so that no weight has to be kept for later.
     first, gaussian = first_of_list(gaussians, pair_range)
     start = (
         *next_of_list(gaussians, pair_range, first),
         read_record(records, gaussian, corner),
-        [mi.Float(1) for _ in _PIXELS],
-        [mi.Float(0) for _ in range(3 * TILE * TILE)],
+        [[mi.Float(0), mi.Float(0), mi.Float(0), mi.Float(1)] for _ in _PIXELS],
         [mi.Float(0) for _ in range(3 * TILE * TILE if len(records) > 2 else 0)],
     )
 
-    def body(
-        following: Any,
-        gaussian: Any,
-        values: list[Any],
-        transmittances: list[Any],
-        colours: list[Any],
-        depths: list[Any],
-    ) -> Any:
+    def body(following: Any, gaussian: Any, values: list[Any], pixels: list[list[Any]], depths: list[Any]) -> Any:
         record, values = Record(values), read_record(records, gaussian, corner)
-        behind, summed, measured = [], list(colours), list(depths)
+        blended, measured = [], list(depths)
         for p, alpha in enumerate(record.alphas()):
-            weight, left = blend_step(dr.minimum(alpha, MAX_ALPHA), transmittances[p])
-            behind.append(left)
-            for c in range(3):
-                k = c * TILE * TILE + p
-                summed[k] = dr.fma(weight, record.colour[c], summed[k])
+            *colour, transmittance = pixels[p]
+            weight, left = blend_step(dr.minimum(alpha, MAX_ALPHA), transmittance)
+            blended.append([*(dr.fma(weight, own, sum) for own, sum in zip(record.colour, colour, strict=True)), left])
             if measured:
-                halved = (transmittances[p] > 0.5) & (left <= 0.5)
+                halved = (transmittance > 0.5) & (left <= 0.5)
                 total, summed_depth = TILE * TILE + p, 2 * TILE * TILE + p
                 measured[p] = dr.select(halved, record.depth, measured[p])
                 measured[total] = measured[total] + weight
                 measured[summed_depth] = dr.fma(weight, record.depth, measured[summed_depth])
-        return *next_of_list(gaussians, pair_range, following), values, behind, summed, measured
+        return *next_of_list(gaussians, pair_range, following), values, blended, measured
 
-    following, _, _, transmittances, colours, depths = dr.while_loop(
+    following, _, _, pixels, depths = dr.while_loop(
         start,
-        lambda following, _, values, transmittances, *others: (following <= pair_range[1]) & any_open(transmittances),
+        lambda following, _, values, pixels, *others: (
+            (following <= pair_range[1]) & any_open([pixel[3] for pixel in pixels])
+        ),
         body,
         label="blend",
     )
-    return colours, [dr.abs(t) for t in transmittances], depths, following - 1
+    return [value for *colour, t in pixels for value in (*colour, dr.abs(t))], depths, following - 1
 
 
 def blend_tile_backward(
@@ -162,12 +155,12 @@ def blend_tile_backward(
     grad_colour, grad_opacity, grad_depth, weighted = pixels
     first, gaussian = first_of_list(pairs[0], pair_range)
     values = read_record(records, gaussian, corner)
-    start = (*next_of_list(pairs[0], pair_range, first), values, [mi.Float(1) for _ in _PIXELS], list(weighted))
+    start = (*next_of_list(pairs[0], pair_range, first), values, [[mi.Float(1), rest] for rest in weighted])
     n = TILE * TILE
 
-    def body(following: Any, gaussian: Any, values: list[Any], transmittances: list[Any], remaining: list[Any]) -> Any:
+    def body(following: Any, gaussian: Any, values: list[Any], states: list[list[Any]]) -> Any:
         record, values = Record(values), read_record(records, gaussian, corner)
-        behind, left, colour_sums, depth_sum = [], [], [mi.Float(0)] * 3, mi.Float(0)
+        behind, colour_sums, depth_sum = [], [mi.Float(0)] * 3, mi.Float(0)
         rows = []
         alphas = record.alphas()
         for row in range(TILE):
@@ -175,7 +168,8 @@ def blend_tile_backward(
             for column in range(TILE):
                 p = row * TILE + column
                 alpha = dr.minimum(alphas[p], MAX_ALPHA)
-                weight, t = blend_step(alpha, transmittances[p])
+                transmittance, remaining = states[p]
+                weight, left = blend_step(alpha, transmittance)
                 gain = record.colour[0] * grad_colour[p]
                 gain = dr.fma(record.colour[1], grad_colour[n + p], gain)
                 gain = dr.fma(record.colour[2], grad_colour[2 * n + p], gain)
@@ -185,7 +179,7 @@ def blend_tile_backward(
                     slope, expected = grad_depth[p]
                     gain = dr.fma(record.depth - expected, slope, gain)
                     depth_sum = dr.fma(weight, slope, depth_sum)
-                rest = dr.fma(-weight, gain, remaining[p])
+                rest = dr.fma(-weight, gain, remaining)
                 # alpha dL/dalpha = weight gain - rest alpha / (1 - alpha); zero where clamped, skipped or stopped
                 h = dr.fma(weight, gain, -rest * alpha / (1.0 - alpha))
                 h = dr.select((weight > 0.0) & (alphas[p] < MAX_ALPHA), h, 0.0)
@@ -193,8 +187,7 @@ def blend_tile_backward(
                 m0, m1, m2 = m0 + h, dr.fma(h, dx, m1), dr.fma(h * dx, dx, m2)
                 for c in range(3):
                     colour_sums[c] = dr.fma(weight, grad_colour[c * n + p], colour_sums[c])
-                behind.append(t)
-                left.append(rest)
+                behind.append([left, rest])
             rows.append((m0, m1, m2))
         s = [mi.Float(0)] * 6
         for row, (m0, m1, m2) in enumerate(rows):
@@ -205,11 +198,11 @@ def blend_tile_backward(
         dr.scatter(moments[1], colour_sums[2], index)
         if grad_depth:
             dr.scatter(moments[2], depth_sum, index)
-        return *next_of_list(pairs[0], pair_range, following), values, behind, left
+        return *next_of_list(pairs[0], pair_range, following), values, behind
 
     following, *_ = dr.while_loop(
         start,
-        lambda following, _, values, transmittances, *others: (following <= pair_range[1]) & any_open(transmittances),
+        lambda following, _, values, states: (following <= pair_range[1]) & any_open([state[0] for state in states]),
         body,
         label="blend backward",
     )

@@ -97,13 +97,11 @@ def blend_tiles(
     """Stage 5: blend every tile, then lay the tiles out as a row-major picture over the background."""
     tile, corner = _tiles(order, buffers)
     first, last = (dr.gather(mi.UInt32, edge, tile) for edge in lists[1:])
-    colours, transmittances, depths, reached = blending.blend_tile(records, lists[0], (first, last), corner)
+    values, depths, reached = blending.blend_tile(records, lists[0], (first, last), corner)
     dr.scatter(walked, length_key(reached - first), order)
-    n = TILE * TILE
-    values = [v for p in range(n) for v in (colours[p], colours[n + p], colours[2 * n + p], transmittances[p])]
     dr.scatter(canvas[0], mi.ArrayXf(values), tile)
     if depths:
-        dr.scatter(canvas[1], mi.ArrayXf([depths[k * n + p] for p in range(n) for k in range(3)]), tile)
+        dr.scatter(canvas[1], mi.ArrayXf([v for p in range(TILE * TILE) for v in depths[p :: TILE * TILE]]), tile)
     dr.eval(canvas, walked)
 
     pixel = buffers.pixels
