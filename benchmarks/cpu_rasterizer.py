@@ -128,9 +128,11 @@ class Peer:
         ours = [tensor.clone().requires_grad_(True) for tensor in scene.tensors()]
         image = Renderer()(GaussianScene(*ours), camera)
         image.backward(torch.from_numpy(self.grad_image))  # type: ignore[no-untyped-call]
-        pairs = {name: (a.grad, b.grad) for name, a, b in zip(ATTRIBUTES, ours, self.leaves, strict=True)}
-        pairs["image"] = image.detach(), torch.from_numpy(self.image)
-        errors = {}
+        pairs: dict[str, tuple[Tensor | None, Tensor | None]] = {
+            "image": (image.detach(), torch.from_numpy(self.image)),
+            **{name: (a.grad, b.grad) for name, a, b in zip(ATTRIBUTES, ours, self.leaves, strict=True)},
+        }
+        errors: dict[str, float] = {}
         for name, (mine, theirs) in pairs.items():
             assert mine is not None
             assert theirs is not None

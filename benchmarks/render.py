@@ -113,7 +113,7 @@ def camera_of(size: int) -> Camera:
 
 def runs() -> dict[str, Callable[[], None]]:
     """Our renderer in all settings and with a million Gaussians; for cpu_time.py."""
-    named = {}
+    named: dict[str, Callable[[], None]] = {}
     for count, size in (*SETTINGS, (1_000_000, 640)):
         pair = through_renderer(shell(count), camera_of(size))
         named |= {f"{count:,} at {size}, {label}": run for label, run in zip(("forward", "both"), pair, strict=True)}
