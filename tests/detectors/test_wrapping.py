@@ -96,6 +96,10 @@ def test_thresholds_suppression_and_another_program_s_report() -> None:
         assert float(seen.scores.min()) >= least
     told = wrap_detector(Plain(), ("car", "person"), plain, detect=lambda images: detector.detect(images)[:1])
     assert len(told.detect(images)) == 1
+    turned = wrap_detector(Plain(), ("car", "person"), plain, prepare=lambda batch: batch.flip(-1).permute(0, 3, 1, 2))
+    other = wrap_detector(Plain(), ("car", "person"), plain).candidates(images.flip(-1))
+    for mine, wanted in zip(turned.candidates(images), other, strict=True):
+        torch.testing.assert_close(mine.scores, wanted.scores)
     double = Plain().double()
     (exact,) = wrap_detector(double, ("car", "person"), plain).candidates(images[:1])
     assert exact.scores.dtype == torch.float64
