@@ -9,10 +9,16 @@ import argparse
 import statistics
 import sys
 import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import torch
 
 from attacks.detectors import Detector, load_detector
+from mi_splat.rendering import Renderer
+from mi_splat.scene_files import open_scene
 
 SIDE = 256
 
@@ -39,6 +45,25 @@ def main() -> None:
         ratio = statistics.median(times[number][1] / times[0][1] for times in rounds)
         lines.append(f"| {detector.name} | {forward:.0f} | {both:.0f} | {ratio:.2f} | {busy:.0f} |")
     sys.stdout.write("\n".join(lines) + "\n")
+
+
+def runs() -> dict[str, Callable[[], object]]:
+    """For `cpu_time.py`: the project's own detectors on a picture of a scene, and the gradient of an attack."""
+    loaded = open_scene(Path(__file__).parents[1] / "scenes" / "car_street.xml")
+    camera = replace(next(iter(loaded.cameras.values())), width=SIDE, height=SIDE)
+    image = Renderer(loaded.settings)(loaded.scene, camera).clamp(0, 1)[None]
+
+    def gradient(detector: Detector) -> torch.Tensor:
+        leaf = image.clone().requires_grad_(True)
+        scores = detector.candidates(leaf)[0].scores
+        surest = scores.detach().amax(1).topk(5).indices  # of those near an object
+        return torch.autograd.grad(scores[surest].sum(), leaf)[0]
+
+    made: dict[str, Callable[[], object]] = {}
+    for detector in map(load_detector, ("fasterrcnn_small", "yolov8n_small")):
+        made[f"{detector.name}, detect"] = partial(detector.detect, image)
+        made[f"{detector.name}, gradient"] = partial(gradient, detector)
+    return made
 
 
 def once(detector: Detector, image: torch.Tensor) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""How many pictures a second does `mi-splat view` make while the camera moves?
+"""How many pictures a second does `mi-splat view` make while the camera moves, and how soon does it react at rest?
 
     python benchmarks/view.py [--gaussians 100000] [--canvas 1000 700] [--pictures 120] [--json]
 
@@ -6,10 +6,14 @@ A camera goes around a shell of Gaussians. Timed is what the server does for eac
 and encoding as JPEG, at the resolution that the pace settles on; once with one splat, once with two side by side. The
 browser's own work and the network are not in it. `cpu_ms` is the processor time of a picture, which other programs on
 the machine change less than the clock's. The first quarter of the pictures, in which kernels are compiled and
-the pace settles, does not count.
+the pace settles, does not count; the very first one is timed apart, without the time that kernels take to compile.
+
+A reaction is what a user waits for who moves the camera while a full picture is made: until that is interrupted, and
+the coarse picture is made. It is the slowest of movements at several moments of a full picture.
 """
 
 import argparse
+import contextlib
 import io
 import json
 import statistics
@@ -24,12 +28,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from render import shell  # of this folder
 
+from mi_splat.rasterization.frozen import PictureInterruptedError, interrupted_by
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.viewer.content import Content, ShownSplat, whole
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.server import JPEG_QUALITY
 from mi_splat.viewer.session import Pace, Step, ViewState, display_modes
+
+MOMENTS = 12  # of a full picture, at which the camera moves
 
 
 def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures: int) -> dict[str, float]:
@@ -38,8 +45,11 @@ def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures
     names = ("clean", "attacked")[:splats]
     shown = tuple(ShownSplat(name=name, scene=scene, path=Path(f"{name}.ply")) for name in names)
     content = Content(title="benchmark", splats=shown, settings=settings, start=whole(scene), size=(640, 480))
-    painter, pace = Painter(content, Renderer(settings)), Pace()
     state = ViewState(orbit=content.start, mode=display_modes(names)[0], canvas=canvas)
+    firsts = []
+    for _ in range(2):  # the second one finds the kernels compiled
+        painter, pace = Painter(content, Renderer(settings)), Pace()
+        firsts.append(_timed(painter, state, Step.COARSE, pace)[0])
     times: list[float] = []
     busy, every = 0.0, 1
     for number in range(pictures):
@@ -50,7 +60,10 @@ def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures
         times.append(seconds)
         pace = pace.after(seconds)
     busy, settled = time.process_time() - busy, times[pictures // 4 :]
-    full = [_timed(painter, state, Step.FULL, pace)[0] for _ in range(5)]
+    half, full = (
+        statistics.median(_timed(painter, state, step, pace)[0] for _ in range(5)) for step in (Step.HALF, Step.FULL)
+    )
+    reactions = [_reaction(painter, state, pace, full * part / MOMENTS) for part in range(1, MOMENTS)]
     return {
         "splats": splats,
         "pictures_a_second": round(len(settled) / sum(settled), 1),
@@ -58,8 +71,20 @@ def measure(scene: GaussianScene, splats: int, canvas: tuple[int, int], pictures
         "slowest_ms": round(1000 * max(settled), 1),
         "scale": round(pace.scale, 2),
         "every": every,
-        "full_ms": round(1000 * statistics.median(full), 1),
+        "first_ms": round(1000 * firsts[1], 1),
+        "half_ms": round(1000 * half, 1),
+        "full_ms": round(1000 * full, 1),
+        "reaction_ms": round(1000 * max(reactions), 1),
     }
+
+
+def _reaction(painter: Painter, state: ViewState, pace: Pace, after: float) -> float:
+    """Seconds from a movement, so long after a full picture was begun, to the coarse picture."""
+    moved = time.perf_counter() + after
+    with contextlib.suppress(PictureInterruptedError), interrupted_by(lambda: time.perf_counter() > moved):
+        _timed(painter, state, Step.FULL, pace)
+    _timed(painter, state, Step.COARSE, pace)
+    return time.perf_counter() - moved
 
 
 def _timed(painter: Painter, state: ViewState, step: Step, pace: Pace) -> tuple[float, int]:
@@ -88,7 +113,9 @@ def main() -> None:
             f"{line['splats']} x {options.gaussians:,} Gaussians at {canvas[0]} x {canvas[1]}: "
             f"{line['pictures_a_second']} pictures a second at {line['scale']:.0%} of the width, "
             f"one of {line['every']} Gaussians, "
-            f"processor {line['cpu_ms']} ms, slowest {line['slowest_ms']} ms; a full picture {line['full_ms']} ms\n"
+            f"processor {line['cpu_ms']} ms, slowest {line['slowest_ms']} ms, the first {line['first_ms']} ms; "
+            f"half the width {line['half_ms']} ms, a full picture {line['full_ms']} ms; "
+            f"a movement meanwhile is seen after {line['reaction_ms']} ms\n"
         )
 
 

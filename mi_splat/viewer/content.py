@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from PIL import ImageDraw
@@ -66,16 +66,17 @@ def _listed(
 def content_of_dataset(path: Path, *, background: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Content:
     """The photographs of a data set without a splat."""
     orbits, photographs = photographs_of(path, background=background)
+    settings = RenderSettings(background=background)
+    return content_of_photographs(f"{path}: {len(orbits)} photographs", settings, orbits, photographs)
+
+
+def content_of_photographs(
+    title: str, settings: RenderSettings, orbits: Mapping[str, Orbit], photographs: Photographs, *splats: ShownSplat
+) -> Content:
+    """Photographs, and perhaps a splat, from the first of their cameras."""
     first = next(iter(orbits.values()))
-    return Content(
-        title=f"{path}: {len(orbits)} photographs",
-        splats=(),
-        settings=RenderSettings(background=background),
-        start=first,
-        size=first.camera_size or (640, 480),
-        cameras=orbits,
-        photographs=photographs,
-    )
+    seen: dict[str, Any] = {"start": first, "size": first.camera_size or (640, 480), "cameras": orbits}
+    return Content(title=title, splats=splats, settings=settings, photographs=photographs, **seen)
 
 
 def with_cameras(content: Content, path: Path) -> Content:
@@ -252,10 +253,7 @@ def content_of_file(path: Path, *, name: str | None = None, clean: Path | None =
     name = name or (path.name if path.stem in (SIDE_BY_SIDE, DIFFERENCE) else path.stem)
     splats = [ShownSplat(name=name, scene=loaded.scene, path=path)]
     if clean is not None:
-        splats = [
-            ShownSplat(name="clean", scene=first.scene, path=clean),
-            replace(splats[0], name="attacked"),
-        ]
+        splats = [ShownSplat(name="clean", scene=first.scene, path=clean), replace(splats[0], name="attacked")]
     source = clean or path
     cameras = {key: orbit_of(camera, centre, source=f"{source}{OF}{key}") for key, camera in first.cameras.items()}
     start = next(iter(cameras.values()), None) or whole(first.scene)

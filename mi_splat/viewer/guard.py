@@ -101,10 +101,6 @@ class Guard:
             f'<meta http-equiv="refresh" content="0; url={target}"><a href="{target}">Open the page</a></html>\n'
         )
 
-    def inside(self, path: str) -> str:
-        """The path as viser knows it, whose page is at "/"."""
-        return path.removeprefix(f"/{self.secret_path}") or "/"
-
     def headers(self, host: str, nonce: str) -> dict[str, str]:
         """Headers of every answer: the cookie, and what the page may do."""
         # Paths keep the pages of one browser apart; the port in the name helps whoever looks at the cookies.
@@ -174,7 +170,7 @@ def guarding(guard: Guard, websockets_server: Any) -> Iterator[None]:
             if objection is not None:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"{objection}\n")
             door, nonce = guard.door(request.path), secrets.token_urlsafe(16)
-            request.path = guard.inside(request.path)
+            request.path = request.path.removeprefix(f"/{guard.secret_path}") or "/"  # as viser knows it
             request.headers.pop("Accept-Encoding", None)  # scripts are added below
             response = answer(connection, request)
             if response is None:  # a websocket

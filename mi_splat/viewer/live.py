@@ -19,7 +19,7 @@ from mi_splat.io.picture_files import PictureFileError
 from mi_splat.rendering import RenderSettings
 from mi_splat.scene import GaussianScene
 from mi_splat.training.loop import Progress, TrainState
-from mi_splat.viewer.content import Content, ShownSplat, photographs_in
+from mi_splat.viewer.content import Content, ShownSplat, content_of_photographs, photographs_in
 from mi_splat.viewer.painter import Painter
 from mi_splat.viewer.panel import as_html
 from mi_splat.viewer.picking import Click
@@ -162,15 +162,5 @@ def training_content(
     sets: Sequence[Dataset], start: GaussianScene, *, dataset: Path, out: Path, settings: RenderSettings
 ) -> Content:
     """A splat in training next to the photographs, from the first held-out camera if there is one."""
-    orbits, photographs = photographs_in(sets, dataset)
-    first = next(iter(orbits.values()))
-    splat = ShownSplat(name=SPLAT, scene=start, path=out)
-    return Content(
-        title=f"Training on {dataset}, into {out.parent}",
-        splats=(splat,),
-        settings=settings,
-        start=first,
-        size=first.camera_size or (640, 480),
-        cameras=orbits,
-        photographs=photographs,
-    )
+    splat, title = ShownSplat(name=SPLAT, scene=start, path=out), f"Training on {dataset}, into {out.parent}"
+    return content_of_photographs(title, settings, *photographs_in(sets, dataset), splat)

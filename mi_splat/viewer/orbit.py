@@ -70,11 +70,8 @@ class Orbit:
             return resized(self.exact, size)
         angles = {"azimuth": self.azimuth, "elevation": self.elevation, "roll": self.roll}
         pose = orbit_pose(self.target, distance=self.distance, **angles)
-        return Camera(to_world=pose, focal=focal_length(self.fov, size), width=size[0], height=size[1])
-
-    def vertical_fov(self, size: tuple[int, int]) -> float:
-        """Vertical field of view in radians of a picture of (width, height) pixels."""
-        return angle_of(focal_length(self.fov, size), size[1])
+        focal = focal_of(math.radians(self.fov), min(size))
+        return Camera(to_world=pose, focal=focal, width=size[0], height=size[1])
 
     def is_at(self, position: Sequence[float], look_at: Sequence[float]) -> bool:
         """Whether this camera stands at `position` (3,) and looks at `look_at` (3,)."""
@@ -101,11 +98,6 @@ class Orbit:
             elevation=round(math.degrees(math.atan2(z, flat)), _ANGLE_DIGITS),
             distance=round(length, decimals),
         )
-
-
-def focal_length(fov: float, size: tuple[int, int]) -> float:
-    """Focal length in pixels for a field of view (degrees, over the shorter side) at (width, height)."""
-    return focal_of(math.radians(fov), min(size))
 
 
 def orbit_of(camera: Camera, centre: Point, *, source: str = "") -> Orbit:

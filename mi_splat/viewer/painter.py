@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from mi_splat.io.formats.compressed_ply import morton_order
 from mi_splat.io.images import quantise, to_bytes
 from mi_splat.labels import write_label
 from mi_splat.metrics import psnr
+from mi_splat.rasterization.frozen import between_stages
 from mi_splat.scene import GaussianScene
 from mi_splat.training.losses import masked
 from mi_splat.viewer.content import Content, Inspection, Inspector
@@ -57,6 +59,7 @@ class Painter:
         self.content, self.render, self.inspector = content, render, inspector
         self._splats = {splat.name: Thinned(splat.scene) for splat in content.splats}
         self._tinted = dict[str, Thinned]()
+        self._thread = ThreadPoolExecutor(1)  # of the inspector, so that it can be left alone with its picture
         self._last: tuple[Orbit, dict[str, Inspection]] | None = None
 
     def exchange(self, name: str, scene: GaussianScene) -> None:
@@ -73,22 +76,29 @@ class Painter:
     def paint(self, state: ViewState, step: Step, pace: Pace) -> Painting:
         """The picture that a step of a session needs."""
         full, names = within(state.canvas, MOST_PIXELS), self.content.names
-        layout = self.layout(state, pace.size(full) if step is Step.COARSE else full)
+        layout = self.layout(state, pace.size(full, step))
         shown = list(dict.fromkeys(name for pane in panes(state.mode, names) for name in pictures_of(pane, names)))
         inspections = {name: self.inspect(name, state.orbit) for name in shown} if step is Step.INSPECTED else {}
         splats, every = self._splats, 1
         if state.mode != DIFFERENCE:  # two splats with different Gaussians would differ everywhere
             splats = {**self._splats, **self._tinted}
-            if step is Step.COARSE:
+            if step in (Step.COARSE, Step.HALF):
                 most = max((len(splat.scene) for splat in self.content.splats if splat.name in shown), default=1)
                 every = thinning(most, layout.size[0] * layout.size[1])
         pictures = {}
         for name in shown:
             scene = splats[name](every) if name in splats else None
             pictures[name] = to_bytes(self.sized_picture(name, state.orbit, layout.size, scene))
-        scale = layout.canvas[0] / full[0]
-        title = PREVIEW if every > 1 or scale < 1 else "", max(LETTERS * scale, SMALLEST_LETTERS)
-        made = [self._pane(pane, pictures, inspections, state, title) for pane in panes(state.mode, names)]
+        scale, made = layout.canvas[0] / full[0], list[Pixels]()
+        mark, letters = PREVIEW if every > 1 or scale < 1 else "", max(LETTERS * scale, SMALLEST_LETTERS)
+        for pane in panes(state.mode, names):
+            pixels = difference(*pictures.values()) if pane == DIFFERENCE else pictures[pane]
+            image = Image.fromarray(np.ascontiguousarray(pixels))
+            draw = ImageDraw.Draw(image)
+            if pane in inspections:
+                inspections[pane].draw(draw, image.width / self.content.size_at(state.orbit)[0])
+            write_label(draw, (0.4 * letters, image.height - 1.9 * letters), pane + mark, "#000000", size=letters)
+            made.append(np.asarray(image))
         return Painting(pixels=compose(made, layout), inspections=inspections, every=every)
 
     def layout(self, state: ViewState, canvas: tuple[int, int] | None = None) -> Layout:
@@ -109,7 +119,10 @@ class Painter:
             self._last = (orbit, {})
         inspections = self._last[1]
         if name not in inspections:
-            inspections[name] = self.inspector(self.picture(name, orbit))
+            found = self._thread.submit(self.inspector, self.picture(name, orbit))
+            while not wait([found], timeout=0.02).done:
+                between_stages.get()()
+            inspections[name] = found.result()
         return inspections[name]
 
     def commands(self, orbit: Orbit) -> dict[str, str]:
@@ -159,37 +172,20 @@ class Painter:
         photographs = self.content.photographs
         return None if photographs is None else photographs.from_camera(self.content.camera_name(orbit))
 
-    def _pane(
-        self,
-        pane: str,
-        pictures: Mapping[str, Pixels],
-        inspections: Mapping[str, Inspection],
-        state: ViewState,
-        title: tuple[str, float],
-    ) -> Pixels:
-        """The pixels of one pane with everything drawn into it."""
-        pixels = difference(*pictures.values()) if pane == DIFFERENCE else pictures[pane]
-        image = Image.fromarray(np.ascontiguousarray(pixels))
-        draw = ImageDraw.Draw(image)
-        if pane in inspections:
-            inspections[pane].draw(draw, image.width / self.content.size_at(state.orbit)[0])
-        mark, letters = title
-        write_label(draw, (0.4 * letters, image.height - 1.9 * letters), pane + mark, "#000000", size=letters)
-        return np.asarray(image)
-
 
 class Thinned:
     """A scene with fewer and larger Gaussians, made when they are first needed."""
 
     def __init__(self, scene: GaussianScene) -> None:
-        self._scenes = {1: scene}
+        self._scenes, self._order = {1: scene}, Tensor()
 
     def __call__(self, every: int) -> GaussianScene:
         """One of `every` neighbours along a Morton curve, enlarged so that surfaces stay closed."""
         if every not in self._scenes:
             scene = self._scenes[1]
-            order = torch.as_tensor(morton_order(scene.means.detach().cpu().numpy()))
-            rows = order[every // 2 :: every].to(scene.means.device)
+            if not len(self._order):
+                self._order = torch.as_tensor(morton_order(scene.means.detach().cpu().numpy()))
+            rows = self._order[every // 2 :: every].to(scene.means.device)
             means, scales, *rest = (tensor[rows] for tensor in scene.tensors())
             self._scenes[every] = GaussianScene.unchecked(means, scales * every**0.5, *rest)
         return self._scenes[every]

@@ -15,7 +15,7 @@ from mi_splat.scene import GaussianScene
 from mi_splat.selection.config import Selection
 from mi_splat.selection.select import select
 from mi_splat.sh import colour_to_dc
-from mi_splat.viewer.content import Content, ShownSplat
+from mi_splat.viewer.content import Content
 from mi_splat.viewer.orbit import Orbit, camera_options
 from mi_splat.viewer.session import Layout, panes, pictures_of
 
@@ -75,17 +75,13 @@ def clicked(
 
 def pick(click: Click, content: Content, render: RenderFn, before: Picked | None) -> Picked:
     """The object at a pixel, as `mi-splat select --click` selects it."""
-    splat, size = content.splat(click.splat), content.size_at(click.orbit)
+    splat, size, (x, y) = content.splat(click.splat), content.size_at(click.orbit), click.pixel
     mask = select(splat.scene, Selection(click=(click.pixel,)), camera=click.orbit.camera(size), render=render)
     if click.adds and before is not None and before.fits(splat.scene):
         return Picked(splat=splat.name, mask=mask | before.mask)
-    return Picked(splat=splat.name, mask=mask, command=_command(splat, click, content))
-
-
-def _command(splat: ShownSplat, click: Click, content: Content) -> str:
-    size, (x, y) = content.size_at(click.orbit), click.pixel
     camera = camera_options(click.orbit, size, settings=content.settings, up=content.up, path=splat.path)
-    return shlex.join(["mi-splat", "select", str(splat.path), "--click", f"{x},{y}", *camera, "--out", MASK])
+    command = ["mi-splat", "select", str(splat.path), "--click", f"{x},{y}", *camera, "--out", MASK]
+    return Picked(splat=splat.name, mask=mask, command=shlex.join(command))
 
 
 def tinted(scene: GaussianScene, mask: Tensor) -> GaussianScene:

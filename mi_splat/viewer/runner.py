@@ -5,7 +5,6 @@ All of it happens in the thread that renders, where `turn` is called again and a
 
 from __future__ import annotations
 
-import math
 import os
 import shlex
 import signal
@@ -14,6 +13,7 @@ import tempfile
 from collections import deque
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,8 +61,7 @@ class Number:
 
     def valid(self, value: object) -> Value:
         """The value if it is a number in the range, else the default."""
-        fits = isinstance(value, int | float) and math.isfinite(value) and self.low <= value <= self.high
-        return value if fits and isinstance(value, int | float) else self.default
+        return value if isinstance(value, int | float) and self.low <= value <= self.high else self.default
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -133,11 +132,7 @@ class Job:
 HOW_TO_SELECT = "Click on an object in the picture; hold Shift to add to the selection."
 NOTHING_TO_SELECT = "Only splats have objects to select."
 MOST_QUEUED = 100  # requests that wait; more are dropped
-
-
-def mi_splat_command(*arguments: str) -> list[str]:
-    """Runs a command of the command line in another process."""
-    return python_command("attacks", *arguments)
+MI_SPLAT = partial(python_command, "attacks")  # runs a command of the command line in another process
 
 
 class JobRunner:
@@ -152,13 +147,13 @@ class JobRunner:
         kinds: Sequence[JobKind] = (),
         *,
         renderer: Callable[[RenderSettings], RenderFn] = Renderer,
-        program: Callable[..., list[str]] = mi_splat_command,
+        program: Callable[..., list[str]] = MI_SPLAT,
     ) -> None:
         self.painter, self.kinds, self._renderer, self._program = painter, tuple(kinds), renderer, program
         self.revision, self.lines = 0, tuple[str, ...]()
         self._first = painter
         self._picked: Picked | None = None
-        self._queue: deque[Callable[[], None]] = deque(maxlen=MOST_QUEUED)
+        self.requests: deque[Callable[[], None]] = deque(maxlen=MOST_QUEUED)
         self._job: tuple[Job, JobKind, JobRequest, Path] | None = None
         self._stopped = False
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
@@ -194,13 +189,13 @@ class JobRunner:
 
     def later(self, task: Callable[[], None]) -> None:
         """Run an action in the thread that renders; from any thread."""
-        self._queue.append(task)
+        self.requests.append(task)
 
     def turn(self) -> bool:
         """Do what is queued, and look after the job; whether anything has changed."""
-        waiting = len(self._queue)  # what is queued meanwhile waits, so that pictures are made
+        waiting = len(self.requests)  # what is queued meanwhile waits, so that pictures are made
         for _ in range(waiting):
-            task = self._queue.popleft()
+            task = self.requests.popleft()
             try:
                 task()
             except (MiSplatError, OSError) as error:
@@ -210,13 +205,10 @@ class JobRunner:
     def pick(self, click: Click) -> None:
         """Select what is at a pixel."""
         if any(click.splat == splat.name for splat in self.content.splats):  # else it is shown no longer
-            self._select(pick(click, self.content, self.painter.render, self.picked))
+            self.select(pick(click, self.content, self.painter.render, self.picked))
 
-    def clear(self) -> None:
-        """Select nothing."""
-        self._select(None)
-
-    def _select(self, picked: Picked | None) -> None:
+    def select(self, picked: Picked | None) -> None:
+        """Select an object, or nothing."""
         self._picked, self.revision = picked, self.revision + 1
         self.painter.tint(picked)
 
@@ -301,7 +293,7 @@ class JobPanel:
         with gui.add_folder("Object"):
             self._object = gui.add_html("")
             self._button("Select what is in the middle", client.pick_middle)
-            self._clear = self._button("Clear", runner.clear)
+            self._clear = self._button("Clear", lambda: runner.select(None))
             self._save = self._button(f"Save {MASK}", self._download)
             self._select = gui.add_text("command", "", multiline=True, hint="Copy it to select the same Gaussians")
         for kind in runner.kinds:

@@ -14,7 +14,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
+from mi_splat.cameras import angle_of
 from mi_splat.errors import InvalidValueError, MiSplatError, install, message
+from mi_splat.rasterization.frozen import PictureInterruptedError, interrupted_by
 from mi_splat.viewer.guard import LOOPBACK_NAMES, Guard, guarding, is_loopback
 from mi_splat.viewer.orbit import Orbit
 from mi_splat.viewer.painter import Painter, Painting
@@ -24,7 +26,7 @@ from mi_splat.viewer.runner import JobRunner
 from mi_splat.viewer.session import Session, Step, ViewState, display_modes
 
 VIEW = "View"  # name of the tab with the controls of what is shown
-JPEG_QUALITY = {Step.COARSE: 75, Step.FULL: 92, Step.INSPECTED: 92}
+JPEG_QUALITY = {Step.COARSE: 75, Step.HALF: 85, Step.FULL: 92, Step.INSPECTED: 92}
 SETTLING = 1.0
 """Seconds after a control was moved in which reports of the browser's camera, which follows late, are ignored."""
 ECHOES = 128  # poses that a browser was sent and may report later, as if the mouse had moved its camera there
@@ -84,17 +86,20 @@ class Client:
         """The picture to make now."""
         return self._session.due(time.monotonic(), inspector=self._painter.inspector is not None)
 
-    def paint(self, step: Step) -> None:
-        """Make a picture and send it."""
+    def paint(self, step: Step, urgent: Callable[[], bool]) -> None:
+        """Make a picture and send it, unless something is urgent meanwhile."""
         with self._lock:
             state, pace = self._session.state, self._session.pace
         started = time.perf_counter()
         try:
-            painting, quality = self._painter.paint(state, step, pace), JPEG_QUALITY[step]
-            self._handle.scene.set_background_image(painting.pixels, format="jpeg", jpeg_quality=quality)
-            if step is not Step.COARSE:
-                self._panel.describe(self._remarks(state, painting), self._painter.commands(state.orbit))
-                self._shared_panel.follow_camera()
+            with interrupted_by(urgent):
+                painting, quality = self._painter.paint(state, step, pace), JPEG_QUALITY[step]
+                self._handle.scene.set_background_image(painting.pixels, format="jpeg", jpeg_quality=quality)
+                if step in (Step.FULL, Step.INSPECTED):
+                    self._panel.describe(self._remarks(state, painting), self._painter.commands(state.orbit))
+                    self._shared_panel.follow_camera()
+        except PictureInterruptedError:
+            return
         except MiSplatError as error:  # of this picture; the next one may succeed
             self._panel.describe([("", str(error))], {})
         self._handle.flush()
@@ -187,10 +192,11 @@ def check_port(host: str, port: int) -> None:
             raise InvalidValueError(message(f"{host}, port {port}", "a free port", reason, "try --port 0")) from error
 
 
-class Page:
+class Page(contextlib.AbstractContextManager["Page"]):
     """Serves the content of a painter, or of a runner with jobs, until it is closed."""
 
     def __init__(self, shown: Painter | JobRunner, *, host: str = "127.0.0.1", port: int = 8080) -> None:
+        check_port(host, port)  # viser would take another one
         self._runner = shown if isinstance(shown, JobRunner) else JobRunner(shown)
         self._changed, self._clients = threading.Condition(), dict[int, Client]()
         self._guard = Guard(names=LOOPBACK_NAMES | {host} if is_loopback(host) else None)
@@ -200,12 +206,10 @@ class Page:
         self._server.scene.set_up_direction("+z")
         first = self._server.initial_camera
         first.position, first.look_at, first.up = content.start.position, content.start.target, (0.0, 0.0, 1.0)
-        first.fov = content.start.vertical_fov(content.size)
+        camera = content.start.camera(content.size)
+        first.fov = angle_of(camera.fy, camera.height)
         self._server.on_client_connect(self._enter)
         self._server.on_client_disconnect(self._leave)
-        if port not in (0, self._server.get_port()):
-            self.close()
-            raise InvalidValueError(message(f"{host}, port {port}", "a free port", "one in use", "try --port 0"))
 
     @property
     def address(self) -> str:
@@ -220,7 +224,7 @@ class Page:
             self.turn(stop)
 
     def turn(self, stop: threading.Event | None = None, *, wait: float = 0.05) -> None:
-        """Do what is queued, and make one picture for each window where one is due."""
+        """Do what is queued, and make one picture for each window where one is due, coarse ones first."""
         changed = self._runner.turn()
         with self._changed:
             clients = list(self._clients.values())
@@ -229,9 +233,16 @@ class Page:
                 self._changed.wait(wait)
         for client in clients if changed else ():
             client.follow()
-        for client, step in due:
+        coarse = [(client, step) for client, step in due if step is Step.COARSE]
+        for client, step in coarse or due:
             if stop is None or not stop.is_set():
-                client.paint(step)
+                client.paint(step, (lambda: False) if coarse else self._is_urgent)
+
+    def _is_urgent(self) -> bool:
+        """Whether a window waits for a reaction."""
+        with self._changed:
+            clients = list(self._clients.values())
+        return bool(self._runner.requests) or any(client.due() is Step.COARSE for client in clients)
 
     def close(self) -> None:
         """Close every window's connection and free the port."""
@@ -240,9 +251,6 @@ class Page:
             self._runner.close()
             with contextlib.redirect_stdout(io.StringIO()):  # viser says that it stopped
                 self._server.stop()
-
-    def __enter__(self) -> Page:
-        return self
 
     def __exit__(self, *failure: object) -> None:
         self.close()

@@ -1,7 +1,7 @@
 """What a browser window shows and which picture is due next, without a browser and without a clock.
 
-While the camera moves, coarse pictures are rendered with as many pixels as the time for one allows. When it rests, a
-full picture follows, and then one with the detections.
+While the camera moves, coarse pictures are rendered with as many pixels as the time for one allows. When it rests, one
+of half the width follows, the full one, and then one with the detections. A movement interrupts them.
 """
 
 from __future__ import annotations
@@ -54,13 +54,10 @@ def lay_out(canvas: tuple[int, int], aspect: float, count: int, *, gap: int = 4)
     row = _fit(max((width - gap * (count - 1)) // count, 1), free, aspect)
     column = _fit(width, max((free - gap * (count - 1)) // count, 1), aspect)
     w, h = max(row, column)
-    across, down = (count, 1) if (w, h) == row else (1, count)
-    left = (width - across * w - gap * (across - 1)) // 2
-    top = 0 if height > width else (height - down * h - gap * (down - 1)) // 2
-    corners = tuple(
-        (max(left, 0) + i * (w + gap if across > 1 else 0), max(top, 0) + i * (h + gap if down > 1 else 0))
-        for i in range(count)
-    )
+    x, y = (w + gap, 0) if (w, h) == row else (0, h + gap)  # from one picture to the next
+    left = max((width - w - (count - 1) * x) // 2, 0)
+    top = 0 if height > width else max((height - h - (count - 1) * y) // 2, 0)
+    corners = tuple((left + i * x, top + i * y) for i in range(count))
     return Layout(canvas=(width, height), size=(w, h), corners=corners)
 
 
@@ -89,14 +86,16 @@ def _fit(width: int, height: int, aspect: float) -> tuple[int, int]:
     return width, max(1, round(width / aspect))
 
 
-REST = 0.2  # seconds without a change after which the camera is at rest
+REST = 0.1  # seconds without a change after which the camera is at rest
 LOWEST_SCALE = 0.2  # smallest width of a coarse picture, as a fraction of the full one
+HALF = 0.5  # width of the picture between a coarse one and the full one
 
 
 class Step(Enum):
     """A picture that is due."""
 
     COARSE = "coarse"
+    HALF = "half"
     FULL = "full"
     INSPECTED = "inspected"
 
@@ -127,9 +126,10 @@ class Pace:
         step = min(max(math.sqrt(ratio), 1 / 1.5), 1.5)
         return replace(self, scale=min(max(self.scale * step, LOWEST_SCALE), 1.0))
 
-    def size(self, full: tuple[int, int]) -> tuple[int, int]:
-        """Width and height of a coarse picture where the full one has `full` pixels."""
-        width, height = (max(1, round(self.scale * side)) for side in full)
+    def size(self, full: tuple[int, int], step: Step) -> tuple[int, int]:
+        """Width and height of the picture of a step where the full one has `full` pixels."""
+        scale = {Step.COARSE: self.scale, Step.HALF: HALF}.get(step, 1.0)
+        width, height = (max(1, round(scale * side)) for side in full)
         return width, height
 
 
@@ -153,7 +153,10 @@ class Session:
         if self.painted is None:
             return Step.COARSE
         if self.painted is Step.COARSE:
-            return Step.FULL if now - self.changed >= REST else None
+            following = Step.HALF if self.pace.scale < HALF else Step.FULL
+            return following if now - self.changed >= REST else None
+        if self.painted is Step.HALF:
+            return Step.FULL
         if self.painted is Step.FULL and inspector and self.state.inspected:
             return Step.INSPECTED
         return None

@@ -212,10 +212,11 @@ def test_weights_make_the_round_trip_through_a_file(tmp_path: Path, suffix: str)
         torch.save({"model": state, "epoch": 3}, path)
     else:
         save_file(state, path)
-    (expected,) = original.candidates(pictures(count=1))
-    (candidates,) = load_detector("fasterrcnn_small", weights=path).candidates(pictures(count=1))
-    assert torch.equal(expected.scores, candidates.scores)
-    assert torch.equal(expected.boxes, candidates.boxes)
+    (expected,), loaded = original.candidates(pictures(count=1)), load_detector("fasterrcnn_small", weights=path)
+    (candidates,) = loaded.candidates(pictures(count=1))
+    assert loaded.fingerprint == original.fingerprint
+    torch.testing.assert_close(candidates.scores, expected.scores, rtol=0, atol=1e-5)  # another memory format
+    torch.testing.assert_close(candidates.boxes, expected.boxes, rtol=0, atol=1e-2)
 
 
 def test_without_network_the_hub_gives_one_clear_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The picture of the page: its layout and content, and what is inspected is what `mi-splat render` makes."""
 
 import shlex
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from mi_splat.errors import InvalidValueError
 from mi_splat.io import save_splat
 from mi_splat.io.images import to_bytes
 from mi_splat.metrics import psnr
+from mi_splat.rasterization.frozen import PictureInterruptedError, interrupted_by
 from mi_splat.rendering import Renderer, RenderSettings
 from mi_splat.rotation import from_z
 from mi_splat.scene import Similarity
@@ -42,6 +44,7 @@ from tests import oracle
 from tests.fakes import blobs
 from tests.project.layers import ROOT
 from tests.viewer.contents import START, MeanInspector, ball, balls, painter
+from tests.viewer.wire import PATIENCE
 
 STATE = ViewState(orbit=START, mode=SIDE_BY_SIDE, canvas=(200, 100))
 FULL = Step.FULL, Pace()
@@ -138,6 +141,23 @@ def test_only_coarse_pictures_have_fewer_gaussians_and_say_so(mode: str, monkeyp
     assert ("preview" in titles[0], "preview" in titles[-1]) == (coarse.every > 1, False)
     work.paint(state, Step.COARSE, Pace(scale=0.9))
     assert "preview" in titles[-1]
+
+
+def test_an_interrupted_picture_ends_between_two_stages_and_leaves_nothing(variant: str) -> None:
+    render, camera, scene = Renderer(), START.camera((48, 32)), ball((0.9, 0.1, 0.1))
+    before, answers = render(scene, camera), iter((False, False, True))
+    with pytest.raises(PictureInterruptedError), interrupted_by(lambda: next(answers)):
+        render(scene, camera)
+    assert torch.equal(render(scene, camera), before)
+
+
+def test_a_detector_that_looks_for_long_holds_nothing_up() -> None:
+    held, inspector = threading.Event(), MeanInspector()
+    work = Painter(balls(1), blobs, lambda picture: inspector(picture * held.wait(PATIENCE)))
+    with pytest.raises(PictureInterruptedError), interrupted_by(lambda: True):
+        work.inspect("clean", START)
+    held.set()
+    assert work.inspect("clean", START).text == painter(inspector=inspector).inspect("clean", START).text
 
 
 def test_files_have_names_that_a_page_can_show(tmp_path: Path) -> None:

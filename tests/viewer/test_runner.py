@@ -55,7 +55,7 @@ def test_a_selected_object_is_highlighted_until_it_is_cleared() -> None:
     coloured = jobs.painter.paint(state, Step.FULL, Pace()).pixels
     assert (coloured[..., 2].astype(int) - plain[..., 2]).max() > 20
     assert torch.equal(jobs.painter.picture("clean", START), painter(1).picture("clean", START))  # for detectors
-    jobs.clear()
+    jobs.select(None)
     assert jobs.picked is None
     assert np.array_equal(jobs.painter.paint(state, Step.FULL, Pace()).pixels, plain)
 

@@ -15,12 +15,13 @@ STATE = ViewState(
 MOVED = replace(STATE, orbit=replace(STATE.orbit, azimuth=1.0))
 
 
-def test_the_order_of_pictures() -> None:
-    session, seen = Session(state=STATE, changed=10.0), list[Step | None]()
-    for now in (10.0, 10.0 + 0.9 * REST, 10.1 + REST, 10.1 + REST, 10.1 + REST):
+@pytest.mark.parametrize(("scale", "between"), [(0.3, [Step.HALF]), (0.6, [])])
+def test_the_order_of_pictures(scale: float, between: list[Step]) -> None:
+    session, seen = Session(state=STATE, changed=10.0, pace=Pace(scale=scale)), list[Step | None]()
+    for now in (10.0, 10.0 + 0.9 * REST, *(10.1 + REST for _ in range(3 + len(between)))):
         seen.append(step := session.due(now, inspector=True))
         session = session if step is None else session.done(step, session.state, 0.01)
-    assert seen == [Step.COARSE, None, Step.FULL, Step.INSPECTED, None]
+    assert seen == [Step.COARSE, None, *between, Step.FULL, Step.INSPECTED, None]
     assert session.change(replace(STATE), 15.0) is session
     assert session.change(MOVED, 15.0).due(15.0, inspector=True) is Step.COARSE
 

@@ -29,15 +29,15 @@ from attacks.detectors.catalogue import (
     weights_of,
 )
 from attacks.detectors.graphs.graph import GraphModel, Node, read_graph_model, read_tflite
-from attacks.detectors.graphs.operations import OPERATIONS, Function, Step, Value, plain
+from attacks.detectors.graphs.operations import OPERATIONS, Function, Value
 from attacks.detectors.graphs.packages import read_files
 from attacks.detectors.vision import torchvision
 from attacks.detectors.weights import FrozenModel
 
-# A graph model as a torch module: differentiable, channels first, its shapes and constants worked out once.
+# A graph model as a torch module: differentiable, its shapes and constants worked out once.
 #
-# Making it ready walks the graph once with an input of zeros: what depends on constants alone is computed then, tensors
-# of pictures are put channels first, and what is left is a list of calls.
+# Making it ready walks the graph once with an input of zeros: what depends on constants alone is computed then, and
+# what is left is a list of calls.
 
 
 class GraphNetwork(nn.Module):
@@ -52,12 +52,11 @@ class GraphNetwork(nn.Module):
         self._inputs = [name for name, node in model.nodes.items() if node.op == "Placeholder"]
         self._calls: list[tuple[Function, tuple[str, ...], tuple[str, ...]]] = []
         self._constants: dict[int, str] = {}
-        self._results = [(self._kept(value), value.order) for value in self._walk(model, outputs)]
+        self._results = [self._kept(value) for value in self._walk(model, outputs)]
         self._last_use: dict[str, int] = {}
         for number, (_, taken, _) in enumerate(self._calls):
             self._last_use.update(dict.fromkeys(taken, number))
-        for slot, _ in self._results:
-            self._last_use[slot] = len(self._calls)
+        self._last_use.update(dict.fromkeys(self._results, len(self._calls)))
 
     def forward(self, *tensors: Tensor) -> tuple[Tensor, ...]:
         """The outputs for one tensor of each input, in the order of the graph."""
@@ -68,7 +67,7 @@ class GraphNetwork(nn.Module):
             for slot in set(taken):
                 if self._last_use[slot] == number:
                     del at[slot]
-        return tuple(at[slot].permute(order) for slot, order in self._results)
+        return tuple(at[slot] for slot in self._results)
 
     def _walk(self, model: GraphModel, outputs: Sequence[str]) -> list[Value]:
         """Make every node ready that the outputs need, and return the outputs."""
@@ -94,22 +93,20 @@ class GraphNetwork(nn.Module):
 
     def _made_ready(self, name: str, node: Node, inputs: list[Value], model: GraphModel) -> tuple[Value, ...]:
         if node.op == "Const":
-            constant = model.constants[name]
-            return (Value(constant, plain(constant.ndim)),)
+            return (Value(model.constants[name]),)
         if node.op == "Placeholder":
-            shape = node.settings["shape"]
-            return (Value(torch.zeros(shape), plain(len(shape)), name),)
+            return (Value(torch.zeros(node.settings["shape"]), name),)
         return OPERATIONS[node.op](node, inputs, self._run)
 
-    def _run(self, step: Step) -> tuple[Value, ...]:
+    def _run(self, function: Function, *inputs: Value) -> tuple[Value, ...]:
         with torch.no_grad():
-            result = step.function(*(value.tensor for value in step.inputs))
+            result = function(*(value.tensor for value in inputs))
         tensors = result if isinstance(result, tuple) else (result,)
-        if all(value.constant for value in step.inputs):
-            return tuple(Value(tensor, order) for tensor, order in zip(tensors, step.orders, strict=True))
+        if all(value.slot is None for value in inputs):
+            return tuple(map(Value, tensors))
         given = tuple(f"{len(self._calls)}.{number}" for number in range(len(tensors)))
-        self._calls.append((step.function, tuple(self._kept(value) for value in step.inputs), given))
-        return tuple(Value(*parts) for parts in zip(tensors, step.orders, given, strict=True))
+        self._calls.append((function, tuple(map(self._kept, inputs)), given))
+        return tuple(map(Value, tensors, given))
 
     def _kept(self, value: Value) -> str:
         """Name under which a value is when the network runs; a constant becomes a buffer."""

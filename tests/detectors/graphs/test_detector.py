@@ -1,5 +1,6 @@
 """The adapters of the detectors that others trained on photographs; those that need the weights run where these are."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,7 @@ from torch import Tensor
 
 from attacks.detectors import load_detector
 from attacks.detectors.catalogue import COCO_CLASSES, NPM_DETECTORS, DetectorError, weights_of
-from attacks.detectors.graphs.detector import DEVIATION, FAMILIES, MEAN, Family, GraphDetector, GraphNetwork, load
+from attacks.detectors.graphs.detector import DEVIATION, FAMILIES, MEAN, GraphDetector, GraphNetwork, load
 from attacks.detectors.graphs.graph import GraphModel, Node
 from attacks.testing import check_detector
 from mi_splat.io.images import quantise
@@ -19,9 +20,7 @@ from tests.detectors.contract import slope_is_the_gradient
 SCENES = Path(__file__).resolve().parents[3] / "scenes"
 CENTERNET, NANODET = FAMILIES["centernet_coco"], FAMILIES["nanodet_coco"]
 there = {
-    name: pytest.mark.skipif(
-        not weights_of(name).is_file(), reason=f"{name} is not here: mi-splat detectors --get {name}"
-    )
+    name: pytest.mark.skipif(not weights_of(name).is_file(), reason=f"mi-splat detectors --get {name}")
     for name in NPM_DETECTORS
 }
 FINGERPRINTS = {
@@ -85,11 +84,8 @@ def test_pictures_are_prepared_as_the_networks_want_them() -> None:
 
 def _tiny() -> GraphDetector:
     """Scores are the sigmoid of the mean colour over quarters of the picture; the box of each is the quarter's."""
-    constants = {
-        "split": torch.tensor([2, 4, 2, 4, 3]),
-        "axes": torch.tensor([1, 3]),
-        "shape": torch.tensor([1, 4, 3]),
-    }
+    numbers = {"split": [2, 4, 2, 4, 3], "axes": [1, 3], "shape": [1, 4, 3]}
+    constants = {name: torch.tensor(values) for name, values in numbers.items()}
     nodes = {
         **dict.fromkeys(constants, Node("Const")),
         "x": Node("Placeholder", settings={"shape": (1, 8, 8, 3)}),
@@ -103,13 +99,8 @@ def _tiny() -> GraphDetector:
         boxes = torch.tensor([[0.0, 0, 4, 4], [4, 0, 8, 4], [0, 4, 4, 8], [4, 4, 9, 9]])
         return boxes, outputs[0][0]
 
-    family = Family(
-        outputs=("scores",),
-        side=8,
-        prepare=lambda picture: picture.permute(0, 2, 3, 1) * 4 - 2,
-        decode=decode,
-        keep=NANODET.keep,
-        min_confidence=0.5,
+    family = replace(
+        NANODET, side=8, prepare=lambda picture: picture.permute(0, 2, 3, 1) * 4 - 2, decode=decode, min_confidence=0.5
     )
     return GraphDetector("tiny", GraphNetwork(GraphModel(nodes, constants), ["scores"]), family, COCO_CLASSES[:3])
 

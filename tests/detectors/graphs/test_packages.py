@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from attacks import cli
-from attacks.detectors.catalogue import NPM_DETECTORS, NpmDetector, NpmFile, folder_of, weights_of
+from attacks.detectors.catalogue import NPM_DETECTORS, NpmDetector, folder_of, weights_of
 from attacks.detectors.graphs import packages
 
 ONE, TWO = "toy_one", "toy_two"
@@ -30,7 +30,7 @@ def tarball(folder: Path, name: str) -> tuple[Path, NpmDetector]:
         package=f"@toys/{name}",
         version="1.2.3",
         archive=sha256(path.read_bytes()).hexdigest(),
-        files=tuple(NpmFile(member=m, sha256=sha256(content).hexdigest()) for m, content in files.items()),
+        files={member: sha256(content).hexdigest() for member, content in files.items()},
     )
     return path, detector
 
