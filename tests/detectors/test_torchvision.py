@@ -212,8 +212,8 @@ def test_weights_make_the_round_trip_through_a_file(tmp_path: Path, suffix: str)
         torch.save({"model": state, "epoch": 3}, path)
     else:
         save_file(state, path)
-    (expected,), loaded = original.candidates(pictures(count=1)), load_detector("fasterrcnn_small", weights=path)
-    (candidates,) = loaded.candidates(pictures(count=1))
+    loaded = load_detector("fasterrcnn_small", weights=path)
+    (expected,), (candidates,) = (one.candidates(pictures(count=1)) for one in (original, loaded))
     assert loaded.fingerprint == original.fingerprint
     torch.testing.assert_close(candidates.scores, expected.scores, rtol=0, atol=1e-5)  # another memory format
     torch.testing.assert_close(candidates.boxes, expected.boxes, rtol=0, atol=1e-2)
