@@ -82,10 +82,7 @@ def commit() -> str | None:
     # A virtual environment may lie inside some other checkout: only one that tracks this very file counts.
     if _git(here.parent, "ls-files", "--error-unmatch", here.name) is None:
         return None
-    head = _git(here.parent, "rev-parse", "HEAD")
-    if head is None:
-        return None
-    return head + ("+changes" if _git(here.parent, "status", "--porcelain", "--untracked-files=no") else "")
+    return _git(here.parent, "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+changes")
 
 
 def _git(folder: Path, *arguments: str) -> str | None:

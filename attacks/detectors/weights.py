@@ -159,5 +159,4 @@ class FrozenModel:
     def to(self: _Self, device: torch.device | str) -> _Self:
         """Move the weights to a device, in place."""
         self.model.to(device)
-        self._hashed = None
         return self

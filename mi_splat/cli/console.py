@@ -3,7 +3,6 @@
 Text goes through `printable` on its way, since names out of files are in it; a JSON document is exact.
 """
 
-import atexit
 import gc
 import importlib
 import json
@@ -47,8 +46,7 @@ def limit_threads(most: int | None = None) -> None:
 def import_at_once(package: str) -> None:
     """Import a large package in two thirds of the CPU time, unless it is there already.
 
-    All that torch makes as it is imported stays to the end. Python would look for garbage in it a few hundred times
-    meanwhile, and again as the process ends; so it is told to do neither.
+    All that torch makes as it is imported stays to the end; Python would look for garbage in it a few hundred times.
     """
     if package not in sys.modules:
         gc.disable()
@@ -57,7 +55,6 @@ def import_at_once(package: str) -> None:
         finally:
             gc.freeze()
             gc.enable()
-        atexit.register(gc.freeze)
 
 
 def warn(text: str) -> None:

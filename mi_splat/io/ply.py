@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from mi_splat.io.documents import save_bytes
 from mi_splat.io.errors import SplatFileError
-from mi_splat.io.loaded import HIGHER_BANDS, SHOWN, Loaded, unit, validated
+from mi_splat.io.loaded import HIGHER_BANDS, SHOWN, Loaded, arrays_of, as_scene, unit, validated
 from mi_splat.sh import colour_to_dc
 
 if TYPE_CHECKING:
@@ -308,16 +308,13 @@ def write_ply(scene: GaussianScene, path: str | os.PathLike[str], *, antialiased
 def through_ply(scene: GaussianScene) -> GaussianScene:
     """What `load_splat` reads from the PLY that `save_splat` writes of a scene: to the bit, without the file."""
     values = _raw(scene)
-    scales, opacities = _activated(values["scales"], values["opacities"])
-    loaded = validated(values["means"], scales, unit(values["rotations"]), opacities, values["sh"])
+    physical = _activated(values["scales"], values["opacities"])
+    loaded = validated(values["means"], physical[0], values["rotations"], physical[1], values["sh"])
     return loaded.settle("a saved scene", "raise", stacklevel=2).scene
 
 
 def _raw(scene: GaussianScene) -> dict[str, NDArray[np.float32]]:
     """The tensors of a scene as the file holds them."""
-    import torch  # reading does without
+    from mi_splat.io.parameters import to_raw_parameters  # imports torch, which reading does without
 
-    from mi_splat.io.parameters import to_raw_parameters
-
-    scene = scene.unchecked(*(value.detach().to("cpu", torch.float32) for value in scene.tensors()))
-    return {name: value.numpy() for name, value in to_raw_parameters(scene).items()}
+    return {name: value.numpy() for name, value in to_raw_parameters(as_scene(arrays_of(scene))).items()}

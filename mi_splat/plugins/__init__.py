@@ -22,11 +22,17 @@ SUPPORTED_VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 def _register_in(variant: str) -> None:
     import mitsuba as mi
 
-    from mi_splat.plugins import ray, shape, tile
+    from mi_splat.plugins import shape, tile
+
+    @functools.cache
+    def splat_ray() -> Any:  # most scenes do without its paths
+        from mi_splat.plugins import ray
+
+        return ray.integrator_class(variant)
 
     mi.register_shape("gaussians", shape.gaussians)
     mi.register_integrator("splat_tile", tile.integrator_class(variant))
-    mi.register_integrator("splat_ray", ray.integrator_class(variant))
+    mi.register_integrator("splat_ray", lambda props: splat_ray()(props))
 
 
 @functools.cache
