@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,22 +35,33 @@ class Pinhole:
         lens = camera.fx, camera.fy, camera.cx, camera.cy
         return camera.to_world.numpy().tobytes(), lens, self.size, self.field, self.near, self.antialiased
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Pinhole) and self.key() == other.key()
+
+    def __hash__(self) -> int:
+        return hash(self.key())
+
     def for_kernels(self) -> KernelCamera:
-        """The camera's numbers in memory, made anew: a kernel reads each once, and is not another one for others."""
-        camera, pose = self.camera, self.camera.to_camera.numpy()
-        field = self.field or (0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy)
-        kernel_camera = KernelCamera(
-            rotation=mi.Matrix3f(*pose[:3, :3].ravel().tolist()),
-            translation=mi.Vector3f(*pose[:3, 3].tolist()),
-            position=mi.Point3f(*(-pose[:3, :3].T @ pose[:3, 3]).tolist()),
-            focal=mi.Vector2f(camera.fx, camera.fy),
-            principal=mi.Point2f(camera.cx, camera.cy),
-            guard=mi.Vector2f(*(GUARD * side for side in field)),
-            near=mi.Float(self.near),
-            antialiased=self.antialiased,
-        )
-        dr.make_opaque(kernel_camera)
-        return kernel_camera
+        """The camera's numbers in memory: a kernel reads each once, and is not another one for others."""
+        return _in_memory(mi.variant(), self)
+
+
+@functools.lru_cache(maxsize=128)
+def _in_memory(variant: str, pinhole: Pinhole) -> KernelCamera:
+    camera, pose = pinhole.camera, pinhole.camera.to_camera.numpy()
+    field = pinhole.field or (0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy)
+    made = KernelCamera(
+        rotation=mi.Matrix3f(*pose[:3, :3].ravel().tolist()),
+        translation=mi.Vector3f(*pose[:3, 3].tolist()),
+        position=mi.Point3f(*(-pose[:3, :3].T @ pose[:3, 3]).tolist()),
+        focal=mi.Vector2f(camera.fx, camera.fy),
+        principal=mi.Point2f(camera.cx, camera.cy),
+        guard=mi.Vector2f(*(GUARD * side for side in field)),
+        near=mi.Float(pinhole.near),
+        antialiased=pinhole.antialiased,
+    )
+    dr.make_opaque(made)
+    return made
 
 
 @dataclass(eq=False)  # not frozen: dr.freeze assigns the fields again
